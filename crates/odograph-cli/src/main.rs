@@ -1,0 +1,3 @@
+//! The program `odograph`.
+
+fn main() {}

@@ -1,0 +1,1 @@
+//! Recordings, picture folders and streams as gray frames with timestamps.

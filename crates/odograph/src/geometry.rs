@@ -1,0 +1,219 @@
+//! Frames of reference, points and poses.
+//!
+//! * **Image**: pixels; `x` right, `y` down; integer coordinates are pixel centres ([`Pixel`]).
+//! * **Camera**: x right, y down, z forward along the optical axis, metres. A direction in it is a [`Ray`] `(x, y, 1)`.
+//! * **World**: z up, the ground is z = 0, metres. The origin is the ground point below the first camera position, x the
+//!   direction that is up in the first image, y to the left. Heading is counter-clockwise positive seen from above.
+//!
+//! A transform is named `target_from_source`.
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// A point in the (distorted) image as the camera delivers it, in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pixel {
+    /// To the right, 0 at the centre of the leftmost column.
+    pub x: f64,
+    /// Downwards, 0 at the centre of the top row.
+    pub y: f64,
+}
+
+impl Pixel {
+    /// The point (`x`, `y`), in pixels.
+    pub fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// Euclidean distance to another pixel, in pixels.
+    pub fn distance(self, other: Self) -> f64 {
+        (self.x - other.x).hypot(self.y - other.y)
+    }
+}
+
+/// A viewing direction in the camera frame, the vector (`x`, `y`, 1): normalised, undistorted image coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// Tangent of the angle to the right.
+    pub x: f64,
+    /// Tangent of the angle downwards.
+    pub y: f64,
+}
+
+impl Ray {
+    /// The direction (`x`, `y`, 1).
+    pub fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// As a vector with z = 1.
+    pub fn vector(self) -> Vector3<f64> {
+        Vector3::new(self.x, self.y, 1.0)
+    }
+}
+
+/// A point on the ground (world z = 0), in metres.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct GroundPoint {
+    /// World x: the direction that is up in the first image.
+    pub x_m: f64,
+    /// World y: to the left in the first image.
+    pub y_m: f64,
+}
+
+impl GroundPoint {
+    /// The ground point (`x_m`, `y_m`).
+    pub fn new(x_m: f64, y_m: f64) -> Self {
+        Self { x_m, y_m }
+    }
+
+    /// Distance to another ground point, in metres.
+    pub fn distance(self, other: Self) -> f64 {
+        (self.x_m - other.x_m).hypot(self.y_m - other.y_m)
+    }
+}
+
+/// Where a camera is over the ground, in the six numbers a ground camera is thought of.
+///
+/// `world_from_camera` has the translation (x, y, height) and the rotation `Rz(heading) · Ry(pitch) · Rx(roll) · N`,
+/// where `N` is the camera that looks straight down with the top of its image forward
+/// ([`nadir_from_camera`]). With roll = pitch = 0 the optical axis is plumb.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct GroundPose {
+    /// World x of the camera centre, metres.
+    pub x_m: f64,
+    /// World y of the camera centre, metres.
+    pub y_m: f64,
+    /// Direction that is up in the image, counter-clockwise from world x, radians, any number of turns.
+    pub heading_rad: f64,
+    /// Height of the camera centre above the ground, metres, positive.
+    pub height_m: f64,
+    /// Rotation about the forward axis, right-handed: positive when the image's left side is raised, radians.
+    pub roll_rad: f64,
+    /// Rotation about the left axis, right-handed: positive when the camera looks backwards of plumb, radians.
+    pub pitch_rad: f64,
+}
+
+/// The rotation of a camera that looks straight down with the top of its image along world x.
+pub fn nadir_from_camera() -> Matrix3<f64> {
+    Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+}
+
+impl GroundPose {
+    /// A level camera at `height_m` over the world's origin.
+    pub fn level(height_m: f64) -> Self {
+        Self { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, height_m, roll_rad: 0.0, pitch_rad: 0.0 }
+    }
+
+    /// The rotation that takes camera vectors to world vectors.
+    pub fn world_from_camera_rotation(&self) -> Matrix3<f64> {
+        let turn = Rotation3::from_euler_angles(self.roll_rad, self.pitch_rad, self.heading_rad);
+        turn.matrix() * nadir_from_camera()
+    }
+
+    /// The camera centre in the world, metres.
+    pub fn position(&self) -> Vector3<f64> {
+        Vector3::new(self.x_m, self.y_m, self.height_m)
+    }
+
+    /// As a rigid transform.
+    pub fn world_from_camera(&self) -> Isometry3<f64> {
+        let rotation = Rotation3::from_matrix_unchecked(self.world_from_camera_rotation());
+        Isometry3::from_parts(
+            Translation3::from(self.position()),
+            UnitQuaternion::from_rotation_matrix(&rotation),
+        )
+    }
+
+    /// From a rigid transform; the inverse of [`GroundPose::world_from_camera`] up to whole turns of the heading.
+    pub fn from_world_from_camera(world_from_camera: &Isometry3<f64>) -> Self {
+        let rotation = world_from_camera.rotation.to_rotation_matrix();
+        let turn = Rotation3::from_matrix_unchecked(rotation.matrix() * nadir_from_camera().transpose());
+        let (roll_rad, pitch_rad, heading_rad) = turn.euler_angles();
+        let t = &world_from_camera.translation.vector;
+        Self { x_m: t.x, y_m: t.y, heading_rad, height_m: t.z, roll_rad, pitch_rad }
+    }
+
+    /// The ground point that a viewing ray meets; `None` where the ray does not go downwards.
+    pub fn ground_from_ray(&self, ray: Ray) -> Option<GroundPoint> {
+        let direction = self.world_from_camera_rotation() * ray.vector();
+        (direction.z < -1e-9).then(|| {
+            let reach = -self.height_m / direction.z;
+            GroundPoint::new(self.x_m + reach * direction.x, self.y_m + reach * direction.y)
+        })
+    }
+
+    /// The viewing ray towards a ground point; `None` where the point is not in front of the camera.
+    pub fn ray_from_ground(&self, point: GroundPoint) -> Option<Ray> {
+        let from_camera = Vector3::new(point.x_m - self.x_m, point.y_m - self.y_m, -self.height_m);
+        let in_camera = self.world_from_camera_rotation().transpose() * from_camera;
+        (in_camera.z > 1e-9).then(|| Ray::new(in_camera.x / in_camera.z, in_camera.y / in_camera.z))
+    }
+}
+
+/// The angle brought into (−π, π], radians.
+pub fn wrap_angle(angle_rad: f64) -> f64 {
+    let turn = std::f64::consts::TAU;
+    let wrapped = angle_rad.rem_euclid(turn);
+    if wrapped > std::f64::consts::PI { wrapped - turn } else { wrapped }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_level_camera_sees_forward_at_the_top_and_left_at_the_left() {
+        let pose = GroundPose::level(2.0);
+        let top = pose.ground_from_ray(Ray::new(0.0, -0.5)).unwrap();
+        assert!((top.x_m - 1.0).abs() < 1e-12 && top.y_m.abs() < 1e-12);
+        let left = pose.ground_from_ray(Ray::new(-0.5, 0.0)).unwrap();
+        assert!(left.x_m.abs() < 1e-12 && (left.y_m - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn positive_pitch_looks_backwards_and_positive_roll_looks_left() {
+        let back = GroundPose { pitch_rad: 0.1, ..GroundPose::level(1.0) }
+            .ground_from_ray(Ray::new(0.0, 0.0))
+            .unwrap();
+        assert!((back.x_m + 0.1f64.tan()).abs() < 1e-12, "{back:?}");
+        let side = GroundPose { roll_rad: 0.1, ..GroundPose::level(1.0) }
+            .ground_from_ray(Ray::new(0.0, 0.0))
+            .unwrap();
+        assert!((side.y_m - 0.1f64.tan()).abs() < 1e-12, "{side:?}");
+    }
+
+    prop_compose! {
+        fn poses()(x_m in -5.0..5.0, y_m in -5.0..5.0, heading_rad in -3.1..3.1, height_m in 0.1..10.0,
+                   roll_rad in -0.6..0.6, pitch_rad in -0.6..0.6) -> GroundPose {
+            GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_pose_survives_the_way_through_a_transform(pose in poses()) {
+            let back = GroundPose::from_world_from_camera(&pose.world_from_camera());
+            for (a, b) in [(pose.x_m, back.x_m), (pose.y_m, back.y_m), (pose.height_m, back.height_m),
+                           (pose.heading_rad, back.heading_rad), (pose.roll_rad, back.roll_rad), (pose.pitch_rad, back.pitch_rad)] {
+                prop_assert!((a - b).abs() < 1e-9);
+            }
+        }
+
+        #[test]
+        fn a_ray_survives_the_way_over_the_ground(pose in poses(), x in -0.5..0.5, y in -0.5..0.5) {
+            if let Some(point) = pose.ground_from_ray(Ray::new(x, y)) {
+                let back = pose.ray_from_ground(point).unwrap();
+                prop_assert!((back.x - x).abs() < 1e-9 && (back.y - y).abs() < 1e-9);
+            }
+        }
+
+        #[test]
+        fn wrapped_angles_keep_their_direction(angle in -100.0..100.0f64) {
+            let wrapped = wrap_angle(angle);
+            prop_assert!(wrapped > -std::f64::consts::PI - 1e-12 && wrapped <= std::f64::consts::PI);
+            prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9 && (wrapped.cos() - angle.cos()).abs() < 1e-9);
+        }
+    }
+}
