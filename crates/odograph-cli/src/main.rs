@@ -1,3 +1,54 @@
-//! The program `odograph`.
+//! The program `odograph`: one video camera in, a metric trajectory and map out.
 
-fn main() {}
+mod commands;
+mod files;
+
+use clap::{Parser, Subcommand};
+use odograph::error::{ErrorKind, Result};
+use std::process::ExitCode;
+
+/// One video camera in, a metric trajectory and map out.
+#[derive(Parser)]
+#[command(name = "odograph", version, about, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Simulate(commands::simulate::SimulateArguments),
+    Evaluate(commands::evaluate::EvaluateArguments),
+}
+
+/// How a command that did not fail ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// All was done.
+    Done,
+    /// The camera's movement could not be measured for so much of the recording that the result is not what was asked for;
+    /// what there is has been written.
+    TrackingFailed,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let outcome: Result<Outcome> = match arguments.command {
+        Command::Simulate(arguments) => commands::simulate::simulate(arguments),
+        Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
+    };
+    match outcome {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::TrackingFailed) => ExitCode::from(4),
+        Err(error) => {
+            #[allow(clippy::print_stderr)] // the one place where an error is told
+            {
+                eprintln!("odograph: {error}");
+            }
+            ExitCode::from(match error.kind() {
+                ErrorKind::Usage => 2,
+                _ => 3,
+            })
+        }
+    }
+}

@@ -12,3 +12,8 @@ pub mod error;
 pub mod geometry;
 pub mod image;
 pub mod camera;
+pub mod trajectory;
+pub mod mapping;
+pub mod evaluation;
+pub mod formats;
+pub mod simulation;

@@ -1,0 +1,4 @@
+//! One module a command: its arguments and what it does.
+
+pub mod evaluate;
+pub mod simulate;

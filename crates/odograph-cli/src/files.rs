@@ -1,0 +1,52 @@
+//! Files are written beside their place and then renamed, so that nobody ever sees half of one.
+
+use odograph::error::{Error, Result};
+use odograph::image::{GrayImage, RgbImage};
+use std::ffi::OsString;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Writes a whole file beside its place, then renames it there. On failure nothing is left behind.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    let beside = beside(path);
+    let written = fs::File::create(&beside)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_data()))
+        .and_then(|()| fs::rename(&beside, path));
+    written.map_err(|error| {
+        let _ = fs::remove_file(&beside);
+        Error::output(format!("{} cannot be written: {error}", path.display()))
+    })
+}
+
+/// The name under which `path` is written before it is renamed into place.
+pub fn beside(path: &Path) -> PathBuf {
+    let mut name: OsString = path.file_name().unwrap_or_default().to_owned();
+    name.push(".part");
+    path.with_file_name(name)
+}
+
+/// A gray image as the bytes of a PNG file.
+pub fn png_from_gray(image: &GrayImage) -> Result<Vec<u8>> {
+    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples())
+}
+
+/// A colour image as the bytes of a PNG file.
+pub fn png_from_rgb(image: &RgbImage) -> Result<Vec<u8>> {
+    encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples())
+}
+
+fn encode_png(width: usize, height: usize, color: png::ColorType, samples: &[u8]) -> Result<Vec<u8>> {
+    let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+        encoder.set_color(color);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(samples)?;
+        writer.finish()?;
+        Ok(bytes)
+    };
+    encode().map_err(|error| Error::output(format!("a {width}x{height} PNG cannot be encoded: {error}")))
+}

@@ -1,0 +1,1 @@
+//! How good a trajectory is: absolute and relative errors, drift per metre.

@@ -1,0 +1,1 @@
+//! Rendered ground with exact truth, for tests, demos and measurements.

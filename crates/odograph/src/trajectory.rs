@@ -1,0 +1,115 @@
+//! What is known of each frame: the values that leave the pipeline and that maps, reports and files are made of.
+
+use crate::geometry::GroundPose;
+use nalgebra::Matrix6;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Whether the movement of a frame was measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "status")]
+pub enum TrackStatus {
+    /// The pose was measured.
+    Tracked,
+    /// The pose was not measured; none is given.
+    Lost {
+        /// Why not.
+        reason: LossReason,
+    },
+}
+
+/// Why the movement of a frame could not be measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum LossReason {
+    /// Too little texture: hardly a corner to hold on to (blank floor, darkness, a hand over the lens).
+    Bare,
+    /// There are corners, but hardly any was found again (a cut, a jump, strong blur).
+    Jump,
+    /// Corners were found again, but they do not move as one plane (moving objects, not a floor).
+    Disagreement,
+}
+
+impl fmt::Display for LossReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Bare => "bare",
+            Self::Jump => "jump",
+            Self::Disagreement => "disagreement",
+        })
+    }
+}
+
+impl fmt::Display for TrackStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tracked => f.write_str("tracked"),
+            Self::Lost { reason } => write!(f, "lost:{reason}"),
+        }
+    }
+}
+
+/// How fast the camera moves over the ground.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Velocity {
+    /// Along world x, metres per second.
+    pub x_m_s: f64,
+    /// Along world y, metres per second.
+    pub y_m_s: f64,
+    /// Counter-clockwise, radians per second.
+    pub heading_rad_s: f64,
+}
+
+impl Velocity {
+    /// Speed over ground, metres per second.
+    pub fn speed_m_s(&self) -> f64 {
+        self.x_m_s.hypot(self.y_m_s)
+    }
+}
+
+/// The pose of a frame with everything that says how well it is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseEstimate {
+    /// Where the camera was.
+    pub pose: GroundPose,
+    /// How it moved.
+    pub velocity: Velocity,
+    /// Covariance of (x, y, heading, height, roll, pitch) in metres and radians, against the start of the run; rows of
+    /// quantities that the rig holds fixed are zero.
+    pub covariance: Matrix6<f64>,
+}
+
+/// One frame as it left the pipeline.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameEstimate {
+    /// Number of the frame in its source, from 0.
+    pub frame: u64,
+    /// Its time, seconds, from the source.
+    pub time_s: f64,
+    /// Whether its movement was measured.
+    pub status: TrackStatus,
+    /// Its pose; present exactly when [`FrameEstimate::status`] is [`TrackStatus::Tracked`].
+    pub estimate: Option<PoseEstimate>,
+    /// Number of corners found again in this frame.
+    pub tracks: usize,
+    /// How many of them agree with the movement.
+    pub inliers: usize,
+    /// Root mean square distance of the inliers from where the movement puts them, pixels; 0 without inliers.
+    pub residual_px: f64,
+    /// Whether this frame became a keyframe.
+    pub keyframe: bool,
+    /// Number of gaps before this frame: poses of one segment are connected by measurement, those of different ones are not.
+    pub segment: usize,
+}
+
+/// Length of the path over ground through all measured poses, metres; gaps do not count.
+pub fn distance_m(frames: &[FrameEstimate]) -> f64 {
+    let posed: Vec<_> =
+        frames.iter().filter_map(|f| f.estimate.as_ref().map(|e| (f.segment, e.pose))).collect();
+    posed
+        .windows(2)
+        .filter(|pair| pair[0].0 == pair[1].0)
+        .map(|pair| (pair[1].1.x_m - pair[0].1.x_m).hypot(pair[1].1.y_m - pair[0].1.y_m))
+        .sum()
+}
