@@ -2,6 +2,10 @@
 //!
 //! Pixel centres are at integer coordinates: pixel (0, 0) is the centre of the top-left pixel; `x` runs right, `y` down.
 
+mod pyramid;
+
+pub use pyramid::Pyramid;
+
 /// An owned gray (luminance) image, 8 bits a pixel, rows packed without padding.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GrayImage {

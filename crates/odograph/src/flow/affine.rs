@@ -1,0 +1,65 @@
+//! The dissimilarity of Shi and Tomasi: is this still what was first seen, up to an affine change?
+
+use super::patch::{AREA, SIDE, Samples, TO_CENTRE, sample};
+use super::template::{LevelTemplate, Template, dot};
+use super::track::unexplained;
+use super::{Track, Warp};
+use crate::geometry::Pixel;
+use crate::image::Pyramid;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+
+/// Steps of the affine search; it starts within a pixel of the answer.
+const ITERATIONS: usize = 8;
+
+/// Compares a found template with its first appearance under the best affine change of its neighbourhood (J. Shi and C. Tomasi, 1994, equation 5)
+/// with free gain and offset, starting from `start`. Gives the refined warp and what is left unexplained.
+///
+/// `None` where the patch leaves the image or is deformed so much that it is not the same surface.
+pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Option<(Warp, Track)> {
+    let patch = &template.levels()[0];
+    let inverse_hessian = affine_hessian(patch).try_inverse()?;
+    let mut warp = *start;
+    let mut samples: Samples = [0.0; AREA];
+    for _ in 0..ITERATIONS {
+        // On level 0 the patch's own centre is the template's centre.
+        if !sample(image.base(), Vector2::new(warp.position.x, warp.position.y), &warp.linear, &mut samples) {
+            return None;
+        }
+        let gain = dot(&patch.contrast, &samples) / patch.contrast_energy;
+        if gain < 0.05 {
+            return None;
+        }
+        let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / AREA as f64;
+        let mut slope = SVector::<f64, 6>::zeros();
+        for (at, &value) in samples.iter().enumerate() {
+            let residual = (f64::from(value) - mean) / gain - f64::from(patch.contrast[at]);
+            slope += steepest_descent(patch, at) * residual;
+        }
+        let step = inverse_hessian * slope;
+        let grow = Matrix2::new(1.0 + step[2], step[3], step[4], 1.0 + step[5]);
+        let linear = warp.linear * grow.try_inverse()?;
+        let shift = linear * Vector2::new(step[0], step[1]);
+        let deformed = (start.linear.try_inverse()? * linear - Matrix2::identity()).norm();
+        warp = Warp { position: Pixel::new(warp.position.x - shift.x, warp.position.y - shift.y), linear };
+        let moved = warp.position.distance(start.position);
+        if deformed > 0.5 || moved > TO_CENTRE || moved.is_nan() || deformed.is_nan() {
+            return None;
+        }
+        if step.norm() < 1e-3 {
+            break;
+        }
+    }
+    let dissimilarity = unexplained(patch, &samples);
+    Some((warp, Track { position: warp.position, dissimilarity }))
+}
+
+/// How sample `at` changes with a shift (x, y) and with the four affine terms (xx, xy, yx, yy).
+fn steepest_descent(patch: &LevelTemplate, at: usize) -> SVector<f64, 6> {
+    let (gx, gy) = (f64::from(patch.gradient_x[at]), f64::from(patch.gradient_y[at]));
+    let (x, y) = ((at % SIDE) as f64 - TO_CENTRE, (at / SIDE) as f64 - TO_CENTRE);
+    SVector::from([gx, gy, gx * x, gx * y, gy * x, gy * y])
+}
+
+fn affine_hessian(patch: &LevelTemplate) -> SMatrix<f64, 6, 6> {
+    (0..AREA).map(|at| steepest_descent(patch, at)).map(|d| d * d.transpose()).sum()
+}

@@ -1,0 +1,150 @@
+//! Finding a template again: pyramidal Lucas–Kanade, inverse compositional, indifferent to gain and offset.
+
+use super::patch::{AREA, Samples, sample};
+use super::template::{LevelTemplate, Template, dot};
+use super::{FlowConfig, Warp};
+use crate::geometry::Pixel;
+use crate::image::Pyramid;
+use nalgebra::Vector2;
+
+/// A template found again.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Track {
+    /// Where its centre is now, in pixels of the full image.
+    pub position: Pixel,
+    /// The part of its contrast that is left unexplained after gain and offset, 0 to 1.
+    pub dissimilarity: f64,
+}
+
+/// Why a template was not found again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TrackFailure {
+    /// It left the image.
+    Outside,
+    /// The search did not settle.
+    Diverged,
+    /// What was found does not look like it.
+    Dissimilar,
+}
+
+/// Searches a template in an image, coarse to fine, from where `prediction` expects it; the shape of the warp stays as predicted,
+/// its position is found.
+///
+/// With the gradients of the template orthogonal to constants and to the template itself, the normal equations of Lucas–Kanade with
+/// unknown gain and offset reduce to two products with the image (the elimination of a linear appearance variation of Baker and Matthews,
+/// part 3, done once per template).
+pub fn track(
+    template: &Template,
+    image: &Pyramid,
+    prediction: &Warp,
+    config: &FlowConfig,
+) -> Result<Track, TrackFailure> {
+    let mut shift = Vector2::zeros(); // pixels of the full image
+    let mut found = None;
+    let levels = template.levels().len().min(image.levels().len());
+    for level in (0..levels).rev() {
+        let scale = (1usize << level) as f64;
+        let step_px = config.step_px * scale;
+        let patch = &template.levels()[level];
+        let result =
+            search(patch, level, template.centre(), image, prediction, shift, config.iterations, step_px);
+        match result {
+            Ok((level_shift, dissimilarity)) => {
+                // A coarse level that found something else must not lead the finer ones astray.
+                if level == 0 || dissimilarity < config.dissimilarity {
+                    shift = level_shift;
+                }
+                found = Some(dissimilarity);
+            }
+            Err(failure) if level == 0 => return Err(failure),
+            // On a coarse level the patch covers more of the image and may lie partly outside; finer ones may still hold.
+            Err(_) => {}
+        }
+    }
+    match found {
+        Some(dissimilarity) if dissimilarity <= config.dissimilarity => {
+            let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
+            Ok(Track { position, dissimilarity })
+        }
+        _ => Err(TrackFailure::Dissimilar),
+    }
+}
+
+/// One level of [`track`] for a template about the keyframe point `centre`: the improved shift (pixels of the full image) and the
+/// dissimilarity there.
+fn search(
+    patch: &LevelTemplate,
+    level: usize,
+    centre: Pixel,
+    image: &Pyramid,
+    prediction: &Warp,
+    mut shift: Vector2<f64>,
+    iterations: usize,
+    step_px: f64,
+) -> Result<(Vector2<f64>, f64), TrackFailure> {
+    let scale = (1usize << level) as f64;
+    // The patch of this level is centred on samples of its level, a little beside the template's own centre.
+    let offset = patch.centre * scale - Vector2::new(centre.x, centre.y);
+    let expected = prediction.at(offset);
+    let mut samples: Samples = [0.0; AREA];
+    let mut last_step = f64::INFINITY;
+    for _ in 0..iterations {
+        let centre = (expected + shift) / scale;
+        if !sample(&image.levels()[level], centre, &prediction.linear, &mut samples) {
+            return Err(TrackFailure::Outside);
+        }
+        let gain = dot(&patch.contrast, &samples) / patch.contrast_energy;
+        if gain < 0.05 {
+            return Err(TrackFailure::Dissimilar); // darkness, or a negative
+        }
+        let slope = Vector2::new(dot(&patch.gradient_x, &samples), dot(&patch.gradient_y, &samples)) / gain;
+        let step = prediction.linear * (patch.inverse_hessian * slope) * scale;
+        shift -= step;
+        last_step = step.norm();
+        if last_step > 8.0 * scale {
+            return Err(TrackFailure::Diverged); // half a patch: the gradients mean nothing there
+        }
+        if last_step < step_px {
+            break;
+        }
+    }
+    if last_step > 25.0 * step_px && last_step > 0.1 * scale {
+        return Err(TrackFailure::Diverged);
+    }
+    Ok((shift, unexplained(patch, &samples)))
+}
+
+/// The part of the contrast of `samples` that gain and offset of the template leave unexplained: √(1 − ρ²), ρ the correlation.
+pub(super) fn unexplained(patch: &LevelTemplate, samples: &Samples) -> f64 {
+    let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / AREA as f64;
+    let energy = samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>();
+    let product = dot(&patch.contrast, samples);
+    if energy < 1e-6 || product <= 0.0 {
+        return 1.0;
+    }
+    (1.0 - (product * product / (energy * patch.contrast_energy))).max(0.0).sqrt()
+}
+
+/// Follows a found template backward: a patch of `image` at the found place is searched in the keyframe. Gives how far from
+/// the template's centre it arrives, in keyframe pixels (Z. Kalal et al., 2010); `None` where it does not arrive.
+///
+/// `found` is the warp with its found position. The found place is within a pixel or so of the answer, so the full image is enough.
+pub fn forward_backward_px(
+    template: &Template,
+    keyframe: &Pyramid,
+    image: &Pyramid,
+    found: &Warp,
+    config: &FlowConfig,
+) -> Option<f64> {
+    let back = LevelTemplate::new(image.base(), found.position.x, found.position.y)?;
+    let inverse = found.linear.try_inverse()?;
+    // The backward patch sits on whole samples, up to half a pixel beside the found position.
+    let beside = back.centre - Vector2::new(found.position.x, found.position.y);
+    let start = Vector2::new(template.centre().x, template.centre().y) + inverse * beside;
+    let prediction = Warp { position: Pixel::new(start.x, start.y), linear: inverse };
+    let centre = Pixel::new(back.centre.x, back.centre.y);
+    let (shift, _) =
+        search(&back, 0, centre, keyframe, &prediction, Vector2::zeros(), config.iterations, config.step_px)
+            .ok()?;
+    Some(shift.norm())
+}

@@ -1,0 +1,160 @@
+//! The Gaussian pyramid: each level half the size of the one below, sample (x, y) of level l over sample (2x, 2y) of level l − 1.
+
+use super::GrayImage;
+
+/// An image with its smaller copies. Level 0 is the image itself.
+///
+/// Because a level keeps the even samples of the blurred level below, a point at `p` in level 0 is at `p / 2^l` in level l.
+#[derive(Debug, Clone)]
+pub struct Pyramid {
+    levels: Vec<GrayImage>,
+    column_sums: Vec<u16>,
+}
+
+/// Levels smaller than this on a side are not made: no patch fits into them.
+const SMALLEST_SIDE: usize = 24;
+
+impl Pyramid {
+    /// The pyramid of an image with at most `levels` levels (at least one).
+    pub fn new(image: GrayImage, levels: usize) -> Self {
+        let mut pyramid = Self { levels: vec![image], column_sums: Vec::new() };
+        pyramid.add_levels(levels);
+        pyramid
+    }
+
+    /// Makes this the pyramid of another image and gives the image it was made of before, so that its memory can be used again.
+    pub fn replace(&mut self, image: GrayImage) -> GrayImage {
+        let same_size = (image.width(), image.height()) == (self.levels[0].width(), self.levels[0].height());
+        let levels = self.levels.len();
+        let before = std::mem::replace(&mut self.levels[0], image);
+        if same_size {
+            for level in 1..levels {
+                let (below, above) = self.levels.split_at_mut(level);
+                halve(&below[level - 1], &mut above[0], &mut self.column_sums);
+            }
+        } else {
+            self.levels.truncate(1);
+            self.add_levels(levels);
+        }
+        before
+    }
+
+    fn add_levels(&mut self, levels: usize) {
+        while self.levels.len() < levels {
+            let below = &self.levels[self.levels.len() - 1];
+            let (width, height) = (below.width().div_ceil(2), below.height().div_ceil(2));
+            if width.min(height) < SMALLEST_SIDE {
+                break;
+            }
+            let mut above = GrayImage::new(width, height);
+            halve(below, &mut above, &mut self.column_sums);
+            self.levels.push(above);
+        }
+    }
+
+    /// The levels, the full image first; at least one.
+    pub fn levels(&self) -> &[GrayImage] {
+        &self.levels
+    }
+
+    /// The full image.
+    pub fn base(&self) -> &GrayImage {
+        &self.levels[0]
+    }
+}
+
+/// Blurs with the binomial 1 4 6 4 1 in both directions and keeps every second sample (P. Burt and E. Adelson, "The Laplacian pyramid",
+/// 1983); beyond the border the image is mirrored about its outermost samples.
+fn halve(below: &GrayImage, above: &mut GrayImage, sums: &mut Vec<u16>) {
+    let (width, height) = (below.width(), below.height());
+    let mirrored = |i: isize, size: usize| -> usize {
+        let last = size as isize - 1;
+        let i = i.abs();
+        (if i > last { 2 * last - i } else { i }).clamp(0, last) as usize
+    };
+    // Two extra sums on the left and right hold the mirrored border, so that the row pass has no special cases.
+    sums.resize(width + 4, 0);
+    let above_width = above.width();
+    for (y, out) in above.samples_mut().chunks_exact_mut(above_width).enumerate() {
+        let row = |dy: isize| &below.row(mirrored(2 * y as isize + dy, height))[..width];
+        let (a, b, c, d, e) = (row(-2), row(-1), row(0), row(1), row(2));
+        for (x, sum) in sums[2..2 + width].iter_mut().enumerate() {
+            let outer = u16::from(a[x]) + u16::from(e[x]);
+            let inner = u16::from(b[x]) + u16::from(d[x]);
+            *sum = outer + 4 * inner + 6 * u16::from(c[x]);
+        }
+        sums[1] = sums[2 + mirrored(-1, width)];
+        sums[0] = sums[2 + mirrored(-2, width)];
+        sums[width + 2] = sums[2 + mirrored(width as isize, width)];
+        sums[width + 3] = sums[2 + mirrored(width as isize + 1, width)];
+        let sums = &sums[..width + 4];
+        for (x, sample) in out.iter_mut().enumerate() {
+            let s = &sums[2 * x..2 * x + 5];
+            let total = u32::from(s[0])
+                + u32::from(s[4])
+                + 4 * (u32::from(s[1]) + u32::from(s[3]))
+                + 6 * u32::from(s[2]);
+            *sample = ((total + 128) >> 8) as u8;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The definition, written without a thought for speed.
+    fn halve_by_definition(image: &GrayImage, x: usize, y: usize) -> u8 {
+        let weights = [1i64, 4, 6, 4, 1];
+        let mirrored = |i: i64, size: i64| {
+            if i < 0 {
+                -i
+            } else if i >= size {
+                2 * size - 2 - i
+            } else {
+                i
+            }
+        };
+        let mut total = 0;
+        for (dy, wy) in weights.iter().enumerate() {
+            for (dx, wx) in weights.iter().enumerate() {
+                let sx = mirrored(2 * x as i64 + dx as i64 - 2, image.width() as i64);
+                let sy = mirrored(2 * y as i64 + dy as i64 - 2, image.height() as i64);
+                total += wx * wy * i64::from(image.row(sy as usize)[sx as usize]);
+            }
+        }
+        ((total + 128) >> 8) as u8
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(20))]
+        #[test]
+        fn levels_are_the_binomial_blur_of_the_level_below(width in 48usize..70, height in 48usize..70, seed in any::<u32>()) {
+            let mut state = seed;
+            let samples = (0..width * height).map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 24) as u8
+            }).collect();
+            let pyramid = Pyramid::new(GrayImage::from_samples(width, height, samples).unwrap(), 2);
+            prop_assert_eq!(pyramid.levels().len(), 2);
+            let half = &pyramid.levels()[1];
+            for y in 0..half.height() {
+                for x in 0..half.width() {
+                    prop_assert_eq!(half.row(y)[x], halve_by_definition(pyramid.base(), x, y));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_replaced_image_gives_the_pyramid_of_a_new_one() {
+        let ramp = |step: usize| {
+            GrayImage::from_samples(64, 64, (0..64 * 64).map(|i| (i * step % 251) as u8).collect()).unwrap()
+        };
+        let mut pyramid = Pyramid::new(ramp(3), 3);
+        let before = pyramid.replace(ramp(7));
+        assert_eq!(before, ramp(3));
+        assert_eq!(pyramid.levels(), Pyramid::new(ramp(7), 3).levels());
+    }
+}

@@ -1,0 +1,131 @@
+//! Subsystem 5: movement parameters. From corners whose place on the ground is known and that were found again, where the camera is
+//! now, with its covariance.
+//!
+//! The models are one estimator: the pose that re-projects the ground points onto their tracks (a planar PnP), found by RANSAC
+//! (M. Fischler and R. Bolles, 1981) and refined by robust Gauss–Newton, with a prior that says how far height and tilt may be from
+//! what they were. Only `mean` is different: it is the paper's mean vector, kept for comparison.
+
+mod mean;
+mod planar_pose;
+mod random;
+mod ransac;
+
+pub use mean::mean_displacement;
+pub use random::Random;
+
+use crate::camera::Camera;
+use crate::geometry::{GroundPoint, GroundPose, Pixel};
+use nalgebra::Matrix6;
+use serde::{Deserialize, Serialize};
+
+/// What may change between frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MotionModel {
+    /// The mean vector of the paper: x and y only, heading never. Kept for comparison and teaching.
+    Mean,
+    /// x, y and heading; height and tilt are those of the rig.
+    Rigid,
+    /// x, y, heading and height; the tilt is that of the rig.
+    Similarity,
+    /// All six: the camera is held by hand, or flies.
+    Free,
+}
+
+impl MotionModel {
+    /// How many of (x, y, heading, height, roll, pitch), in this order, with height before tilt, are unknown.
+    fn unknowns(self) -> usize {
+        match self {
+            Self::Mean => 2,
+            Self::Rigid => 3,
+            Self::Similarity => 4,
+            Self::Free => 6,
+        }
+    }
+}
+
+/// How movement is estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MotionConfig {
+    /// What may change between frames.
+    pub model: MotionModel,
+    /// A track further than this from where a movement puts it speaks against that movement, pixels.
+    pub inlier_px: f64,
+    /// Fewer agreeing tracks than this are no measurement.
+    pub minimum_inliers: usize,
+    /// A smaller part of the tracks than this is no agreement.
+    pub minimum_inlier_fraction: f64,
+    /// Standard deviation of the height against the frame before, as a part of it (`similarity` and `free`).
+    pub height_prior: f64,
+    /// Standard deviation of roll and pitch against the frame before, radians (`free`).
+    pub tilt_prior_rad: f64,
+}
+
+impl Default for MotionConfig {
+    fn default() -> Self {
+        Self {
+            model: MotionModel::Rigid,
+            inlier_px: 2.0,
+            minimum_inliers: 12,
+            minimum_inlier_fraction: 0.35,
+            height_prior: 0.2,
+            tilt_prior_rad: 0.2,
+        }
+    }
+}
+
+/// A ground point and the pixel at which it is seen now.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// Where the point lies, as its keyframe placed it.
+    pub ground: GroundPoint,
+    /// Where the track is in the present frame.
+    pub pixel: Pixel,
+}
+
+/// A measured pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionEstimate {
+    /// Where the camera is.
+    pub pose: GroundPose,
+    /// Covariance of (x, y, heading, height, roll, pitch) given the ground points; zero rows for what the model holds fixed.
+    pub covariance: Matrix6<f64>,
+    /// For each observation, whether it agrees.
+    pub inliers: Vec<bool>,
+    /// Root mean square distance of the inliers from their re-projections, pixels.
+    pub residual_px: f64,
+}
+
+impl MotionEstimate {
+    /// How many observations agree.
+    pub fn inlier_count(&self) -> usize {
+        self.inliers.iter().filter(|&&agrees| agrees).count()
+    }
+}
+
+/// The pose of the camera from `observations`, near `prediction`, whose height and tilt are also the prior's mean (and, in what the
+/// model holds fixed, the truth). `None` where too few observations agree on any movement.
+///
+/// `random` draws the samples of RANSAC: the same state gives the same result.
+pub fn estimate(
+    camera: &Camera,
+    observations: &[Observation],
+    prediction: &GroundPose,
+    config: &MotionConfig,
+    random: &mut Random,
+) -> Option<MotionEstimate> {
+    let (start, agreeing) = ransac::consensus(camera, observations, prediction, config, random)?;
+    let enough = |inliers: usize| {
+        inliers >= config.minimum_inliers
+            && inliers as f64 >= config.minimum_inlier_fraction * observations.len() as f64
+    };
+    if !enough(agreeing.iter().filter(|&&agrees| agrees).count()) {
+        return None;
+    }
+    let estimate = planar_pose::refine(camera, observations, &start, &agreeing, prediction, config)?;
+    enough(estimate.inlier_count()).then_some(estimate)
+}
+
+#[cfg(test)]
+mod tests;

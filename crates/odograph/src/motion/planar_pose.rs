@@ -1,0 +1,228 @@
+//! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
+
+use super::{MotionConfig, MotionEstimate, MotionModel, Observation};
+use crate::camera::Camera;
+use crate::geometry::{GroundPose, wrap_angle};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+
+/// Which of (x, y, heading, height, roll, pitch) are solved for: the first `count` of them.
+#[derive(Debug, Clone, Copy)]
+pub struct Unknowns {
+    count: usize,
+}
+
+impl Unknowns {
+    pub fn new(model: MotionModel) -> Self {
+        Self { count: model.unknowns() }
+    }
+}
+
+/// A Gaussian prior on height, roll and pitch.
+#[derive(Debug, Clone, Copy)]
+pub struct Prior {
+    mean: [f64; 3],
+    /// Inverse variances, in units of one over the squared pixel noise.
+    weight: [f64; 3],
+}
+
+/// Where an observation's ground point is seen from `pose`, less where it was seen (pixels), and the derivative of that by the six
+/// numbers of the pose. `None` where the point is not in front of the lens.
+fn residual(
+    camera: &Camera,
+    observation: &Observation,
+    pose: &GroundPose,
+    axes: &Axes,
+) -> Option<(nalgebra::Vector2<f64>, SMatrix<f64, 2, 6>)> {
+    let from_camera =
+        Vector3::new(observation.ground.x_m - pose.x_m, observation.ground.y_m - pose.y_m, -pose.height_m);
+    let p = axes.camera_from_world * from_camera;
+    if p.z <= 1e-9 {
+        return None;
+    }
+    let ray = crate::geometry::Ray::new(p.x / p.z, p.y / p.z);
+    let (pixel, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
+    let ray_by_point =
+        SMatrix::<f64, 2, 3>::new(1.0 / p.z, 0.0, -p.x / (p.z * p.z), 0.0, 1.0 / p.z, -p.y / (p.z * p.z));
+    // The point moves against the camera; a turn of the camera about a world axis a moves it by −R (a × d).
+    let mut point_by_pose = SMatrix::<f64, 3, 6>::zeros();
+    point_by_pose.set_column(0, &-axes.camera_from_world.column(0));
+    point_by_pose.set_column(1, &-axes.camera_from_world.column(1));
+    point_by_pose.set_column(3, &-axes.camera_from_world.column(2));
+    for (column, axis) in [(2, &axes.heading), (4, &axes.roll), (5, &axes.pitch)] {
+        point_by_pose.set_column(column, &-(axes.camera_from_world * axis.cross(&from_camera)));
+    }
+    let error = nalgebra::Vector2::new(pixel.x - observation.pixel.x, pixel.y - observation.pixel.y);
+    Some((error, pixel_by_ray * ray_by_point * point_by_pose))
+}
+
+/// The rotation of a pose and the world axes about which its three angles turn.
+struct Axes {
+    camera_from_world: Matrix3<f64>,
+    heading: Vector3<f64>,
+    roll: Vector3<f64>,
+    pitch: Vector3<f64>,
+}
+
+impl Axes {
+    fn new(pose: &GroundPose) -> Self {
+        let (sin_heading, cos_heading) = pose.heading_rad.sin_cos();
+        let (sin_pitch, cos_pitch) = pose.pitch_rad.sin_cos();
+        Self {
+            camera_from_world: pose.world_from_camera_rotation().transpose(),
+            heading: Vector3::z(),
+            pitch: Vector3::new(-sin_heading, cos_heading, 0.0),
+            roll: Vector3::new(cos_heading * cos_pitch, sin_heading * cos_pitch, -sin_pitch),
+        }
+    }
+}
+
+/// One step of weighted Gauss–Newton: the improved pose and the information matrix of the unknowns (in units of one over the squared pixel
+/// noise). `None` where the observations do not determine the unknowns.
+pub fn gauss_newton_step(
+    camera: &Camera,
+    observations: &[Observation],
+    weights: &[f64],
+    pose: &GroundPose,
+    unknowns: &Unknowns,
+    prior: Option<&Prior>,
+) -> Option<(GroundPose, Matrix6<f64>)> {
+    let axes = Axes::new(pose);
+    let mut information = Matrix6::zeros();
+    let mut slope = Vector6::zeros();
+    for (observation, &weight) in observations.iter().zip(weights) {
+        if weight <= 0.0 {
+            continue;
+        }
+        if let Some((error, jacobian)) = residual(camera, observation, pose, &axes) {
+            information += weight * jacobian.transpose() * jacobian;
+            slope += weight * jacobian.transpose() * error;
+        }
+    }
+    if let Some(prior) = prior {
+        let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
+        for i in 0..3 {
+            information[(3 + i, 3 + i)] += prior.weight[i];
+            slope[3 + i] += prior.weight[i] * (here[i] - prior.mean[i]);
+        }
+    }
+    let n = unknowns.count;
+    let system = DMatrix::from_fn(n, n, |i, j| information[(i, j)]);
+    let step = system.cholesky()?.solve(&DVector::from_fn(n, |i, _| slope[i]));
+    let at = |i: usize| if i < n { step[i] } else { 0.0 };
+    let next = GroundPose {
+        x_m: pose.x_m - at(0),
+        y_m: pose.y_m - at(1),
+        heading_rad: pose.heading_rad - at(2),
+        height_m: pose.height_m - at(3),
+        roll_rad: pose.roll_rad - at(4),
+        pitch_rad: pose.pitch_rad - at(5),
+    };
+    let sound = next.height_m > 0.0
+        && next.roll_rad.abs() < 1.4
+        && next.pitch_rad.abs() < 1.4
+        && next.x_m.is_finite();
+    sound.then_some((next, information))
+}
+
+/// The best pose near `start` on the observations that agree with it, and its covariance.
+///
+/// Tukey's biweight with its scale from the median residual (P. Huber, "Robust statistics"; c = 4.685) makes the few wrong
+/// tracks that RANSAC let through harmless and leaves 95 % of the efficiency of least squares.
+pub fn refine(
+    camera: &Camera,
+    observations: &[Observation],
+    start: &GroundPose,
+    agreeing: &[bool],
+    prediction: &GroundPose,
+    config: &MotionConfig,
+) -> Option<MotionEstimate> {
+    let unknowns = Unknowns::new(config.model);
+    let mut pose = GroundPose {
+        // Whole turns are kept: RANSAC's heading is in (−π, π].
+        heading_rad: prediction.heading_rad + wrap_angle(start.heading_rad - prediction.heading_rad),
+        ..*start
+    };
+    let mut weights: Vec<f64> = agreeing.iter().map(|&agrees| f64::from(u8::from(agrees))).collect();
+    let mut scale_px = config.inlier_px;
+    let mut information = Matrix6::identity();
+    let mut errors = Vec::new();
+    for round in 0..ROUNDS {
+        let prior = prior(prediction, config, scale_px);
+        let before = pose;
+        (pose, information) =
+            gauss_newton_step(camera, observations, &weights, &pose, &unknowns, Some(&prior))?;
+        errors = reprojection_errors(camera, observations, &pose);
+        scale_px = robust_scale(&errors, config.inlier_px);
+        let reach = (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
+        weights = errors.iter().map(|&e| biweight(e / reach)).collect();
+        let moved = (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m) / pose.height_m
+            + (pose.heading_rad - before.heading_rad).abs();
+        // A ten-millionth of the height is a hundred-thousandth of a pixel.
+        if round >= 3 && moved < 1e-8 {
+            break;
+        }
+    }
+    let inliers: Vec<bool> = weights.iter().map(|&w| w > 0.0).collect();
+    let count = inliers.iter().filter(|&&i| i).count();
+    if count <= unknowns.count {
+        return None;
+    }
+    let squares: f64 = errors.iter().zip(&inliers).filter(|(_, i)| **i).map(|(e, _)| e * e).sum();
+    // Per coordinate: two coordinates a track, less the unknowns.
+    let variance_px2 = squares / (2 * count - unknowns.count) as f64;
+    Some(MotionEstimate {
+        pose,
+        covariance: covariance(&information, &unknowns, variance_px2)?,
+        inliers,
+        residual_px: (squares / count as f64).sqrt(),
+    })
+}
+
+/// The robust fit settles within this many steps or not at all.
+const ROUNDS: usize = 12;
+
+/// Pixel noise below this is not believed: tracks of neighbouring corners share their errors.
+const SMALLEST_SCALE_PX: f64 = 0.01;
+
+fn prior(prediction: &GroundPose, config: &MotionConfig, scale_px: f64) -> Prior {
+    let weight = |sigma: f64| (scale_px / sigma).powi(2);
+    let height = weight(config.height_prior * prediction.height_m);
+    let tilt = weight(config.tilt_prior_rad);
+    Prior {
+        mean: [prediction.height_m, prediction.roll_rad, prediction.pitch_rad],
+        weight: [height, tilt, tilt],
+    }
+}
+
+fn covariance(information: &Matrix6<f64>, unknowns: &Unknowns, variance_px2: f64) -> Option<Matrix6<f64>> {
+    let n = unknowns.count;
+    let inverse = DMatrix::from_fn(n, n, |i, j| information[(i, j)]).cholesky()?.inverse();
+    Some(Matrix6::from_fn(|i, j| if i < n && j < n { inverse[(i, j)] * variance_px2 } else { 0.0 }))
+}
+
+fn reprojection_errors(camera: &Camera, observations: &[Observation], pose: &GroundPose) -> Vec<f64> {
+    observations
+        .iter()
+        .map(|observation| {
+            pose.ray_from_ground(observation.ground)
+                .and_then(|ray| camera.pixel_from_ray(ray))
+                .map_or(f64::INFINITY, |pixel| pixel.distance(observation.pixel))
+        })
+        .collect()
+}
+
+/// Standard deviation of one coordinate from the median distance of the observations that could be inliers (Rayleigh: median = 1.1774 σ).
+fn robust_scale(errors: &[f64], inlier_px: f64) -> f64 {
+    let mut within: Vec<f64> = errors.iter().copied().filter(|&e| e < 2.0 * inlier_px).collect();
+    if within.is_empty() {
+        return inlier_px;
+    }
+    let middle = within.len() / 2;
+    let (_, median, _) = within.select_nth_unstable_by(middle, f64::total_cmp);
+    (*median / 1.1774).clamp(SMALLEST_SCALE_PX, inlier_px)
+}
+
+/// Tukey's biweight of a residual in units of its reach.
+fn biweight(ratio: f64) -> f64 {
+    if ratio < 1.0 { (1.0 - ratio * ratio).powi(2) } else { 0.0 }
+}

@@ -1,0 +1,150 @@
+//! The movement that most tracks agree on.
+
+use super::planar_pose::{Unknowns, gauss_newton_step};
+use super::{MotionConfig, MotionModel, Observation, Random};
+use crate::camera::Camera;
+use crate::geometry::{GroundPoint, GroundPose, Ray};
+
+/// At most so many samples are drawn.
+const MOST_SAMPLES: usize = 300;
+/// Chance of missing the right movement that is accepted.
+const MISS: f64 = 1e-4;
+
+/// The best hypothesis and who agrees with it; `None` where no sample gives a pose.
+///
+/// Scores are those of MSAC (P. Torr and A. Zisserman, "MLESAC", 2000). Distances are measured on undistorted rays, scaled by the focal length:
+/// within the inlier distance this differs from pixels by the lens's local magnification only, and the refinement measures in pixels.
+pub fn consensus(
+    camera: &Camera,
+    observations: &[Observation],
+    prediction: &GroundPose,
+    config: &MotionConfig,
+    random: &mut Random,
+) -> Option<(GroundPose, Vec<bool>)> {
+    let rays: Vec<Option<Ray>> = observations.iter().map(|o| camera.ray_from_pixel(o.pixel)).collect();
+    let usable: Vec<usize> = (0..rays.len()).filter(|&i| rays[i].is_some()).collect();
+    let sample_size = if config.model == MotionModel::Free { 4 } else { 2 };
+    if usable.len() < config.minimum_inliers.max(sample_size) {
+        return None;
+    }
+    let (fx, fy) = camera.focal_px();
+    let squared_errors = |pose: &GroundPose| -> Vec<f64> {
+        let camera_from_world = pose.world_from_camera_rotation().transpose();
+        observations
+            .iter()
+            .zip(&rays)
+            .map(|(observation, ray)| {
+                let ground = observation.ground;
+                let point = camera_from_world
+                    * nalgebra::Vector3::new(ground.x_m - pose.x_m, ground.y_m - pose.y_m, -pose.height_m);
+                match ray {
+                    Some(ray) if point.z > 1e-9 => {
+                        (fx * (point.x / point.z - ray.x)).powi(2)
+                            + (fy * (point.y / point.z - ray.y)).powi(2)
+                    }
+                    _ => f64::INFINITY,
+                }
+            })
+            .collect()
+    };
+    let limit = config.inlier_px * config.inlier_px;
+    let mut best: Option<(f64, GroundPose, Vec<f64>)> = None;
+    let mut judge = |pose: GroundPose| -> usize {
+        let errors = squared_errors(&pose);
+        let cost: f64 = errors.iter().map(|e| e.min(limit)).sum();
+        if best.as_ref().is_none_or(|(lowest, _, _)| cost < *lowest) {
+            best = Some((cost, pose, errors));
+        }
+        best.as_ref().map_or(0, |(_, _, errors)| errors.iter().filter(|e| **e < limit).count())
+    };
+    // What is predicted is a hypothesis too, and often already right.
+    let mut inliers = judge(*prediction);
+    let mut drawn = 0;
+    while drawn < samples_needed(inliers as f64 / usable.len() as f64, sample_size) {
+        drawn += 1;
+        let sample: Vec<usize> = (0..sample_size).map(|_| usable[random.below(usable.len())]).collect();
+        if let Some(pose) = hypothesis(camera, observations, &rays, &sample, prediction, config.model) {
+            inliers = judge(pose);
+        }
+    }
+    best.map(|(_, pose, errors)| (pose, errors.iter().map(|e| *e < limit).collect()))
+}
+
+/// How many samples are needed so that one without outliers is among them with probability 1 − [`MISS`].
+fn samples_needed(inlier_fraction: f64, sample_size: usize) -> usize {
+    let all_right = inlier_fraction.powi(sample_size as i32);
+    if all_right <= 1e-9 {
+        return MOST_SAMPLES;
+    }
+    if all_right >= 1.0 {
+        return 1;
+    }
+    ((MISS.ln() / (1.0 - all_right).ln()).ceil() as usize).clamp(1, MOST_SAMPLES)
+}
+
+/// The pose that a minimal sample speaks for.
+fn hypothesis(
+    camera: &Camera,
+    observations: &[Observation],
+    rays: &[Option<Ray>],
+    sample: &[usize],
+    prediction: &GroundPose,
+    model: MotionModel,
+) -> Option<GroundPose> {
+    // Where the two points would lie under a camera of the predicted height and tilt at the origin.
+    let here = GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*prediction };
+    let seen = |i: usize| rays[i].and_then(|ray| here.ground_from_ray(ray));
+    let (first, second) = (sample[0], sample[1]);
+    let pose = two_point_pose(
+        [observations[first].ground, observations[second].ground],
+        [seen(first)?, seen(second)?],
+        prediction,
+        model,
+    )?;
+    if model != MotionModel::Free {
+        return Some(pose);
+    }
+    // Four points fix all six numbers: no homography is decomposed, the planar pose is solved for directly.
+    let few: Vec<Observation> = sample.iter().map(|&i| observations[i]).collect();
+    let mut pose = pose;
+    for _ in 0..5 {
+        let (step, _) = gauss_newton_step(camera, &few, &[1.0; 4], &pose, &Unknowns::new(model), None)?;
+        pose = step;
+    }
+    let plausible = pose.height_m > 0.2 * prediction.height_m && pose.height_m < 5.0 * prediction.height_m;
+    plausible.then_some(pose)
+}
+
+/// The closed form of two points: the rotation and shift (and, where the height is free, scale) that take `seen`, placed by a camera at
+/// the origin, to `ground`.
+fn two_point_pose(
+    ground: [GroundPoint; 2],
+    seen: [GroundPoint; 2],
+    prediction: &GroundPose,
+    model: MotionModel,
+) -> Option<GroundPose> {
+    let (ax, ay) = (ground[1].x_m - ground[0].x_m, ground[1].y_m - ground[0].y_m);
+    let (bx, by) = (seen[1].x_m - seen[0].x_m, seen[1].y_m - seen[0].y_m);
+    let (length, seen_length) = (ax.hypot(ay), bx.hypot(by));
+    // Points nearer than a tenth of the height tell little about the heading.
+    if length < 0.1 * prediction.height_m || seen_length < 1e-9 {
+        return None;
+    }
+    let ratio = length / seen_length;
+    let scale = if model == MotionModel::Rigid { 1.0 } else { ratio };
+    if (model == MotionModel::Rigid && !(0.9..1.1).contains(&ratio)) || !(0.2..5.0).contains(&ratio) {
+        return None;
+    }
+    let heading_rad = (bx * ay - by * ax).atan2(bx * ax + by * ay);
+    let (sin, cos) = heading_rad.sin_cos();
+    let centre = |a: GroundPoint, b: GroundPoint| (0.5 * (a.x_m + b.x_m), 0.5 * (a.y_m + b.y_m));
+    let (to, from) = (centre(ground[0], ground[1]), centre(seen[0], seen[1]));
+    Some(GroundPose {
+        x_m: to.0 - scale * (cos * from.0 - sin * from.1),
+        y_m: to.1 - scale * (sin * from.0 + cos * from.1),
+        heading_rad,
+        height_m: scale * prediction.height_m,
+        roll_rad: prediction.roll_rad,
+        pitch_rad: prediction.pitch_rad,
+    })
+}

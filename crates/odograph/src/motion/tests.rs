@@ -1,0 +1,115 @@
+use super::*;
+use crate::camera::{Distortion, Rig};
+use proptest::prelude::*;
+
+fn camera() -> Camera {
+    let distortion = Distortion::from_opencv(&[-0.25, 0.06, 0.0003, -0.0002]).unwrap();
+    Camera::new((640, 480), (500.0, 503.0), (322.0, 236.0), distortion).unwrap()
+}
+
+/// What `truth` sees of ground points on a grid of pixels, with Gaussian noise and a part replaced by nonsense.
+fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec<Observation> {
+    let camera = camera();
+    let mut random = Random::new(seed);
+    let mut uniform = move || (random.bits() >> 11) as f64 / (1u64 << 53) as f64;
+    let mut seen = Vec::new();
+    for j in 0..12 {
+        for i in 0..16 {
+            let pixel = Pixel::new(20.0 + 40.0 * i as f64, 20.0 + 40.0 * j as f64);
+            let Some(ground) = camera.ray_from_pixel(pixel).and_then(|ray| truth.ground_from_ray(ray)) else {
+                continue;
+            };
+            let gaussian = (-2.0 * (1.0 - uniform()).ln()).sqrt();
+            let angle = std::f64::consts::TAU * uniform();
+            let pixel = if uniform() < wrong {
+                Pixel::new(640.0 * uniform(), 480.0 * uniform())
+            } else {
+                Pixel::new(
+                    pixel.x + noise_px * gaussian * angle.cos(),
+                    pixel.y + noise_px * gaussian * angle.sin(),
+                )
+            };
+            seen.push(Observation { ground, pixel });
+        }
+    }
+    seen
+}
+
+fn numbers(pose: &GroundPose) -> [f64; 6] {
+    [pose.x_m, pose.y_m, pose.heading_rad, pose.height_m, pose.roll_rad, pose.pitch_rad]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn exact_tracks_give_the_exact_pose_under_every_model(
+        x in -0.3..0.3f64, y in -0.3..0.3f64, heading in -0.8..0.8f64, height in 0.8..1.2f64, roll in -0.12..0.12f64, pitch in -0.12..0.12f64,
+    ) {
+        for model in [MotionModel::Rigid, MotionModel::Similarity, MotionModel::Free] {
+            let (fixed_height, fixed_tilt) = (model == MotionModel::Rigid, model != MotionModel::Free);
+            let rig = Rig { roll_rad: 0.05, pitch_rad: -0.03, ..Rig::level(1.0) };
+            let truth = GroundPose {
+                x_m: x, y_m: y, heading_rad: heading,
+                height_m: if fixed_height { 1.0 } else { height },
+                roll_rad: if fixed_tilt { 0.05 } else { roll },
+                pitch_rad: if fixed_tilt { -0.03 } else { pitch },
+            };
+            let seen = observations(&truth, 0.0, 0.3, 7);
+            let config = MotionConfig { model, ..Default::default() };
+            let found = estimate(&camera(), &seen, &rig.first_pose(), &config, &mut Random::new(3)).expect("a pose");
+            for (a, b) in numbers(&found.pose).iter().zip(numbers(&truth)) {
+                // The prior pulls by less than a millionth.
+                prop_assert!((a - b).abs() < 1e-5, "{model:?} {:?} {truth:?}", found.pose);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_covariance_is_that_of_the_errors() {
+    // Normalised estimation error squared over many seeds: its mean is the number of unknowns when the covariance is right.
+    for (model, unknowns) in [(MotionModel::Rigid, 3), (MotionModel::Similarity, 4), (MotionModel::Free, 6)] {
+        let truth = GroundPose { x_m: 0.1, y_m: -0.05, heading_rad: 0.2, ..GroundPose::level(1.0) };
+        let config = MotionConfig { model, ..Default::default() };
+        let runs = 200;
+        let mut total = 0.0;
+        for seed in 0..runs {
+            let seen = observations(&truth, 0.3, 0.0, seed);
+            let prediction = GroundPose::level(1.0);
+            let found =
+                estimate(&camera(), &seen, &prediction, &config, &mut Random::new(seed)).expect("a pose");
+            let error =
+                nalgebra::DVector::from_fn(unknowns, |i, _| numbers(&found.pose)[i] - numbers(&truth)[i]);
+            let covariance = nalgebra::DMatrix::from_fn(unknowns, unknowns, |i, j| found.covariance[(i, j)]);
+            total += error.dot(&covariance.cholesky().unwrap().solve(&error));
+        }
+        let mean = total / f64::from(runs as u32);
+        // 95 % bounds of a chi-square mean: k ± 1.96 √(2 k / runs); the biweight costs 5 % on top.
+        let bound = 1.96 * (2.0 * unknowns as f64 / runs as f64).sqrt() + 0.1 * unknowns as f64;
+        assert!((mean - unknowns as f64).abs() < bound, "{model:?}: {mean} for {unknowns}");
+    }
+}
+
+#[test]
+fn nonsense_is_no_movement() {
+    let seen = observations(&GroundPose::level(1.0), 0.0, 1.0, 5);
+    assert!(
+        estimate(&camera(), &seen, &GroundPose::level(1.0), &MotionConfig::default(), &mut Random::new(1))
+            .is_none()
+    );
+    assert!(
+        estimate(&camera(), &[], &GroundPose::level(1.0), &MotionConfig::default(), &mut Random::new(1))
+            .is_none()
+    );
+}
+
+#[test]
+fn the_number_of_turns_is_kept() {
+    let truth = GroundPose { heading_rad: 13.0, ..GroundPose::level(1.0) };
+    let prediction = GroundPose { heading_rad: 12.9, ..truth };
+    let seen = observations(&truth, 0.1, 0.2, 2);
+    let found =
+        estimate(&camera(), &seen, &prediction, &MotionConfig::default(), &mut Random::new(1)).unwrap();
+    assert!((found.pose.heading_rad - 13.0).abs() < 1e-3);
+}
