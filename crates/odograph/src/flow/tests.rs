@@ -96,7 +96,8 @@ fn another_surface_is_dissimilar() {
         .collect();
     let image = Pyramid::new(GrayImage::from_samples(200, 200, noise).unwrap(), 4);
     let prediction = Warp::translation(template.centre());
-    assert!(track(&template, &image, &prediction, &FlowConfig::default()).is_err());
+    let found = track(&template, &image, &prediction, &FlowConfig::default());
+    assert!(found.is_err() || found.is_ok_and(|found| found.dissimilarity > 0.8));
     let judged = dissimilarity(&template, &image, &prediction);
     assert!(judged.is_none_or(|(_, found)| found.dissimilarity > 0.8));
 }

@@ -23,12 +23,12 @@ pub enum TrackFailure {
     Outside,
     /// The search did not settle.
     Diverged,
-    /// What was found does not look like it.
-    Dissimilar,
+    /// What is there is dark, or its negative.
+    Unlike,
 }
 
 /// Searches a template in an image, coarse to fine, from where `prediction` expects it; the shape of the warp stays as predicted,
-/// its position is found.
+/// its position is found. Whether what was found is still the same is for the caller to judge by its dissimilarity.
 ///
 /// With the gradients of the template orthogonal to constants and to the template itself, the normal equations of Lucas–Kanade with
 /// unknown gain and offset reduce to two products with the image (the elimination of a linear appearance variation of Baker and Matthews,
@@ -61,13 +61,9 @@ pub fn track(
             Err(_) => {}
         }
     }
-    match found {
-        Some(dissimilarity) if dissimilarity <= config.dissimilarity => {
-            let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
-            Ok(Track { position, dissimilarity })
-        }
-        _ => Err(TrackFailure::Dissimilar),
-    }
+    let dissimilarity = found.ok_or(TrackFailure::Outside)?;
+    let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
+    Ok(Track { position, dissimilarity })
 }
 
 /// One level of [`track`] for a template about the keyframe point `centre`: the improved shift (pixels of the full image) and the
@@ -95,7 +91,7 @@ fn search(
         }
         let gain = dot(&patch.contrast, &samples) / patch.contrast_energy;
         if gain < 0.05 {
-            return Err(TrackFailure::Dissimilar); // darkness, or a negative
+            return Err(TrackFailure::Unlike); // darkness, or a negative
         }
         let slope = Vector2::new(dot(&patch.gradient_x, &samples), dot(&patch.gradient_y, &samples)) / gain;
         let step = prediction.linear * (patch.inverse_hessian * slope) * scale;

@@ -1,0 +1,179 @@
+//! A keyframe's corners found again in a frame, and the movement they speak for.
+
+use super::OdometryConfig;
+use super::keyframe::{Keyframe, Pose};
+use crate::camera::Camera;
+use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
+use crate::geometry::{GroundPoint, GroundPose, Pixel};
+use crate::image::Pyramid;
+use crate::motion::{MotionEstimate, MotionModel, Observation, Random, estimate, mean_displacement};
+use crate::trajectory::LossReason;
+use nalgebra::Matrix6;
+
+/// A frame measured against a keyframe.
+#[derive(Debug, Clone)]
+pub struct Measurement {
+    pub estimate: MotionEstimate,
+    /// The corners found again, in step with the estimate's inliers.
+    pub found: Vec<Found>,
+    /// The part of the keyframe's corners that supports the movement, 0 to 1.
+    pub support: f64,
+}
+
+/// A corner found again.
+#[derive(Debug, Clone, Copy)]
+pub struct Found {
+    /// Which of the keyframe's corners.
+    pub corner: usize,
+    pub warp: Warp,
+}
+
+/// Measures the pose of a frame against a keyframe, near `prediction`.
+pub fn measure(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    prediction: &GroundPose,
+    config: &OdometryConfig,
+    random: &mut Random,
+) -> Result<Measurement, LossReason> {
+    let found = if config.motion.model == MotionModel::Mean {
+        follow_by_eye(keyframe, pyramid, config)
+    } else {
+        follow(keyframe, pyramid, camera, prediction, config)
+    };
+    judge(keyframe, found, camera, prediction, config, random)
+}
+
+/// Drops what does not come back to its corner when it is followed backward, and measures again: done where others will be built on
+/// this frame.
+pub fn confirm(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    measurement: Measurement,
+    config: &OdometryConfig,
+    random: &mut Random,
+) -> Measurement {
+    let comes_back = |found: &&Found| {
+        let template = &keyframe.corners[found.corner].template;
+        forward_backward_px(template, &keyframe.pyramid, pyramid, &found.warp, &config.flow)
+            .is_some_and(|distance| distance <= config.flow.forward_backward_px)
+    };
+    let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
+    let prediction = measurement.estimate.pose;
+    judge(keyframe, found, camera, &prediction, config, random).unwrap_or(measurement)
+}
+
+/// Searches every corner where and in which shape the predicted pose expects it.
+fn follow(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    prediction: &GroundPose,
+    config: &OdometryConfig,
+) -> Vec<Found> {
+    let pose = Pose::new(*prediction);
+    let search = |(index, corner): (usize, &super::keyframe::KeyCorner)| {
+        let warp = corner.warp(camera, &pose)?;
+        let tracked = match track(&corner.template, pyramid, &warp, &config.flow) {
+            Ok(Track { position, dissimilarity }) if dissimilarity <= config.flow.dissimilarity => {
+                Warp { position, ..warp }
+            }
+            // Second judgement: perhaps only the expected shape was wrong.
+            Ok(Track { position, .. }) => {
+                let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
+                (judged.dissimilarity <= config.flow.dissimilarity).then_some(warp)?
+            }
+            Err(_) => return None,
+        };
+        Some(Found { corner: index, warp: tracked })
+    };
+    keyframe.corners.iter().enumerate().filter_map(search).collect()
+}
+
+/// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
+/// a model of the camera's rotation.
+fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, config: &OdometryConfig) -> Vec<Found> {
+    let search = |(index, corner): (usize, &super::keyframe::KeyCorner)| {
+        let Track { position, .. } = track(&corner.template, pyramid, &corner.seen, &config.flow).ok()?;
+        let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
+        (judged.dissimilarity <= config.flow.dissimilarity).then_some(Found { corner: index, warp })
+    };
+    keyframe.corners.iter().enumerate().filter_map(search).collect()
+}
+
+fn judge(
+    keyframe: &Keyframe,
+    found: Vec<Found>,
+    camera: &Camera,
+    prediction: &GroundPose,
+    config: &OdometryConfig,
+    random: &mut Random,
+) -> Result<Measurement, LossReason> {
+    if found.len() < config.motion.minimum_inliers {
+        return Err(LossReason::Jump);
+    }
+    let estimate = if config.motion.model == MotionModel::Mean {
+        mean(keyframe, &found, camera, prediction, config, random)
+    } else {
+        let observe =
+            |f: &Found| Observation { ground: keyframe.corners[f.corner].ground, pixel: f.warp.position };
+        let observations: Vec<Observation> = found.iter().map(observe).collect();
+        estimate(camera, &observations, prediction, &config.motion, random)
+    };
+    let estimate = estimate.ok_or(LossReason::Disagreement)?;
+    let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
+    Ok(Measurement { estimate, found, support })
+}
+
+/// The paper's mean vector from the last frame to this one.
+fn mean(
+    keyframe: &Keyframe,
+    found: &[Found],
+    camera: &Camera,
+    last: &GroundPose,
+    config: &OdometryConfig,
+    random: &mut Random,
+) -> Option<MotionEstimate> {
+    let on_ground = |pixel: Pixel| -> Option<GroundPoint> {
+        camera.ray_from_pixel(pixel).and_then(|ray| last.ground_from_ray(ray))
+    };
+    let pairs: Vec<(GroundPoint, GroundPoint)> = found
+        .iter()
+        .map(|f| Some((on_ground(keyframe.corners[f.corner].seen.position)?, on_ground(f.warp.position)?)))
+        .collect::<Option<_>>()?;
+    let metres_per_pixel = last.height_m / camera.focal_px().0;
+    let within_m = config.motion.inlier_px * metres_per_pixel;
+    let ((x_m, y_m), variance, inliers) = mean_displacement(&pairs, within_m, &config.motion, random)?;
+    let mut covariance = Matrix6::zeros();
+    covariance[(0, 0)] = variance;
+    covariance[(1, 1)] = variance;
+    let count = inliers.iter().filter(|&&a| a).count() as f64;
+    Some(MotionEstimate {
+        pose: GroundPose { x_m: last.x_m + x_m, y_m: last.y_m + y_m, ..*last },
+        covariance,
+        inliers,
+        residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
+    })
+}
+
+/// Whether an image shows too little to hold on to. Judged two pyramid levels up, where the sensor's noise is averaged away.
+pub fn is_bare(pyramid: &Pyramid) -> bool {
+    let levels = pyramid.levels();
+    let coarse = &levels[2.min(levels.len() - 1)];
+    let config = crate::detection::DetectionConfig {
+        corners: ENOUGH_CORNERS,
+        minimum_distance_px: 5.0,
+        quality: 0.0,
+        ..Default::default()
+    };
+    let corners = crate::detection::detect(coarse, &config, 3);
+    corners.iter().filter(|c| c.strength >= BARE_STRENGTH).count() < ENOUGH_CORNERS
+}
+
+/// So many corners on a coarse level make texture.
+const ENOUGH_CORNERS: usize = 20;
+
+/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves 0.1 there.
+const BARE_STRENGTH: f32 = 0.3;

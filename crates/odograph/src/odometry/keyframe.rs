@@ -1,0 +1,198 @@
+//! Keyframes: images whose corners lie on the ground as metric points.
+
+use crate::camera::Camera;
+use crate::detection::{DetectionConfig, detect};
+use crate::flow::{Template, Warp};
+use crate::geometry::{GroundPoint, GroundPose, Pixel};
+use crate::image::Pyramid;
+use nalgebra::{Matrix2, Matrix6};
+use std::collections::VecDeque;
+
+/// Corners this near the border cannot carry a full template with its gradients.
+const MARGIN_PX: usize = 9;
+
+/// Half the base over which the shape of a predicted warp is differenced, pixels: about the reach of a patch.
+const WARP_BASE_PX: f64 = 4.0;
+
+/// An image in use as the reference, with its corners prepared for being found again.
+#[derive(Debug)]
+pub struct Keyframe {
+    pub pyramid: Pyramid,
+    pub pose: GroundPose,
+    /// Of the pose against the start of the run, (x, y, heading, height, roll, pitch).
+    pub covariance: Matrix6<f64>,
+    pub corners: Vec<KeyCorner>,
+    /// How many corners it began with.
+    pub corners_at_first: usize,
+    /// Where the corners are, enough to prepare the keyframe again.
+    places: Vec<(usize, usize)>,
+}
+
+/// A corner of a keyframe.
+#[derive(Debug)]
+pub struct KeyCorner {
+    pub template: Template,
+    /// Where its centre lies on the ground.
+    pub ground: GroundPoint,
+    /// Where the keyframe points [`WARP_BASE_PX`] right of and below the centre lie.
+    beside: [GroundPoint; 2],
+    /// How it was last found.
+    pub seen: Warp,
+}
+
+impl KeyCorner {
+    /// Where and in which shape the corner is expected by a camera at `pose`; `None` where it would be out of sight.
+    pub fn warp(&self, camera: &Camera, pose: &Pose) -> Option<Warp> {
+        let position = pose.pixel(camera, self.ground)?;
+        let right = pose.pixel(camera, self.beside[0])?;
+        let below = pose.pixel(camera, self.beside[1])?;
+        let linear = Matrix2::new(
+            right.x - position.x,
+            below.x - position.x,
+            right.y - position.y,
+            below.y - position.y,
+        ) / WARP_BASE_PX;
+        Some(Warp { position, linear })
+    }
+}
+
+/// A pose with its rotation worked out once for many points.
+pub struct Pose {
+    pose: GroundPose,
+    camera_from_world: nalgebra::Matrix3<f64>,
+}
+
+impl Pose {
+    pub fn new(pose: GroundPose) -> Self {
+        Self { pose, camera_from_world: pose.world_from_camera_rotation().transpose() }
+    }
+
+    pub fn pixel(&self, camera: &Camera, point: GroundPoint) -> Option<Pixel> {
+        let from_camera =
+            nalgebra::Vector3::new(point.x_m - self.pose.x_m, point.y_m - self.pose.y_m, -self.pose.height_m);
+        let p = self.camera_from_world * from_camera;
+        (p.z > 1e-9).then(|| camera.pixel_from_ray(crate::geometry::Ray::new(p.x / p.z, p.y / p.z)))?
+    }
+}
+
+impl Keyframe {
+    /// Makes a keyframe of an image at a known pose: finds its corners and lays them on the ground.
+    pub fn new(
+        pyramid: Pyramid,
+        pose: GroundPose,
+        covariance: Matrix6<f64>,
+        camera: &Camera,
+        detection: &DetectionConfig,
+    ) -> Self {
+        let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
+        Self::prepare(KeyframeRecord { pyramid, pose, covariance, places }, camera)
+    }
+
+    fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {
+        let KeyframeRecord { pyramid, pose, covariance, places } = record;
+        let on_ground = |x: f64, y: f64| {
+            camera.ray_from_pixel(Pixel::new(x, y)).and_then(|ray| pose.ground_from_ray(ray))
+        };
+        let corner = |&place: &(usize, usize)| {
+            let template = Template::new(&pyramid, place)?;
+            let Pixel { x, y } = template.centre();
+            Some(KeyCorner {
+                ground: on_ground(x, y)?,
+                beside: [on_ground(x + WARP_BASE_PX, y)?, on_ground(x, y + WARP_BASE_PX)?],
+                seen: Warp::translation(template.centre()),
+                template,
+            })
+        };
+        let corners: Vec<KeyCorner> = places.iter().filter_map(corner).collect();
+        Self { corners_at_first: corners.len(), corners, pyramid, pose, covariance, places }
+    }
+
+    /// Keeps only the given corners, with where they were seen.
+    pub fn keep_only(&mut self, seen: impl Iterator<Item = (usize, Warp)>) {
+        let mut kept = vec![None; self.corners.len()];
+        seen.for_each(|(corner, warp)| kept[corner] = Some(warp));
+        let mut index = 0;
+        self.corners.retain_mut(|corner| {
+            let warp = kept[index];
+            index += 1;
+            if let Some(warp) = warp {
+                corner.seen = warp;
+            }
+            warp.is_some()
+        });
+    }
+
+    /// What is kept of a keyframe that is no longer in use.
+    pub fn retire(self) -> KeyframeRecord {
+        let Self { pyramid, pose, covariance, places, .. } = self;
+        KeyframeRecord { pyramid, pose, covariance, places }
+    }
+}
+
+/// A keyframe without its templates: a tenth of the memory.
+#[derive(Debug)]
+pub struct KeyframeRecord {
+    pyramid: Pyramid,
+    pose: GroundPose,
+    covariance: Matrix6<f64>,
+    places: Vec<(usize, usize)>,
+}
+
+/// The last keyframes, to be taken up again when the camera comes back to them.
+#[derive(Debug)]
+pub struct KeyframeMemory {
+    records: VecDeque<KeyframeRecord>,
+    most: usize,
+}
+
+impl KeyframeMemory {
+    pub fn new(most: usize) -> Self {
+        Self { records: VecDeque::new(), most }
+    }
+
+    pub fn remember(&mut self, record: KeyframeRecord) {
+        self.records.push_back(record);
+        while self.records.len() > self.most {
+            self.records.pop_front();
+        }
+    }
+
+    /// Takes out the keyframe of which a camera at `pose` sees most, if that is at least `least` of its image.
+    pub fn take_best(&mut self, camera: &Camera, pose: &GroundPose, least: f64) -> Option<Keyframe> {
+        let seen = Pose::new(*pose);
+        let overlap = |record: &KeyframeRecord| overlap(record, camera, &seen);
+        let best = self
+            .records
+            .iter()
+            .enumerate()
+            .map(|(i, record)| (overlap(record), i))
+            .filter(|(overlap, _)| *overlap >= least)
+            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let record = self.records.remove(best.1)?;
+        Some(Keyframe::prepare(record, camera))
+    }
+
+    /// Puts a keyframe back that was taken out in vain.
+    pub fn put_back(&mut self, keyframe: Keyframe) {
+        self.remember(keyframe.retire());
+    }
+}
+
+/// The part of a coarse grid over a keyframe's image that a camera at `pose` would have in view.
+fn overlap(record: &KeyframeRecord, camera: &Camera, pose: &Pose) -> f64 {
+    const GRID: usize = 8;
+    let (width, height) = (camera.width() as f64, camera.height() as f64);
+    let mut seen = 0;
+    for j in 0..GRID {
+        for i in 0..GRID {
+            let pixel = Pixel::new(
+                (i as f64 + 0.5) / GRID as f64 * width - 0.5,
+                (j as f64 + 0.5) / GRID as f64 * height - 0.5,
+            );
+            let ground = camera.ray_from_pixel(pixel).and_then(|ray| record.pose.ground_from_ray(ray));
+            let back = ground.and_then(|ground| pose.pixel(camera, ground));
+            seen += usize::from(back.is_some_and(|p| camera.contains(p, MARGIN_PX as f64)));
+        }
+    }
+    seen as f64 / (GRID * GRID) as f64
+}

@@ -1,0 +1,471 @@
+//! One frame on one screen: from an image to a pose, a step per line.
+//!
+//! The ground is held by a *keyframe*: an image whose corners lie on the ground as metric points. Every later frame is measured against
+//! the keyframe, not against the frame before it, until too little of it is left in view; then that frame becomes the next keyframe. So
+//! errors add up once per keyframe, not thirty times a second.
+
+mod follow;
+mod keyframe;
+
+use crate::camera::{Camera, Rig};
+use crate::detection::DetectionConfig;
+use crate::error::{Error, Result};
+use crate::filter::{ConstantAcceleration, FilterConfig};
+use crate::flow::FlowConfig;
+use crate::geometry::{GroundPose, Pixel};
+use crate::image::{GrayImage, Pyramid};
+use crate::motion::{MotionConfig, MotionEstimate, MotionModel, Random};
+use crate::trajectory::{FrameEstimate, LossReason, PoseEstimate, TrackStatus};
+use follow::Measurement;
+use keyframe::{Keyframe, KeyframeMemory};
+use nalgebra::Matrix6;
+use serde::{Deserialize, Serialize};
+
+/// Every parameter of the pipeline, by stage.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OdometryConfig {
+    /// Objects of interest.
+    pub detection: DetectionConfig,
+    /// Optical flow.
+    pub flow: FlowConfig,
+    /// Movement parameters.
+    pub motion: MotionConfig,
+    /// When a frame becomes a keyframe.
+    pub keyframe: KeyframeConfig,
+    /// Estimation improvement.
+    pub filter: FilterConfig,
+}
+
+/// When a frame becomes a keyframe.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KeyframeConfig {
+    /// A new keyframe is made when less than this part of the keyframe's corners still supports the movement.
+    pub support: f64,
+    /// An older keyframe of which at least this part of the corners is in view again is taken up instead of making a new one.
+    pub revisit: f64,
+    /// So many older keyframes are remembered.
+    pub remembered: usize,
+}
+
+impl Default for KeyframeConfig {
+    fn default() -> Self {
+        Self { support: 0.5, revisit: 0.75, remembered: 32 }
+    }
+}
+
+/// What one track looked like in the last frame, for pictures and pages.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackView {
+    /// Where it is.
+    pub pixel: Pixel,
+    /// Whether it agrees with the movement.
+    pub inlier: bool,
+}
+
+/// The pipeline: gray images in, poses out.
+#[derive(Debug)]
+pub struct Odometry {
+    camera: Camera,
+    config: OdometryConfig,
+    first_pose: GroundPose,
+    keyframe: Option<Keyframe>,
+    memory: KeyframeMemory,
+    last: Option<LastPose>,
+    filter: Option<ConstantAcceleration>,
+    /// A start of a new segment that has not proved itself yet.
+    candidate: Option<Candidate>,
+    frames: u64,
+    keyframes: u64,
+    segment: usize,
+    tracks: Vec<TrackView>,
+}
+
+/// A keyframe made of a frame that could not be measured, and how often later frames were measured against it.
+#[derive(Debug)]
+struct Candidate {
+    keyframe: Keyframe,
+    pose: GroundPose,
+    confirmations: usize,
+}
+
+/// So many frames in a row must agree with a candidate before it is believed: a hand passes, the floor stays.
+const CONFIRMATIONS: usize = 3;
+
+impl Odometry {
+    /// A pipeline for one recording. Fails where the rig cannot be.
+    pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
+        Ok(Self {
+            camera,
+            config,
+            first_pose: rig.validated()?.first_pose(),
+            keyframe: None,
+            memory: KeyframeMemory::new(config.keyframe.remembered),
+            last: None,
+            filter: None,
+            candidate: None,
+            frames: 0,
+            keyframes: 0,
+            segment: 0,
+            tracks: Vec::new(),
+        })
+    }
+
+    /// Takes the next frame. Fails where the image has not the size the camera is calibrated for, or its time is not a number.
+    pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
+        self.check_input(&image, time_s)?;
+        let pyramid = Pyramid::new(image, self.config.flow.levels);
+        let frame = match self.measure(&pyramid, time_s) {
+            Ok(measurement) => self.accept(pyramid, time_s, measurement),
+            Err(reason) => self.lose(pyramid, time_s, reason),
+        };
+        self.frames += 1;
+        Ok(frame)
+    }
+
+    /// The tracks of the last frame.
+    pub fn tracks(&self) -> &[TrackView] {
+        &self.tracks
+    }
+
+    /// How many keyframes were made.
+    pub fn keyframes(&self) -> u64 {
+        self.keyframes
+    }
+
+    fn check_input(&self, image: &GrayImage, time_s: f64) -> Result<()> {
+        let (width, height) = (self.camera.width(), self.camera.height());
+        if (image.width(), image.height()) != (width, height) {
+            return Err(Error::input(format!(
+                "frame {} is {}x{} but the camera is calibrated for {width}x{height}; calibrate at the recording's size",
+                self.frames,
+                image.width(),
+                image.height(),
+            )));
+        }
+        if !time_s.is_finite() {
+            return Err(Error::input(format!("the time of frame {} is {time_s}", self.frames)));
+        }
+        Ok(())
+    }
+
+    /// The pose of a frame against what is known of the ground, tried from several predictions.
+    fn measure(&mut self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
+        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else {
+            return Err(LossReason::Bare);
+        };
+        let mut random = Random::new(self.frames);
+        let mut outcome = Err(LossReason::Jump);
+        for prediction in [last.extrapolated(time_s), last.pose] {
+            outcome =
+                follow::measure(keyframe, pyramid, &self.camera, &prediction, &self.config, &mut random);
+            if let Ok(measurement) = outcome {
+                let builds_on_it = measurement.support < self.config.keyframe.support;
+                return Ok(if builds_on_it {
+                    follow::confirm(keyframe, pyramid, &self.camera, measurement, &self.config, &mut random)
+                } else {
+                    measurement
+                });
+            }
+        }
+        outcome
+    }
+
+    /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
+    fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
+        let Measurement { estimate, found, support } = measurement;
+        let covariance = self.carried_covariance(&estimate.pose) + estimate.covariance;
+        let inliers = estimate.inlier_count();
+        self.tracks = found
+            .iter()
+            .zip(&estimate.inliers)
+            .map(|(found, &inlier)| TrackView { pixel: found.warp.position, inlier })
+            .collect();
+        self.candidate = None;
+        self.last = Some(match self.last.take() {
+            Some(last) => last.moved(time_s, estimate.pose, covariance),
+            None => LastPose::still(time_s, estimate.pose, covariance),
+        });
+        let improved = self.improve(time_s, &estimate);
+        if self.config.motion.model == MotionModel::Mean {
+            self.keep_only(&found, covariance);
+        }
+        let keyframe = support < self.config.keyframe.support;
+        if keyframe {
+            self.change_keyframe(pyramid, estimate.pose, covariance);
+        }
+        FrameEstimate {
+            frame: self.frames,
+            time_s,
+            status: TrackStatus::Tracked,
+            estimate: Some(PoseEstimate { covariance, ..improved }),
+            tracks: found.len(),
+            inliers,
+            residual_px: estimate.residual_px,
+            keyframe,
+            segment: self.segment,
+        }
+    }
+
+    /// A frame that could not be measured: begins the map, or waits for the ground to come back.
+    fn lose(&mut self, pyramid: Pyramid, time_s: f64, reason: LossReason) -> FrameEstimate {
+        let bare = follow::is_bare(&pyramid);
+        if self.last.is_none() && !bare {
+            return self.begin(pyramid, time_s, self.first_pose, Matrix6::zeros());
+        }
+        self.tracks.clear();
+        let reason = if bare { LossReason::Bare } else { reason };
+        if bare {
+            self.candidate = None;
+        } else if let Some(found) = self.find_candidate(&pyramid) {
+            return self.begin_segment(pyramid, time_s, found);
+        } else if self.candidate.is_none() {
+            self.candidate = self.propose(pyramid, time_s);
+        }
+        FrameEstimate {
+            frame: self.frames,
+            time_s,
+            status: TrackStatus::Lost { reason },
+            estimate: None,
+            tracks: 0,
+            inliers: 0,
+            residual_px: 0.0,
+            keyframe: false,
+            segment: self.segment,
+        }
+    }
+
+    /// The first frame that shows ground is where the world begins.
+    fn begin(
+        &mut self,
+        pyramid: Pyramid,
+        time_s: f64,
+        pose: GroundPose,
+        covariance: Matrix6<f64>,
+    ) -> FrameEstimate {
+        let keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        let corners = keyframe.corners.len();
+        self.tracks = keyframe
+            .corners
+            .iter()
+            .map(|corner| TrackView { pixel: corner.template.centre(), inlier: true })
+            .collect();
+        self.keyframe = Some(keyframe);
+        self.keyframes += 1;
+        self.last = Some(LastPose::still(time_s, pose, covariance));
+        FrameEstimate {
+            frame: self.frames,
+            time_s,
+            status: TrackStatus::Tracked,
+            estimate: Some(PoseEstimate { pose, velocity: Default::default(), covariance }),
+            tracks: corners,
+            inliers: corners,
+            residual_px: 0.0,
+            keyframe: true,
+            segment: self.segment,
+        }
+    }
+
+    /// A keyframe of an unmeasured frame, laid where the camera would be had it gone on as it went.
+    fn propose(&mut self, pyramid: Pyramid, time_s: f64) -> Option<Candidate> {
+        let last = self.last.as_ref()?;
+        let pose = last.extrapolated(time_s);
+        let covariance = last.covariance + last.gap_covariance(time_s);
+        let keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        Some(Candidate { keyframe, pose, confirmations: 0 })
+    }
+
+    /// Measures against the candidate; gives the measurement once it has been confirmed often enough.
+    fn find_candidate(&mut self, pyramid: &Pyramid) -> Option<Measurement> {
+        let candidate = self.candidate.as_mut()?;
+        let mut random = Random::new(self.frames);
+        let measured = follow::measure(
+            &candidate.keyframe,
+            pyramid,
+            &self.camera,
+            &candidate.pose,
+            &self.config,
+            &mut random,
+        );
+        match measured {
+            Ok(measurement) => {
+                candidate.pose = measurement.estimate.pose;
+                candidate.confirmations += 1;
+                (candidate.confirmations >= CONFIRMATIONS).then_some(measurement)
+            }
+            Err(_) => {
+                self.candidate = None;
+                None
+            }
+        }
+    }
+
+    /// The ground is back, but how the camera came here was not measured: a new segment.
+    fn begin_segment(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
+        if let Some(candidate) = self.candidate.take() {
+            if let Some(before) = self.keyframe.replace(candidate.keyframe) {
+                self.memory.remember(before.retire());
+            }
+            self.keyframes += 1;
+        }
+        self.segment += 1;
+        self.last = None;
+        self.filter = None;
+        self.accept(pyramid, time_s, measurement)
+    }
+
+    /// The next reference: an older keyframe where the camera has come back to one, otherwise this frame.
+    fn change_keyframe(&mut self, pyramid: Pyramid, pose: GroundPose, covariance: Matrix6<f64>) {
+        let pyramid = match self.revisit(pyramid, &pose, &covariance) {
+            Ok(()) => return,
+            Err(pyramid) => pyramid,
+        };
+        let next = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        if next.corners.len() < 2 * self.config.motion.minimum_inliers {
+            return; // better the rest of the old one than nothing
+        }
+        self.keyframes += 1;
+        if let Some(before) = self.keyframe.replace(next) {
+            self.memory.remember(before.retire());
+        }
+    }
+
+    /// Takes up an older keyframe that is in view again, where what it measures agrees with where we think we are. Gives the image back
+    /// where there is none.
+    fn revisit(
+        &mut self,
+        pyramid: Pyramid,
+        pose: &GroundPose,
+        covariance: &Matrix6<f64>,
+    ) -> std::result::Result<(), Pyramid> {
+        if self.config.motion.model == MotionModel::Mean {
+            return Err(pyramid);
+        }
+        let Some(old) = self.memory.take_best(&self.camera, pose, self.config.keyframe.revisit) else {
+            return Err(pyramid);
+        };
+        let mut random = Random::new(self.frames);
+        let measured = follow::measure(&old, &pyramid, &self.camera, pose, &self.config, &mut random);
+        let agreed = measured.ok().filter(|m| {
+            let found = &m.estimate.pose;
+            let pixel_m = pose.height_m / self.camera.focal_px().0;
+            let position_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt() + 2.0 * pixel_m;
+            let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
+            m.support >= self.config.keyframe.support
+                && (found.x_m - pose.x_m).hypot(found.y_m - pose.y_m) < position_m
+                && (found.heading_rad - pose.heading_rad).abs() < heading_rad
+        });
+        let Some(measurement) = agreed else {
+            self.memory.put_back(old);
+            return Err(pyramid);
+        };
+        let found = measurement.estimate.pose;
+        if let Some(before) = self.keyframe.replace(old) {
+            self.memory.remember(before.retire());
+        }
+        // The place is known better than the way that led here: position and filter are set right, the velocity stays.
+        if let Some(last) = &mut self.last {
+            last.pose = found;
+        }
+        if let Some(filter) = &mut self.filter {
+            filter.shift([found.x_m - pose.x_m, found.y_m - pose.y_m, found.heading_rad - pose.heading_rad]);
+        }
+        Ok(())
+    }
+
+    /// Position and heading improved by the filter, with the velocity it knows.
+    fn improve(&mut self, time_s: f64, estimate: &MotionEstimate) -> PoseEstimate {
+        let pose = estimate.pose;
+        let measured = [pose.x_m, pose.y_m, pose.heading_rad];
+        let variances = [0, 1, 2].map(|i| estimate.covariance[(i, i)]);
+        let filtered = match &mut self.filter {
+            Some(filter) => filter.update(time_s, measured, variances),
+            None => self
+                .filter
+                .insert(ConstantAcceleration::new(time_s, measured, variances, &self.config.filter))
+                .filtered(),
+        };
+        let pose =
+            GroundPose { x_m: filtered.x_m, y_m: filtered.y_m, heading_rad: filtered.heading_rad, ..pose };
+        PoseEstimate { pose, velocity: filtered.velocity, covariance: estimate.covariance }
+    }
+
+    /// What the keyframe's own uncertainty does to a pose measured against it: the ground it laid out is shifted, turned about it, and scaled with
+    /// its height.
+    fn carried_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
+        let Some(keyframe) = &self.keyframe else {
+            return Matrix6::zeros();
+        };
+        let (dx, dy) = (pose.x_m - keyframe.pose.x_m, pose.y_m - keyframe.pose.y_m);
+        let mut carry = Matrix6::identity();
+        carry[(0, 2)] = -dy;
+        carry[(1, 2)] = dx;
+        carry[(0, 3)] = dx / keyframe.pose.height_m;
+        carry[(1, 3)] = dy / keyframe.pose.height_m;
+        carry * keyframe.covariance * carry.transpose()
+    }
+
+    /// For the mean vector, which is measured from frame to frame: only what was just seen can be seen again, and the covariance adds up.
+    fn keep_only(&mut self, found: &[follow::Found], covariance: Matrix6<f64>) {
+        if let Some(keyframe) = &mut self.keyframe {
+            keyframe.keep_only(found.iter().map(|f| (f.corner, f.warp)));
+            keyframe.covariance = covariance;
+        }
+    }
+}
+
+/// The last measured pose, from which the next is predicted.
+#[derive(Debug, Clone)]
+struct LastPose {
+    time_s: f64,
+    pose: GroundPose,
+    covariance: Matrix6<f64>,
+    /// Change per second of x, y and heading.
+    rates: [f64; 3],
+}
+
+impl LastPose {
+    fn still(time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
+        Self { time_s, pose, covariance, rates: [0.0; 3] }
+    }
+
+    fn moved(self, time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
+        let step_s = time_s - self.time_s;
+        let rates = if step_s > 0.0 {
+            let before = self.pose;
+            [pose.x_m - before.x_m, pose.y_m - before.y_m, pose.heading_rad - before.heading_rad]
+                .map(|change| change / step_s)
+        } else {
+            self.rates
+        };
+        Self { time_s: time_s.max(self.time_s), pose, covariance, rates }
+    }
+
+    /// The pose at `time_s` had the camera gone on as it went; height and tilt stay.
+    fn extrapolated(&self, time_s: f64) -> GroundPose {
+        let step_s = (time_s - self.time_s).max(0.0);
+        GroundPose {
+            x_m: self.pose.x_m + self.rates[0] * step_s,
+            y_m: self.pose.y_m + self.rates[1] * step_s,
+            heading_rad: self.pose.heading_rad + self.rates[2] * step_s,
+            ..self.pose
+        }
+    }
+
+    /// How far off [`LastPose::extrapolated`] may be over a gap: the camera may have stopped or doubled its speed (two standard deviations), and
+    /// may have set off from rest at 0.2 m/s and 0.2 rad/s.
+    fn gap_covariance(&self, time_s: f64) -> Matrix6<f64> {
+        let gap_s = (time_s - self.time_s).max(0.0);
+        let variance = |rate: f64| ((0.5 * rate.abs() + 0.1) * gap_s).powi(2);
+        let mut covariance = Matrix6::zeros();
+        let speed = self.rates[0].hypot(self.rates[1]);
+        covariance[(0, 0)] = variance(speed);
+        covariance[(1, 1)] = variance(speed);
+        covariance[(2, 2)] = variance(self.rates[2]);
+        covariance
+    }
+}
+
+#[cfg(test)]
+mod tests;
