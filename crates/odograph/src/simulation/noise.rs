@@ -1,0 +1,171 @@
+//! Repeatable randomness: hashes, noise over the plane, and smooth random functions of time.
+
+use std::f64::consts::TAU;
+
+/// Mixes 64 bits (the finaliser of SplitMix64; Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
+pub(super) fn mix(value: u64) -> u64 {
+    let mut z = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+/// A number in [0, 1) from a seed and the index of the draw.
+pub(super) fn uniform(seed: u64, index: u64) -> f64 {
+    (mix(seed ^ mix(index)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// A number in [0, 1) that belongs to an integer cell of the plane.
+#[inline]
+pub(super) fn cell(seed: u32, x: i32, y: i32) -> f32 {
+    let mut h =
+        (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77).rotate_left(13) ^ seed;
+    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
+    h ^= h >> 15;
+    (h >> 8) as f32 / (1u32 << 24) as f32
+}
+
+/// Value noise in [−1, 1] with lattice spacing 1: random values at the integer points, joined with continuous second derivative.
+#[inline]
+pub(super) fn value_noise(seed: u32, x: f64, y: f64) -> f32 {
+    let (floor_x, floor_y) = (x.floor(), y.floor());
+    let (u, v) = ((x - floor_x) as f32, (y - floor_y) as f32);
+    // Far out the lattice wraps; 2³¹ cells are further than any path goes.
+    let (i, j) = (floor_x as i64 as i32, floor_y as i64 as i32);
+    let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
+    let (a, b) = (fade(u), fade(v));
+    let (right, below) = (i.wrapping_add(1), j.wrapping_add(1));
+    let top = cell(seed, i, j) * (1.0 - a) + cell(seed, right, j) * a;
+    let bottom = cell(seed, i, below) * (1.0 - a) + cell(seed, right, below) * a;
+    2.0 * (top * (1.0 - b) + bottom * b) - 1.0
+}
+
+/// How much of a structure of size `spacing_m` a pixel that covers `footprint_m` still sees, 0 to 1: structures that it could
+/// only alias are left out.
+#[inline]
+pub(super) fn visibility(spacing_m: f64, footprint_m: f64) -> f32 {
+    smooth_step((spacing_m / footprint_m - 0.7) / 1.3) as f32
+}
+
+/// 0 below 0, 1 above 1, and a cubic with zero slope at both ends between.
+#[inline]
+pub(super) fn smooth_step(t: f64) -> f64 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Noise of several octaves: lattice spacings `coarsest_m`, half of it, … `octaves` times, each `roughness` times as strong as
+/// the one before; the sum of strengths is 1. Octaves are turned against each other so that no lattice shows.
+pub(super) fn fractal(
+    seed: u32,
+    (x_m, y_m): (f64, f64),
+    footprint_m: f64,
+    coarsest_m: f64,
+    octaves: u32,
+    roughness: f32,
+) -> f32 {
+    let (mut sum, mut total, mut strength, mut spacing_m) = (0.0, 0.0, 1.0f32, coarsest_m);
+    let (mut x, mut y) = (x_m, y_m);
+    for octave in 0..octaves {
+        let seen = visibility(spacing_m, footprint_m);
+        if seen > 0.0 {
+            let octave_seed = seed.wrapping_add(octave.wrapping_mul(0x9E37_79B9));
+            sum += strength * seen * value_noise(octave_seed, x / spacing_m, y / spacing_m);
+        }
+        total += strength;
+        strength *= roughness;
+        spacing_m *= 0.5;
+        // A turn by 36.87°, exact in short decimals.
+        (x, y) = (0.8 * x - 0.6 * y, 0.6 * x + 0.8 * y);
+    }
+    sum / total
+}
+
+/// A smooth random function of time in [−1, 1]: a few sines around one frequency.
+#[derive(Debug, Clone)]
+pub(super) struct Wobble {
+    waves: [(f64, f64); 4],
+}
+
+impl Wobble {
+    /// Frequencies between 0.6 and 1.4 times `frequency_hz`, phases from the seed.
+    pub(super) fn new(seed: u64, frequency_hz: f64) -> Self {
+        let wave = |i: u64| {
+            // One wave in each quarter of the band: they never fall together into a single sine.
+            let spread = 0.6 + 0.2 * (i as f64 + uniform(seed, 2 * i));
+            (TAU * frequency_hz * spread, TAU * uniform(seed, 2 * i + 1))
+        };
+        Self { waves: [wave(0), wave(1), wave(2), wave(3)] }
+    }
+
+    /// The value at a time, in seconds.
+    pub(super) fn at(&self, time_s: f64) -> f64 {
+        self.waves.iter().map(|(rate, phase)| (rate * time_s + phase).sin()).sum::<f64>() / 4.0
+    }
+}
+
+/// A fast stream of Gaussian numbers (sum of eight uniform ones: variance exact, tails to ±4.9 σ).
+#[derive(Debug, Clone)]
+pub(super) struct GaussianStream {
+    state: u64,
+}
+
+impl GaussianStream {
+    /// A stream that depends on the seed alone.
+    pub(super) fn new(seed: u64) -> Self {
+        Self { state: mix(seed) }
+    }
+
+    /// The next number, mean 0 and standard deviation 1.
+    #[inline]
+    pub(super) fn sample(&mut self) -> f32 {
+        let mut sum = 0u32;
+        for _ in 0..2 {
+            self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+            let mut z = self.state;
+            z = (z ^ (z >> 32)).wrapping_mul(0xD6E8_FEB8_6659_FD93);
+            z ^= z >> 32;
+            sum += (z & 0xFFFF) as u32
+                + (z >> 16 & 0xFFFF) as u32
+                + (z >> 32 & 0xFFFF) as u32
+                + (z >> 48) as u32;
+        }
+        // Eight uniform 16-bit numbers: mean 8 · 65535 / 2, variance 8 · (65536² − 1) / 12.
+        (sum as f32 - 262_140.0) * 1.868_817e-5
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gaussian_stream_has_mean_0_and_deviation_1() {
+        let mut stream = GaussianStream::new(3);
+        let n = 200_000;
+        let samples: Vec<f64> = (0..n).map(|_| f64::from(stream.sample())).collect();
+        let mean = samples.iter().sum::<f64>() / n as f64;
+        let variance = samples.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n as f64;
+        let beyond_two = samples.iter().filter(|s| s.abs() > 2.0).count() as f64 / n as f64;
+        assert!(mean.abs() < 0.01, "{mean}");
+        assert!((variance - 1.0).abs() < 0.015, "{variance}");
+        assert!((beyond_two - 0.0455).abs() < 0.005, "{beyond_two}");
+    }
+
+    #[test]
+    fn noise_is_smooth_across_cells_and_stays_in_its_range() {
+        for i in 0..2000 {
+            let x = f64::from(i) * 0.0501 - 50.0;
+            let here = value_noise(7, x, 0.37 * x);
+            let next = value_noise(7, x + 1e-4, 0.37 * x);
+            assert!(here.abs() <= 1.0 && (here - next).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_wobble_stays_within_one() {
+        let wobble = Wobble::new(1, 10.0);
+        assert!((0..1000).all(|i| wobble.at(f64::from(i) * 0.01).abs() <= 1.0));
+    }
+}

@@ -1,0 +1,142 @@
+//! Textures made from numbers. Colours are gray levels 0 to 255; lengths are metres.
+
+use super::noise::{cell, fractal, smooth_step, value_noise, visibility};
+
+type Point = (f64, f64);
+
+fn tinted(gray: f32, tint: [f32; 3]) -> [f32; 3] {
+    tint.map(|t| (gray * t).clamp(0.0, 255.0))
+}
+
+/// Stones in bitumen: octaves between 16 and 1 mm carry the detail, metres carry the wear.
+pub(super) fn asphalt(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
+    let wear = fractal(seed ^ 1, at, footprint_m, 1.2, 4, 0.6);
+    let stones = fractal(seed ^ 2, at, footprint_m, 0.016, 5, 0.95);
+    let bright = (fractal(seed ^ 3, at, footprint_m, 0.009, 2, 0.7) - 0.35).max(0.0);
+    tinted(102.0 + 16.0 * wear + 115.0 * stones + 150.0 * bright, [1.0, 1.0, 1.02])
+}
+
+/// Loops of 5 by 4 mm, each with its own brightness, higher in the middle; yarn of two shades in clouds.
+pub(super) fn carpet(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
+    let (loop_x, loop_y) = (0.005, 0.004);
+    // Real rows are not quite straight.
+    let bent_x = x + 0.002 * f64::from(value_noise(seed ^ 11, x / 0.05, y / 0.05));
+    let bent_y = y + 0.002 * f64::from(value_noise(seed ^ 12, x / 0.05, y / 0.05));
+    let row = (bent_y / loop_y).floor();
+    let along = bent_x / loop_x + 0.5 * row.rem_euclid(2.0);
+    let (u, v) = (along.fract_floor() - 0.5, bent_y / loop_y - row - 0.5);
+    let bump = (1.0 - 4.0 * u * u).max(0.0) * (1.0 - 4.0 * v * v).max(0.0);
+    let seen = visibility(loop_y, footprint_m);
+    let own = cell(seed ^ 13, along.floor() as i64 as i32, row as i64 as i32) - 0.5;
+    let shade = fractal(seed ^ 14, (x, y), footprint_m, 0.06, 4, 0.8);
+    let fibre = fractal(seed ^ 16, (x, y), footprint_m, 0.004, 2, 0.8);
+    let wear = fractal(seed ^ 15, (x, y), footprint_m, 1.5, 3, 0.5);
+    let gray = 98.0
+        + seen * (46.0 * own * bump as f32 + 30.0 * (bump as f32 - 0.44))
+        + 62.0 * shade
+        + 30.0 * fibre
+        + 12.0 * wear;
+    tinted(gray, [1.08, 0.98, 0.92])
+}
+
+/// Square tiles with a grout of 4 mm, each a little lighter or darker, with faint marbling.
+pub(super) fn tiles(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
+    let side = 0.20;
+    let grout = joint(x, side, 0.004, footprint_m).max(joint(y, side, 0.004, footprint_m));
+    let (i, j) = ((x / side).floor() as i64 as i32, (y / side).floor() as i64 as i32);
+    let own = cell(seed ^ 21, i, j) - 0.5;
+    // Marbling starts anew on every tile.
+    let shift = f64::from(cell(seed ^ 22, i, j)) * 50.0;
+    let marble = fractal(seed ^ 23, (x + shift, y - shift), footprint_m, 0.05, 5, 0.6);
+    let face = 168.0 + 6.0 * own + 10.0 * marble;
+    let mortar = 95.0 + 14.0 * fractal(seed ^ 24, (x, y), footprint_m, 0.02, 4, 0.8);
+    tinted(face + grout * (mortar - face), [1.0, 0.99, 0.95])
+}
+
+/// Bricks in running bond with 8 mm of mortar, each with its own colour and a rough face.
+pub(super) fn bricks(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
+    let (length, width) = (0.218, 0.073);
+    let row = (y / width).floor();
+    let along = x + 0.5 * length * row.rem_euclid(2.0);
+    let mortar_share = joint(along, length, 0.008, footprint_m).max(joint(y, width, 0.008, footprint_m));
+    let (i, j) = ((along / length).floor() as i64 as i32, row as i64 as i32);
+    let own = cell(seed ^ 31, i, j) - 0.5;
+    let red = cell(seed ^ 32, i, j) - 0.5;
+    let face = fractal(seed ^ 33, (x, y), footprint_m, 0.03, 5, 0.75);
+    let gray = 108.0 + 34.0 * own + 44.0 * face;
+    let mortar = 140.0 + 40.0 * fractal(seed ^ 34, (x, y), footprint_m, 0.012, 4, 0.85);
+    let brick = tinted(gray, [1.32 + 0.2 * red, 0.88, 0.72]);
+    let mortar = tinted(mortar, [1.0, 0.98, 0.94]);
+    std::array::from_fn(|c| brick[c] + mortar_share * (mortar[c] - brick[c]))
+}
+
+/// Blades: noise drawn out along five directions, the brightest one on top, over dark soil.
+pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3] {
+    // Directions that turn slowly over the ground keep the blades from lining up.
+    let bend = 1.2 * f64::from(value_noise(seed ^ 41, x / 0.07, y / 0.07));
+    let seen = visibility(0.003, footprint_m);
+    let mut top = -1.0f32;
+    for blade in 0..5u32 {
+        let angle = f64::from(blade) * 0.628 + bend;
+        let (sin, cos) = angle.sin_cos();
+        let (along, across) = (cos * x + sin * y, -sin * x + cos * y);
+        top = top.max(value_noise(seed ^ (42 + blade), along / 0.022, across / 0.003));
+    }
+    let tufts = fractal(seed ^ 48, at, footprint_m, 0.05, 4, 0.8);
+    let patches = fractal(seed ^ 49, at, footprint_m, 1.5, 4, 0.6);
+    let gray = 92.0 + seen * 55.0 * (top - 0.45) + 75.0 * tufts + 26.0 * patches;
+    let dry = 0.25 * patches;
+    tinted(gray, [0.85 + dry, 1.18, 0.48 + 0.5 * dry])
+}
+
+/// Clouds over decimetres, fine grain, and a pore here and there.
+pub(super) fn concrete(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
+    let clouds = fractal(seed ^ 51, at, footprint_m, 0.8, 5, 0.6);
+    let grain = fractal(seed ^ 52, at, footprint_m, 0.008, 3, 0.9);
+    let pores = (fractal(seed ^ 53, at, footprint_m, 0.012, 2, 0.5) - 0.62).max(0.0);
+    tinted(148.0 + 9.0 * clouds + 9.0 * grain - 130.0 * pores, [1.0, 1.0, 0.98])
+}
+
+/// A painted floor: what little there is, is about one gray level.
+pub(super) fn bare(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
+    let clouds = fractal(seed ^ 61, at, footprint_m, 0.5, 4, 0.7);
+    let grain = fractal(seed ^ 62, at, footprint_m, 0.02, 4, 0.8);
+    tinted(152.0 + 1.6 * clouds + 2.0 * grain, [1.0, 1.0, 1.0])
+}
+
+/// How much a point belongs to a patch, 0 to 1; patches cover about half of the ground.
+pub(super) fn patch(seed: u32, (x, y): Point, patch_m: f64) -> f32 {
+    let coarse = fractal(seed ^ 71, (x, y), 1e-4, patch_m, 3, 0.4);
+    // Borders are ragged over centimetres.
+    let ragged = fractal(seed ^ 72, (x, y), 1e-4, 0.12, 4, 0.7);
+    smooth_step(0.5 + f64::from(coarse + 0.10 * ragged) / 0.12) as f32
+}
+
+/// Darkness of shadows that lie on the ground, 0 (lit) to 1.
+pub(super) fn ground_shadow(seed: u32, (x, y): Point) -> f32 {
+    // Drawn out, as the shadows of poles and branches are.
+    let (along, across) = (0.94 * x + 0.34 * y, -0.34 * x + 0.94 * y);
+    let value = value_noise(seed ^ 81, along / 3.0, across / 0.6);
+    smooth_step(f64::from(value - 0.25) / 0.12) as f32
+}
+
+/// How much of a pixel lies on a joint of `width` that comes every `period`, 0 to 1.
+fn joint(x: f64, period: f64, width: f64, footprint_m: f64) -> f32 {
+    let from_middle = (x / period - (x / period).round()).abs() * period;
+    // Half a pixel of the joint's edge on either side, and edges are never sharper than a millimetre.
+    let soft = footprint_m.max(0.001);
+    let covered = smooth_step(0.5 + (0.5 * width - from_middle) / (1.5 * soft));
+    // A joint narrower than the pixel cannot fill it.
+    (covered * (width / footprint_m).min(1.0)) as f32
+}
+
+/// The part after the decimal point, from the floor.
+trait FractFloor {
+    fn fract_floor(self) -> f64;
+}
+
+impl FractFloor for f64 {
+    fn fract_floor(self) -> f64 {
+        self - self.floor()
+    }
+}
