@@ -1,7 +1,7 @@
 //! What is known of each frame: the values that leave the pipeline and that maps, reports and files are made of.
 
 use crate::geometry::GroundPose;
-use nalgebra::Matrix6;
+use nalgebra::{Isometry3, Matrix6};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -112,4 +112,40 @@ pub fn distance_m(frames: &[FrameEstimate]) -> f64 {
         .filter(|pair| pair[0].0 == pair[1].0)
         .map(|pair| (pair[1].1.x_m - pair[0].1.x_m).hypot(pair[1].1.y_m - pair[0].1.y_m))
         .sum()
+}
+
+/// Where a camera was at a time: an entry of a trajectory file, from whatever program it comes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StampedPose {
+    /// Seconds, from any beginning that the trajectory's poses share.
+    pub time_s: f64,
+    /// Takes points in the camera to the world, metres.
+    pub world_from_camera: Isometry3<f64>,
+}
+
+/// Poses in the order of their times, which strictly increase.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Trajectory {
+    /// The poses, earliest first.
+    pub poses: Vec<StampedPose>,
+}
+
+impl Trajectory {
+    /// The poses of the frames that have one.
+    pub fn from_frames(frames: &[FrameEstimate]) -> Self {
+        let pose = |frame: &FrameEstimate| {
+            let world_from_camera = frame.estimate.as_ref()?.pose.world_from_camera();
+            Some(StampedPose { time_s: frame.time_s, world_from_camera })
+        };
+        Self { poses: frames.iter().filter_map(pose).collect() }
+    }
+
+    /// Length of the path through all camera centres, metres; gaps count as straight lines.
+    pub fn length_m(&self) -> f64 {
+        let step = |pair: &[StampedPose]| {
+            let [a, b] = [0, 1].map(|i: usize| pair[i].world_from_camera.translation.vector);
+            (b - a).norm()
+        };
+        self.poses.windows(2).map(step).sum()
+    }
 }

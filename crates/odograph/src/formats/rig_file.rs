@@ -1,0 +1,137 @@
+//! Rig files: how the camera sits over the ground, as TOML that a person can write.
+//!
+//! ```toml
+//! height_m = 0.75    # camera centre above the ground
+//! roll_deg = -0.4    # angles against straight down, 0 where left out
+//! pitch_deg = 1.2
+//! yaw_deg = 90       # top of the image, counter-clockwise from forward
+//! ```
+//!
+//! Each angle may be given in radians instead (`roll_rad`, …). Keys that are not ours are ignored.
+
+use crate::camera::Rig;
+use crate::error::{Error, Result};
+use std::fmt::Write;
+use toml::{Table, Value};
+
+/// Rig files are a few lines.
+const MAX_BYTES: usize = 1 << 20;
+
+/// Reads a rig from TOML text.
+///
+/// Fails, naming the key, where the height is missing, a value is not a finite number, an angle is given in both units, or
+/// the rig does not look at the ground ([`Rig::validated`]).
+pub fn parse(text: &str) -> Result<Rig> {
+    if text.len() > MAX_BYTES {
+        return Err(Error::input(format!("the rig file has {} bytes; is this the right file?", text.len())));
+    }
+    let text = text.trim_start_matches('\u{feff}');
+    let table: Table = text.parse().map_err(|error: toml::de::Error| {
+        let line =
+            error.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|&b| b == b'\n').count());
+        let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+        Error::input(format!("line {line} of the rig file is not TOML: {message}"))
+    })?;
+    let height_m = number(&table, "height_m")?.ok_or_else(|| {
+        Error::input("the rig file has no `height_m`; add the camera's height above the ground in metres")
+    })?;
+    let rig = Rig {
+        height_m,
+        roll_rad: angle(&table, "roll")?,
+        pitch_rad: angle(&table, "pitch")?,
+        yaw_rad: angle(&table, "yaw")?,
+    };
+    rig.validated().map_err(|error| Error::input(error.to_string()))
+}
+
+/// The rig as TOML text in degrees; [`parse`] returns the identical rig. An angle that no number of degrees gives back
+/// exactly is written in radians.
+pub fn write(rig: &Rig) -> String {
+    let mut text = format!("height_m = {:?}\n", rig.height_m);
+    for (name, radians) in [("roll", rig.roll_rad), ("pitch", rig.pitch_rad), ("yaw", rig.yaw_rad)] {
+        let nearest = radians.to_degrees();
+        let candidates = [nearest, nearest.next_up(), nearest.next_down()];
+        let _ = match candidates.into_iter().find(|degrees| degrees.to_radians() == radians) {
+            Some(degrees) => writeln!(text, "{name}_deg = {degrees:?}"),
+            None => writeln!(text, "{name}_rad = {radians:?} # {nearest:.4} degrees"),
+        };
+    }
+    text
+}
+
+/// An angle in radians from the key of either unit; 0 without one.
+fn angle(table: &Table, name: &str) -> Result<f64> {
+    let degrees = number(table, &format!("{name}_deg"))?;
+    let radians = number(table, &format!("{name}_rad"))?;
+    match (degrees, radians) {
+        (Some(_), Some(_)) => Err(Error::input(format!(
+            "the rig file has both `{name}_deg` and `{name}_rad`; keep one of them"
+        ))),
+        (Some(degrees), None) => Ok(degrees.to_radians()),
+        (None, Some(radians)) => Ok(radians),
+        (None, None) => Ok(0.0),
+    }
+}
+
+fn number(table: &Table, key: &str) -> Result<Option<f64>> {
+    let number = match table.get(key) {
+        None => return Ok(None),
+        Some(Value::Float(number)) => *number,
+        Some(Value::Integer(number)) => *number as f64,
+        Some(other) => {
+            let shown: String = other.to_string().chars().take(40).collect();
+            return Err(Error::input(format!("{key} is {shown} in the rig file; it must be a number")));
+        }
+    };
+    if number.is_finite() {
+        return Ok(Some(number));
+    }
+    Err(Error::input(format!("{key} is {number} in the rig file; it must be a finite number")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn degrees_and_radians_are_read_and_strange_keys_ignored() {
+        let rig =
+            parse("height_m = 1\nroll_deg = 90e-1\npitch_rad = 0.1\ncolour = 'red'\n[more]\nx = 1").unwrap();
+        assert_eq!(rig, Rig { height_m: 1.0, roll_rad: 9f64.to_radians(), pitch_rad: 0.1, yaw_rad: 0.0 });
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        for (text, part) in [
+            ("", "no `height_m`"),
+            ("height_m = -1", "-1 m"),
+            ("height_m = nan", "height_m is NaN"),
+            ("height_m = 'tall'", "height_m is \"tall\""),
+            ("height_m = 1\nroll_deg = 1\nroll_rad = 1", "both `roll_deg` and `roll_rad`"),
+            ("height_m = 1\npitch_deg = 95", "does not look at the ground"),
+            ("height_m = 1\n\nroll_deg = = 3", "line 3"),
+            ("height_m = 1\nheight_m = 2", "line 2"),
+        ] {
+            let error = parse(text).unwrap_err();
+            assert!(error.to_string().contains(part), "{text:?}: {error}");
+            assert_eq!(error.kind(), crate::error::ErrorKind::Input);
+            assert!(!error.to_string().contains('\n'));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_written_rig_is_read_back_identically(height_m in 1e-3..1e3, roll_rad in -1.0..1.0, pitch_rad in -1.0..1.0, yaw_rad in -4.0..4.0) {
+            let rig = Rig { height_m, roll_rad, pitch_rad, yaw_rad };
+            if let Ok(rig) = rig.validated() {
+                prop_assert_eq!(parse(&write(&rig)).unwrap(), rig);
+            }
+        }
+
+        #[test]
+        fn any_text_is_survived(text in ".*") {
+            let _ = parse(&text);
+        }
+    }
+}
