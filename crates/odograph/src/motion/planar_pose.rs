@@ -172,7 +172,8 @@ pub fn refine(
     let variance_px2 = squares / (2 * count - unknowns.count) as f64;
     Some(MotionEstimate {
         pose,
-        covariance: covariance(&information, &unknowns, variance_px2)?,
+        covariance: covariance(&information, &unknowns, variance_px2)?
+            + shared_errors(camera, &pose, &unknowns),
         inliers,
         residual_px: (squares / count as f64).sqrt(),
     })
@@ -199,6 +200,20 @@ fn covariance(information: &Matrix6<f64>, unknowns: &Unknowns, variance_px2: f64
     let inverse = DMatrix::from_fn(n, n, |i, j| information[(i, j)]).cholesky()?.inverse();
     Some(Matrix6::from_fn(|i, j| if i < n && j < n { inverse[(i, j)] * variance_px2 } else { 0.0 }))
 }
+
+/// Covariance of what all tracks have in common and no number of them averages away: the bias of interpolation at fractions of a pixel, the
+/// rest of the lens that its model leaves. [`SHARED_ERROR_PX`] is what rendered drives show; turned into heading and tilt over half the image.
+fn shared_errors(camera: &Camera, pose: &GroundPose, unknowns: &Unknowns) -> Matrix6<f64> {
+    let focal_px = camera.focal_px().0;
+    let shift_m = SHARED_ERROR_PX * pose.height_m / focal_px;
+    let turn_rad = 2.0 * SHARED_ERROR_PX / (camera.width().min(camera.height()) as f64);
+    let tilt_rad = SHARED_ERROR_PX / focal_px;
+    let sigmas = [shift_m, shift_m, turn_rad, turn_rad * pose.height_m, tilt_rad, tilt_rad];
+    Matrix6::from_fn(|i, j| if i == j && i < unknowns.count { sigmas[i] * sigmas[i] } else { 0.0 })
+}
+
+/// Pixels, one standard deviation.
+const SHARED_ERROR_PX: f64 = 0.01;
 
 fn reprojection_errors(camera: &Camera, observations: &[Observation], pose: &GroundPose) -> Vec<f64> {
     observations

@@ -51,6 +51,7 @@ pub fn confirm(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
     camera: &Camera,
+    prediction: &GroundPose,
     measurement: Measurement,
     config: &OdometryConfig,
     random: &mut Random,
@@ -61,8 +62,7 @@ pub fn confirm(
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
     let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
-    let prediction = measurement.estimate.pose;
-    judge(keyframe, found, camera, &prediction, config, random).unwrap_or(measurement)
+    judge(keyframe, found, camera, prediction, config, random).unwrap_or(measurement)
 }
 
 /// Searches every corner where and in which shape the predicted pose expects it.
@@ -175,5 +175,5 @@ pub fn is_bare(pyramid: &Pyramid) -> bool {
 /// So many corners on a coarse level make texture.
 const ENOUGH_CORNERS: usize = 20;
 
-/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves 0.1 there.
-const BARE_STRENGTH: f32 = 0.3;
+/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves about 0.03 there.
+const BARE_STRENGTH: f32 = 0.1;

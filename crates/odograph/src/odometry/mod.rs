@@ -157,13 +157,27 @@ impl Odometry {
         };
         let mut random = Random::new(self.frames);
         let mut outcome = Err(LossReason::Jump);
-        for prediction in [last.extrapolated(time_s), last.pose] {
+        // The mean vector is measured from the last frame; poses are measured from where the camera is thought to be.
+        let extrapolated = match self.config.motion.model {
+            MotionModel::Mean => last.pose,
+            _ => last.extrapolated(time_s),
+        };
+        for prediction in [extrapolated, last.pose] {
             outcome =
                 follow::measure(keyframe, pyramid, &self.camera, &prediction, &self.config, &mut random);
             if let Ok(measurement) = outcome {
                 let builds_on_it = measurement.support < self.config.keyframe.support;
                 return Ok(if builds_on_it {
-                    follow::confirm(keyframe, pyramid, &self.camera, measurement, &self.config, &mut random)
+                    let camera = &self.camera;
+                    follow::confirm(
+                        keyframe,
+                        pyramid,
+                        camera,
+                        &prediction,
+                        measurement,
+                        &self.config,
+                        &mut random,
+                    )
                 } else {
                     measurement
                 });
@@ -212,13 +226,11 @@ impl Odometry {
     fn lose(&mut self, pyramid: Pyramid, time_s: f64, reason: LossReason) -> FrameEstimate {
         let bare = follow::is_bare(&pyramid);
         if self.last.is_none() && !bare {
-            return self.begin(pyramid, time_s, self.first_pose, Matrix6::zeros());
+            return self.begin(pyramid, time_s);
         }
         self.tracks.clear();
         let reason = if bare { LossReason::Bare } else { reason };
-        if bare {
-            self.candidate = None;
-        } else if let Some(found) = self.find_candidate(&pyramid) {
+        if let Some(found) = self.find_candidate(&pyramid) {
             return self.begin_segment(pyramid, time_s, found);
         } else if self.candidate.is_none() {
             self.candidate = self.propose(pyramid, time_s);
@@ -237,13 +249,8 @@ impl Odometry {
     }
 
     /// The first frame that shows ground is where the world begins.
-    fn begin(
-        &mut self,
-        pyramid: Pyramid,
-        time_s: f64,
-        pose: GroundPose,
-        covariance: Matrix6<f64>,
-    ) -> FrameEstimate {
+    fn begin(&mut self, pyramid: Pyramid, time_s: f64) -> FrameEstimate {
+        let (pose, covariance) = (self.first_pose, Matrix6::zeros());
         let keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
         let corners = keyframe.corners.len();
         self.tracks = keyframe
@@ -269,11 +276,13 @@ impl Odometry {
 
     /// A keyframe of an unmeasured frame, laid where the camera would be had it gone on as it went.
     fn propose(&mut self, pyramid: Pyramid, time_s: f64) -> Option<Candidate> {
-        let last = self.last.as_ref()?;
-        let pose = last.extrapolated(time_s);
-        let covariance = last.covariance + last.gap_covariance(time_s);
+        let (pose, covariance) = match &self.last {
+            Some(last) => (last.extrapolated(time_s), last.covariance + last.gap_covariance(time_s)),
+            None => (self.first_pose, Matrix6::zeros()),
+        };
         let keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
-        Some(Candidate { keyframe, pose, confirmations: 0 })
+        let enough = keyframe.corners.len() >= 2 * self.config.motion.minimum_inliers;
+        enough.then_some(Candidate { keyframe, pose, confirmations: 0 })
     }
 
     /// Measures against the candidate; gives the measurement once it has been confirmed often enough.
@@ -309,7 +318,8 @@ impl Odometry {
             }
             self.keyframes += 1;
         }
-        self.segment += 1;
+        // The very first ground is not a new segment.
+        self.segment += usize::from(self.last.is_some());
         self.last = None;
         self.filter = None;
         self.accept(pyramid, time_s, measurement)
