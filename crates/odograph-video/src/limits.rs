@@ -6,6 +6,9 @@ use odograph::error::{Error, Result};
 pub(crate) const MAX_SIDE: usize = 16_384;
 /// Largest frame, in pixels.
 pub(crate) const MAX_PIXELS: usize = 256 << 20;
+/// Largest frame of a video, in pixels: a little more than 8K. Decoders keep up to 17 frames, so a header's word alone must not
+/// ask for much.
+pub(crate) const MAX_VIDEO_PIXELS: usize = 36 << 20;
 /// Largest single compressed picture or video sample, in bytes.
 pub(crate) const MAX_SAMPLE_BYTES: u64 = 256 << 20;
 /// Largest index (the `moov` box of an MP4 file, the headers of a Matroska file), in bytes.
@@ -25,4 +28,17 @@ pub(crate) fn check_size(width: usize, height: usize) -> Result<usize> {
             MAX_PIXELS >> 20
         ))),
     }
+}
+
+/// As [`check_size`], for the frames of a video before its decoder asks for memory.
+pub(crate) fn check_video_size(width: usize, height: usize) -> Result<usize> {
+    check_size(width, height).and_then(|pixels| {
+        if pixels > MAX_VIDEO_PIXELS {
+            return Err(Error::input(format!(
+                "a video of {width}x{height} pixels is larger than the {} megapixels this program takes",
+                MAX_VIDEO_PIXELS >> 20
+            )));
+        }
+        Ok(pixels)
+    })
 }

@@ -1,5 +1,8 @@
 //! What a caller sees: options in, a source of frames out.
 
+use crate::container::annex_b::{self, AnnexBReader};
+use crate::container::avi::AviReader;
+use crate::container::matroska::{self, MatroskaReader};
 use crate::container::mp4::Mp4Reader;
 use crate::frame::{Frame, Picture};
 use crate::limits;
@@ -161,7 +164,7 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         .read_to_end(&mut magic)
         .and_then(|_| file.rewind())
         .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
-    let video = |reader| video::open(path, reader, None, options.color);
+    let video = |reader| video::open(path, reader, options.color);
     match magic.as_slice() {
         [] => Err(Error::input("the file is empty")),
         m if m.starts_with(y4m::MAGIC) => {
@@ -173,6 +176,9 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         {
             video(Box::new(Mp4Reader::open(file)?))
         }
+        m if m.starts_with(&matroska::MAGIC) => video(Box::new(MatroskaReader::open(file)?)),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => video(Box::new(AviReader::open(file)?)),
+        m if let Some(codec) = annex_b::codec(m) => video(Box::new(AnnexBReader::open(file, codec))),
         _ => ffmpeg::open(path, "this kind of file", options.color),
     }
 }

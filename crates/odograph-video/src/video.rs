@@ -13,7 +13,6 @@ use std::path::Path;
 pub(crate) fn open(
     path: &Path,
     reader: Box<dyn PacketReader>,
-    frames_per_second: Option<f64>,
     color: bool,
 ) -> Result<Opened> {
     let track = reader.track().clone();
@@ -64,7 +63,7 @@ pub(crate) fn open(
         description: format!("{} in {}", video.decoder.description(), video.track.container),
         timestamps_used: false,
         times_known: video.track.times != Times::Unknown,
-        frames_per_second: frames_per_second.or(video.decoder.frames_per_second()),
+        frames_per_second: video.decoder.frames_per_second(),
         frames: Box::new(video),
     })
 }

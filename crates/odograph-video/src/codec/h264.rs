@@ -81,7 +81,7 @@ impl SetUp {
             _ => return Err(Error::input("the set-up of the H.264 stream (avcC) is cut off")),
         }
         if let Some(p) = &set_up.parameters {
-            limits::check_size(p.coded_width, p.coded_height)?;
+            limits::check_video_size(p.coded_width, p.coded_height)?;
         }
         Ok(set_up)
     }
@@ -112,7 +112,7 @@ impl SetUp {
     fn look_for_parameters(&mut self, units: &[&[u8]]) -> Result<()> {
         for unit in units.iter().filter(|u| u[0] & 31 == 7) {
             if let Some(read) = SequenceParameters::read(unit) {
-                limits::check_size(read.coded_width, read.coded_height)?;
+                limits::check_video_size(read.coded_width, read.coded_height)?;
                 self.parameters = Some(read);
             }
         }

@@ -1,6 +1,8 @@
 //! JPEG (ITU-T T.81), single pictures and the frames of Motion JPEG.
 
+use super::{Decoded, Decoder, Refusal, Stamp};
 use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture, picture_from_rgb};
+use crate::guard::guarded;
 use crate::limits;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
@@ -41,4 +43,47 @@ pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
         _ => picture_from_rgb(width, height, samples, color),
     };
     picture.ok_or_else(|| damaged(&"it does not have as many samples as its size says"))
+}
+
+/// Motion JPEG: every sample is a picture of its own.
+pub(crate) struct MotionJpeg {
+    color: bool,
+    /// The height the container says, to tell when a sample holds the two fields of an interlaced frame.
+    height: usize,
+    number: i64,
+}
+
+impl MotionJpeg {
+    pub fn new(height: usize, color: bool) -> Self {
+        Self { color, height, number: 0 }
+    }
+}
+
+impl Decoder for MotionJpeg {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+        let picture = guarded("JPEG", || decode(data, self.color))?;
+        let picture = picture.map_err(|error| Refusal::Damaged(error.to_string()))?;
+        if self.height > 0 && picture.gray.height() * 2 <= self.height {
+            return Err(Refusal::Unsupported("interlaced".into()));
+        }
+        self.number += 1;
+        out.push(Decoded { picture, stamp, order: self.number, starts_group: false });
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+        Ok(())
+    }
+
+    fn reorder_depth(&self) -> usize {
+        0
+    }
+
+    fn frames_per_second(&self) -> Option<f64> {
+        None
+    }
+
+    fn description(&self) -> String {
+        "Motion JPEG".to_string()
+    }
 }

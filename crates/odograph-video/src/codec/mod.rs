@@ -2,9 +2,12 @@
 
 pub(crate) mod bits;
 pub(crate) mod h264;
-pub(crate) mod jpeg;
 mod h264_parameters;
-mod nal;
+mod h265;
+mod h265_parameters;
+pub(crate) mod jpeg;
+pub(crate) mod nal;
+mod vp9;
 
 pub(crate) use h264::{narrow, narrow_little_endian};
 
@@ -69,7 +72,16 @@ pub(crate) trait Decoder: Send {
 pub(crate) fn decoders(track: &Track, color: bool) -> Result<Vec<MakeDecoder>> {
     Ok(match track.codec {
         Codec::H264 => h264::decoders(track, color)?,
-        _ => Vec::new(),
+        Codec::H265 => h265::decoders(track, color)?,
+        Codec::Vp9 => {
+            let track = track.clone();
+            vec![Box::new(move || Ok(Box::new(vp9::Vp9::new(&track, color))))]
+        }
+        Codec::MotionJpeg => {
+            let height = track.height;
+            vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))]
+        }
+        Codec::Other(_) => Vec::new(),
     })
 }
 

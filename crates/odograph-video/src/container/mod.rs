@@ -1,6 +1,9 @@
 //! Containers: files → compressed samples of one video track, with their times.
 
+pub(crate) mod annex_b;
+pub(crate) mod avi;
 pub(crate) mod bytes;
+pub(crate) mod matroska;
 pub(crate) mod mp4;
 mod mp4_tables;
 
