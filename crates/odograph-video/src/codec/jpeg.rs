@@ -1,0 +1,89 @@
+//! JPEG (ITU-T T.81), single pictures and the frames of Motion JPEG.
+
+use super::{Decoded, Decoder, Refusal, Stamp};
+use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture, picture_from_rgb};
+use crate::guard::guarded;
+use crate::limits;
+use odograph::error::{Error, Result};
+use odograph::image::GrayImage;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
+
+/// Decodes a picture: the luminance as it stands where the file stores it, otherwise from red, green and blue.
+///
+/// May panic in the decoder; callers guard it.
+pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
+    let damaged = |error: &dyn std::fmt::Display| Error::input(format!("the JPEG picture cannot be decoded: {error}"));
+    let options =
+        DecoderOptions::default().set_max_width(limits::MAX_SIDE).set_max_height(limits::MAX_SIDE).set_strict_mode(false);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(|e| damaged(&e))?;
+    let info = decoder.info().ok_or_else(|| damaged(&"it has no head"))?;
+    let (width, height) = (usize::from(info.width), usize::from(info.height));
+    let pixels = limits::check_size(width, height)?;
+    let wanted = match decoder.input_colorspace() {
+        Some(ColorSpace::Luma) => ColorSpace::Luma,
+        Some(ColorSpace::YCbCr) if color => ColorSpace::YCbCr,
+        Some(ColorSpace::YCbCr) => ColorSpace::Luma,
+        _ => ColorSpace::RGB,
+    };
+    decoder.set_options(options.jpeg_set_out_colorspace(wanted));
+    let samples = decoder.decode().map_err(|e| damaged(&e))?;
+    let picture = match wanted {
+        ColorSpace::Luma => GrayImage::from_samples(width, height, samples).map(Picture::gray),
+        ColorSpace::YCbCr if samples.len() == 3 * pixels => {
+            let plane = |channel: usize| samples.iter().copied().skip(channel).step_by(3).collect::<Vec<u8>>();
+            let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: true };
+            let chroma = Chroma { width, height, blue: plane(1), red: plane(2), encoding };
+            GrayImage::from_samples(width, height, plane(0))
+                .map(|gray| Picture { gray, color: Some(Color::Chroma(chroma)) })
+        }
+        _ => picture_from_rgb(width, height, samples, color),
+    };
+    picture.ok_or_else(|| damaged(&"it does not have as many samples as its size says"))
+}
+
+/// Motion JPEG: every sample is a picture of its own.
+pub(crate) struct MotionJpeg {
+    color: bool,
+    /// The height the container says, to tell when a sample holds the two fields of an interlaced frame.
+    height: usize,
+    number: i64,
+}
+
+impl MotionJpeg {
+    pub fn new(height: usize, color: bool) -> Self {
+        Self { color, height, number: 0 }
+    }
+}
+
+impl Decoder for MotionJpeg {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+        let picture = guarded("JPEG", || decode(data, self.color))?;
+        let picture = picture.map_err(|error| Refusal::Damaged(error.to_string()))?;
+        if self.height > 0 && picture.gray.height() * 2 <= self.height {
+            return Err(Refusal::Unsupported("interlaced".into()));
+        }
+        self.number += 1;
+        out.push(Decoded { picture, stamp, order: self.number, starts_group: false });
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+        Ok(())
+    }
+
+    fn reorder_depth(&self) -> usize {
+        0
+    }
+
+    fn frames_per_second(&self) -> Option<f64> {
+        None
+    }
+
+    fn description(&self) -> String {
+        "Motion JPEG".to_string()
+    }
+}

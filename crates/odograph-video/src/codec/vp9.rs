@@ -1,0 +1,109 @@
+//! VP9, with `rusty_vp9`: all profiles, 8 to 12 bits.
+
+use super::{Decoded, Decoder, Refusal, Stamp, narrow_little_endian};
+use crate::container::Track;
+use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture};
+use crate::guard::guarded;
+use crate::limits;
+use odograph::error::Error;
+use odograph::image::GrayImage;
+use rusty_vp9::{BitReader, Vp9Decoder, parse_uncompressed_header};
+
+/// A packet in, at most one picture out; VP9 shows its pictures in the order of its packets.
+pub(crate) struct Vp9 {
+    decoder: Vp9Decoder,
+    encoding: Option<ColorEncoding>,
+    stream_encoding: ColorEncoding,
+    color: bool,
+    number: i64,
+}
+
+impl Vp9 {
+    pub fn new(track: &Track, color: bool) -> Self {
+        Self {
+            decoder: Vp9Decoder::new(),
+            encoding: track.encoding,
+            stream_encoding: ColorEncoding::default(),
+            color,
+            number: 0,
+        }
+    }
+}
+
+impl Decoder for Vp9 {
+    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+        let head = guarded("VP9", || parse_uncompressed_header(&mut BitReader::new(data), &[(0, 0); 8]))?;
+        if let Ok(head) = head {
+            if head.sized && head.width > 0 && head.height > 0 {
+                limits::check_video_size(head.width as usize, head.height as usize)?;
+            }
+            if head.key_frame {
+                // VP9 bitstream specification, 7.2.2: color_space.
+                self.stream_encoding.matrix = match head.color_space {
+                    1 | 3 | 4 => Matrix::Bt601,
+                    2 => Matrix::Bt709,
+                    5 => Matrix::Bt2020,
+                    _ => Matrix::Unspecified,
+                };
+                if head.color_space == 7 {
+                    return Err(Refusal::Unsupported("RGB".into()));
+                }
+            }
+        }
+        let damaged = |error: rusty_vp9::Error| Refusal::Damaged(error.to_string());
+        guarded("VP9", || self.decoder.push(data, None))?.map_err(damaged)?;
+        // At most eight frames are in a packet; each call takes one.
+        for _ in 0..9 {
+            let frame = match guarded("VP9", || self.decoder.next_frame())? {
+                Ok(frame) => frame,
+                Err(rusty_vp9::Error::Again) => continue,
+                Err(rusty_vp9::Error::Eof) => break,
+                Err(error @ (rusty_vp9::Error::Unsupported(_) | rusty_vp9::Error::Unimplemented(_))) => {
+                    return Err(Refusal::Unsupported(error.to_string()));
+                }
+                Err(error) => return Err(damaged(error)),
+            };
+            let shift = frame.bit_depth.saturating_sub(8) as u8;
+            let mut planes = frame.planes.into_iter().map(|p| match shift {
+                0 => p,
+                shift => narrow_little_endian(&p, shift),
+            });
+            let (width, height) = (frame.width as usize, frame.height as usize);
+            let gray = planes
+                .next()
+                .and_then(|luminance| GrayImage::from_samples(width, height, luminance))
+                .ok_or_else(|| Refusal::Broken(Error::input("the VP9 decoder gave a picture of the wrong size")))?;
+            let color = match (planes.next(), planes.next()) {
+                (Some(blue), Some(red)) if self.color => Some(Chroma {
+                    width: (width + frame.subsampling_x as usize) >> frame.subsampling_x,
+                    height: (height + frame.subsampling_y as usize) >> frame.subsampling_y,
+                    blue,
+                    red,
+                    encoding: self.encoding.unwrap_or(self.stream_encoding),
+                })
+                .filter(Chroma::is_whole)
+                .map(Color::Chroma),
+                _ => None,
+            };
+            self.number += 1;
+            out.push(Decoded { picture: Picture { gray, color }, stamp, order: self.number, starts_group: false });
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+        Ok(())
+    }
+
+    fn reorder_depth(&self) -> usize {
+        0
+    }
+
+    fn frames_per_second(&self) -> Option<f64> {
+        None
+    }
+
+    fn description(&self) -> String {
+        "VP9".to_string()
+    }
+}

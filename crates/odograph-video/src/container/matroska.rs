@@ -1,0 +1,412 @@
+//! Matroska and WebM (RFC 9559, EBML of RFC 8794), also of unknown length (live recordings), also cut off.
+//!
+//! The file is read once from front to back. Segments, clusters and block groups are entered without looking at their length:
+//! only what lies inside them matters, so that lengths that are unknown or wrong do no harm.
+
+use super::bytes::{Bytes, read_up_to};
+use super::{Codec, Packet, PacketReader, Times, Track};
+use crate::frame::{ColorEncoding, Matrix};
+use crate::limits;
+use crate::rotation::Orientation;
+use odograph::error::{Error, Result};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+
+/// The first bytes of every such file.
+pub(crate) const MAGIC: [u8; 4] = [0x1a, 0x45, 0xdf, 0xa3];
+
+const SEGMENT: u32 = 0x1853_8067;
+const INFO: u32 = 0x1549_a966;
+const TRACKS: u32 = 0x1654_ae6b;
+const CLUSTER: u32 = 0x1f43_b675;
+const TIMESTAMP: u32 = 0xe7;
+const SIMPLE_BLOCK: u32 = 0xa3;
+const BLOCK_GROUP: u32 = 0xa0;
+const BLOCK: u32 = 0xa1;
+
+/// The samples of the first video track.
+pub(crate) struct MatroskaReader {
+    file: BufReader<File>,
+    length: u64,
+    at: u64,
+    first_cluster: u64,
+    track: Track,
+    number: u64,
+    /// Bytes that were taken away from the front of every sample (header stripping compression).
+    stripped: Vec<u8>,
+    tick_s: f64,
+    cluster_ticks: i64,
+    warnings: Vec<String>,
+}
+
+impl MatroskaReader {
+    pub fn open(file: File) -> Result<Self> {
+        let length = file.metadata().map(|m| m.len()).unwrap_or(0);
+        let mut reader = Self {
+            file: BufReader::with_capacity(1 << 16, file),
+            length,
+            at: 0,
+            first_cluster: 0,
+            track: Track {
+                container: "Matroska",
+                codec: Codec::Other(String::new()),
+                width: 0,
+                height: 0,
+                configuration: Vec::new(),
+                frame_count: None,
+                orientation: Orientation::default(),
+                encoding: None,
+                times: Times::Presentation,
+            },
+            number: 0,
+            stripped: Vec::new(),
+            tick_s: 1e-3,
+            cluster_ticks: 0,
+            warnings: Vec::new(),
+        };
+        reader.read_head()?;
+        Ok(reader)
+    }
+
+    /// Reads up to the first cluster.
+    fn read_head(&mut self) -> Result<()> {
+        let (mut duration_ticks, mut frame_s, mut tracks_seen) = (None, None, false);
+        let mut payload = Vec::new();
+        loop {
+            let start = self.at;
+            let Some((id, size)) = self.element()? else { break };
+            match id {
+                SEGMENT => {}
+                CLUSTER => {
+                    self.first_cluster = start;
+                    break;
+                }
+                INFO | TRACKS => {
+                    read_up_to(&mut self.file, size.unwrap_or(u64::MAX).min(self.length - self.at), &mut payload)?;
+                    self.at += payload.len() as u64;
+                    if id == INFO {
+                        for (id, value) in Elements::new(&payload) {
+                            match id {
+                                0x2a_d7b1 => self.tick_s = unsigned(value).max(1) as f64 * 1e-9,
+                                0x4489 => duration_ticks = float(value),
+                                _ => {}
+                            }
+                        }
+                    } else {
+                        tracks_seen = true;
+                        frame_s = self.read_tracks(&payload)?;
+                    }
+                }
+                _ => self.skip(size)?,
+            }
+        }
+        if !tracks_seen {
+            return Err(Error::input("there is no track in this Matroska file, or the file is cut off before them"));
+        }
+        if let (Some(duration), Some(frame_s)) = (duration_ticks, frame_s) {
+            let frames = (duration * self.tick_s / frame_s).round();
+            self.track.frame_count = (frames.is_finite() && frames > 0.0).then_some(frames as u64);
+        }
+        self.seek(self.first_cluster)
+    }
+
+    /// Chooses the first video track; gives the seconds of a frame, where it says so.
+    fn read_tracks(&mut self, tracks: &[u8]) -> Result<Option<f64>> {
+        for (id, entry) in Elements::new(tracks) {
+            let value = |wanted| Elements::new(entry).find(|(id, _)| *id == wanted).map(|(_, value)| value);
+            if id != 0xae || value(0x83).map(unsigned) != Some(1) {
+                continue;
+            }
+            self.number = value(0xd7).map_or(0, unsigned);
+            let private = value(0x63a2).unwrap_or_default();
+            let codec_id = String::from_utf8_lossy(value(0x86).unwrap_or_default()).into_owned();
+            self.track.codec = codec(codec_id.trim_end_matches('\0'), private);
+            if codec_id.starts_with("V_MS/VFW") {
+                self.track.times = Times::Decoding;
+            } else {
+                self.track.configuration = private.to_vec();
+            }
+            if let Some(video) = value(0xe0) {
+                self.read_video(video);
+            }
+            if let Some(encodings) = value(0x6d80) {
+                self.read_encodings(encodings);
+            }
+            return Ok(value(0x23_e383).map(unsigned).filter(|&ns| ns > 0).map(|ns| ns as f64 * 1e-9));
+        }
+        Err(Error::input("there is no video in this file (only sound or other data)"))
+    }
+
+    fn read_video(&mut self, video: &[u8]) {
+        for (id, value) in Elements::new(video) {
+            match id {
+                0xb0 => self.track.width = unsigned(value) as usize,
+                0xba => self.track.height = unsigned(value) as usize,
+                0x55b0 => {
+                    let mut encoding = ColorEncoding::default();
+                    for (id, value) in Elements::new(value) {
+                        match id {
+                            0x55b1 => encoding.matrix = Matrix::from_h273(unsigned(value)),
+                            0x55b9 => encoding.full_range = unsigned(value) == 2,
+                            _ => {}
+                        }
+                    }
+                    self.track.encoding = Some(encoding);
+                }
+                // The projection's roll in degrees, counter-clockwise as the viewer sees the picture turned.
+                0x7670 => {
+                    let roll = Elements::new(value).find(|(id, _)| *id == 0x7675).and_then(|(_, v)| float(v));
+                    if let Some(roll) = roll.filter(|r| r.is_finite()) {
+                        let quarter_turns = (-roll / 90.0).round().rem_euclid(4.0) as u8;
+                        self.track.orientation = Orientation::turned(quarter_turns);
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn read_encodings(&mut self, encodings: &[u8]) {
+        for (_, encoding) in Elements::new(encodings).filter(|(id, _)| *id == 0x6240) {
+            for (id, value) in Elements::new(encoding) {
+                let field = |wanted| Elements::new(value).find(|(id, _)| *id == wanted).map(|(_, v)| v);
+                match id {
+                    0x5034 if field(0x4254).map(unsigned) == Some(3) => {
+                        self.stripped = field(0x4255).unwrap_or_default().to_vec();
+                    }
+                    0x5034 => self.track.codec = Codec::Other("compressed Matroska".into()),
+                    0x5035 => self.track.codec = Codec::Other("encrypted video".into()),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    fn seek(&mut self, to: u64) -> Result<()> {
+        self.file.seek(SeekFrom::Start(to)).map_err(unreadable)?;
+        self.at = to;
+        Ok(())
+    }
+
+    fn skip(&mut self, size: Option<u64>) -> Result<()> {
+        let size = size.unwrap_or(0);
+        match i64::try_from(size) {
+            Ok(relative) if size <= self.length.saturating_sub(self.at) => {
+                self.file.seek_relative(relative).map_err(unreadable)?;
+                self.at += size;
+                Ok(())
+            }
+            _ => {
+                self.warnings.push("the file is cut off".to_string());
+                self.seek(self.length)
+            }
+        }
+    }
+
+    /// The next element's identity and length; a length may be unknown. `None` at the end.
+    fn element(&mut self) -> Result<Option<(u32, Option<u64>)>> {
+        let mut head = [0u8; 12];
+        let mut filled = 0;
+        let Some(id_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1) else {
+            return Ok(None);
+        };
+        if id_length > 4 {
+            return self.damaged();
+        }
+        for _ in 1..id_length {
+            if self.byte(&mut head, &mut filled)?.is_none() {
+                return Ok(None);
+            }
+        }
+        let id = head[..id_length].iter().fold(0, |id, &b| id << 8 | u32::from(b));
+        let Some(size_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1) else {
+            return Ok(None);
+        };
+        if size_length > 8 {
+            return self.damaged();
+        }
+        for _ in 1..size_length {
+            if self.byte(&mut head, &mut filled)?.is_none() {
+                return Ok(None);
+            }
+        }
+        Ok(Some((id, size_of(&head[id_length..filled]))))
+    }
+
+    fn damaged<T>(&mut self) -> Result<Option<T>> {
+        self.warnings.push(format!("what follows byte {} is not Matroska and was ignored", self.at));
+        self.seek(self.length)?;
+        Ok(None)
+    }
+
+    fn byte(&mut self, head: &mut [u8; 12], filled: &mut usize) -> Result<Option<u8>> {
+        let mut byte = [0];
+        if self.file.read(&mut byte).map_err(unreadable)? == 0 {
+            return Ok(None);
+        }
+        head[*filled] = byte[0];
+        *filled += 1;
+        self.at += 1;
+        Ok(Some(byte[0]))
+    }
+
+    /// A block of this track into `packet`; false for another track's.
+    fn block(&mut self, size: u64, packet: &mut Packet) -> Result<bool> {
+        if size > limits::MAX_SAMPLE_BYTES {
+            return Err(Error::input("a frame claims to take more than 256 MB"));
+        }
+        read_up_to(&mut self.file, size, &mut packet.data)?;
+        self.at += packet.data.len() as u64;
+        if (packet.data.len() as u64) < size {
+            self.warnings.push("the file is cut off inside a frame".to_string());
+            return Ok(false);
+        }
+        let mut bytes = Bytes::new(&packet.data);
+        let head = || -> Option<(u64, i16, u8)> {
+            let length = bytes.rest().first()?.leading_zeros() as usize + 1;
+            let track = size_of(bytes.take(length)?)?;
+            Some((track, bytes.u16()? as i16, bytes.u8()?))
+        };
+        let mut head = head;
+        let Some((track, ticks, flags)) = head() else { return Ok(false) };
+        if track != self.number {
+            return Ok(false);
+        }
+        if flags & 6 != 0 {
+            return Err(Error::input("several frames share a block (lacing), which video does not do"));
+        }
+        let header = packet.data.len() - bytes.rest().len();
+        packet.data.splice(..header, self.stripped.iter().copied());
+        packet.time_s = (self.cluster_ticks.saturating_add(i64::from(ticks))) as f64 * self.tick_s;
+        packet.shown = true;
+        Ok(true)
+    }
+}
+
+impl PacketReader for MatroskaReader {
+    fn track(&self) -> &Track {
+        &self.track
+    }
+
+    fn next_packet(&mut self, packet: &mut Packet) -> Result<bool> {
+        while let Some((id, size)) = self.element()? {
+            match id {
+                SEGMENT | CLUSTER | BLOCK_GROUP => {}
+                TIMESTAMP => {
+                    let size = size.unwrap_or(0).min(8);
+                    read_up_to(&mut self.file, size, &mut packet.data)?;
+                    self.at += packet.data.len() as u64;
+                    self.cluster_ticks = i64::try_from(unsigned(&packet.data)).unwrap_or(i64::MAX);
+                }
+                SIMPLE_BLOCK | BLOCK => {
+                    if self.block(size.unwrap_or(u64::MAX), packet)? {
+                        return Ok(true);
+                    }
+                }
+                _ => self.skip(size)?,
+            }
+        }
+        Ok(false)
+    }
+
+    fn rewind(&mut self) -> Result<()> {
+        self.cluster_ticks = 0;
+        self.seek(self.first_cluster)
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+/// A length without the bit that marks its own length; all ones means unknown.
+fn size_of(bytes: &[u8]) -> Option<u64> {
+    let (&first, rest) = bytes.split_first()?;
+    let value = rest.iter().fold(u64::from(first) & (0x7f >> first.leading_zeros()), |v, &b| v << 8 | u64::from(b));
+    let unknown = (1u64 << (7 * bytes.len())) - 1;
+    (value != unknown).then_some(value)
+}
+
+/// The elements inside a payload; the last one may be cut off.
+struct Elements<'a> {
+    rest: &'a [u8],
+}
+
+impl<'a> Elements<'a> {
+    fn new(rest: &'a [u8]) -> Self {
+        Self { rest }
+    }
+}
+
+impl<'a> Iterator for Elements<'a> {
+    type Item = (u32, &'a [u8]);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let mut bytes = Bytes::new(self.rest);
+        let id_length = bytes.rest().first()?.leading_zeros() as usize + 1;
+        let id = bytes.take(id_length).filter(|_| id_length <= 4)?.iter().fold(0, |id, &b| id << 8 | u32::from(b));
+        let size_length = bytes.rest().first()?.leading_zeros() as usize + 1;
+        let size = size_of(bytes.take(size_length).filter(|_| size_length <= 8)?).unwrap_or(u64::MAX);
+        let size = usize::try_from(size).unwrap_or(usize::MAX).min(bytes.rest().len());
+        let payload = bytes.take(size)?;
+        self.rest = bytes.rest();
+        Some((id, payload))
+    }
+}
+
+fn unsigned(value: &[u8]) -> u64 {
+    value.iter().take(8).fold(0, |v, &b| v << 8 | u64::from(b))
+}
+
+fn float(value: &[u8]) -> Option<f64> {
+    match value.len() {
+        4 => Some(f64::from(f32::from_be_bytes(value.try_into().ok()?))),
+        8 => Some(f64::from_be_bytes(value.try_into().ok()?)),
+        _ => None,
+    }
+}
+
+/// The codec of a track from its `CodecID` (RFC 9559 and the Matroska codec registry).
+fn codec(id: &str, private: &[u8]) -> Codec {
+    match id {
+        "V_MPEG4/ISO/AVC" => Codec::H264,
+        "V_MPEGH/ISO/HEVC" => Codec::H265,
+        "V_VP9" => Codec::Vp9,
+        "V_MJPEG" => Codec::MotionJpeg,
+        "V_VP8" => Codec::Other("VP8".into()),
+        "V_AV1" => Codec::Other("AV1".into()),
+        "V_MS/VFW/FOURCC" => super::avi::codec(private.get(16..20).unwrap_or_default()),
+        _ if id.starts_with("V_MPEG4") => Codec::Other("MPEG-4 part 2 video".into()),
+        "V_MPEG1" => Codec::Other("MPEG-1 video".into()),
+        "V_MPEG2" => Codec::Other("MPEG-2 video".into()),
+        "V_PRORES" => Codec::Other("ProRes".into()),
+        "V_FFV1" => Codec::Other("FFV1".into()),
+        "V_THEORA" => Codec::Other("Theora".into()),
+        "V_UNCOMPRESSED" => Codec::Other("uncompressed video".into()),
+        other => Codec::Other(format!("'{other}' video")),
+    }
+}
+
+fn unreadable(error: std::io::Error) -> Error {
+    Error::input(format!("cannot be read: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_of_elements() {
+        assert_eq!(size_of(&[0x81]), Some(1));
+        assert_eq!(size_of(&[0x40, 0x02]), Some(2));
+        assert_eq!(size_of(&[0xff]), None);
+        assert_eq!(size_of(&[0x01, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff]), None);
+        assert_eq!(size_of(&[0x01, 0, 0, 0, 0, 0, 1, 0]), Some(256));
+    }
+
+    #[test]
+    fn elements_that_are_cut_off_keep_what_is_there() {
+        let all: Vec<_> = Elements::new(&[0xd7, 0x81, 5, 0x42, 0x86, 0x84, 1, 2]).collect();
+        assert_eq!(all, [(0xd7, &[5][..]), (0x4286, &[1, 2])]);
+    }
+}

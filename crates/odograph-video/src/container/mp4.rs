@@ -1,0 +1,173 @@
+//! MP4 and QuickTime (ISO/IEC 14496-12, QuickTime File Format), also fragmented, also cut off.
+//!
+//! Only the index is held in memory; samples are read from the file by their place.
+
+use super::bytes::{Bytes, read_up_to};
+use super::mp4_tables::{self, Boxes, Fragments, Sample};
+use super::{Packet, PacketReader, Track};
+use crate::limits;
+use odograph::error::{Error, Result};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+
+/// The samples of the first video track of an MP4 or QuickTime file.
+pub(crate) struct Mp4Reader {
+    file: BufReader<File>,
+    track: Track,
+    samples: Vec<Sample>,
+    /// Seconds per tick of the samples' times.
+    tick_s: f64,
+    edits: Vec<Edit>,
+    next: usize,
+    warnings: Vec<String>,
+}
+
+/// One entry of an edit list, with times in seconds (presentation) and ticks (media).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Edit {
+    pub starts_at_s: f64,
+    pub media_from: i64,
+    /// Exclusive.
+    pub media_to: i64,
+}
+
+impl Mp4Reader {
+    pub fn open(file: File) -> Result<Self> {
+        let length = file.metadata().map(|m| m.len()).unwrap_or(0);
+        let mut file = BufReader::with_capacity(1 << 16, file);
+        let mut warnings = Vec::new();
+        let index = read_index(&mut file, length, &mut warnings)?;
+        let movie = mp4_tables::movie(&index.moov, &index.fragments)?;
+
+        let mut samples = movie.samples;
+        let promised = samples.len();
+        let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
+        if let Some(complete) = complete {
+            samples.truncate(complete);
+            warnings
+                .push(format!("the file is cut off: {complete} of the {promised} frames it should have are there"));
+        } else if index.cut {
+            warnings.push("the file is cut off inside its last fragment".to_string());
+        }
+        if let Some(too_large) = samples.iter().position(|s| u64::from(s.size) > limits::MAX_SAMPLE_BYTES) {
+            return Err(Error::input(format!("frame {too_large} claims to take more than 256 MB")));
+        }
+        let mut edits = movie.edits;
+        if !edits.is_empty() && !samples.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
+        {
+            warnings.push("the edit list shows no frame at all and was ignored".to_string());
+            edits.clear();
+        }
+        let mut track = movie.track;
+        track.frame_count = Some(samples.iter().filter(|s| shown(&edits, s.time)).count() as u64);
+        Ok(Self { file, track, samples, tick_s: 1.0 / f64::from(movie.timescale), edits, next: 0, warnings })
+    }
+}
+
+impl PacketReader for Mp4Reader {
+    fn track(&self) -> &Track {
+        &self.track
+    }
+
+    fn next_packet(&mut self, packet: &mut Packet) -> Result<bool> {
+        let Some(sample) = self.samples.get(self.next) else { return Ok(false) };
+        let here = self.file.stream_position().map_err(unreadable)?;
+        // A relative seek keeps the buffer where the next sample follows the last one.
+        self.file.seek_relative(sample.offset as i64 - here as i64).map_err(unreadable)?;
+        read_up_to(&mut self.file, u64::from(sample.size), &mut packet.data)?;
+        let time = time_of(&self.edits, self.tick_s, sample.time);
+        packet.shown = time.is_some();
+        packet.time_s = time.unwrap_or(sample.time as f64 * self.tick_s);
+        if self.track.times == super::Times::Unknown {
+            packet.time_s = self.next as f64;
+        }
+        self.next += 1;
+        Ok(true)
+    }
+
+    fn rewind(&mut self) -> Result<()> {
+        self.next = 0;
+        Ok(())
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+fn shown(edits: &[Edit], time: i64) -> bool {
+    edits.is_empty() || edits.iter().any(|e| (e.media_from..e.media_to).contains(&time))
+}
+
+/// When a sample is shown, in seconds; `None` where the edit list leaves it out.
+fn time_of(edits: &[Edit], tick_s: f64, time: i64) -> Option<f64> {
+    if edits.is_empty() {
+        return Some(time as f64 * tick_s);
+    }
+    let edit = edits.iter().find(|e| (e.media_from..e.media_to).contains(&time))?;
+    Some(edit.starts_at_s + (time - edit.media_from) as f64 * tick_s)
+}
+
+struct Index {
+    moov: Vec<u8>,
+    fragments: Fragments,
+    /// The file ends inside a box.
+    cut: bool,
+}
+
+/// Walks the boxes at the top of the file and reads those of the index.
+fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String>) -> Result<Index> {
+    let mut moov: Option<Vec<u8>> = None;
+    let mut fragments = Fragments::default();
+    let (mut at, mut cut, mut data_seen) = (0u64, false, false);
+    while length.saturating_sub(at) >= 8 {
+        file.seek(SeekFrom::Start(at)).map_err(unreadable)?;
+        let mut header = [0u8; 16];
+        let available = (length - at).min(16) as usize;
+        file.read_exact(&mut header[..available]).map_err(unreadable)?;
+        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at) else {
+            warnings.push(format!("what follows byte {at} is not MP4 and was ignored"));
+            break;
+        };
+        let payload = size.min(length - at).saturating_sub(header_length);
+        cut = size > length - at;
+        match &kind {
+            b"moov" if moov.is_none() => {
+                file.seek(SeekFrom::Start(at + header_length)).map_err(unreadable)?;
+                let mut bytes = Vec::new();
+                read_up_to(file, payload, &mut bytes)?;
+                if cut {
+                    warnings.push("the file is cut off inside its index (the moov box)".to_string());
+                }
+                moov = Some(bytes);
+            }
+            b"moof" => {
+                file.seek(SeekFrom::Start(at + header_length)).map_err(unreadable)?;
+                let mut bytes = Vec::new();
+                read_up_to(file, payload, &mut bytes)?;
+                if !cut {
+                    fragments.add(at, &bytes)?;
+                }
+            }
+            b"mdat" => data_seen = true,
+            _ => {}
+        }
+        at = at.saturating_add(size);
+    }
+    match moov {
+        Some(moov) => Ok(Index { moov, fragments, cut }),
+        None if data_seen => Err(Error::input(
+            "the index (the moov box) is missing: the recording was cut off or never finished, and without its index no frame can be found; a repair tool such as untrunc can rebuild it from another recording of the same camera",
+        )),
+        None => Err(Error::input("there is no index (moov box) and no video in this MP4 file")),
+    }
+}
+
+fn unreadable(error: std::io::Error) -> Error {
+    Error::input(format!("cannot be read: {error}"))
+}
+
+/// The direct children of a box, for the tables.
+pub(super) fn child<'a>(parent: &'a [u8], kind: &[u8; 4]) -> Option<Bytes<'a>> {
+    Boxes::new(parent).find(|(k, _)| k == kind).map(|(_, payload)| Bytes::new(payload))
+}

@@ -1,0 +1,204 @@
+//! A frame, and the decoded picture it is made of.
+
+use odograph::image::{GrayImage, RgbImage};
+
+/// One frame of a recording.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// The frame's place in the source, from 0, counting every frame of the source in the order of presentation, also those
+    /// that [`SourceOptions`](crate::SourceOptions) leaves out.
+    pub number: u64,
+    /// Time of the frame in seconds, as the container (or the file of timestamps) says; strictly increasing from frame to
+    /// frame, not necessarily from zero.
+    pub time_s: f64,
+    /// The luminance plane as decoded.
+    pub gray: GrayImage,
+    pub(crate) color: Option<Color>,
+}
+
+impl Frame {
+    /// True where the source has colour and [`SourceOptions::color`](crate::SourceOptions::color) asked to keep it.
+    pub fn has_color(&self) -> bool {
+        self.color.is_some()
+    }
+
+    /// The frame in colour; gray repeated where there is none ([`Frame::has_color`]).
+    ///
+    /// Video is converted with the matrix (BT.601, BT.709 or BT.2020) and range its stream names; where it names none,
+    /// BT.709 from 720 lines on and BT.601 below, limited range (ITU-R BT.601-7 section 2.5, BT.709-6 section 3).
+    pub fn rgb(&self) -> RgbImage {
+        match &self.color {
+            None => RgbImage::from(&self.gray),
+            Some(Color::Rgb(samples)) => {
+                RgbImage::from_samples(self.gray.width(), self.gray.height(), samples.clone())
+                    .unwrap_or_else(|| RgbImage::from(&self.gray))
+            }
+            Some(Color::Chroma(chroma)) => chroma.rgb(&self.gray),
+        }
+    }
+}
+
+/// A picture as a decoder gives it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Picture {
+    pub gray: GrayImage,
+    pub color: Option<Color>,
+}
+
+impl Picture {
+    pub fn gray(gray: GrayImage) -> Self {
+        Self { gray, color: None }
+    }
+}
+
+/// What a picture has beside its luminance.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Color {
+    Chroma(Chroma),
+    /// Interleaved red, green, blue at the gray image's size.
+    Rgb(Vec<u8>),
+}
+
+/// The two colour-difference planes of a video, as decoded.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Chroma {
+    pub width: usize,
+    pub height: usize,
+    pub blue: Vec<u8>,
+    pub red: Vec<u8>,
+    pub encoding: ColorEncoding,
+}
+
+/// How luminance and colour differences were made from red, green and blue.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct ColorEncoding {
+    pub matrix: Matrix,
+    /// Samples use 0–255 instead of 16–235 (luminance) and 16–240 (colour differences).
+    pub full_range: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Matrix {
+    /// Not said: BT.709 from 720 lines on, BT.601 below.
+    #[default]
+    Unspecified,
+    Bt601,
+    Bt709,
+    Bt2020,
+}
+
+impl Matrix {
+    /// From `matrix_coefficients` of ITU-T H.273, table 4.
+    pub fn from_h273(code: u64) -> Self {
+        match code {
+            1 => Self::Bt709,
+            4..=6 => Self::Bt601,
+            9 | 10 => Self::Bt2020,
+            _ => Self::Unspecified,
+        }
+    }
+
+    /// The shares of red and blue in luminance.
+    fn red_and_blue(self, lines: usize) -> (f32, f32) {
+        match self {
+            Self::Unspecified if lines < 720 => (0.299, 0.114),
+            Self::Bt601 => (0.299, 0.114),
+            Self::Unspecified | Self::Bt709 => (0.2126, 0.0722),
+            Self::Bt2020 => (0.2627, 0.0593),
+        }
+    }
+}
+
+impl Chroma {
+    /// Both planes have as many samples as their size says.
+    pub fn is_whole(&self) -> bool {
+        let samples = self.width * self.height;
+        self.blue.len() == samples && self.red.len() == samples
+    }
+
+    fn rgb(&self, gray: &GrayImage) -> RgbImage {
+        let (width, height) = (gray.width(), gray.height());
+        let mut image = RgbImage::new(width, height);
+        if self.width == 0 || self.height == 0 {
+            return RgbImage::from(gray);
+        }
+        let (red_share, blue_share) = self.encoding.matrix.red_and_blue(height);
+        let green_share = 1.0 - red_share - blue_share;
+        let (offset, luma_scale, chroma_scale) = if self.encoding.full_range {
+            (0.0, 1.0, 1.0)
+        } else {
+            (16.0, 255.0 / 219.0, 255.0 / 224.0)
+        };
+        let red_from_red = 2.0 * (1.0 - red_share) * chroma_scale;
+        let blue_from_blue = 2.0 * (1.0 - blue_share) * chroma_scale;
+        let green_from_red = -red_from_red * red_share / green_share;
+        let green_from_blue = -blue_from_blue * blue_share / green_share;
+        let columns: Vec<usize> = (0..width).map(|x| x * self.width / width).collect();
+        for (y, row) in image.samples_mut().chunks_exact_mut(3 * width).enumerate() {
+            let start = (y * self.height / height) * self.width;
+            let (blue, red) = (&self.blue[start..][..self.width], &self.red[start..][..self.width]);
+            for ((pixel, &luma), &column) in row.chunks_exact_mut(3).zip(gray.row(y)).zip(&columns) {
+                let luma = (f32::from(luma) - offset) * luma_scale;
+                let (cb, cr) = (f32::from(blue[column]) - 128.0, f32::from(red[column]) - 128.0);
+                pixel[0] = (luma + red_from_red * cr + 0.5) as u8;
+                pixel[1] = (luma + green_from_red * cr + green_from_blue * cb + 0.5) as u8;
+                pixel[2] = (luma + blue_from_blue * cb + 0.5) as u8;
+            }
+        }
+        image
+    }
+}
+
+/// Luminance of BT.601 from full-range red, green and blue, rounded: `0.299 R + 0.587 G + 0.114 B` in 16-bit fixed point.
+pub(crate) fn luminance(red: u8, green: u8, blue: u8) -> u8 {
+    ((19_595 * u32::from(red) + 38_470 * u32::from(green) + 7_471 * u32::from(blue) + 32_768) >> 16) as u8
+}
+
+/// A picture from interleaved red, green, blue; the colour is kept where `color` says so.
+pub(crate) fn picture_from_rgb(width: usize, height: usize, rgb: Vec<u8>, color: bool) -> Option<Picture> {
+    let samples = rgb.chunks_exact(3).map(|p| luminance(p[0], p[1], p[2])).collect();
+    let gray = GrayImage::from_samples(width, height, samples)?;
+    Some(Picture { gray, color: color.then_some(Color::Rgb(rgb)) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn luminance_of_gray_is_itself() {
+        for value in 0..=255 {
+            assert_eq!(luminance(value, value, value), value);
+        }
+    }
+
+    #[test]
+    fn limited_range_white_and_red() {
+        let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: false };
+        // BT.601 limited: white is (235, 128, 128), pure red is (81, 90, 240).
+        let frame = Frame {
+            number: 0,
+            time_s: 0.0,
+            gray: GrayImage::from_samples(2, 1, vec![235, 81]).unwrap(),
+            color: Some(Color::Chroma(Chroma {
+                width: 2,
+                height: 1,
+                blue: vec![128, 90],
+                red: vec![128, 240],
+                encoding,
+            })),
+        };
+        let rgb = frame.rgb();
+        assert_eq!(rgb.pixel(0, 0), [255, 255, 255]);
+        let [r, g, b] = rgb.pixel(1, 0);
+        assert!(r >= 253 && g <= 2 && b <= 2, "{r} {g} {b}");
+    }
+
+    #[test]
+    fn no_color_repeats_gray() {
+        let gray = GrayImage::from_samples(1, 1, vec![9]).unwrap();
+        let frame = Frame { number: 0, time_s: 0.0, gray, color: None };
+        assert!(!frame.has_color());
+        assert_eq!(frame.rgb().pixel(0, 0), [9, 9, 9]);
+    }
+}

@@ -1,0 +1,42 @@
+//! Keeps a panic inside a third party's decoder from ending the program.
+
+use odograph::error::{Error, Result};
+use std::cell::Cell;
+use std::panic::{self, AssertUnwindSafe};
+use std::sync::Once;
+
+thread_local! {
+    static GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Runs a call into a decoder; its panic becomes an [`Error`].
+///
+/// The decoder must not be used again after an error. While the call runs, the panic hook of this thread is silent, so that
+/// a damaged file does not print a backtrace of somebody else's code; all other panics are told as always.
+pub(crate) fn guarded<T>(what: &str, call: impl FnOnce() -> T) -> Result<T> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let told_by_default = panic::take_hook();
+        panic::set_hook(Box::new(move |info| {
+            if !GUARDED.with(Cell::get) {
+                told_by_default(info);
+            }
+        }));
+    });
+    let outer = GUARDED.with(|guarded| guarded.replace(true));
+    let outcome = panic::catch_unwind(AssertUnwindSafe(call));
+    GUARDED.with(|guarded| guarded.set(outer));
+    outcome.map_err(|_| Error::input(format!("the {what} decoder gave up on damaged data")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_becomes_a_sentence() {
+        let error = guarded("test", || -> u8 { panic!("boom") }).unwrap_err();
+        assert_eq!(error.to_string(), "the test decoder gave up on damaged data");
+        assert_eq!(guarded("test", || 7).unwrap(), 7);
+    }
+}

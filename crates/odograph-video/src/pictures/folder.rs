@@ -1,0 +1,273 @@
+//! Folders of pictures: which pictures, in which order, taken when.
+
+use super::{decode, exif_data};
+use crate::frame::Picture;
+use crate::source::{Frames, Opened, SourceOptions};
+use crate::timestamps::{Timestamps, time_from_name};
+use odograph::error::{Error, Result};
+use std::cmp::Ordering;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm", "pnm"];
+
+/// Opens a folder of pictures, also one as EuRoC (`data.csv` beside `data/`) or TUM (`rgb.txt` beside `rgb/`) lay it out.
+pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Opened> {
+    let listing = Listing::read(folder)?;
+    if !listing.pictures.is_empty() {
+        return open_pictures(listing.pictures, options.timestamps.as_deref(), options);
+    }
+    let layouts = [("data.csv", "data"), ("cam0/data.csv", "cam0/data"), ("mav0/cam0/data.csv", "mav0/cam0/data"), ("rgb.txt", "rgb")];
+    for (times, pictures) in layouts {
+        let (times, pictures) = (folder.join(times), folder.join(pictures));
+        if pictures.is_dir() {
+            let inside = Listing::read(&pictures)?;
+            if !inside.pictures.is_empty() {
+                let times = options.timestamps.clone().or(times.is_file().then_some(times));
+                return open_pictures(inside.pictures, times.as_deref(), options);
+            }
+        }
+    }
+    Err(Error::input(match listing.other {
+        None => "the folder is empty".to_string(),
+        Some(example) => {
+            format!("there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}")
+        }
+    }))
+}
+
+/// Opens one picture as a source of one frame.
+pub(crate) fn open_picture(path: &Path, options: &SourceOptions) -> Result<Opened> {
+    open_pictures(vec![path.to_path_buf()], options.timestamps.as_deref(), options)
+}
+
+struct Listing {
+    /// In natural order.
+    pictures: Vec<PathBuf>,
+    /// Something else that is there.
+    other: Option<String>,
+}
+
+impl Listing {
+    fn read(folder: &Path) -> Result<Self> {
+        let unreadable = |error: std::io::Error| Error::input(format!("the folder cannot be read: {error}"));
+        let mut listing = Self { pictures: Vec::new(), other: None };
+        let mut others = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+            let path = entry.map_err(unreadable)?.path();
+            let name = name_of(&path);
+            let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+            // Names that start with a dot are other programs' notes, such as the `._` files of macOS.
+            if EXTENSIONS.contains(&extension.as_str()) && !name.starts_with('.') && path.is_file() {
+                listing.pictures.push(path);
+            } else {
+                others.push(name);
+            }
+        }
+        listing.pictures.sort_by(|a, b| natural_order(&name_of(a), &name_of(b)));
+        listing.other = others.into_iter().min();
+        Ok(listing)
+    }
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Compares names as people count: runs of digits by their number, so that `2.png` comes before `10.png`.
+fn natural_order(a: &str, b: &str) -> Ordering {
+    let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
+    loop {
+        match (left, right) {
+            ([l, ..], [r, ..]) if l.is_ascii_digit() && r.is_ascii_digit() => {
+                let (number, after) = digits(left);
+                let (other, other_after) = digits(right);
+                let order = number.len().cmp(&other.len()).then_with(|| number.cmp(other));
+                if order.is_ne() {
+                    return order;
+                }
+                (left, right) = (after, other_after);
+            }
+            ([l, after @ ..], [r, other_after @ ..]) => {
+                if l != r {
+                    return l.cmp(r);
+                }
+                (left, right) = (after, other_after);
+            }
+            // Names that differ only in leading zeros still have one order.
+            _ => return left.len().cmp(&right.len()).then_with(|| a.cmp(b)),
+        }
+    }
+}
+
+/// A run of digits without its leading zeros, and what follows.
+fn digits(bytes: &[u8]) -> (&[u8], &[u8]) {
+    let end = bytes.iter().position(|b| !b.is_ascii_digit()).unwrap_or(bytes.len());
+    let (number, after) = bytes.split_at(end);
+    let zeros = number.iter().take_while(|&&b| b == b'0').count();
+    (&number[zeros..], after)
+}
+
+fn open_pictures(pictures: Vec<PathBuf>, timestamps: Option<&Path>, options: &SourceOptions) -> Result<Opened> {
+    let mut warnings = Vec::new();
+    let count = pictures.len();
+    let (pictures, times) = match timestamps {
+        Some(file) => {
+            let (pictures, times) = by_file(pictures, file, &mut warnings)?;
+            (pictures, Some(times))
+        }
+        None if options.fps.is_some() => (pictures, None),
+        None => {
+            let times = from_exif(&pictures, &mut warnings).or_else(|| from_names(&pictures));
+            (pictures, times)
+        }
+    };
+    let kind = pictures.first().and_then(|p| p.extension()).map(|e| e.to_string_lossy().to_uppercase()).unwrap_or_default();
+    Ok(Opened {
+        frame_count: Some(pictures.len() as u64),
+        description: if count == 1 { format!("picture ({kind})") } else { format!("pictures ({kind})") },
+        timestamps_used: timestamps.is_some(),
+        // One picture needs no rate.
+        times_known: times.is_some() || count == 1,
+        frames_per_second: None,
+        frames: Box::new(Pictures {
+            pictures,
+            times,
+            next: 0,
+            size: None,
+            keep_color: options.color,
+            warnings,
+        }),
+    })
+}
+
+/// The pictures a file of timestamps names, with their times; or all, where it only has times.
+fn by_file(pictures: Vec<PathBuf>, file: &Path, warnings: &mut Vec<String>) -> Result<(Vec<PathBuf>, Vec<f64>)> {
+    let place = file.display();
+    match Timestamps::read(file)? {
+        Timestamps::InOrder(times) if times.len() == pictures.len() => Ok((pictures, times)),
+        Timestamps::InOrder(times) => Err(Error::input(format!(
+            "{place} has {} times, but there are {} pictures",
+            times.len(),
+            pictures.len()
+        ))),
+        Timestamps::Named(named) => {
+            let mut by_name: HashMap<String, PathBuf> = HashMap::new();
+            for picture in &pictures {
+                let stem = picture.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+                by_name.insert(stem, picture.clone());
+            }
+            for picture in &pictures {
+                by_name.insert(name_of(picture), picture.clone());
+            }
+            let mut listed = Vec::with_capacity(named.len());
+            let mut times = Vec::with_capacity(named.len());
+            for (name, time_s) in named {
+                let last = name.rsplit(['/', '\\']).next().unwrap_or(&name);
+                let Some(picture) = by_name.get(last) else {
+                    return Err(Error::input(format!("{place} names the picture {name}, which is not there")));
+                };
+                listed.push(picture.clone());
+                times.push(time_s);
+            }
+            if listed.len() < pictures.len() {
+                warnings.push(format!(
+                    "{} of {} pictures have no time in {place} and were left out",
+                    pictures.len() - listed.len(),
+                    pictures.len()
+                ));
+            }
+            Ok((listed, times))
+        }
+    }
+}
+
+fn increasing(times: &[f64]) -> bool {
+    times.windows(2).all(|pair| pair[0] < pair[1])
+}
+
+/// Times from EXIF data, where every picture has one and they increase.
+fn from_exif(pictures: &[PathBuf], warnings: &mut Vec<String>) -> Option<Vec<f64>> {
+    let times: Option<Vec<f64>> = pictures.iter().map(|picture| exif_data::time_of_file(picture)).collect();
+    let times = times?;
+    if !increasing(&times) {
+        warnings.push(
+            "the times in the pictures' EXIF data do not increase from picture to picture and were not used".to_string(),
+        );
+        return None;
+    }
+    Some(times)
+}
+
+/// Times from names that are times, where every name is one and they increase.
+fn from_names(pictures: &[PathBuf]) -> Option<Vec<f64>> {
+    let times: Option<Vec<f64>> =
+        pictures.iter().map(|p| time_from_name(&p.file_stem()?.to_string_lossy())).collect();
+    times.filter(|times| increasing(times))
+}
+
+struct Pictures {
+    pictures: Vec<PathBuf>,
+    times: Option<Vec<f64>>,
+    next: usize,
+    size: Option<(usize, usize)>,
+    keep_color: bool,
+    warnings: Vec<String>,
+}
+
+impl Frames for Pictures {
+    fn advance(&mut self) -> Result<Option<f64>> {
+        if self.next >= self.pictures.len() {
+            return Ok(None);
+        }
+        self.next += 1;
+        let number = self.next - 1;
+        Ok(Some(self.times.as_ref().and_then(|times| times.get(number)).copied().unwrap_or(number as f64)))
+    }
+
+    fn picture(&mut self) -> Result<Picture> {
+        let path = self
+            .next
+            .checked_sub(1)
+            .and_then(|at| self.pictures.get(at))
+            .ok_or_else(|| Error::input("there is no picture here"))?;
+        let picture = decode::picture(path, self.keep_color).map_err(|error| error.at(name_of(path)))?;
+        let (width, height) = (picture.gray.width(), picture.gray.height());
+        let (first_width, first_height) = *self.size.get_or_insert((width, height));
+        if (width, height) != (first_width, first_height) {
+            return Err(Error::input(format!(
+                "the picture {} has {width}x{height} pixels, the first has {first_width}x{first_height}; all must have the same size",
+                name_of(path)
+            )));
+        }
+        Ok(picture)
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn numbers_are_compared_as_numbers() {
+        let mut names = ["b10.png", "b9.png", "a.png", "b009.png", "b9a.png", "B1.png"];
+        names.sort_by(|a, b| natural_order(a, b));
+        assert_eq!(names, ["B1.png", "a.png", "b009.png", "b9.png", "b9a.png", "b10.png"]);
+    }
+
+    proptest! {
+        #[test]
+        fn natural_order_is_an_order(a in "[a0-2.]{0,6}", b in "[a0-2.]{0,6}", c in "[a0-2.]{0,6}") {
+            prop_assert_eq!(natural_order(&a, &b), natural_order(&b, &a).reverse());
+            prop_assert_eq!(natural_order(&a, &b).is_eq(), a == b);
+            if natural_order(&a, &b).is_le() && natural_order(&b, &c).is_le() {
+                prop_assert!(natural_order(&a, &c).is_le());
+            }
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! Picture folders and single pictures as sources.
+
+mod decode;
+mod exif_data;
+mod folder;
+mod portable;
+
+pub(crate) use decode::is_picture;
+pub(crate) use folder::{open_folder, open_picture};

@@ -1,0 +1,331 @@
+//! What a caller sees: options in, a source of frames out.
+
+use crate::container::annex_b::{self, AnnexBReader};
+use crate::container::avi::AviReader;
+use crate::container::matroska::{self, MatroskaReader};
+use crate::container::mp4::Mp4Reader;
+use crate::frame::{Frame, Picture};
+use crate::limits;
+use crate::timestamps::Timestamps;
+use crate::{ffmpeg, pictures, video, y4m};
+use odograph::error::{Error, Result};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+
+/// The rate that is assumed where nothing says one.
+const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
+
+/// Which frames are wanted, and how a source without times gets them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SourceOptions {
+    /// A file of timestamps: lines of `seconds name` (as TUM's `rgb.txt`), `name seconds`, EuRoC's `nanoseconds,name`, or
+    /// one number a line in the order of the frames; `#` starts a comment. Wins over every other time.
+    pub timestamps: Option<PathBuf>,
+    /// Frames a second, > 0: frame `n` is then at `n / fps` seconds, whatever the container says.
+    pub fps: Option<f64>,
+    /// Leaves out what is earlier than this many seconds after the first frame.
+    pub start_s: Option<f64>,
+    /// Leaves out what is later than this many seconds after the first frame.
+    pub end_s: Option<f64>,
+    /// Gives every n-th frame from the start on; at least 1.
+    pub every: u64,
+    /// Ends after so many frames were given.
+    pub max_frames: Option<u64>,
+    /// Keeps colour beside the gray image, for [`Frame::rgb`].
+    pub color: bool,
+}
+
+impl Default for SourceOptions {
+    fn default() -> Self {
+        Self {
+            timestamps: None,
+            fps: None,
+            start_s: None,
+            end_s: None,
+            every: 1,
+            max_frames: None,
+            color: false,
+        }
+    }
+}
+
+impl SourceOptions {
+    fn check(&self) -> Result<()> {
+        if self.every == 0 {
+            return Err(Error::usage("every 0th frame was asked for; 1 gives every frame"));
+        }
+        if self.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
+            return Err(Error::usage("the frames a second must be a number above zero"));
+        }
+        let (start, end) = (self.start_s.unwrap_or(0.0), self.end_s.unwrap_or(f64::MAX));
+        if !(start.is_finite() && start >= 0.0 && end.is_finite() && end >= 0.0) {
+            return Err(Error::usage("start and end must be seconds from zero on"));
+        }
+        if end < start {
+            return Err(Error::usage(format!("the end ({end} s) lies before the start ({start} s)")));
+        }
+        Ok(())
+    }
+}
+
+/// What is known of a source before its frames are read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SourceInfo {
+    /// Width of every frame, in pixels, turned upright.
+    pub width: usize,
+    /// Height of every frame, in pixels, turned upright.
+    pub height: usize,
+    /// How many frames will probably be given; an estimate for a progress bar, not a promise.
+    pub frame_count: Option<u64>,
+    /// For people, e.g. `H.264 (High) in MP4, 640x480`.
+    pub description: String,
+}
+
+/// Frames of one file, folder or stream, one after another.
+pub struct Source {
+    place: String,
+    info: SourceInfo,
+    options: SourceOptions,
+    frames: Box<dyn Frames>,
+    /// The first frame, decoded when the source was opened.
+    first: Option<(f64, Picture)>,
+    clock: Clock,
+    next_number: u64,
+    in_range: u64,
+    given: u64,
+    first_time_s: Option<f64>,
+    last_time_s: f64,
+    without_time: u64,
+    ended: bool,
+    warnings: Vec<String>,
+}
+
+/// Where a frame's time comes from.
+enum Clock {
+    Container,
+    Rate(f64),
+    List(Vec<f64>),
+}
+
+/// Frames as the kinds of sources give them.
+pub(crate) trait Frames: Send {
+    /// Moves to the next frame and gives its time in seconds (its number, where the source has no times); `None` at the end.
+    fn advance(&mut self) -> Result<Option<f64>>;
+    /// The frame moved to, upright; once.
+    fn picture(&mut self) -> Result<Picture>;
+    /// What was wrong with the source so far, one sentence each; empties the list.
+    fn take_warnings(&mut self) -> Vec<String>;
+}
+
+/// An opened source of any kind.
+pub(crate) struct Opened {
+    pub frames: Box<dyn Frames>,
+    pub frame_count: Option<u64>,
+    pub description: String,
+    pub times_known: bool,
+    /// The times are those of [`SourceOptions::timestamps`].
+    pub timestamps_used: bool,
+    pub frames_per_second: Option<f64>,
+}
+
+/// Opens a recording: a video file, a folder of pictures, one picture, or `-` for Y4M from standard input.
+///
+/// What a file is, is told from its bytes. The first frame is decoded at once, so that a source that cannot be decoded says
+/// so here.
+///
+/// # Errors
+/// [`ErrorKind::Usage`](odograph::error::ErrorKind::Usage) for options that cannot be;
+/// [`ErrorKind::Input`](odograph::error::ErrorKind::Input) for a source that is missing, damaged, without frames, or of a kind
+/// that needs an `ffmpeg` that is not there. The environment variable `ODOGRAPH_FFMPEG` names the program to use as `ffmpeg`;
+/// empty, it stands for none.
+pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
+    let path = path.as_ref();
+    options.check()?;
+    let place = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
+    open_kind(path, options).and_then(|opened| Source::new(place.clone(), opened, options)).map_err(|e| e.at(place))
+}
+
+fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
+    if path == Path::new("-") {
+        return y4m::open(BufReader::with_capacity(1 << 18, std::io::stdin()), None, options.color);
+    }
+    let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
+        _ => Error::input(format!("cannot be opened: {error}")),
+    })?;
+    if metadata.is_dir() {
+        return pictures::open_folder(path, options);
+    }
+    let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
+    let mut magic = Vec::new();
+    file.by_ref()
+        .take(64)
+        .read_to_end(&mut magic)
+        .and_then(|_| file.rewind())
+        .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+    let video = |reader| video::open(path, reader, options.color);
+    match magic.as_slice() {
+        [] => Err(Error::input("the file is empty")),
+        m if m.starts_with(y4m::MAGIC) => {
+            y4m::open(BufReader::with_capacity(1 << 18, file), Some(metadata.len()), options.color)
+        }
+        m if pictures::is_picture(m) => pictures::open_picture(path, options),
+        [_, _, _, _, kind @ ..]
+            if [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot"].iter().any(|k| kind.starts_with(*k)) =>
+        {
+            video(Box::new(Mp4Reader::open(file)?))
+        }
+        m if m.starts_with(&matroska::MAGIC) => video(Box::new(MatroskaReader::open(file)?)),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => video(Box::new(AviReader::open(file)?)),
+        m if let Some(codec) = annex_b::codec(m) => video(Box::new(AnnexBReader::open(file, codec))),
+        _ => ffmpeg::open(path, "this kind of file", options.color),
+    }
+}
+
+impl Source {
+    fn new(place: String, mut opened: Opened, options: &SourceOptions) -> Result<Self> {
+        let mut warnings = Vec::new();
+        let clock = match (&options.timestamps, options.fps) {
+            (Some(_), _) if opened.timestamps_used => Clock::Container,
+            (Some(file), _) => Clock::List(Timestamps::read(file)?.into_times()),
+            (None, Some(fps)) => Clock::Rate(fps),
+            (None, None) if opened.times_known => Clock::Container,
+            (None, None) => Clock::Rate(opened.frames_per_second.unwrap_or_else(|| {
+                warnings.push(format!(
+                    "nothing says when the frames were taken: {ASSUMED_FRAMES_PER_SECOND} frames a second are assumed"
+                ));
+                ASSUMED_FRAMES_PER_SECOND
+            })),
+        };
+        let Some(time_s) = opened.frames.advance()? else {
+            return Err(Error::input("there is no frame in it"));
+        };
+        let picture = opened.frames.picture()?;
+        let (width, height) = (picture.gray.width(), picture.gray.height());
+        limits::check_size(width, height)?;
+        let info = SourceInfo {
+            width,
+            height,
+            frame_count: opened.frame_count.map(|count| count.div_ceil(options.every)),
+            description: format!("{}, {width}x{height}", opened.description),
+        };
+        Ok(Self {
+            place,
+            info,
+            options: options.clone(),
+            frames: opened.frames,
+            first: Some((time_s, picture)),
+            clock,
+            next_number: 0,
+            in_range: 0,
+            given: 0,
+            first_time_s: None,
+            last_time_s: f64::NEG_INFINITY,
+            without_time: 0,
+            ended: false,
+            warnings,
+        })
+    }
+
+    /// What is known of the source.
+    pub fn info(&self) -> &SourceInfo {
+        &self.info
+    }
+
+    /// The next wanted frame; `None` at the end.
+    ///
+    /// # Errors
+    /// When a frame is damaged beyond what its decoder forgives, has another size than the first, or has no line in the
+    /// file of timestamps. A video that is cut off is no error: its frames up to the cut are given, and a warning.
+    pub fn next_frame(&mut self) -> Result<Option<Frame>> {
+        let frame = self.next_wanted().map_err(|error| error.at(&self.place));
+        if !matches!(frame, Ok(Some(_))) {
+            self.end();
+        }
+        frame
+    }
+
+    /// What was noticed about the source since the last call, one sentence each, for people; empties the list.
+    pub fn take_warnings(&mut self) -> Vec<String> {
+        let mut warnings = std::mem::take(&mut self.warnings);
+        warnings.append(&mut self.frames.take_warnings());
+        for warning in &mut warnings {
+            *warning = format!("{}: {warning}", self.place);
+        }
+        warnings
+    }
+
+    fn end(&mut self) {
+        if !self.ended && self.without_time > 0 {
+            self.warnings.push(format!(
+                "{} frames whose time is not after the time of the frame before were left out",
+                self.without_time
+            ));
+        }
+        self.ended = true;
+    }
+
+    fn next_wanted(&mut self) -> Result<Option<Frame>> {
+        while !self.ended && self.options.max_frames.is_none_or(|most| self.given < most) {
+            let (source_time_s, picture) = match self.first.take() {
+                Some((time_s, picture)) => (time_s, Some(picture)),
+                None => match self.frames.advance()? {
+                    Some(time_s) => (time_s, None),
+                    None => return Ok(None),
+                },
+            };
+            let number = self.next_number;
+            self.next_number += 1;
+            let time_s = match &self.clock {
+                Clock::Container => source_time_s,
+                Clock::Rate(fps) => number as f64 / fps,
+                Clock::List(times) => *times.get(number as usize).ok_or_else(|| {
+                    Error::input(format!("the file of timestamps has {} times, but there are more frames", times.len()))
+                })?,
+            };
+            if !time_s.is_finite() || time_s <= self.last_time_s {
+                self.without_time += 1;
+                continue;
+            }
+            self.last_time_s = time_s;
+            let since_first_s = time_s - *self.first_time_s.get_or_insert(time_s);
+            if self.options.end_s.is_some_and(|end_s| since_first_s > end_s) {
+                return Ok(None);
+            }
+            if self.options.start_s.is_some_and(|start_s| since_first_s < start_s) {
+                continue;
+            }
+            self.in_range += 1;
+            if !(self.in_range - 1).is_multiple_of(self.options.every) {
+                continue;
+            }
+            let picture = match picture {
+                Some(picture) => picture,
+                None => self.frames.picture()?,
+            };
+            let (width, height) = (picture.gray.width(), picture.gray.height());
+            if (width, height) != (self.info.width, self.info.height) {
+                return Err(Error::input(format!(
+                    "frame {number} has {width}x{height} pixels, the first has {}x{}; all frames must have the same size",
+                    self.info.width, self.info.height
+                )));
+            }
+            self.given += 1;
+            return Ok(Some(Frame { number, time_s, gray: picture.gray, color: picture.color }));
+        }
+        Ok(None)
+    }
+}
+
+impl std::fmt::Debug for Source {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Source").field("place", &self.place).field("info", &self.info).finish_non_exhaustive()
+    }
+}
+
+// A source may be read by a thread of its own.
+const _: fn() = || {
+    fn is_send<T: Send>() {}
+    is_send::<Source>();
+};

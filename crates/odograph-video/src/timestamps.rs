@@ -1,0 +1,180 @@
+//! Files of timestamps.
+
+use odograph::error::{Error, Result};
+use std::path::Path;
+
+/// Times from a file, strictly increasing, in seconds.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Timestamps {
+    /// A picture's name and its time.
+    Named(Vec<(String, f64)>),
+    /// In the order of the frames.
+    InOrder(Vec<f64>),
+}
+
+/// Whole numbers from here on are nanoseconds since 1970 (1973 in nanoseconds; far in the future in seconds).
+const NANOSECONDS_FROM: f64 = 1e17;
+/// Largest file of timestamps.
+const MAX_BYTES: u64 = 1 << 30;
+
+impl Timestamps {
+    /// Reads a file of timestamps.
+    pub fn read(path: &Path) -> Result<Self> {
+        let place = path.display();
+        let readable = std::fs::metadata(path).is_ok_and(|m| m.len() <= MAX_BYTES);
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| Error::input(format!("the timestamps cannot be read: {error}")).at(place))?;
+        if !readable {
+            return Err(Error::input("a file of timestamps should be smaller than 1 GB").at(path.display()));
+        }
+        Self::parse(&text).map_err(|error| error.at(path.display()))
+    }
+
+    pub fn into_times(self) -> Vec<f64> {
+        match self {
+            Self::Named(named) => named.into_iter().map(|(_, time_s)| time_s).collect(),
+            Self::InOrder(times) => times,
+        }
+    }
+
+    fn parse(text: &str) -> Result<Self> {
+        let nanoseconds_said = text.lines().any(|l| l.contains("[ns]"));
+        let mut named = Vec::new();
+        let mut in_order = Vec::new();
+        let mut before: Option<f64> = None;
+        let mut first = true;
+        for (index, line) in text.lines().enumerate() {
+            let number = index + 1;
+            let line = line.split('#').next().unwrap_or("").trim();
+            if line.is_empty() {
+                continue;
+            }
+            let mut fields =
+                line.split(|c: char| c == ',' || c == ';' || c.is_whitespace()).filter(|f| !f.is_empty());
+            let (one, two) = (fields.next().unwrap_or(""), fields.next());
+            let seconds = |field: &str| seconds(field, nanoseconds_said);
+            let (time_s, name) = match (seconds(one), two.map(|t| (t, seconds(t)))) {
+                (Some(time_s), None) => (time_s, None),
+                (Some(time_s), Some((name, None))) => (time_s, Some(name)),
+                (None, Some((_, Some(time_s)))) => (time_s, Some(one)),
+                (Some(_), Some((_, Some(_)))) => {
+                    return Err(Error::input(format!(
+                        "line {number} has two numbers, and it is not clear which is the time; write `seconds name`"
+                    )));
+                }
+                // The headings of a table.
+                (None, _) if first => {
+                    first = false;
+                    continue;
+                }
+                (None, _) => return Err(Error::input(format!("line {number} has no time: {line}"))),
+            };
+            first = false;
+            if let Some(before) = before.filter(|&before| time_s <= before) {
+                return Err(Error::input(format!(
+                    "line {number}: the time {time_s} s does not come after the {before} s before it"
+                )));
+            }
+            before = Some(time_s);
+            match name {
+                Some(name) => named.push((name.to_string(), time_s)),
+                None => in_order.push(time_s),
+            }
+        }
+        match (named.is_empty(), in_order.is_empty()) {
+            (true, true) => Err(Error::input("there are no timestamps in this file")),
+            (false, true) => Ok(Self::Named(named)),
+            (true, false) => Ok(Self::InOrder(in_order)),
+            (false, false) => Err(Error::input("some lines name a picture and some do not")),
+        }
+    }
+}
+
+/// Seconds from a field that is a finite number; whole numbers too large for seconds are nanoseconds.
+fn seconds(field: &str, nanoseconds_said: bool) -> Option<f64> {
+    let value: f64 = field.parse().ok().filter(|v: &f64| v.is_finite())?;
+    if field.bytes().all(|b| b.is_ascii_digit()) && (nanoseconds_said || value >= NANOSECONDS_FROM) {
+        return seconds_from_digits(field, 9);
+    }
+    Some(value)
+}
+
+/// A whole number of 10^-`decimals` seconds, split before it is converted so that no digit is lost that need not be.
+fn seconds_from_digits(digits: &str, decimals: usize) -> Option<f64> {
+    let value: u64 = digits.parse().ok()?;
+    let unit = 10u64.checked_pow(decimals as u32)?;
+    Some((value / unit) as f64 + (value % unit) as f64 / unit as f64)
+}
+
+/// The time that a picture's name plausibly is: seconds since 1970 with decimals (`1305031102.175304`), or whole
+/// nano-, micro- or milliseconds since 1970, of the years 1990 to 2100.
+pub(crate) fn time_from_name(stem: &str) -> Option<f64> {
+    const YEARS_S: std::ops::Range<f64> = 631_152_000.0..4_102_444_800.0;
+    let time_s = if stem.contains('.') {
+        let plain = stem.bytes().all(|b| b.is_ascii_digit() || b == b'.');
+        stem.parse().ok().filter(|_| plain)?
+    } else if stem.bytes().all(|b| b.is_ascii_digit()) {
+        seconds_from_digits(stem, match stem.len() {
+            18 | 19 => 9,
+            15 | 16 => 6,
+            12 | 13 => 3,
+            _ => return None,
+        })?
+    } else {
+        return None;
+    };
+    YEARS_S.contains(&time_s).then_some(time_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tum_and_turned_round() {
+        let tum = "# timestamp filename\n1305031102.175304 rgb/1305031102.175304.png\n1305031102.2 rgb/b.png\n";
+        let expected = Timestamps::Named(vec![
+            ("rgb/1305031102.175304.png".into(), 1305031102.175304),
+            ("rgb/b.png".into(), 1305031102.2),
+        ]);
+        assert_eq!(Timestamps::parse(tum).unwrap(), expected);
+        assert_eq!(
+            Timestamps::parse("a.png 0.5\nb.png 1").unwrap(),
+            Timestamps::Named(vec![("a.png".into(), 0.5), ("b.png".into(), 1.0)])
+        );
+    }
+
+    #[test]
+    fn euroc_nanoseconds() {
+        let csv = "#timestamp [ns],filename\n1403715273262142976,1403715273262142976.png\n1403715273312143104,x.png\r\n";
+        let Timestamps::Named(named) = Timestamps::parse(csv).unwrap() else { panic!() };
+        assert!((named[0].1 - 1403715273.262142976).abs() < 1e-6);
+        assert_eq!(named[1].0, "x.png");
+        let relative = "timestamp [ns],filename\n0,a.png\n50000000,b.png\n";
+        assert_eq!(Timestamps::parse(relative).unwrap().into_times(), [0.0, 0.05]);
+    }
+
+    #[test]
+    fn bare_numbers_in_order() {
+        assert_eq!(Timestamps::parse("0\n0.1 # x\n\n0.25\n").unwrap(), Timestamps::InOrder(vec![0.0, 0.1, 0.25]));
+    }
+
+    #[test]
+    fn what_cannot_be_is_one_sentence() {
+        for text in
+            ["", "# only\n", "0 a\n0 b\n", "1 a\n0.5 b\n", "0 1\n", "nan a\ninf b\nx y\n", "0 a\n1\n", "0 a\nfoo bar\n"]
+        {
+            let error = Timestamps::parse(text).unwrap_err().to_string();
+            assert!(!error.contains('\n') && error.len() > 10, "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn names_that_are_times() {
+        assert!((time_from_name("1403715273262142976").unwrap() - 1403715273.2621429).abs() < 1e-6);
+        assert_eq!(time_from_name("1305031102.175304"), Some(1305031102.175304));
+        assert_eq!(time_from_name("000042"), None);
+        assert_eq!(time_from_name("img_1"), None);
+        assert_eq!(time_from_name("99999"), None);
+    }
+}

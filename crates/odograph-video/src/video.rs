@@ -1,0 +1,224 @@
+//! Samples through a decoder into the order of presentation.
+
+use crate::codec::{self, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
+use crate::container::{Codec, Packet, PacketReader, Times, Track};
+use crate::ffmpeg;
+use crate::frame::Picture;
+use crate::source::{Frames, Opened};
+use odograph::error::{Error, Result};
+use std::collections::VecDeque;
+use std::path::Path;
+
+/// Opens a track with the first decoder that takes it; with ffmpeg where none does.
+pub(crate) fn open(
+    path: &Path,
+    reader: Box<dyn PacketReader>,
+    color: bool,
+) -> Result<Opened> {
+    let track = reader.track().clone();
+    let name = match &track.codec {
+        Codec::H264 => "H.264",
+        Codec::H265 => "H.265 (HEVC)",
+        Codec::Vp9 => "VP9",
+        Codec::MotionJpeg => "Motion JPEG",
+        Codec::Other(name) => name,
+    }
+    .to_string();
+    let name = name.as_str();
+    let mut decoders: VecDeque<MakeDecoder> = codec::decoders(&track, color)?.into();
+    let Some(make) = decoders.pop_front() else {
+        return ffmpeg::open(path, name, color);
+    };
+    let mut video = Video {
+        reader,
+        decoder: make()?,
+        others: decoders,
+        waiting: Vec::new(),
+        group: 0,
+        ready: VecDeque::new(),
+        given: 0,
+        to_skip: 0,
+        ended: false,
+        damaged: 0,
+        first_damage: None,
+        current: None,
+        track,
+        packet: Packet::default(),
+        warnings: Vec::new(),
+    };
+    // The first frame tells whether a decoder takes the stream at all.
+    match video.fill() {
+        Ok(()) => {}
+        Err(Refused::Unsupported(what)) => {
+            return ffmpeg::open(path, &format!("{name} ({what})"), color);
+        }
+        Err(Refused::Failed(error)) => return Err(error),
+    }
+    if video.ready.is_empty() {
+        let why = video.first_damage.take().unwrap_or_else(|| "the video has no frames".to_string());
+        return Err(Error::input(format!("no frame of this {name} video in {} could be decoded: {why}", video.track.container)));
+    }
+    Ok(Opened {
+        frame_count: video.track.frame_count,
+        description: format!("{} in {}", video.decoder.description(), video.track.container),
+        timestamps_used: false,
+        times_known: video.track.times != Times::Unknown,
+        frames_per_second: video.decoder.frames_per_second(),
+        frames: Box::new(video),
+    })
+}
+
+struct Video {
+    reader: Box<dyn PacketReader>,
+    decoder: Box<dyn Decoder>,
+    /// Those that have not been tried.
+    others: VecDeque<MakeDecoder>,
+    /// Decoded pictures with their groups, waiting for those that are shown before them.
+    waiting: Vec<(u64, Decoded)>,
+    group: u64,
+    ready: VecDeque<(Stamp, Picture)>,
+    given: u64,
+    /// Frames that were given before another decoder started from the beginning.
+    to_skip: u64,
+    ended: bool,
+    damaged: u64,
+    first_damage: Option<String>,
+    current: Option<Picture>,
+    track: Track,
+    packet: Packet,
+    warnings: Vec<String>,
+}
+
+enum Refused {
+    Unsupported(String),
+    Failed(Error),
+}
+
+impl From<Error> for Refused {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+impl Video {
+    /// Decodes until a frame is ready or the stream ends.
+    fn fill(&mut self) -> std::result::Result<(), Refused> {
+        let mut decoded = Vec::new();
+        while self.ready.is_empty() && !self.ended {
+            let outcome = if self.reader.next_packet(&mut self.packet)? {
+                let stamp = Stamp { time_s: self.packet.time_s, shown: self.packet.shown };
+                self.decoder.decode(&self.packet.data, stamp, &mut decoded)
+            } else {
+                self.ended = true;
+                self.decoder.finish(&mut decoded)
+            };
+            match outcome {
+                Ok(()) => {}
+                Err(Refusal::Damaged(what)) => self.damage(what),
+                Err(Refusal::Unsupported(what)) => {
+                    if self.start_another()? {
+                        decoded.clear();
+                        continue;
+                    }
+                    if self.given == 0 && self.waiting.is_empty() && decoded.is_empty() {
+                        return Err(Refused::Unsupported(what));
+                    }
+                    self.damage(what);
+                }
+                Err(Refusal::Broken(error)) => {
+                    if !self.start_another()? {
+                        self.damage(error.to_string());
+                        self.ended = true;
+                    } else {
+                        decoded.clear();
+                        continue;
+                    }
+                }
+            }
+            for picture in decoded.drain(..) {
+                if picture.starts_group {
+                    self.group += 1;
+                    self.release(0);
+                }
+                self.waiting.push((self.group, picture));
+            }
+            self.release(if self.ended { 0 } else { self.decoder.reorder_depth() });
+        }
+        Ok(())
+    }
+
+    /// Starts from the beginning with the next decoder; false where there is none.
+    fn start_another(&mut self) -> Result<bool> {
+        let Some(make) = self.others.pop_front() else { return Ok(false) };
+        self.decoder = make()?;
+        self.reader.rewind()?;
+        self.waiting.clear();
+        self.ready.clear();
+        self.ended = false;
+        self.to_skip = self.given;
+        self.damaged = 0;
+        self.first_damage = None;
+        Ok(true)
+    }
+
+    fn damage(&mut self, what: String) {
+        self.damaged += 1;
+        self.first_damage.get_or_insert(what);
+    }
+
+    /// Moves pictures from `waiting` to `ready` until no more than `depth` wait.
+    fn release(&mut self, depth: usize) {
+        while self.waiting.len() > depth {
+            let first = |key: fn(&(u64, Decoded)) -> (u64, i64)| {
+                self.waiting.iter().enumerate().min_by_key(|(_, w)| key(w)).map(|(i, _)| i)
+            };
+            let Some(picture) = first(|(group, d)| (*group, d.order)) else { return };
+            // The earliest time belongs to the picture shown first: the same picture in a sound file; where the container
+            // has only decoding times, this is what turns them into times of presentation.
+            let earliest = self
+                .waiting
+                .iter()
+                .enumerate()
+                .min_by(|(_, a), (_, b)| a.1.stamp.time_s.total_cmp(&b.1.stamp.time_s))
+                .map_or(picture, |(i, _)| i);
+            let stamp = self.waiting[earliest].1.stamp;
+            self.waiting[earliest].1.stamp = self.waiting[picture].1.stamp;
+            let (_, decoded) = self.waiting.remove(picture);
+            if !stamp.shown {
+                continue;
+            }
+            if self.to_skip > 0 {
+                self.to_skip -= 1;
+                continue;
+            }
+            self.ready.push_back((stamp, decoded.picture));
+        }
+    }
+}
+
+impl Frames for Video {
+    fn advance(&mut self) -> Result<Option<f64>> {
+        self.fill().map_err(|refused| match refused {
+            Refused::Failed(error) => error,
+            Refused::Unsupported(what) => Error::input(format!("the video cannot be decoded: {what}")),
+        })?;
+        let Some((stamp, picture)) = self.ready.pop_front() else { return Ok(None) };
+        self.given += 1;
+        self.current = Some(picture);
+        Ok(Some(stamp.time_s))
+    }
+
+    fn picture(&mut self) -> Result<Picture> {
+        let picture = self.current.take().ok_or_else(|| Error::input("the frame was already taken"))?;
+        Ok(self.track.orientation.upright(picture))
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        let mut warnings = self.reader.take_warnings();
+        warnings.append(&mut self.warnings);
+        if let Some(what) = self.first_damage.take().filter(|_| self.ended) {
+            warnings.push(format!("{} damaged pieces of the video were skipped or shown with faults ({what})", self.damaged));
+        }
+        warnings
+    }
+}

@@ -1,0 +1,276 @@
+//! YUV4MPEG2 (`.y4m`): uncompressed video with a one-line header, from a file or a pipe.
+
+use crate::codec::narrow_little_endian;
+use crate::frame::{Chroma, Color, ColorEncoding, Picture};
+use crate::limits;
+use crate::source::{Frames, Opened};
+use odograph::error::{Error, Result};
+use odograph::image::GrayImage;
+use std::io::{BufRead, Read};
+
+/// The first bytes of every such file.
+pub(crate) const MAGIC: &[u8] = b"YUV4MPEG2";
+/// Longest header line.
+const MAX_LINE: u64 = 4096;
+
+/// The layout of a frame, from the header's `C` tag.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Layout {
+    /// Width and height of the luminance are divided by these for the colour differences; `None` without colour.
+    chroma_divisors: Option<(usize, usize)>,
+    /// A fourth plane, as large as the luminance.
+    alpha: bool,
+    bits: u8,
+}
+
+impl Layout {
+    fn read(tag: &str) -> Option<Self> {
+        let (name, bits) = match tag.strip_prefix("mono") {
+            Some("") => ("mono", 8),
+            Some(bits) => ("mono", bits.parse().ok()?),
+            None => match tag.split_once('p') {
+                Some((name, bits)) if bits.bytes().all(|b| b.is_ascii_digit()) && !bits.is_empty() => {
+                    (name, bits.parse().ok()?)
+                }
+                _ => (tag, 8),
+            },
+        };
+        let (chroma_divisors, alpha) = match name {
+            "mono" => (None, false),
+            "420" | "420jpeg" | "420mpeg2" | "420paldv" => (Some((2, 2)), false),
+            "422" => (Some((2, 1)), false),
+            "444" => (Some((1, 1)), false),
+            "444alpha" => (Some((1, 1)), true),
+            "411" => (Some((4, 1)), false),
+            _ => return None,
+        };
+        (8..=16).contains(&bits).then_some(Self { chroma_divisors, alpha, bits })
+    }
+}
+
+/// The frames of a Y4M stream.
+pub(crate) struct Y4m<R> {
+    reader: R,
+    width: usize,
+    height: usize,
+    layout: Layout,
+    full_range: bool,
+    keep_color: bool,
+    number: u64,
+    luminance: Vec<u8>,
+    blue: Vec<u8>,
+    red: Vec<u8>,
+    warnings: Vec<String>,
+    ended: bool,
+}
+
+/// Reads the header. `byte_length` is the file's length, where it is known, for an estimate of the number of frames.
+pub(crate) fn open<R: BufRead + Send + 'static>(
+    mut reader: R,
+    byte_length: Option<u64>,
+    keep_color: bool,
+) -> Result<Opened> {
+    let header = line(&mut reader)?;
+    let mut tags = header.split(' ');
+    if tags.next() != Some("YUV4MPEG2") {
+        return Err(Error::input("this is not a Y4M stream (it does not start with YUV4MPEG2)"));
+    }
+    let (mut width, mut height, mut rate, mut full_range) = (0, 0, None, false);
+    let mut tag_of_layout = "420jpeg";
+    for tag in tags.filter(|t| !t.is_empty()) {
+        let (key, value) = tag.split_at_checked(1).unwrap_or((tag, ""));
+        match key {
+            "W" => width = value.parse().unwrap_or(0),
+            "H" => height = value.parse().unwrap_or(0),
+            "F" => {
+                rate = value.split_once(':').and_then(|(n, d)| {
+                    let (n, d): (u32, u32) = (n.parse().ok()?, d.parse().ok()?);
+                    (n > 0 && d > 0).then(|| f64::from(n) / f64::from(d))
+                });
+            }
+            "C" => tag_of_layout = value,
+            "X" => full_range |= value == "COLORRANGE=FULL",
+            _ => {}
+        }
+    }
+    let layout = Layout::read(tag_of_layout).ok_or_else(|| {
+        Error::input(format!("the Y4M colour space {tag_of_layout} is not known; 420, 422, 444, 411 and mono are"))
+    })?;
+    limits::check_size(width, height)?;
+    let y4m = Y4m {
+        reader,
+        width,
+        height,
+        layout,
+        full_range: full_range || tag_of_layout == "420jpeg" && header.contains("COLORRANGE=FULL"),
+        keep_color,
+        number: 0,
+        luminance: Vec::new(),
+        blue: Vec::new(),
+        red: Vec::new(),
+        warnings: Vec::new(),
+        ended: false,
+    };
+    let frame_bytes = y4m.frame_bytes() + 6;
+    Ok(Opened {
+        frame_count: byte_length.map(|l| (l.saturating_sub(header.len() as u64 + 1)).div_ceil(frame_bytes)),
+        description: format!("Y4M ({tag_of_layout})"),
+        times_known: false,
+        timestamps_used: false,
+        frames_per_second: rate,
+        frames: Box::new(y4m),
+    })
+}
+
+/// One line without its end.
+fn line(reader: &mut impl BufRead) -> Result<String> {
+    let mut bytes = Vec::new();
+    reader
+        .take(MAX_LINE)
+        .read_until(b'\n', &mut bytes)
+        .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+    if bytes.pop_if(|b| *b == b'\n').is_none() && bytes.len() as u64 == MAX_LINE {
+        return Err(Error::input("this is not a Y4M stream (a header line does not end)"));
+    }
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+impl<R: BufRead> Y4m<R> {
+    fn sample_bytes(&self) -> u64 {
+        if self.layout.bits > 8 { 2 } else { 1 }
+    }
+
+    fn chroma_size(&self) -> Option<(usize, usize)> {
+        let (across, down) = self.layout.chroma_divisors?;
+        Some((self.width.div_ceil(across), self.height.div_ceil(down)))
+    }
+
+    fn frame_bytes(&self) -> u64 {
+        let luminance = (self.width * self.height) as u64;
+        let chroma = self.chroma_size().map_or(0, |(w, h)| (w * h) as u64);
+        let alpha = if self.layout.alpha { luminance } else { 0 };
+        self.sample_bytes() * (luminance + 2 * chroma + alpha)
+    }
+
+    fn narrowed(&self, samples: Vec<u8>) -> Vec<u8> {
+        match self.layout.bits - 8 {
+            0 => samples,
+            shift => narrow_little_endian(&samples, shift),
+        }
+    }
+
+    /// One plane; false where the stream ends inside it.
+    fn plane(&mut self, samples: u64, which: fn(&mut Self) -> &mut Vec<u8>) -> Result<bool> {
+        let bytes = samples * self.sample_bytes();
+        let mut plane = std::mem::take(which(self));
+        plane.clear();
+        let read = (&mut self.reader)
+            .take(bytes)
+            .read_to_end(&mut plane)
+            .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+        *which(self) = plane;
+        Ok(read as u64 == bytes)
+    }
+}
+
+impl<R: BufRead + Send> Frames for Y4m<R> {
+    fn advance(&mut self) -> Result<Option<f64>> {
+        if self.ended {
+            return Ok(None);
+        }
+        self.ended = true;
+        let head = line(&mut self.reader)?;
+        if head.is_empty() {
+            return Ok(None);
+        }
+        if head.split(' ').next() != Some("FRAME") {
+            self.warnings.push(format!("what follows frame {} is not Y4M and was ignored", self.number));
+            return Ok(None);
+        }
+        let luminance = (self.width * self.height) as u64;
+        let chroma = self.chroma_size().map_or(0, |(w, h)| (w * h) as u64);
+        let whole = self.plane(luminance, |s| &mut s.luminance)?
+            && self.plane(chroma, |s| &mut s.blue)?
+            && self.plane(chroma, |s| &mut s.red)?;
+        let alpha = if self.layout.alpha { luminance * self.sample_bytes() } else { 0 };
+        let skipped = std::io::copy(&mut (&mut self.reader).take(alpha), &mut std::io::sink()).unwrap_or(0);
+        if !whole || skipped != alpha {
+            self.warnings.push(format!("the stream is cut off inside frame {}", self.number));
+            return Ok(None);
+        }
+        self.ended = false;
+        self.number += 1;
+        Ok(Some((self.number - 1) as f64))
+    }
+
+    fn picture(&mut self) -> Result<Picture> {
+        let luminance = std::mem::take(&mut self.luminance);
+        let gray = GrayImage::from_samples(self.width, self.height, self.narrowed(luminance))
+            .ok_or_else(|| Error::input("the frame was already taken"))?;
+        let color = self.chroma_size().filter(|_| self.keep_color).map(|(width, height)| {
+            let (blue, red) = (std::mem::take(&mut self.blue), std::mem::take(&mut self.red));
+            Color::Chroma(Chroma {
+                width,
+                height,
+                blue: self.narrowed(blue),
+                red: self.narrowed(red),
+                encoding: ColorEncoding { full_range: self.full_range, ..ColorEncoding::default() },
+            })
+        });
+        Ok(Picture { gray, color })
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+
+    fn frames(bytes: &[u8], color: bool) -> (Vec<Picture>, Vec<String>) {
+        let mut opened = open(Cursor::new(bytes.to_vec()), None, color).unwrap();
+        let mut pictures = Vec::new();
+        while opened.frames.advance().unwrap().is_some() {
+            pictures.push(opened.frames.picture().unwrap());
+        }
+        (pictures, opened.frames.take_warnings())
+    }
+
+    #[test]
+    fn luminance_as_it_stands_and_the_planes_of_420() {
+        let bytes = b"YUV4MPEG2 W3 H2 F25:1 Ip C420jpeg\nFRAME\nabcdef1234FRAME Xy\nABCDEF1234";
+        let (pictures, warnings) = frames(bytes, true);
+        assert!(warnings.is_empty());
+        assert_eq!(pictures[0].gray.samples(), b"abcdef");
+        assert_eq!(pictures[1].gray.samples(), b"ABCDEF");
+        let Some(Color::Chroma(chroma)) = &pictures[0].color else { panic!("no colour") };
+        assert_eq!((chroma.width, chroma.height, &chroma.red[..]), (2, 1, &b"34"[..]));
+        assert!(frames(bytes, false).0[0].color.is_none());
+    }
+
+    #[test]
+    fn deep_samples_are_rounded_to_their_high_bits() {
+        let mut bytes = b"YUV4MPEG2 W2 H1 Cmono10\nFRAME\n".to_vec();
+        bytes.extend([0xfe, 3, 5, 1]); // 1022 and 261 of 1023
+        assert_eq!(frames(&bytes, true).0[0].gray.samples(), &[255, 65]);
+    }
+
+    #[test]
+    fn a_cut_stream_gives_its_whole_frames_and_a_warning() {
+        let (pictures, warnings) = frames(b"YUV4MPEG2 W2 H1 Cmono\nFRAME\nabFRAME\nc", false);
+        assert_eq!(pictures.len(), 1);
+        assert_eq!(warnings, ["the stream is cut off inside frame 1"]);
+    }
+
+    #[test]
+    fn headers_that_cannot_be() {
+        for header in
+            ["YUV4MPEG2 W0 H2\n", "YUV4MPEG2 W2 H2 C999\n", "RIFF\n", "", "YUV4MPEG2 W99999999 H2\n"]
+        {
+            assert!(open(Cursor::new(header.as_bytes().to_vec()), None, false).is_err(), "{header}");
+        }
+    }
+}
