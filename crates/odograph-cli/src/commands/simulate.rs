@@ -1,13 +1,271 @@
-//! `odograph simulate`.
+//! `odograph simulate`: a recording over rendered ground, with its exact truth.
+
+mod avi;
+mod output;
+mod photographs;
+mod scene;
+mod y4m;
 
 use crate::Outcome;
+use clap::ValueEnum;
 use odograph::error::Result;
+use odograph::simulation::Simulation;
+use output::Output;
+use serde::Serialize;
+use std::path::PathBuf;
 
-/// TODO one line for the help.
-#[derive(clap::Args)]
-pub struct SimulateArguments {}
+/// Render a drive over a floor and write the recording, its exact truth, the camera and the rig
+///
+/// The same options always write the same bytes. Without options: a square of 2 m without turning, over asphalt, seen from 0.9 m.
+#[derive(clap::Args, Debug)]
+pub struct SimulateArguments {
+    /// Folder to write to
+    #[arg(short, long, value_name = "FOLDER")]
+    output: PathBuf,
+    /// Ground: asphalt, carpet, tiles, bricks, grass, concrete, bare, or a photograph of a floor (PNG, JPEG); given twice,
+    /// patches of the second lie in the first
+    #[arg(long, value_name = "NAME|FILE", default_value = "asphalt", help_heading = "Ground and way")]
+    texture: Vec<String>,
+    /// Width of the ground that a photograph shows, metres; one for each photograph
+    #[arg(long, value_name = "METRES", default_value = "2", help_heading = "Ground and way")]
+    photo_width: Vec<f64>,
+    /// How a photograph covers the plane: mirror (seamless), repeat (where its edges fit), scatter (asphalt, grass: nothing repeats)
+    #[arg(long, value_name = "HOW", default_value = "mirror", help_heading = "Ground and way")]
+    tiling: Vec<TilingName>,
+    /// Shape of the path
+    #[arg(long, value_name = "NAME", value_enum, default_value = "square", help_heading = "Ground and way")]
+    path: PathName,
+    /// Length of the path: of a straight or a walk in all, of a side, of a lane, of the eight from tip to tip; metres
+    #[arg(long, value_name = "METRES", help_heading = "Ground and way")]
+    length: Option<f64>,
+    /// Speed over ground, metres per second
+    #[arg(long, value_name = "M/S", default_value_t = 0.5, help_heading = "Ground and way")]
+    speed: f64,
+    /// Rate of turning on the spot or about a point, degrees per second
+    #[arg(long, value_name = "DEGREES/S", default_value_t = 30.0, help_heading = "Ground and way")]
+    turn_rate: f64,
+    /// Turns about the pivot, or laps of the eight
+    #[arg(long, value_name = "TURNS", allow_negative_numbers = true, help_heading = "Ground and way")]
+    turns: Option<f64>,
+    /// Number of lanes
+    #[arg(long, value_name = "COUNT", default_value_t = 4, help_heading = "Ground and way")]
+    lanes: u32,
+    /// Distance between lanes, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.6, help_heading = "Ground and way")]
+    spacing: f64,
+    /// Record this long, seconds, instead of to the end of the path; before and after, the camera stands
+    #[arg(long, value_name = "SECONDS", help_heading = "Ground and way")]
+    duration: Option<f64>,
+    /// Be at full speed in the first and the last frame instead of starting and ending at rest
+    #[arg(long, help_heading = "Ground and way")]
+    rolling: bool,
+
+    /// Camera file; without it a camera of 65° with mild barrel distortion
+    #[arg(long, value_name = "FILE", help_heading = "Camera")]
+    camera: Option<PathBuf>,
+    /// Image size in pixels, where no camera file tells it
+    #[arg(long, value_name = "WxH", value_parser = scene::parse_size, help_heading = "Camera")]
+    size: Option<(usize, usize)>,
+    /// Height of the camera above the ground, metres
+    #[arg(
+        long,
+        value_name = "METRES",
+        default_value_t = 0.9,
+        allow_negative_numbers = true,
+        help_heading = "Camera"
+    )]
+    height: f64,
+    /// Roll against straight down, degrees
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Camera"
+    )]
+    roll: f64,
+    /// Pitch against straight down, degrees
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Camera"
+    )]
+    pitch: f64,
+    /// Direction of the top of the image against the carrier's forward, degrees counter-clockwise
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Camera"
+    )]
+    yaw: f64,
+    /// Frames per second
+    #[arg(
+        long,
+        value_name = "HZ",
+        default_value_t = 30.0,
+        allow_negative_numbers = true,
+        help_heading = "Camera"
+    )]
+    fps: f64,
+
+    /// Noise of the sensor, standard deviation in gray levels
+    #[arg(
+        long,
+        value_name = "GRAY",
+        default_value_t = 2.0,
+        allow_negative_numbers = true,
+        help_heading = "Effects"
+    )]
+    noise: f64,
+    /// Exposure time that blurs what moves, seconds
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Effects"
+    )]
+    blur: f64,
+    /// How much darker the corners of the image are, 0 to 1
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Effects"
+    )]
+    vignetting: f64,
+    /// Shaking, in millimetres, degrees and hertz; 0.1 degrees per millimetre and 8 Hz where they are left out
+    #[arg(long, value_name = "MM[:DEG[:HZ]]", value_parser = scene::parse_vibration, help_heading = "Effects")]
+    vibration: Option<scene::VibrationOption>,
+    /// Darkness of the carrier's shadow, which stands still in the image, 0 to 1
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.45", help_heading = "Effects")]
+    shadow: Option<f64>,
+    /// Darkness of shadows that lie on the ground, 0 to 1
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.45", help_heading = "Effects")]
+    ground_shadow: Option<f64>,
+    /// Things cross the view every four seconds, with this speed over ground, metres per second
+    #[arg(long, value_name = "M/S", num_args = 0..=1, default_missing_value = "0.5", help_heading = "Effects")]
+    object: Option<f64>,
+    /// The height wanders by so many percent to either side
+    #[arg(long, value_name = "PERCENT", help_heading = "Effects")]
+    height_change: Option<f64>,
+    /// Roll and pitch wander by so many degrees to either side
+    #[arg(long, value_name = "DEGREES", help_heading = "Effects")]
+    tilt_change: Option<f64>,
+    /// The light drifts by this share to either side, and flickers by a quarter of it
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.2", help_heading = "Effects")]
+    lighting: Option<f64>,
+    /// The exposure jumps every three seconds, by up to this share
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.3", help_heading = "Effects")]
+    exposure_jumps: Option<f64>,
+    /// The lens is covered from one time to another, seconds; may be given more than once
+    #[arg(long, value_name = "FROM:TO", value_parser = scene::parse_blackout, help_heading = "Effects")]
+    blackout: Vec<odograph::simulation::Blackout>,
+    /// Share of frames that are missing
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Effects"
+    )]
+    dropped: f64,
+    /// Frames are taken early or late by this, standard deviation in milliseconds; their timestamps say so
+    #[arg(
+        long,
+        value_name = "MS",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Effects"
+    )]
+    jitter: f64,
+    /// Decides everything that is random
+    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64), help_heading = "Effects")]
+    seed: u64,
+
+    /// png: a folder of pictures; y4m: uncompressed video; mjpeg: an AVI of JPEG pictures
+    #[arg(long, value_enum, default_value = "png")]
+    format: FormatName,
+    /// Colour instead of gray
+    #[arg(long)]
+    color: bool,
+    /// Overwrite what an earlier run has written
+    #[arg(long)]
+    force: bool,
+    /// Say nothing
+    #[arg(short, long)]
+    quiet: bool,
+    /// Number of threads; as many as the machine has, where left out. Changes nothing in the result
+    #[arg(long, value_name = "COUNT")]
+    threads: Option<std::num::NonZeroUsize>,
+}
+
+/// The shapes of paths by the names people call them by.
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum PathName {
+    /// Stand still
+    Still,
+    /// Straight ahead
+    Straight,
+    /// A square without turning, as in the paper
+    Square,
+    /// A square with turns on the spot at its corners
+    SquareTurns,
+    /// One turn about the ground point that the top left corner of the image sees (the paper's figure 14a)
+    Pivot,
+    /// Five turns about that point
+    Spin,
+    /// A figure of eight
+    Eight,
+    /// Up and down a field
+    Lanes,
+    /// A smooth random walk
+    Walk,
+}
+
+/// How a photograph covers the plane.
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum TilingName {
+    Mirror,
+    Repeat,
+    Scatter,
+}
+
+/// What the frames are written as.
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum FormatName {
+    Png,
+    Y4m,
+    Mjpeg,
+}
 
 /// Runs the command.
-pub fn simulate(_arguments: SimulateArguments) -> Result<Outcome> {
+pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
+    let (config, parameters) = scene::from_arguments(&arguments)?;
+    let simulation = Simulation::new(config)?;
+    let output = Output::prepared(&arguments, &simulation)?;
+    output.write(&simulation, &parameters)?;
+    if !arguments.quiet {
+        tell(&arguments, &simulation);
+    }
     Ok(Outcome::Done)
+}
+
+#[allow(clippy::print_stdout)] // the result of the command
+fn tell(arguments: &SimulateArguments, simulation: &Simulation) {
+    let last_s = simulation.times_s().last().copied().unwrap_or(0.0);
+    println!(
+        "{}: {} frames, {last_s:.2} s, {:.2} m of path; truth.tum, camera.yaml and rig.toml lie beside them",
+        arguments.output.display(),
+        simulation.len(),
+        simulation.config().path.length_m(),
+    );
 }

@@ -1,0 +1,268 @@
+//! From options to a scene.
+
+use super::{PathName, SimulateArguments, TilingName, photographs};
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::error::{Error, Result};
+use odograph::formats::camera_file;
+use odograph::geometry::Pixel;
+use odograph::simulation::{
+    Blackout, Effects, ExposureJumps, Lighting, MovingObject, Path, PathKind, Shadow, SimulationConfig,
+    Texture, Tiling, Timing, Vibration, Wander,
+};
+use serde::Serialize;
+use std::fs;
+use std::sync::Arc;
+
+/// Everything as used, for `simulation.toml`.
+#[derive(Debug, Serialize)]
+pub struct Parameters {
+    texture: Vec<String>,
+    photo_width_m: Vec<f64>,
+    tiling: Vec<TilingName>,
+    speed_m_s: f64,
+    turn_rate_deg_s: f64,
+    rolling: bool,
+    duration_s: f64,
+    fps: f64,
+    seed: u64,
+    color: bool,
+    size_px: [usize; 2],
+    camera: Option<String>,
+    path: PathKind,
+    rig: Rig,
+    effects: Effects,
+}
+
+/// `--vibration` as it was typed.
+#[derive(Debug, Clone, Copy)]
+pub struct VibrationOption(Vibration);
+
+/// Builds the scene that the options describe, and tells it back as parameters.
+pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig, Parameters)> {
+    let camera = camera(arguments)?;
+    let rig = Rig {
+        height_m: arguments.height,
+        roll_rad: arguments.roll.to_radians(),
+        pitch_rad: arguments.pitch.to_radians(),
+        yaw_rad: arguments.yaw.to_radians(),
+    }
+    .validated()?;
+    let kind = path_kind(arguments, &camera, &rig)?;
+    let turn_rate_rad_s = arguments.turn_rate.to_radians();
+    let path = Path::new(kind, arguments.speed, turn_rate_rad_s, !arguments.rolling)?;
+    let effects = effects(arguments, &rig).validated()?;
+    let config = SimulationConfig {
+        texture: texture(arguments)?,
+        effects: effects.clone(),
+        fps: arguments.fps,
+        duration_s: arguments.duration,
+        colored: arguments.color,
+        seed: arguments.seed,
+        camera,
+        rig,
+        path,
+    };
+    let parameters = Parameters {
+        texture: arguments.texture.clone(),
+        photo_width_m: arguments.photo_width.clone(),
+        tiling: arguments.tiling.clone(),
+        speed_m_s: arguments.speed,
+        turn_rate_deg_s: arguments.turn_rate,
+        rolling: arguments.rolling,
+        duration_s: arguments.duration.unwrap_or(config.path.duration_s()),
+        fps: arguments.fps,
+        seed: arguments.seed,
+        color: arguments.color,
+        size_px: [config.camera.width(), config.camera.height()],
+        camera: arguments.camera.as_ref().map(|file| file.display().to_string()),
+        path: kind,
+        rig,
+        effects,
+    };
+    Ok((config, parameters))
+}
+
+fn camera(arguments: &SimulateArguments) -> Result<Camera> {
+    let Some(file) = &arguments.camera else {
+        return default_camera(arguments.size.unwrap_or((640, 480)));
+    };
+    let text = fs::read_to_string(file)
+        .map_err(|error| Error::input(format!("{} cannot be read: {error}", file.display())))?;
+    let camera = camera_file::parse(&text, arguments.size).map_err(|error| error.at(file.display()))?;
+    let size = (camera.width(), camera.height());
+    match arguments.size {
+        Some((w, h)) if (w, h) != size => Err(Error::usage(format!(
+            "--size {w}x{h} does not fit {}, whose images have {}x{}; leave one of them out",
+            file.display(),
+            size.0,
+            size.1
+        ))),
+        _ => Ok(camera),
+    }
+}
+
+/// An ordinary camera: 65° wide, principal point a little off the centre, mild barrel distortion.
+fn default_camera(size: (usize, usize)) -> Result<Camera> {
+    let scale = size.0 as f64 / 640.0;
+    let center = ((size.0 as f64 - 1.0) / 2.0, (size.1 as f64 - 1.0) / 2.0);
+    let distortion = Distortion::BrownConrady {
+        k1: -0.12,
+        k2: 0.02,
+        p1: 0.0004,
+        p2: -0.0003,
+        k3: 0.0,
+        k4: 0.0,
+        k5: 0.0,
+        k6: 0.0,
+    };
+    let principal_px = (center.0 + 2.5 * scale, center.1 - 1.5 * scale);
+    Camera::new(size, (500.0 * scale, 500.0 * scale), principal_px, distortion)
+}
+
+fn path_kind(arguments: &SimulateArguments, camera: &Camera, rig: &Rig) -> Result<PathKind> {
+    let length_m = |default: f64| arguments.length.unwrap_or(default);
+    let pivot = |default_turns: f64| {
+        let turns = arguments.turns.unwrap_or(default_turns);
+        let corner = camera.ray_from_pixel(Pixel::new(0.0, 0.0));
+        let about = corner.and_then(|ray| rig.first_pose().ground_from_ray(ray)).ok_or_else(|| {
+            Error::usage("the top left corner of the image does not see the ground; tilt the camera less to pivot about it")
+        })?;
+        Ok(PathKind::Pivot { about, turn_rad: turns * std::f64::consts::TAU })
+    };
+    Ok(match arguments.path {
+        PathName::Still => PathKind::Still { duration_s: arguments.duration.unwrap_or(5.0) },
+        PathName::Straight => PathKind::Straight { length_m: length_m(5.0) },
+        PathName::Square => PathKind::SquareByTranslation { side_m: length_m(2.0) },
+        PathName::SquareTurns => PathKind::SquareWithTurns { side_m: length_m(2.0) },
+        PathName::Pivot => pivot(1.0)?,
+        PathName::Spin => pivot(5.0)?,
+        PathName::Eight => {
+            PathKind::FigureEight { length_m: length_m(4.0), laps: arguments.turns.unwrap_or(1.0) }
+        }
+        PathName::Lanes => {
+            PathKind::Lanes { length_m: length_m(3.0), spacing_m: arguments.spacing, count: arguments.lanes }
+        }
+        PathName::Walk => PathKind::RandomWalk { length_m: length_m(10.0), seed: arguments.seed },
+    })
+}
+
+fn effects(arguments: &SimulateArguments, rig: &Rig) -> Effects {
+    Effects {
+        exposure_s: arguments.blur,
+        noise_gray: arguments.noise,
+        vignetting: arguments.vignetting,
+        vibration: arguments.vibration.map(|vibration| vibration.0),
+        height_change: arguments
+            .height_change
+            .map(|percent| Wander { amplitude: percent / 100.0, period_s: 6.0 }),
+        tilt_change: arguments
+            .tilt_change
+            .map(|degrees| Wander { amplitude: degrees.to_radians(), period_s: 4.0 }),
+        // Lamps on 50 Hz mains flicker at 100 Hz.
+        lighting: arguments.lighting.map(|share| Lighting {
+            drift: share,
+            offset_gray: 20.0 * share,
+            flicker: share / 4.0,
+            flicker_hz: 100.0,
+        }),
+        exposure_jumps: arguments.exposure_jumps.map(|amount| ExposureJumps { amount, every_s: 3.0 }),
+        carrier_shadow: arguments.shadow.map(|darkness| Shadow { darkness, ..Shadow::default() }),
+        ground_shadow: arguments.ground_shadow.unwrap_or(0.0),
+        object: arguments.object.map(|speed_m_s| MovingObject {
+            // About a fifth of the view of an ordinary lens.
+            radius_m: 0.13 * rig.height_m,
+            speed_m_s,
+            every_s: 4.0,
+        }),
+        blackouts: arguments.blackout.clone(),
+        timing: Timing { dropped: arguments.dropped, jitter_s: arguments.jitter / 1000.0 },
+    }
+}
+
+fn texture(arguments: &SimulateArguments) -> Result<Texture> {
+    // Values given once hold for all photographs.
+    let nth = |n: usize| {
+        let width_m = arguments.photo_width.get(n).or(arguments.photo_width.last()).copied().unwrap_or(2.0);
+        let tiling =
+            arguments.tiling.get(n).or(arguments.tiling.last()).copied().unwrap_or(TilingName::Mirror);
+        (width_m, tiling)
+    };
+    let one = |n: usize, name: &str| {
+        if let Some(texture) = Texture::named(name) {
+            return Ok(texture);
+        }
+        let (width_m, tiling) = nth(n);
+        let image = photographs::read(name)?;
+        let tiling = match tiling {
+            TilingName::Mirror => Tiling::Mirror,
+            TilingName::Repeat => Tiling::Repeat,
+            TilingName::Scatter => Tiling::Scatter,
+        };
+        Texture::from_image(&image, width_m / image.width() as f64, tiling).map_err(|error| error.at(name))
+    };
+    match arguments.texture.as_slice() {
+        [name] => one(0, name),
+        [first, second] => Ok(Texture::Patchwork {
+            first: Arc::new(one(0, first)?),
+            second: Arc::new(one(1, second)?),
+            patch_m: 2.0,
+        }),
+        more => Err(Error::usage(format!("--texture was given {} times; two are the limit", more.len()))),
+    }
+}
+
+/// `640x480`.
+pub fn parse_size(text: &str) -> std::result::Result<(usize, usize), String> {
+    let parts = text.split_once(['x', 'X', '×']);
+    let size = parts.and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?)));
+    match size {
+        Some((w, h)) if (16..=8192).contains(&w) && (16..=8192).contains(&h) => Ok((w, h)),
+        _ => Err("an image size is written as 640x480, each side from 16 to 8192".to_string()),
+    }
+}
+
+/// `2`, `2:0.5` or `2:0.5:12`: millimetres, degrees, hertz.
+pub fn parse_vibration(text: &str) -> std::result::Result<VibrationOption, String> {
+    let numbers: Option<Vec<f64>> = text.split(':').map(|part| part.trim().parse().ok()).collect();
+    let (mm, degrees, frequency_hz) = match numbers.as_deref() {
+        Some([mm]) => (*mm, 0.1 * mm, 8.0),
+        Some([mm, degrees]) => (*mm, *degrees, 8.0),
+        Some([mm, degrees, hz]) => (*mm, *degrees, *hz),
+        _ => {
+            return Err("vibration is written as MM, MM:DEG or MM:DEG:HZ, for example 2:0.3:8".to_string());
+        }
+    };
+    Ok(VibrationOption(Vibration { shift_m: mm / 1000.0, turn_rad: degrees.to_radians(), frequency_hz }))
+}
+
+/// `2.5:4`: covered from 2.5 to 4 seconds.
+pub fn parse_blackout(text: &str) -> std::result::Result<Blackout, String> {
+    let times =
+        text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    match times {
+        Some((from_s, to_s)) if from_s < to_s => Ok(Blackout { from_s, to_s }),
+        _ => Err("a blackout is written as FROM:TO in seconds, for example 2.5:4".to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_or_refused() {
+        assert_eq!(parse_size("640x480"), Ok((640, 480)));
+        for bad in ["640", "0x480", "640x", "640x-480", "99999x99999", "axb"] {
+            assert!(parse_size(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn vibration_and_blackouts_are_read_or_refused() {
+        let VibrationOption(vibration) = parse_vibration("2:0.5:12").unwrap();
+        assert_eq!((vibration.shift_m, vibration.frequency_hz), (0.002, 12.0));
+        assert!(parse_vibration("a lot").is_err() && parse_vibration("1:2:3:4").is_err());
+        assert_eq!(parse_blackout("2.5:4"), Ok(Blackout { from_s: 2.5, to_s: 4.0 }));
+        assert!(parse_blackout("4:2.5").is_err() && parse_blackout("4").is_err());
+    }
+}
