@@ -1,0 +1,221 @@
+//! `odograph evaluate`: how far an estimated trajectory is from the truth.
+
+mod figures;
+mod plot;
+mod table;
+
+use crate::{Outcome, files};
+use clap::ValueEnum;
+use odograph::error::{Error, Result};
+use odograph::evaluation::{Alignment, Delta, Evaluation, EvaluationOptions, evaluate as measure};
+use odograph::formats::trajectory_file::{
+    Trajectory, TrajectoryFormat, guess_format, parse_kitti, parse_times, parse_tum,
+};
+use std::fs::File;
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// Compare a trajectory with the truth: absolute and relative errors, drift per metre
+#[derive(clap::Args)]
+#[command(
+    after_help = "Definitions are those of evo, so that figures can be put side by side; docs/evaluation.md tells them."
+)]
+pub struct EvaluateArguments {
+    /// The trajectory to judge (TUM or KITTI)
+    estimate: PathBuf,
+    /// The true trajectory (TUM or KITTI)
+    truth: PathBuf,
+    /// How the estimate may be moved before it is compared
+    #[arg(long, value_enum, default_value = "se3")]
+    align: Align,
+    /// Do not compare poses further apart in time than this
+    #[arg(long, value_name = "SECONDS", default_value_t = EvaluationOptions::default().max_time_difference_s)]
+    max_time_difference: f64,
+    /// Form of both files [default: told by the count of columns]
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    /// Times of the poses of KITTI files, a number of seconds a line [default: the number of the pose]
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// Stretches of the relative errors: metres (1m) or poses (10f); several with commas
+    #[arg(long, value_name = "LENGTH", value_delimiter = ',', default_value = "1f,1m")]
+    delta: Vec<DeltaArgument>,
+    /// Start a relative error at every pose, not only where the one before ended
+    #[arg(long)]
+    all_pairs: bool,
+    /// Segment lengths for the drift; several with commas [default: 1, 10, 100, … up to the path's length]
+    #[arg(long, value_name = "METRES", value_delimiter = ',')]
+    segments: Vec<f64>,
+    /// Draw the paths and the errors over time into this SVG file
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    /// Overwrite the plot if it exists
+    #[arg(long)]
+    force: bool,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
+    /// Print no table
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Align {
+    /// not at all: both are in the same world
+    None,
+    /// the first poses onto each other
+    Origin,
+    /// turn about z and shift in x and y
+    Se2,
+    /// rotation and translation
+    Se3,
+    /// rotation, translation and scale
+    Sim3,
+}
+
+impl From<Align> for Alignment {
+    fn from(align: Align) -> Self {
+        match align {
+            Align::None => Self::None,
+            Align::Origin => Self::Origin,
+            Align::Se2 => Self::Se2,
+            Align::Se3 => Self::Se3,
+            Align::Sim3 => Self::Sim3,
+        }
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Format {
+    /// time x y z qx qy qz qw
+    Tum,
+    /// 3x4 matrices
+    Kitti,
+}
+
+#[derive(Clone, Copy)]
+struct DeltaArgument(Delta);
+
+impl FromStr for DeltaArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let bad = || format!("{text:?} is not a stretch; write metres as 1m or a count of poses as 10f");
+        if let Some(metres) = text.strip_suffix('m') {
+            let length_m =
+                metres.trim().parse::<f64>().ok().filter(|m| m.is_finite() && *m > 0.0).ok_or_else(bad)?;
+            return Ok(Self(Delta::Metres(length_m)));
+        }
+        let frames = text.strip_suffix('f').ok_or_else(bad)?;
+        let count = frames.trim().parse::<usize>().ok().filter(|&count| count > 0).ok_or_else(bad)?;
+        Ok(Self(Delta::Frames(count)))
+    }
+}
+
+/// Runs the command.
+pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
+    if let Some(path) = &arguments.plot {
+        check_plot(path, arguments.force)?;
+    }
+    let times_s = match &arguments.times {
+        Some(path) => Some(parse_times(&read_text(path)?).map_err(|error| error.at(path.display()))?),
+        None => None,
+    };
+    let estimate = read_trajectory(&arguments.estimate, arguments.format, times_s.as_deref())?;
+    let truth = read_trajectory(&arguments.truth, arguments.format, times_s.as_deref())?;
+    if !(estimate.timed && truth.timed) && estimate.trajectory.poses.len() != truth.trajectory.poses.len() {
+        return Err(Error::input(format!(
+            "{} has {} poses and {} has {}; without times only files of the same length can be compared (give --times)",
+            arguments.estimate.display(),
+            estimate.trajectory.poses.len(),
+            arguments.truth.display(),
+            truth.trajectory.poses.len()
+        )));
+    }
+    let options = EvaluationOptions {
+        max_time_difference_s: arguments.max_time_difference,
+        alignment: arguments.align.into(),
+        deltas: arguments.delta.iter().map(|delta| delta.0).collect(),
+        all_pairs: arguments.all_pairs,
+        segment_lengths_m: arguments.segments.clone(),
+    };
+    let evaluation = measure(&estimate.trajectory, &truth.trajectory, &options)?;
+    if let Some(path) = &arguments.plot {
+        let title = format!("{} against {}", name(&arguments.estimate), name(&arguments.truth));
+        files::write(path, plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;
+    }
+    tell(&arguments, &options, &evaluation)?;
+    Ok(Outcome::Done)
+}
+
+fn tell(arguments: &EvaluateArguments, options: &EvaluationOptions, evaluation: &Evaluation) -> Result<()> {
+    let text = if arguments.json {
+        figures::json(&arguments.estimate, &arguments.truth, options, evaluation)?
+    } else if arguments.quiet {
+        return Ok(());
+    } else {
+        table::text(&arguments.estimate, &arguments.truth, options, evaluation)
+    };
+    match std::io::stdout().lock().write_all(text.as_bytes()) {
+        // Whoever reads the output may stop when they have seen enough.
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(Error::output(format!("the result cannot be printed: {error}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+fn check_plot(path: &Path, force: bool) -> Result<()> {
+    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg")) {
+        return Err(Error::usage(format!("{} is not an .svg; the plot is written as SVG", path.display())));
+    }
+    if !force && path.exists() {
+        return Err(Error::usage(format!("{} exists; give --force to overwrite it", path.display())));
+    }
+    Ok(())
+}
+
+/// A trajectory, and whether its times are seconds rather than numbers of poses.
+struct Loaded {
+    trajectory: Trajectory,
+    timed: bool,
+}
+
+fn read_trajectory(path: &Path, format: Option<Format>, times_s: Option<&[f64]>) -> Result<Loaded> {
+    let text = read_text(path)?;
+    let parse = || {
+        let format = match format {
+            Some(Format::Tum) => TrajectoryFormat::Tum,
+            Some(Format::Kitti) => TrajectoryFormat::Kitti,
+            None => guess_format(&text)?,
+        };
+        Ok(match format {
+            TrajectoryFormat::Tum => Loaded { trajectory: parse_tum(&text)?, timed: true },
+            TrajectoryFormat::Kitti => {
+                Loaded { trajectory: parse_kitti(&text, times_s)?, timed: times_s.is_some() }
+            }
+        })
+    };
+    parse().map_err(|error: Error| error.at(path.display()))
+}
+
+/// No trajectory of text is larger: a day at a thousand poses a second is 10 GB, an hour at 100 is 40 MB.
+const MAX_BYTES: u64 = 1 << 30;
+
+fn read_text(path: &Path) -> Result<String> {
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
+        .map_err(|error| Error::input(format!("{} cannot be read: {error}", path.display())))?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(Error::input(format!("{} is larger than 1 GiB; is it a trajectory?", path.display())));
+    }
+    String::from_utf8(bytes)
+        .map_err(|_| Error::input(format!("{} is not a text file; a trajectory is text", path.display())))
+}

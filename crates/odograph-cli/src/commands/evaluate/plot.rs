@@ -1,0 +1,279 @@
+//! The paths laid over each other and the errors over time, as SVG.
+
+use odograph::evaluation::{Evaluation, PosePair};
+use odograph::formats::trajectory_file::Trajectory;
+use std::fmt::Write;
+
+const WIDTH: f64 = 960.0;
+const HEIGHT: f64 = 1180.0;
+/// Inner edges of the panels.
+const LEFT: f64 = 84.0;
+const RIGHT: f64 = WIDTH - 28.0;
+const TRUTH: &str = "#444444";
+const ESTIMATE: &str = "#d1495b";
+const ROTATION: &str = "#2a6f97";
+
+/// A whole SVG document. The path is seen along the axis in which it has least to show (from above for a camera over ground),
+/// at the same scale both ways; below it the position and the rotation error of each compared pose.
+pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
+    let mut out = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{HEIGHT}\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" \
+         font-family=\"sans-serif\" font-size=\"13\" fill=\"#222222\">\n\
+         <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n\
+         <text x=\"{LEFT}\" y=\"30\" font-size=\"17\" font-weight=\"bold\">{}</text>\n",
+        escaped(title)
+    );
+    let _ = writeln!(
+        out,
+        "<text x=\"{LEFT}\" y=\"50\">absolute position error: rmse {:.6} m, largest {:.6} m; path {:.3} m</text>",
+        evaluation.absolute.translation.rmse, evaluation.absolute.translation.max, evaluation.truth_length_m
+    );
+    draw_paths(&mut out, evaluation, truth);
+    let start_s = evaluation.pairs.first().map_or(0.0, |pair| pair.time_s);
+    let over_time = |errors: &[f64], factor: f64| -> Vec<(f64, f64)> {
+        evaluation
+            .pairs
+            .iter()
+            .zip(errors)
+            .map(|(pair, error)| (pair.time_s - start_s, error * factor))
+            .collect()
+    };
+    let position = over_time(&evaluation.absolute.translation_m, 1.0);
+    let rotation = over_time(&evaluation.absolute.rotation_rad, 180.0 / std::f64::consts::PI);
+    draw_errors(&mut out, (750.0, 910.0), "position error (m)", ESTIMATE, &position);
+    draw_errors(&mut out, (960.0, 1120.0), "rotation error (°)", ROTATION, &rotation);
+    let _ = writeln!(
+        out,
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">time since {start_s:.3} s (s)</text>",
+        0.5 * (LEFT + RIGHT),
+        HEIGHT - 14.0
+    );
+    out.push_str("</svg>\n");
+    out
+}
+
+/// A range of values on a line of the drawing.
+struct Axis {
+    low: f64,
+    high: f64,
+    from_px: f64,
+    to_px: f64,
+}
+
+impl Axis {
+    fn at(&self, value: f64) -> f64 {
+        self.from_px + (value - self.low) / (self.high - self.low) * (self.to_px - self.from_px)
+    }
+
+    /// Round values between `low` and `high`, about `count` of them, with the decimals they need.
+    fn ticks(&self, count: f64) -> Vec<(f64, String)> {
+        let rough = (self.high - self.low) / count;
+        let power = 10f64.powf(rough.log10().floor());
+        let step =
+            [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&s| s >= rough).unwrap_or(rough);
+        let decimals = (-step.log10().floor()).clamp(0.0, 12.0) as usize;
+        let first = (self.low / step).ceil();
+        (0..=(2.0 * count) as usize + 2)
+            .map(|index| (first + index as f64) * step)
+            .filter(|&value| value <= self.high + step * 1e-9)
+            // Adding zero makes a negative zero positive.
+            .map(|value| (value, format!("{:.decimals$}", (value / step).round() * step + 0.0)))
+            .collect()
+    }
+}
+
+fn draw_paths(out: &mut String, evaluation: &Evaluation, truth: &Trajectory) {
+    let (top, bottom) = (70.0, 690.0);
+    let position = |pose: &nalgebra::Isometry3<f64>| <[f64; 3]>::from(pose.translation.vector);
+    let true_path: Vec<[f64; 3]> = truth.poses.iter().map(|pose| position(&pose.world_from_camera)).collect();
+    let estimated: Vec<[f64; 3]> = evaluation.pairs.iter().map(|pair| position(&pair.estimate)).collect();
+    let (low, high) = bounds(true_path.iter().chain(&estimated));
+    let (across, up) = seen_axes([0, 1, 2].map(|i| high[i] - low[i]));
+    // One scale for both axes, a margin of 5 %, and at least a millimetre to look at.
+    let (wide, tall) = (RIGHT - LEFT, bottom - top);
+    let metres_per_px =
+        ((high[across] - low[across]) / wide).max((high[up] - low[up]) / tall).max(1e-3 / wide) * 1.1;
+    let axis = |i: usize, from_px: f64, to_px: f64| {
+        let centre = 0.5 * (low[i] + high[i]);
+        let reach = 0.5 * metres_per_px * (to_px - from_px).abs();
+        Axis { low: centre - reach, high: centre + reach, from_px, to_px }
+    };
+    let (x, y) = (axis(across, LEFT, RIGHT), axis(up, bottom, top));
+    let names = ["x", "y", "z"];
+    frame(out, &x, &y, &format!("{} (m)", names[up]));
+    let _ = writeln!(
+        out,
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{} (m)</text>",
+        0.5 * (LEFT + RIGHT),
+        bottom + 36.0,
+        names[across]
+    );
+    let on_paper = |p: &[f64; 3]| (x.at(p[across]), y.at(p[up]));
+    let drawn: Vec<_> = thinned(&true_path).map(on_paper).collect();
+    polyline(out, TRUTH, 3.0, "stroke-dasharray=\"7 4\"", &drawn);
+    // No line is drawn where there was no estimate.
+    let mut from = 0;
+    for end in gaps(&evaluation.pairs).chain([estimated.len()]) {
+        let drawn: Vec<_> = thinned(&estimated[from..end]).map(on_paper).collect();
+        polyline(out, ESTIMATE, 1.6, "", &drawn);
+        from = end;
+    }
+    if let (Some(first), Some(last)) = (estimated.first(), estimated.last()) {
+        let ((a, b), (c, d)) = (on_paper(first), on_paper(last));
+        let _ = writeln!(
+            out,
+            "<circle cx=\"{a:.2}\" cy=\"{b:.2}\" r=\"6\" fill=\"#ffffff\" stroke=\"{ESTIMATE}\" stroke-width=\"2\"/>\n\
+             <rect x=\"{:.2}\" y=\"{:.2}\" width=\"10\" height=\"10\" fill=\"{ESTIMATE}\"/>",
+            c - 5.0,
+            d - 5.0
+        );
+    }
+    let _ = writeln!(
+        out,
+        "<g transform=\"translate({} {})\"><rect width=\"350\" height=\"26\" fill=\"#ffffff\" fill-opacity=\"0.85\"/>\
+         <path d=\"M8 13h34\" stroke=\"{TRUTH}\" stroke-width=\"3\" stroke-dasharray=\"7 4\"/><text x=\"48\" y=\"18\">truth</text>\
+         <path d=\"M92 13h34\" stroke=\"{ESTIMATE}\" stroke-width=\"1.6\"/><text x=\"132\" y=\"18\">estimate</text>\
+         <circle cx=\"208\" cy=\"13\" r=\"6\" fill=\"#ffffff\" stroke=\"{ESTIMATE}\" stroke-width=\"2\"/><text x=\"220\" y=\"18\">start</text>\
+         <rect x=\"268\" y=\"8\" width=\"10\" height=\"10\" fill=\"{ESTIMATE}\"/><text x=\"285\" y=\"18\">end</text></g>",
+        RIGHT - 352.0,
+        top + 2.0
+    );
+}
+
+fn draw_errors(out: &mut String, (top, bottom): (f64, f64), name: &str, color: &str, points: &[(f64, f64)]) {
+    let duration_s = points.last().map_or(0.0, |point| point.0);
+    let largest = points.iter().fold(0.0, |largest: f64, point| largest.max(point.1));
+    let x = Axis { low: 0.0, high: duration_s.max(1e-3), from_px: LEFT, to_px: RIGHT };
+    let y = Axis { low: 0.0, high: (largest * 1.08).max(1e-9), from_px: bottom, to_px: top };
+    frame(out, &x, &y, name);
+    let drawn: Vec<_> = envelope(points).iter().map(|point| (x.at(point.0), y.at(point.1))).collect();
+    polyline(out, color, 1.4, "", &drawn);
+}
+
+/// Grid, tick labels, border, and the name of the vertical axis.
+fn frame(out: &mut String, x: &Axis, y: &Axis, name: &str) {
+    let (top, bottom) = (y.to_px, y.from_px);
+    let _ = writeln!(out, "<g stroke=\"#dddddd\" stroke-width=\"1\">");
+    let ticks_x = x.ticks(8.0);
+    let ticks_y = y.ticks(((bottom - top) / 60.0).max(3.0));
+    for (value, _) in &ticks_x {
+        let _ = writeln!(out, "<path d=\"M{:.2} {top}V{bottom}\"/>", x.at(*value));
+    }
+    for (value, _) in &ticks_y {
+        let _ = writeln!(out, "<path d=\"M{LEFT} {:.2}H{RIGHT}\"/>", y.at(*value));
+    }
+    let _ = writeln!(out, "</g>\n<g font-size=\"12\" fill=\"#444444\">");
+    for (value, label) in &ticks_x {
+        let _ = writeln!(
+            out,
+            "<text x=\"{:.2}\" y=\"{}\" text-anchor=\"middle\">{label}</text>",
+            x.at(*value),
+            bottom + 17.0
+        );
+    }
+    for (value, label) in &ticks_y {
+        let _ = writeln!(
+            out,
+            "<text x=\"{}\" y=\"{:.2}\" text-anchor=\"end\">{label}</text>",
+            LEFT - 6.0,
+            y.at(*value) + 4.0
+        );
+    }
+    let middle = 0.5 * (top + bottom);
+    let _ = writeln!(
+        out,
+        "</g>\n<rect x=\"{LEFT}\" y=\"{top}\" width=\"{}\" height=\"{}\" fill=\"none\" stroke=\"#888888\"/>\n\
+         <text x=\"18\" y=\"{middle}\" text-anchor=\"middle\" transform=\"rotate(-90 18 {middle})\">{name}</text>",
+        RIGHT - LEFT,
+        bottom - top
+    );
+}
+
+fn polyline(out: &mut String, color: &str, width: f64, style: &str, points: &[(f64, f64)]) {
+    if points.len() < 2 {
+        return;
+    }
+    let _ = write!(
+        out,
+        "<polyline fill=\"none\" stroke=\"{color}\" stroke-width=\"{width}\" stroke-linejoin=\"round\" {style} points=\""
+    );
+    for (x, y) in points {
+        let _ = write!(out, "{x:.2},{y:.2} ");
+    }
+    out.push_str("\"/>\n");
+}
+
+/// Smallest and largest of each coordinate; zeros without points.
+fn bounds<'a>(points: impl Iterator<Item = &'a [f64; 3]>) -> ([f64; 3], [f64; 3]) {
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    let mut any = false;
+    for point in points {
+        any = true;
+        for i in 0..3 {
+            low[i] = low[i].min(point[i]);
+            high[i] = high[i].max(point[i]);
+        }
+    }
+    if any { (low, high) } else { ([0.0; 3], [0.0; 3]) }
+}
+
+/// The axes across and up the paper: x and y, unless z has clearly more to show than one of them.
+fn seen_axes(extent: [f64; 3]) -> (usize, usize) {
+    let clearly = extent[2] > 2.0 * extent[0].min(extent[1]) && extent[2] > 0.1 * extent[0].max(extent[1]);
+    match clearly {
+        false => (0, 1),
+        true if extent[0] >= extent[1] => (0, 2),
+        true => (1, 2),
+    }
+}
+
+/// Where the estimate pauses: indices of pairs that follow on the one before after more than five times the usual interval.
+fn gaps(pairs: &[PosePair]) -> impl Iterator<Item = usize> {
+    let mut steps: Vec<f64> = pairs.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
+    steps.sort_by(f64::total_cmp);
+    let limit_s = steps.get(steps.len() / 2).map_or(f64::INFINITY, |usual_s| 5.0 * usual_s);
+    pairs
+        .windows(2)
+        .enumerate()
+        .filter(move |(_, pair)| pair[1].time_s - pair[0].time_s > limit_s)
+        .map(|(i, _)| i + 1)
+}
+
+/// More points than this cannot be told apart on paper.
+const MOST_POINTS: usize = 4000;
+
+/// Evenly taken points with the first and the last.
+fn thinned<T>(points: &[T]) -> impl Iterator<Item = &T> {
+    let step = points.len().div_ceil(MOST_POINTS).max(1);
+    let last = points.len().saturating_sub(1);
+    points.iter().enumerate().filter(move |(i, _)| i % step == 0 || *i == last).map(|(_, point)| point)
+}
+
+/// Points of a curve, thinned so that no peak is lost: of each bundle the lowest and the highest.
+fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let step = (2 * points.len()).div_ceil(MOST_POINTS).max(1);
+    if step <= 2 {
+        return points.to_vec();
+    }
+    let mut kept = Vec::with_capacity(MOST_POINTS);
+    for bundle in points.chunks(step) {
+        let value = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
+        if let (Some(&low), Some(&high)) = (bundle.iter().min_by(value), bundle.iter().max_by(value)) {
+            kept.extend(if low.0 <= high.0 { [low, high] } else { [high, low] });
+        }
+    }
+    kept
+}
+
+fn escaped(text: &str) -> String {
+    let visible = text.chars().filter(|c| !c.is_control());
+    visible.fold(String::new(), |mut out, c| {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            c => out.push(c),
+        }
+        out
+    })
+}

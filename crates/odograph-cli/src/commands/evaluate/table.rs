@@ -1,0 +1,86 @@
+//! The result as a table for people.
+
+use odograph::evaluation::{Evaluation, EvaluationOptions, Statistics};
+use std::fmt::Write;
+use std::path::Path;
+
+/// The whole table; metres and degrees.
+pub fn text(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Evaluation) -> String {
+    let mut out = String::new();
+    let _ =
+        writeln!(out, "{} against {}, alignment {}", estimate.display(), truth.display(), options.alignment);
+    let share = 100.0 * e.pairs.len() as f64 / e.truth_poses as f64;
+    let covered =
+        e.time_covered.map_or(String::new(), |part| format!(", over {:.1} % of its time", 100.0 * part));
+    let _ = writeln!(
+        out,
+        "poses    {} estimated, {} true, {} compared ({share:.1} % of the true ones{covered})",
+        e.estimate_poses,
+        e.truth_poses,
+        e.pairs.len()
+    );
+    let _ = writeln!(out, "path     {:.3} m true, {:.3} m estimated", e.truth_length_m, e.estimate_length_m);
+    let scale = match e.scale {
+        Some(scale) => format!("{scale:.6} times the estimate fits best ({:+.3} %)", 100.0 * (scale - 1.0)),
+        None => "not told by these paths".to_owned(),
+    };
+    let _ = writeln!(out, "scale    {scale}");
+    let of_path = if e.truth_length_m > 0.0 {
+        format!(" ({:.3} % of the path)", 100.0 * e.final_position_error_m / e.truth_length_m)
+    } else {
+        String::new()
+    };
+    let _ = writeln!(
+        out,
+        "at end   position {:.6} m off{of_path}, heading {:+.4}° off, first poses laid onto each other",
+        e.final_position_error_m,
+        e.final_heading_error_rad.to_degrees()
+    );
+    if !e.alignment.rotation_determined {
+        let _ = writeln!(
+            out,
+            "note     the positions leave the rotation open (a straight path, or none); the smallest was taken"
+        );
+    }
+    let _ = writeln!(
+        out,
+        "\n{:<30}{:>12}{:>12}{:>12}{:>12}{:>12}{:>12}{:>8}",
+        "error", "rmse", "mean", "median", "std", "min", "max", "count"
+    );
+    row(&mut out, "absolute position (m)", &e.absolute.translation, 1.0);
+    row(&mut out, "absolute rotation (°)", &e.absolute.rotation, DEGREES);
+    for relative in &e.relative {
+        row(&mut out, &format!("position over {} (m)", relative.delta), &relative.translation, 1.0);
+        row(&mut out, &format!("rotation over {} (°)", relative.delta), &relative.rotation, DEGREES);
+    }
+    if !e.drift.is_empty() {
+        let _ = writeln!(
+            out,
+            "\n{:<30}{:>12}{:>12}{:>12}{:>12}{:>12}",
+            "mean drift over each", "position %", "rotation °/m", "heading °/m", "bias °/m", "segments"
+        );
+        for drift in &e.drift {
+            let _ = writeln!(
+                out,
+                "{:<30}{:>12.5}{:>12.5}{:>12.5}{:>+12.5}{:>12}",
+                format!("{} m", drift.length_m),
+                drift.translation_percent,
+                drift.rotation_deg_per_m,
+                drift.heading_deg_per_m,
+                drift.heading_bias_deg_per_m,
+                drift.segments
+            );
+        }
+    }
+    out
+}
+
+const DEGREES: f64 = 180.0 / std::f64::consts::PI;
+
+fn row(out: &mut String, name: &str, s: &Statistics, factor: f64) {
+    let _ = write!(out, "{name:<30}");
+    for value in [s.rmse, s.mean, s.median, s.std, s.min, s.max] {
+        let _ = write!(out, "{:>12.6}", value * factor);
+    }
+    let _ = writeln!(out, "{:>8}", s.count);
+}

@@ -1,1 +1,0 @@
-//! How good a trajectory is: absolute and relative errors, drift per metre.

@@ -1,0 +1,209 @@
+//! Laying the estimate onto the truth.
+
+use super::association::PosePair;
+use crate::error::{Error, Result};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
+use std::fmt;
+
+/// What the estimate may be moved by before it is compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Alignment {
+    /// Nothing: both are in the same world.
+    None,
+    /// The rigid movement that brings the first compared pose onto the truth's.
+    Origin,
+    /// The turn about z and the shift in x and y that fit all positions best in the x–y plane; heights stay.
+    Se2,
+    /// The rigid movement that fits all positions best.
+    Se3,
+    /// The rigid movement and the scale that fit all positions best.
+    Sim3,
+}
+
+impl fmt::Display for Alignment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::None => "none",
+            Self::Origin => "origin",
+            Self::Se2 => "se2",
+            Self::Se3 => "se3",
+            Self::Sim3 => "sim3",
+        })
+    }
+}
+
+/// A scaling followed by a rigid movement: `truth = rotation · scale · estimate + translation`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Similarity {
+    /// Factor of lengths.
+    pub scale: f64,
+    /// Rotation and translation (metres) after the scaling.
+    pub truth_from_estimate: Isometry3<f64>,
+    /// Whether the positions determine the rotation. Where they do not (a straight path leaves the turn about itself free, a
+    /// standing camera any turn) the smallest of the best rotations is taken.
+    pub rotation_determined: bool,
+}
+
+impl Similarity {
+    /// A pose of the estimate laid onto the truth.
+    pub fn apply(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
+        let scaled = Translation3::from(pose.translation.vector * self.scale);
+        self.truth_from_estimate * Isometry3::from_parts(scaled, pose.rotation)
+    }
+}
+
+/// The movement of the wanted kind. Fails for [`Alignment::Sim3`] where the positions do not determine a scale.
+pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity> {
+    let rigid = |truth_from_estimate, rotation_determined| Similarity {
+        scale: 1.0,
+        truth_from_estimate,
+        rotation_determined,
+    };
+    Ok(match alignment {
+        Alignment::None => rigid(Isometry3::identity(), true),
+        Alignment::Origin => {
+            let first =
+                pairs.first().map_or(Isometry3::identity(), |pair| pair.truth * pair.estimate.inverse());
+            rigid(first, true)
+        }
+        Alignment::Se2 => {
+            let mut sums = Sums::of(pairs);
+            // Without heights only a turn about z is left to gain anything.
+            for index in 0..3 {
+                sums.covariance[(2, index)] = 0.0;
+                sums.covariance[(index, 2)] = 0.0;
+            }
+            let c = sums.covariance;
+            let (along, across) = (c[(0, 0)] + c[(1, 1)], c[(1, 0)] - c[(0, 1)]);
+            let determined = along.hypot(across) > DETERMINED * sums.largest();
+            let angle_rad = if determined { across.atan2(along) } else { 0.0 };
+            let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
+            let mut shift = sums.truth_mean - rotation * sums.estimate_mean;
+            shift.z = 0.0;
+            rigid(Isometry3::from_parts(shift.into(), rotation), determined)
+        }
+        Alignment::Se3 => {
+            let sums = Sums::of(pairs);
+            let best = sums.best_rotation();
+            let shift = sums.truth_mean - best.rotation * sums.estimate_mean;
+            rigid(Isometry3::from_parts(shift.into(), best.rotation), best.determined)
+        }
+        Alignment::Sim3 => {
+            let sums = Sums::of(pairs);
+            let best = sums.best_rotation();
+            let scale = sums.scale(&best).ok_or_else(|| {
+                Error::input(
+                    "the positions do not determine a scale (one of the paths stands still, or they have nothing in common); \
+                     align with se3 or origin instead",
+                )
+            })?;
+            let shift = sums.truth_mean - best.rotation * (sums.estimate_mean * scale);
+            Similarity {
+                scale,
+                truth_from_estimate: Isometry3::from_parts(shift.into(), best.rotation),
+                rotation_determined: best.determined,
+            }
+        }
+    })
+}
+
+/// The scale of [`Alignment::Sim3`], where the positions determine it.
+pub(super) fn scale(pairs: &[PosePair]) -> Option<f64> {
+    let sums = Sums::of(pairs);
+    sums.scale(&sums.best_rotation())
+}
+
+/// Relative size below which a difference is rounding.
+const DETERMINED: f64 = 1e-12;
+
+/// What the best movement depends on.
+struct Sums {
+    estimate_mean: Vector3<f64>,
+    truth_mean: Vector3<f64>,
+    /// Sum of squared distances of the estimate's positions from their mean.
+    estimate_spread: f64,
+    /// The same of the truth.
+    truth_spread: f64,
+    /// Sum of (truth − mean)(estimate − mean)ᵀ.
+    covariance: Matrix3<f64>,
+}
+
+/// A rotation with the value of what it maximises.
+struct BestRotation {
+    rotation: UnitQuaternion<f64>,
+    /// tr(R covarianceᵀ), Umeyama's tr(D S).
+    gain: f64,
+    determined: bool,
+}
+
+impl Sums {
+    fn of(pairs: &[PosePair]) -> Self {
+        let count = pairs.len().max(1) as f64;
+        let estimate_mean =
+            pairs.iter().map(|pair| pair.estimate.translation.vector).sum::<Vector3<f64>>() / count;
+        let truth_mean = pairs.iter().map(|pair| pair.truth.translation.vector).sum::<Vector3<f64>>() / count;
+        let mut sums = Self {
+            estimate_mean,
+            truth_mean,
+            estimate_spread: 0.0,
+            truth_spread: 0.0,
+            covariance: Matrix3::zeros(),
+        };
+        for pair in pairs {
+            let estimate = pair.estimate.translation.vector - estimate_mean;
+            let truth = pair.truth.translation.vector - truth_mean;
+            sums.estimate_spread += estimate.norm_squared();
+            sums.truth_spread += truth.norm_squared();
+            sums.covariance += truth * estimate.transpose();
+        }
+        sums
+    }
+
+    /// What no element of the covariance can be larger than.
+    fn largest(&self) -> f64 {
+        (self.estimate_spread * self.truth_spread).sqrt()
+    }
+
+    /// The rotation of S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", 1991,
+    /// found as B. K. P. Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987, does: the
+    /// quaternion is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix, which is always a rotation and
+    /// never a reflection. The difference of the largest two eigenvalues is twice the sum of Umeyama's two smaller (signed)
+    /// singular values; where it vanishes the best rotations are a whole eigenspace, and the smallest of them is the
+    /// projection of the identity onto it.
+    fn best_rotation(&self) -> BestRotation {
+        let c = &self.covariance;
+        let (xx, yy, zz) = (c[(0, 0)], c[(1, 1)], c[(2, 2)]);
+        let (x, y, z) = (c[(2, 1)] - c[(1, 2)], c[(0, 2)] - c[(2, 0)], c[(1, 0)] - c[(0, 1)]);
+        let (xy, yz, zx) = (c[(0, 1)] + c[(1, 0)], c[(1, 2)] + c[(2, 1)], c[(2, 0)] + c[(0, 2)]);
+        #[rustfmt::skip]
+        let horn = Matrix4::new(
+            xx + yy + zz, x, y, z,
+            x, xx - yy - zz, xy, zx,
+            y, xy, yy - xx - zz, yz,
+            z, zx, yz, zz - xx - yy,
+        );
+        let eigen = horn.symmetric_eigen();
+        let gain = eigen.eigenvalues.max();
+        let rounding = DETERMINED * self.largest();
+        let best: Vec<Vector4<f64>> = (0..4)
+            .filter(|&index| eigen.eigenvalues[index] >= gain - rounding)
+            .map(|index| eigen.eigenvectors.column(index).into_owned())
+            .collect();
+        let identity = Vector4::new(1.0, 0.0, 0.0, 0.0);
+        let nearest: Vector4<f64> = best.iter().map(|axis| *axis * axis.dot(&identity)).sum();
+        let chosen = match best.as_slice() {
+            [only] => *only,
+            [first, ..] if nearest.norm() < 1e-6 => *first,
+            _ => nearest,
+        };
+        let quaternion = Quaternion::new(chosen[0], chosen[1], chosen[2], chosen[3]);
+        let rotation = UnitQuaternion::try_new(quaternion, 0.0).unwrap_or_else(UnitQuaternion::identity);
+        BestRotation { rotation, gain, determined: best.len() == 1 }
+    }
+
+    /// Umeyama's equation 42.
+    fn scale(&self, best: &BestRotation) -> Option<f64> {
+        let scale = best.gain / self.estimate_spread;
+        (best.gain > DETERMINED * self.largest() && scale.is_finite() && scale > 0.0).then_some(scale)
+    }
+}

@@ -1,0 +1,83 @@
+//! Drift: the error that a stretch of path adds, as a share of its length.
+
+use super::association::{PosePair, path_m};
+use super::relative::error_between;
+use crate::geometry::wrap_angle;
+use nalgebra::Isometry3;
+use serde::Serialize;
+
+/// Mean error over all segments of one length: from every pose to the first one whose true path is at least that much further,
+/// the relative error of the pose divided by the true length of the segment (as in A. Geiger et al., "Are we ready for
+/// autonomous driving? The KITTI vision benchmark suite", 2012, who start at every tenth frame).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SegmentDrift {
+    /// The length asked for, metres of the true path.
+    pub length_m: f64,
+    /// How many segments there are.
+    pub segments: usize,
+    /// Mean translation error over length, per cent.
+    pub translation_percent: f64,
+    /// Mean angle of the rotation error over length, degrees per metre.
+    pub rotation_deg_per_m: f64,
+    /// Mean size of the heading error over length, degrees per metre.
+    pub heading_deg_per_m: f64,
+    /// Mean heading error over length with its sign, counter-clockwise positive, degrees per metre: what does not average out.
+    pub heading_bias_deg_per_m: f64,
+}
+
+/// Drift over each of the lengths for which there is a segment.
+pub(super) fn measure(pairs: &[PosePair], lengths_m: &[f64]) -> Vec<SegmentDrift> {
+    let path_m = path_m(pairs, |pair| &pair.truth);
+    lengths_m.iter().filter_map(|&length_m| over(pairs, &path_m, length_m)).collect()
+}
+
+fn over(pairs: &[PosePair], path_m: &[f64], length_m: f64) -> Option<SegmentDrift> {
+    let mut drift = SegmentDrift {
+        length_m,
+        segments: 0,
+        translation_percent: 0.0,
+        rotation_deg_per_m: 0.0,
+        heading_deg_per_m: 0.0,
+        heading_bias_deg_per_m: 0.0,
+    };
+    for (index, start) in pairs.iter().enumerate() {
+        let reached = path_m.partition_point(|&at| at - path_m[index] < length_m);
+        let Some(end) = pairs.get(reached) else { break };
+        let segment_m = path_m[reached] - path_m[index];
+        let error = error_between(start, end);
+        let heading_deg_per_m = heading_error_rad(start, end).to_degrees() / segment_m;
+        drift.segments += 1;
+        drift.translation_percent += 100.0 * error.translation.vector.norm() / segment_m;
+        drift.rotation_deg_per_m += error.rotation.angle().to_degrees() / segment_m;
+        drift.heading_deg_per_m += heading_deg_per_m.abs();
+        drift.heading_bias_deg_per_m += heading_deg_per_m;
+    }
+    let count = drift.segments as f64;
+    (drift.segments > 0).then(|| SegmentDrift {
+        translation_percent: drift.translation_percent / count,
+        rotation_deg_per_m: drift.rotation_deg_per_m / count,
+        heading_deg_per_m: drift.heading_deg_per_m / count,
+        heading_bias_deg_per_m: drift.heading_bias_deg_per_m / count,
+        ..drift
+    })
+}
+
+/// How far a camera turned about the world's z axis from one pose to another, radians in (−π, π], counter-clockwise positive:
+/// the twist about z of the rotation in the world. Unlike a difference of Euler angles it has no direction of view in which it
+/// is undefined; for a camera of constant tilt it is exactly the change of heading.
+pub fn heading_change_rad(start: &Isometry3<f64>, end: &Isometry3<f64>) -> f64 {
+    let turn = end.rotation * start.rotation.inverse();
+    wrap_angle(2.0 * turn.coords.z.atan2(turn.coords.w))
+}
+
+/// By how much the estimate's change of heading exceeds the truth's, radians in (−π, π].
+pub(super) fn heading_error_rad(start: &PosePair, end: &PosePair) -> f64 {
+    let estimate = heading_change_rad(&start.estimate, &end.estimate);
+    wrap_angle(estimate - heading_change_rad(&start.truth, &end.truth))
+}
+
+/// Every power of ten from 1 m that fits into the path, or 0.1 m for a path below 1 m.
+pub(super) fn usual_lengths_m(path_m: f64) -> Vec<f64> {
+    let from = if path_m < 1.0 { -1 } else { 0 };
+    (from..=6).map(|power| 10f64.powi(power)).filter(|&length_m| length_m <= path_m).collect()
+}
