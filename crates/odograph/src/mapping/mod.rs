@@ -5,8 +5,8 @@
 
 pub mod placement;
 pub mod drawing;
-//pub mod mosaic;
+pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};
-//pub use mosaic::{Mosaic, MosaicOptions, MosaicPicture};
+pub use mosaic::{Mosaic, MosaicOptions, MosaicPicture};
 pub use placement::Placement;
