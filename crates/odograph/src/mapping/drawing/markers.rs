@@ -1,0 +1,333 @@
+//! What stands along the path: heading ticks, uncertainty, start and end, and the legend that explains them.
+
+use super::path::Path;
+use super::scale::{duration_text, length_text, round_step};
+use super::svg::{coordinate as c, text_width};
+use super::window::{PAGE_WIDTH, Window};
+use super::{BACKGROUND, INK, MUTED, TIME_COLOURS, hex, time_colour};
+use crate::geometry::wrap_angle;
+use crate::trajectory::PoseEstimate;
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+const START: &str = "#0f9d58";
+const ELLIPSE: &str = "#0e7490";
+const LOST: &str = "#c2410c";
+/// Length of a heading tick on the page.
+const TICK: f64 = 15.0;
+
+/// Which kinds of marks the drawing has; the legend explains those.
+#[derive(Debug, Default)]
+pub(super) struct Shown {
+    pub gaps: bool,
+    /// The way between heading ticks, metres.
+    pub headings: Option<f64>,
+    pub ellipses: bool,
+}
+
+/// Ticks that point where the top of the image points, at regular distances and wherever the camera has turned by 45°.
+pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
+    let every_m = round_step(70.0 / window.scale, 1.0);
+    let mut taken = BTreeSet::new();
+    let mut ticks = String::new();
+    for stretch in &path.stretches {
+        let Some(first) = stretch.first() else { continue };
+        let (mut since_m, mut before, mut heading) = (0.0, first.pose(), first.pose().heading_rad);
+        for (index, place) in stretch.iter().enumerate() {
+            let pose = place.pose();
+            since_m += (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m);
+            before = pose;
+            if index > 0 && since_m < every_m && (pose.heading_rad - heading).abs() < 0.785 {
+                continue;
+            }
+            since_m = if since_m >= every_m { (since_m - every_m) % every_m } else { since_m };
+            heading = pose.heading_rad;
+            let (x, y) = window.page(pose.x_m, pose.y_m);
+            // A camera that goes round and round would otherwise paint the same ticks over each other.
+            let octant = (wrap_angle(heading) / 0.4).round() as i64;
+            if !taken.insert(((x / 8.0).round() as i64, (y / 8.0).round() as i64, octant)) {
+                continue;
+            }
+            let (dx, dy) = (TICK * heading.cos(), -TICK * heading.sin());
+            let _ = write!(ticks, "M{} {}l{} {}", c(x), c(y), c(dx), c(dy));
+        }
+    }
+    if !ticks.is_empty() {
+        shown.headings = Some(every_m);
+        let _ = writeln!(
+            body,
+            "<g fill=\"none\" stroke-linecap=\"round\"><path class=\"casing\" stroke=\"{BACKGROUND}\" stroke-width=\"4\" d=\"{ticks}\"/>\
+             <path class=\"tick\" stroke=\"{INK}\" stroke-width=\"1.7\" d=\"{ticks}\"/></g>"
+        );
+    }
+}
+
+/// Half axes of the 2-sigma ellipse of the position, metres, and the direction of the longer one, radians; `None` where the
+/// covariance is not one.
+fn two_sigma(estimate: &PoseEstimate) -> Option<(f64, f64, f64)> {
+    let (xx, xy, yy) =
+        (estimate.covariance[(0, 0)], estimate.covariance[(0, 1)], estimate.covariance[(1, 1)]);
+    let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
+    let (long, short) = (middle + half, (middle - half).max(0.0));
+    (long.is_finite() && long > 0.0)
+        .then(|| (2.0 * long.sqrt(), 2.0 * short.sqrt(), 0.5 * (2.0 * xy).atan2(xx - yy)))
+}
+
+/// The 2-sigma ellipses of the position, where they are large enough to be seen and do not pile up; always that of the end.
+pub(super) fn ellipses(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
+    let mut last: Option<(f64, f64, f64)> = None;
+    let mut drawn: Vec<String> = vec![];
+    let mut draw = |x: f64, y: f64, (long, short, turn): (f64, f64, f64)| {
+        let seen = long * window.scale >= 3.0 && long * window.scale < 3000.0 && drawn.len() < 60;
+        if seen {
+            drawn.push(format!(
+                "<ellipse rx=\"{}\" ry=\"{}\" transform=\"translate({} {}) rotate({})\"/>",
+                c(long * window.scale),
+                c((short * window.scale).max(0.5)),
+                c(x),
+                c(y),
+                c(-turn.to_degrees())
+            ));
+        }
+        seen
+    };
+    for place in path.places() {
+        let (x, y) = window.page(place.pose().x_m, place.pose().y_m);
+        let away = last.is_none_or(|(u, v, apart)| (x - u).hypot(y - v) > apart);
+        if !away {
+            continue;
+        }
+        let Some(ellipse) = two_sigma(place.estimate) else { continue };
+        if ellipse.0 * window.scale >= 5.0 && draw(x, y, ellipse) {
+            last = Some((x, y, (1.6 * ellipse.0 * window.scale).max(110.0)));
+        }
+    }
+    if let Some(end) = path.places().next_back() {
+        let (x, y) = window.page(end.pose().x_m, end.pose().y_m);
+        let alone = last.is_none_or(|(u, v, _)| (x - u).hypot(y - v) > 20.0);
+        if let (true, Some(ellipse)) = (alone, two_sigma(end.estimate)) {
+            draw(x, y, ellipse);
+        }
+    }
+    shown.ellipses = !drawn.is_empty();
+    if shown.ellipses {
+        let _ = writeln!(
+            body,
+            "<g class=\"ellipse\" fill=\"{ELLIPSE}\" fill-opacity=\"0.09\" stroke=\"{ELLIPSE}\" stroke-width=\"1.2\" stroke-opacity=\"0.75\">{}</g>",
+            drawn.join("\n")
+        );
+    }
+}
+
+/// A small cross: here the measurement broke off or began again.
+pub(super) fn cross(x: f64, y: f64, body: &mut String) {
+    let d = format!("M{} {}l9 9m0 -9l-9 9", c(x - 4.5), c(y - 4.5));
+    let _ = writeln!(
+        body,
+        "<g fill=\"none\" stroke-linecap=\"round\"><path class=\"casing\" stroke=\"{BACKGROUND}\" stroke-width=\"5\" d=\"{d}\"/>\
+         <path class=\"lost\" stroke=\"{LOST}\" stroke-width=\"2.2\" d=\"{d}\"/></g>"
+    );
+}
+
+fn start_mark(x: f64, y: f64) -> String {
+    format!(
+        "<circle class=\"start\" fill=\"{BACKGROUND}\" stroke=\"{START}\" stroke-width=\"3.5\" cx=\"{}\" cy=\"{}\" r=\"8\"/>",
+        c(x),
+        c(y)
+    )
+}
+
+fn end_mark(x: f64, y: f64) -> String {
+    format!(
+        "<rect class=\"end\" fill=\"{INK}\" stroke=\"{BACKGROUND}\" stroke-width=\"1.5\" x=\"{}\" y=\"{}\" width=\"10\" height=\"10\" rx=\"1.5\"/>",
+        c(x - 5.0),
+        c(y - 5.0)
+    )
+}
+
+/// Start and end with their words, set where they hide least of the path.
+pub(super) fn ends(path: &Path<'_>, window: &Window, body: &mut String) {
+    let (Some(first), Some(last)) = (path.places().next(), path.places().next_back()) else {
+        return;
+    };
+    let start = window.page(first.pose().x_m, first.pose().y_m);
+    let end = window.page(last.pose().x_m, last.pose().y_m);
+    let _ = writeln!(body, "{}{}", start_mark(start.0, start.1), end_mark(end.0, end.1));
+    let mut ink = inked(path, window);
+    let together = (start.0 - end.0).hypot(start.1 - end.1) < 12.0;
+    let words: &[((f64, f64), &str)] =
+        if together { &[(start, "start, end")] } else { &[(start, "start"), (end, "end")] };
+    ink.extend(std::iter::repeat_n(start, 40).chain(std::iter::repeat_n(end, 40)));
+    for &(at, word) in words {
+        let (x, y, anchor) = best_place(at, word, &ink, window);
+        let _ = writeln!(
+            body,
+            "<text class=\"ink label\" fill=\"{INK}\" stroke=\"{BACKGROUND}\" stroke-width=\"4\" stroke-linejoin=\"round\" \
+             paint-order=\"stroke\" font-size=\"16\" font-weight=\"500\" text-anchor=\"{anchor}\" x=\"{}\" y=\"{}\">{word}</text>",
+            c(x),
+            c(y)
+        );
+        // The next word keeps off this one.
+        let width = text_width(word, 16.0);
+        let left = x - width
+            * match anchor {
+                "start" => 0.0,
+                "middle" => 0.5,
+                _ => 1.0,
+            };
+        ink.extend(
+            (0..40).map(|k| (left + width * f64::from(k % 10) / 9.0, y - 12.0 + 4.0 * f64::from(k / 10))),
+        );
+    }
+}
+
+/// Points along the drawn path and along its heading ticks, close enough together to find what a word would cover.
+fn inked(path: &Path<'_>, window: &Window) -> Vec<(f64, f64)> {
+    let mut ink: Vec<(f64, f64)> = vec![];
+    for stretch in &path.stretches {
+        let mut before: Option<(f64, f64)> = None;
+        for place in stretch {
+            let at = window.page(place.pose().x_m, place.pose().y_m);
+            let from = before.unwrap_or(at);
+            let length = (at.0 - from.0).hypot(at.1 - from.1);
+            if before.is_some() && length < 4.0 {
+                continue;
+            }
+            let parts = (length / 4.0).clamp(1.0, 500.0) as usize;
+            ink.extend((1..=parts).map(|k| {
+                let share = k as f64 / parts as f64;
+                (from.0 + share * (at.0 - from.0), from.1 + share * (at.1 - from.1))
+            }));
+            before = Some(at);
+            if ink.len() > 200_000 {
+                return ink;
+            }
+        }
+    }
+    ink
+}
+
+/// Where a word at a marker covers least: its baseline point and anchor, out of ten places around the marker.
+fn best_place(
+    (x, y): (f64, f64),
+    word: &str,
+    ink: &[(f64, f64)],
+    window: &Window,
+) -> (f64, f64, &'static str) {
+    let width = text_width(word, 16.0);
+    let places = [
+        (x + 16.0, y + 5.5, "start"),
+        (x - 16.0, y + 5.5, "end"),
+        (x, y - 17.0, "middle"),
+        (x, y + 28.0, "middle"),
+        (x + 13.0, y - 13.0, "start"),
+        (x + 13.0, y + 24.0, "start"),
+        (x - 13.0, y - 13.0, "end"),
+        (x - 13.0, y + 24.0, "end"),
+        (x + 30.0, y + 5.5, "start"),
+        (x - 30.0, y + 5.5, "end"),
+    ];
+    let covered = |&(u, v, anchor): &(f64, f64, &str)| {
+        let left = u - width
+            * match anchor {
+                "start" => 0.0,
+                "middle" => 0.5,
+                _ => 1.0,
+            };
+        let (right, top, bottom) = (left + width, v - 13.0, v + 4.0);
+        let outside = left < window.left + 4.0
+            || right > window.right() - 4.0
+            || top < window.top + 4.0
+            || bottom > window.bottom() - 4.0;
+        let inside =
+            |&&(p, q): &&(f64, f64)| p > left - 5.0 && p < right + 5.0 && q > top - 5.0 && q < bottom + 5.0;
+        ink.iter().filter(inside).count() + if outside { 1_000_000 } else { 0 }
+    };
+    places.into_iter().min_by_key(covered).unwrap_or(places[0])
+}
+
+/// The row under the drawing that explains its marks; returns where the page ends.
+pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut String) -> f64 {
+    let mut items: Vec<(f64, String)> = vec![];
+    let text = |x: f64, words: &str| {
+        format!("<text class=\"ink\" fill=\"{INK}\" x=\"{}\" y=\"5\">{words}</text>", c(x))
+    };
+    let wide = |words: &str| text_width(words, 15.0);
+
+    let mut bar_m = round_step(170.0 / window.scale, 1.0);
+    if bar_m * window.scale > 190.0 {
+        bar_m *= 0.5;
+    }
+    let (bar, words) = (bar_m * window.scale, length_text(bar_m));
+    let words = words.replace(".00 ", " ").replace(".0 ", " ");
+    let half = c(0.5 * bar);
+    items.push((
+        bar + 10.0 + wide(&words),
+        format!(
+            "<g class=\"bar\" stroke=\"{INK}\" stroke-width=\"1.2\"><rect fill=\"{INK}\" x=\"0\" y=\"-3.5\" width=\"{half}\" height=\"7\"/>\
+             <rect class=\"page\" fill=\"{BACKGROUND}\" x=\"{half}\" y=\"-3.5\" width=\"{half}\" height=\"7\"/></g>{}",
+            text(bar + 10.0, &words)
+        ),
+    ));
+    if path.places().nth(1).is_some() && path.duration_s > 0.0 {
+        let (from, to) = ("0 s", duration_text(path.duration_s));
+        let left = wide(from) + 10.0;
+        let step = 130.0 / TIME_COLOURS as f64;
+        let cells: String = (0..TIME_COLOURS)
+            .map(|k| {
+                let colour = hex(time_colour(k as f64 / (TIME_COLOURS - 1) as f64));
+                let x = left + step * k as f64;
+                format!(
+                    "<rect fill=\"{colour}\" x=\"{x:.2}\" y=\"-3.5\" width=\"{:.2}\" height=\"7\"/>",
+                    step + 0.3
+                )
+            })
+            .collect();
+        items.push((
+            left + 140.0 + wide(&to),
+            format!(
+                "<g shape-rendering=\"crispEdges\">{cells}</g>{}{}",
+                text(0.0, from),
+                text(left + 140.0, &to)
+            ),
+        ));
+    }
+    if !path.stretches.is_empty() {
+        items.push((20.0 + wide("start"), start_mark(7.0, 0.0) + &text(22.0, "start")));
+        items.push((18.0 + wide("end"), end_mark(5.0, 0.0) + &text(18.0, "end")));
+    }
+    if let Some(every_m) = shown.headings {
+        let every = length_text(every_m).replace(".00 ", " ").replace(".0 ", " ");
+        let words = format!("heading, every {every} and 45°");
+        let tick = format!(
+            "<path class=\"tick\" stroke=\"{INK}\" stroke-width=\"1.7\" stroke-linecap=\"round\" d=\"M2 6L9 -7\"/>"
+        );
+        items.push((20.0 + wide(&words), tick + &text(18.0, &words)));
+    }
+    if shown.ellipses {
+        let words = "2 σ of the position";
+        let mark = format!(
+            "<ellipse class=\"ellipse\" fill=\"{ELLIPSE}\" fill-opacity=\"0.12\" stroke=\"{ELLIPSE}\" cx=\"13\" cy=\"0\" rx=\"13\" ry=\"6.5\"/>"
+        );
+        items.push((34.0 + wide(words), mark + &text(34.0, words)));
+    }
+    if shown.gaps {
+        let words = "lost: the way is not known";
+        let mut mark = format!(
+            "<path class=\"gap\" stroke=\"{MUTED}\" stroke-width=\"1.6\" stroke-dasharray=\"2 6\" stroke-linecap=\"round\" d=\"M12 0h24\"/>"
+        );
+        cross(5.0, 0.0, &mut mark);
+        items.push((46.0 + wide(words), mark + &text(44.0, words)));
+    }
+    let (mut x, mut y) = (window.left, window.bottom() + 84.0);
+    let _ = writeln!(body, "<g font-size=\"15\">");
+    for (width, item) in items {
+        if x > window.left && x + width > PAGE_WIDTH - 34.0 {
+            (x, y) = (window.left, y + 32.0);
+        }
+        let _ = writeln!(body, "<g transform=\"translate({} {})\">{item}</g>", c(x), c(y));
+        x += width + 34.0;
+    }
+    let _ = writeln!(body, "</g>");
+    y + 30.0
+}

@@ -1,0 +1,82 @@
+//! The frame that is being laid, made as coarse as the ground it is laid on, and sampled between its pixels.
+
+use super::MosaicSource;
+
+/// A frame's samples, one or three channels, halved `level` times.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Samples {
+    width: usize,
+    height: usize,
+    channels: usize,
+    /// Pixels of the full image per pixel of these samples.
+    shrink: f32,
+    samples: Vec<u8>,
+    spare: Vec<u8>,
+}
+
+impl Samples {
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Takes a frame, halved `level` times (fewer where it has no pixels left to halve) by means of 2 × 2 pixels.
+    pub fn take(&mut self, image: MosaicSource<'_>, level: u32) {
+        let (width, height, channels, samples) = match image {
+            MosaicSource::Gray(gray) => (gray.width(), gray.height(), 1, gray.samples()),
+            MosaicSource::Rgb(rgb) => (rgb.width(), rgb.height(), 3, rgb.samples()),
+        };
+        (self.width, self.height, self.channels, self.shrink) = (width, height, channels, 1.0);
+        self.samples.clear();
+        self.samples.extend_from_slice(samples);
+        for _ in 0..level {
+            if self.width < 4 || self.height < 4 {
+                break;
+            }
+            self.halve();
+        }
+    }
+
+    fn halve(&mut self) {
+        let (width, height, n) = (self.width / 2, self.height / 2, self.channels);
+        self.spare.clear();
+        for y in 0..height {
+            let above = &self.samples[2 * y * self.width * n..];
+            let below = &self.samples[(2 * y + 1) * self.width * n..];
+            for x in 0..width {
+                for channel in 0..n {
+                    let at = 2 * x * n + channel;
+                    let sum = [above[at], above[at + n], below[at], below[at + n]]
+                        .map(u16::from)
+                        .iter()
+                        .sum::<u16>();
+                    self.spare.push(((sum + 2) / 4) as u8);
+                }
+            }
+        }
+        std::mem::swap(&mut self.samples, &mut self.spare);
+        (self.width, self.height) = (width, height);
+        self.shrink *= 2.0;
+    }
+
+    /// The bilinear sample at a pixel of the full image; `None` outside the centres of its outermost pixels.
+    #[inline]
+    pub fn at<const N: usize>(&self, x: f32, y: f32) -> Option<[f32; N]> {
+        let scale = 1.0 / self.shrink;
+        let (x, y) = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5);
+        let inside = x >= 0.0 && y >= 0.0 && x <= (self.width - 1) as f32 && y <= (self.height - 1) as f32;
+        if !inside || self.width < 2 || self.height < 2 {
+            return None;
+        }
+        let (left, top) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
+        let (dx, dy) = (x - left as f32, y - top as f32);
+        let at = (top * self.width + left) * N;
+        let above = self.samples.get(at..at + 2 * N)?;
+        let below = self.samples.get(at + self.width * N..at + self.width * N + 2 * N)?;
+        Some(std::array::from_fn(|channel| {
+            let (a, b) = (f32::from(above[channel]), f32::from(above[channel + N]));
+            let (c, d) = (f32::from(below[channel]), f32::from(below[channel + N]));
+            let (up, down) = (a + (b - a) * dx, c + (d - c) * dx);
+            up + (down - up) * dy
+        }))
+    }
+}

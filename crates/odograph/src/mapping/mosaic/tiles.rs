@@ -1,0 +1,136 @@
+//! The stored ground: square tiles of pixels, only where something was seen.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+/// Side of a tile, ground pixels.
+pub(super) const TILE: i64 = 256;
+const SIDE: usize = TILE as usize;
+
+/// Red, green, blue and weight; weight 0 is ground not seen yet.
+type Tile = Vec<[u8; 4]>;
+
+/// All tiles, by row (against world y) and column (along world x).
+#[derive(Debug, Clone, Default)]
+pub(super) struct Tiles {
+    index: BTreeMap<(i64, i64), usize>,
+    tiles: Vec<Tile>,
+}
+
+/// The tile looked up last, since the next one asked for is mostly the same.
+pub(super) struct Lookup {
+    last: Option<((i64, i64), usize)>,
+}
+
+impl Lookup {
+    pub fn new() -> Self {
+        Self { last: None }
+    }
+}
+
+impl Tiles {
+    pub fn count(&self) -> usize {
+        self.tiles.len()
+    }
+
+    /// The tile that holds a ground pixel, made where there was none.
+    pub fn at(&mut self, lookup: &mut Lookup, column: i64, row: i64) -> &mut [[u8; 4]] {
+        let key = (row.div_euclid(TILE), column.div_euclid(TILE));
+        let slot = match lookup.last {
+            Some((known, slot)) if known == key => slot,
+            _ => *self.index.entry(key).or_insert_with(|| {
+                self.tiles.push(vec![[0; 4]; SIDE * SIDE]);
+                self.tiles.len() - 1
+            }),
+        };
+        lookup.last = Some((key, slot));
+        &mut self.tiles[slot]
+    }
+
+    fn pixel(&self, column: i64, row: i64) -> [u8; 4] {
+        let slot = self.index.get(&(row.div_euclid(TILE), column.div_euclid(TILE)));
+        slot.map_or([0; 4], |&slot| {
+            self.tiles[slot][row.rem_euclid(TILE) as usize * SIDE + column.rem_euclid(TILE) as usize]
+        })
+    }
+
+    /// The weight of a ground pixel, 0 where it was not seen.
+    pub fn weight(&self, column: i64, row: i64) -> u8 {
+        self.pixel(column, row)[3]
+    }
+
+    /// The colour of a ground pixel, `None` where it was not seen.
+    pub fn colour(&self, column: i64, row: i64) -> Option<[u8; 3]> {
+        let [red, green, blue, weight] = self.pixel(column, row);
+        (weight > 0).then_some([red, green, blue])
+    }
+
+    /// The same ground with pixels of twice the side: the weighted mean of the up to four that were seen.
+    pub fn halved(&self) -> Self {
+        let mut halved = Self::default();
+        let mut lookup = Lookup::new();
+        for (&(row, column), &slot) in &self.index {
+            let tile = &self.tiles[slot];
+            let (left, top) = (column * TILE / 2, row * TILE / 2);
+            let into = halved.at(&mut lookup, left, top);
+            let start = top.rem_euclid(TILE) as usize * SIDE + left.rem_euclid(TILE) as usize;
+            for y in 0..SIDE / 2 {
+                for x in 0..SIDE / 2 {
+                    let at = 2 * y * SIDE + 2 * x;
+                    into[start + y * SIDE + x] =
+                        mean([tile[at], tile[at + 1], tile[at + SIDE], tile[at + SIDE + 1]]);
+                }
+            }
+        }
+        halved
+    }
+
+    /// The least ranges of columns and rows that hold all ground seen; `None` where there is none.
+    pub fn extent(&self) -> Option<(Range<i64>, Range<i64>)> {
+        let mut extent: Option<[i64; 4]> = None;
+        for (&(row, column), &slot) in &self.index {
+            for (k, pixel) in self.tiles[slot].iter().enumerate() {
+                if pixel[3] > 0 {
+                    let (x, y) = (column * TILE + (k % SIDE) as i64, row * TILE + (k / SIDE) as i64);
+                    let [left, right, top, bottom] = extent.unwrap_or([x, x, y, y]);
+                    extent = Some([left.min(x), right.max(x), top.min(y), bottom.max(y)]);
+                }
+            }
+        }
+        extent.map(|[left, right, top, bottom]| (left..right + 1, top..bottom + 1))
+    }
+
+    /// A rectangle of ground as red, green, blue and opacity; white and transparent where it was not seen.
+    pub fn rgba(&self, columns: &Range<i64>, rows: &Range<i64>) -> Vec<u8> {
+        let (width, height) = ((columns.end - columns.start) as usize, (rows.end - rows.start) as usize);
+        let mut rgba = [255, 255, 255, 0].repeat(width * height);
+        for (&(row, column), &slot) in &self.index {
+            let tile = &self.tiles[slot];
+            let (left, top) = (column * TILE, row * TILE);
+            let (from, to) = (left.max(columns.start), (left + TILE).min(columns.end));
+            for y in top.max(rows.start)..(top + TILE).min(rows.end) {
+                for x in from..to {
+                    let [red, green, blue, weight] = tile[(y - top) as usize * SIDE + (x - left) as usize];
+                    if weight > 0 {
+                        let at = 4 * ((y - rows.start) as usize * width + (x - columns.start) as usize);
+                        rgba[at..at + 4].copy_from_slice(&[red, green, blue, 255]);
+                    }
+                }
+            }
+        }
+        rgba
+    }
+}
+
+fn mean(pixels: [[u8; 4]; 4]) -> [u8; 4] {
+    let weight: u32 = pixels.iter().map(|p| u32::from(p[3])).sum();
+    if weight == 0 {
+        return [0; 4];
+    }
+    let channel = |c: usize| {
+        let sum: u32 = pixels.iter().map(|p| u32::from(p[c]) * u32::from(p[3])).sum();
+        ((sum + weight / 2) / weight) as u8
+    };
+    let heaviest = pixels.iter().map(|p| p[3]).max().unwrap_or(0);
+    [channel(0), channel(1), channel(2), heaviest]
+}
