@@ -4,7 +4,7 @@ use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
 use std::ffi::OsString;
 use std::fs;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 /// Writes a whole file beside its place, then renames it there. On failure nothing is left behind.
@@ -18,6 +18,24 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
         Error::output(format!("{} cannot be written: {error}", path.display()))
     })
 }
+
+/// A text file a person made: at most 16 MiB of UTF-8.
+pub fn read_text(path: &Path) -> Result<String> {
+    let mut text = String::new();
+    fs::File::open(path)
+        .and_then(|file| file.take(MOST_TEXT + 1).read_to_string(&mut text))
+        .map_err(|error| Error::input(format!("{} cannot be read: {error}", path.display())))?;
+    if text.len() as u64 > MOST_TEXT {
+        return Err(Error::input(format!(
+            "{} is larger than 16 MiB; it is not the file meant",
+            path.display()
+        )));
+    }
+    Ok(text)
+}
+
+/// No camera, rig or parameter file is larger, bytes.
+const MOST_TEXT: u64 = 16 << 20;
 
 /// The name under which `path` is written before it is renamed into place.
 pub fn beside(path: &Path) -> PathBuf {
@@ -34,6 +52,11 @@ pub fn png_from_gray(image: &GrayImage) -> Result<Vec<u8>> {
 /// A colour image as the bytes of a PNG file.
 pub fn png_from_rgb(image: &RgbImage) -> Result<Vec<u8>> {
     encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples())
+}
+
+/// An image with opacity (red, green, blue, alpha a pixel) as the bytes of a PNG file.
+pub fn png_from_rgba(width: usize, height: usize, samples: &[u8]) -> Result<Vec<u8>> {
+    encode_png(width, height, png::ColorType::Rgba, samples)
 }
 
 fn encode_png(width: usize, height: usize, color: png::ColorType, samples: &[u8]) -> Result<Vec<u8>> {

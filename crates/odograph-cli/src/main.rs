@@ -2,6 +2,7 @@
 
 mod commands;
 mod files;
+mod interrupt;
 
 use clap::{Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};
@@ -17,6 +18,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Run(commands::run::RunArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
 }
@@ -33,7 +35,9 @@ pub enum Outcome {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    interrupt::listen();
     let outcome: Result<Outcome> = match arguments.command {
+        Command::Run(arguments) => commands::run::run(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
     };

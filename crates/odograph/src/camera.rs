@@ -162,7 +162,8 @@ const MAX_TANGENT: f64 = 15.0;
 /// A calibrated camera: image size, focal lengths and principal point in pixels, and a distortion model.
 ///
 /// The principal point follows the library's (and OpenCV's) convention that pixel centres are at integers.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "CameraParameters", into = "CameraParameters")]
 pub struct Camera {
     width: usize,
     height: usize,
@@ -172,6 +173,33 @@ pub struct Camera {
     cy: f64,
     distortion: Distortion,
     tangent_limit: f64,
+}
+
+/// A camera as plain numbers, unchecked: the form in which it is stored.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct CameraParameters {
+    width: usize,
+    height: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    distortion: Distortion,
+}
+
+impl TryFrom<CameraParameters> for Camera {
+    type Error = Error;
+
+    fn try_from(p: CameraParameters) -> Result<Self> {
+        Self::new((p.width, p.height), (p.fx, p.fy), (p.cx, p.cy), p.distortion)
+    }
+}
+
+impl From<Camera> for CameraParameters {
+    fn from(c: Camera) -> Self {
+        let Camera { width, height, fx, fy, cx, cy, distortion, .. } = c;
+        Self { width, height, fx, fy, cx, cy, distortion }
+    }
 }
 
 impl Camera {

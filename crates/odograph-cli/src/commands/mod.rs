@@ -1,4 +1,5 @@
 //! One module a command: its arguments and what it does.
 
 pub mod evaluate;
+pub mod run;
 pub mod simulate;

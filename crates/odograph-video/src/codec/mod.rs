@@ -53,7 +53,12 @@ impl From<Error> for Refusal {
 /// Decodes one stream, sample by sample.
 pub(crate) trait Decoder: Send {
     /// Decodes one sample and appends the pictures that are finished, in decoding order.
-    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal>;
+    fn decode(
+        &mut self,
+        data: &[u8],
+        stamp: Stamp,
+        out: &mut Vec<Decoded>,
+    ) -> std::result::Result<(), Refusal>;
 
     /// Appends the pictures that are still inside.
     fn finish(&mut self, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal>;

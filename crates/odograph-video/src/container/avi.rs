@@ -91,7 +91,8 @@ impl AviReader {
     fn read_streams(&mut self, head: &[u8]) -> Option<()> {
         let lists = Chunks { rest: head }.filter(|(k, p)| k == b"LIST" && p.starts_with(b"strl"));
         for (number, (_, list)) in lists.enumerate() {
-            let chunk = |wanted: &[u8; 4]| Chunks { rest: &list[4..] }.find(|(k, _)| k == wanted).map(|(_, p)| p);
+            let chunk =
+                |wanted: &[u8; 4]| Chunks { rest: &list[4..] }.find(|(k, _)| k == wanted).map(|(_, p)| p);
             let Some(mut header) = chunk(b"strh").map(Bytes::new) else { continue };
             if header.take(4)? != b"vids" {
                 continue;

@@ -44,8 +44,9 @@ impl Mp4Reader {
         let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
         if let Some(complete) = complete {
             samples.truncate(complete);
-            warnings
-                .push(format!("the file is cut off: {complete} of the {promised} frames it should have are there"));
+            warnings.push(format!(
+                "the file is cut off: {complete} of the {promised} frames it should have are there"
+            ));
         } else if index.cut {
             warnings.push("the file is cut off inside its last fragment".to_string());
         }
@@ -53,7 +54,9 @@ impl Mp4Reader {
             return Err(Error::input(format!("frame {too_large} claims to take more than 256 MB")));
         }
         let mut edits = movie.edits;
-        if !edits.is_empty() && !samples.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
+        if !edits.is_empty()
+            && !samples.is_empty()
+            && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
         {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
             edits.clear();
@@ -125,7 +128,8 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
         let mut header = [0u8; 16];
         let available = (length - at).min(16) as usize;
         file.read_exact(&mut header[..available]).map_err(unreadable)?;
-        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at) else {
+        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at)
+        else {
             warnings.push(format!("what follows byte {at} is not MP4 and was ignored"));
             break;
         };

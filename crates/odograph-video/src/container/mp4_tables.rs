@@ -160,7 +160,9 @@ fn track(
     let (Some(timescale), Some(stbl)) =
         (timescale, child(mdia, b"minf").and_then(|minf| child(minf.rest(), b"stbl")).map(|b| b.rest()))
     else {
-        return Err(Error::input("the index (moov box) is damaged: the video track has no timescale or no sample table"));
+        return Err(Error::input(
+            "the index (moov box) is damaged: the video track has no timescale or no sample table",
+        ));
     };
     let Some(mut described) = child(stbl, b"stsd").and_then(|b| describe(b.rest())) else {
         return Err(Error::input("the index (moov box) is damaged: the video track is not described"));

@@ -17,7 +17,12 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
     if !listing.pictures.is_empty() {
         return open_pictures(listing.pictures, options.timestamps.as_deref(), options);
     }
-    let layouts = [("data.csv", "data"), ("cam0/data.csv", "cam0/data"), ("mav0/cam0/data.csv", "mav0/cam0/data"), ("rgb.txt", "rgb")];
+    let layouts = [
+        ("data.csv", "data"),
+        ("cam0/data.csv", "cam0/data"),
+        ("mav0/cam0/data.csv", "mav0/cam0/data"),
+        ("rgb.txt", "rgb"),
+    ];
     for (times, pictures) in layouts {
         let (times, pictures) = (folder.join(times), folder.join(pictures));
         if pictures.is_dir() {
@@ -31,7 +36,9 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
     Err(Error::input(match listing.other {
         None => "the folder is empty".to_string(),
         Some(example) => {
-            format!("there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}")
+            format!(
+                "there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}"
+            )
         }
     }))
 }
@@ -108,7 +115,11 @@ fn digits(bytes: &[u8]) -> (&[u8], &[u8]) {
     (&number[zeros..], after)
 }
 
-fn open_pictures(pictures: Vec<PathBuf>, timestamps: Option<&Path>, options: &SourceOptions) -> Result<Opened> {
+fn open_pictures(
+    pictures: Vec<PathBuf>,
+    timestamps: Option<&Path>,
+    options: &SourceOptions,
+) -> Result<Opened> {
     let mut warnings = Vec::new();
     let count = pictures.len();
     let (pictures, times) = match timestamps {
@@ -122,7 +133,11 @@ fn open_pictures(pictures: Vec<PathBuf>, timestamps: Option<&Path>, options: &So
             (pictures, times)
         }
     };
-    let kind = pictures.first().and_then(|p| p.extension()).map(|e| e.to_string_lossy().to_uppercase()).unwrap_or_default();
+    let kind = pictures
+        .first()
+        .and_then(|p| p.extension())
+        .map(|e| e.to_string_lossy().to_uppercase())
+        .unwrap_or_default();
     Ok(Opened {
         frame_count: Some(pictures.len() as u64),
         description: if count == 1 { format!("picture ({kind})") } else { format!("pictures ({kind})") },
@@ -142,7 +157,11 @@ fn open_pictures(pictures: Vec<PathBuf>, timestamps: Option<&Path>, options: &So
 }
 
 /// The pictures a file of timestamps names, with their times; or all, where it only has times.
-fn by_file(pictures: Vec<PathBuf>, file: &Path, warnings: &mut Vec<String>) -> Result<(Vec<PathBuf>, Vec<f64>)> {
+fn by_file(
+    pictures: Vec<PathBuf>,
+    file: &Path,
+    warnings: &mut Vec<String>,
+) -> Result<(Vec<PathBuf>, Vec<f64>)> {
     let place = file.display();
     match Timestamps::read(file)? {
         Timestamps::InOrder(times) if times.len() == pictures.len() => Ok((pictures, times)),
@@ -165,7 +184,9 @@ fn by_file(pictures: Vec<PathBuf>, file: &Path, warnings: &mut Vec<String>) -> R
             for (name, time_s) in named {
                 let last = name.rsplit(['/', '\\']).next().unwrap_or(&name);
                 let Some(picture) = by_name.get(last) else {
-                    return Err(Error::input(format!("{place} names the picture {name}, which is not there")));
+                    return Err(Error::input(format!(
+                        "{place} names the picture {name}, which is not there"
+                    )));
                 };
                 listed.push(picture.clone());
                 times.push(time_s);
@@ -192,7 +213,8 @@ fn from_exif(pictures: &[PathBuf], warnings: &mut Vec<String>) -> Option<Vec<f64
     let times = times?;
     if !increasing(&times) {
         warnings.push(
-            "the times in the pictures' EXIF data do not increase from picture to picture and were not used".to_string(),
+            "the times in the pictures' EXIF data do not increase from picture to picture and were not used"
+                .to_string(),
         );
         return None;
     }

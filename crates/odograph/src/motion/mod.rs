@@ -32,6 +32,17 @@ pub enum MotionModel {
     Free,
 }
 
+impl std::fmt::Display for MotionModel {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Mean => "mean",
+            Self::Rigid => "rigid",
+            Self::Similarity => "similarity",
+            Self::Free => "free",
+        })
+    }
+}
+
 impl MotionModel {
     /// How many of (x, y, heading, height, roll, pitch), in this order, with height before tilt, are unknown.
     fn unknowns(self) -> usize {

@@ -1,0 +1,117 @@
+//! The output folder: nothing in it is overwritten unasked, nothing in it is half written, and what was computed is in it when the program dies.
+
+use super::Statistics;
+use crate::files;
+use odograph::error::{Error, Result};
+use odograph::formats::trajectory_file;
+use odograph::trajectory::FrameEstimate;
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Every file that a run writes.
+pub const FILES: [&str; 9] = [
+    "trajectory.tum",
+    "trajectory.csv",
+    "map.svg",
+    "map.png",
+    "mosaic.png",
+    "mosaic.pgw",
+    "report.html",
+    "run.toml",
+    "stats.json",
+];
+
+/// The folder of a run while it is being filled.
+#[derive(Debug)]
+pub struct OutputFolder {
+    path: PathBuf,
+    /// The trajectory as it grows; becomes `trajectory.csv` at the end.
+    growing: File,
+    pending: Vec<FrameEstimate>,
+    started: bool,
+    /// Whether the folder was made for this run.
+    made: bool,
+}
+
+impl Drop for OutputFolder {
+    /// A run that ended before its first frame leaves nothing behind.
+    fn drop(&mut self) {
+        if !self.started {
+            let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
+            if self.made {
+                let _ = fs::remove_dir(&self.path); // only where it is empty
+            }
+        }
+    }
+}
+
+/// Frames are put on disk in groups of so many: a second of video.
+const GROUP: usize = 30;
+
+impl OutputFolder {
+    /// Makes the folder ready. Fails where results are already there and `force` does not allow to replace them, or where it cannot be written.
+    pub fn new(path: &Path, force: bool) -> Result<Self> {
+        if path.exists() && !path.is_dir() {
+            return Err(Error::usage(format!("{} is a file; the results need a folder", path.display())));
+        }
+        if let Some(there) = FILES.iter().map(|name| path.join(name)).find(|file| file.exists() && !force) {
+            return Err(Error::usage(format!(
+                "{} is already there; choose another folder, or --force to overwrite it",
+                there.display()
+            )));
+        }
+        let made = !path.exists();
+        fs::create_dir_all(path)
+            .map_err(|error| Error::output(format!("{} cannot be made: {error}", path.display())))?;
+        let growing_path = files::beside(&path.join("trajectory.csv"));
+        let growing = File::create(&growing_path).map_err(|error| {
+            Error::output(format!("{} cannot be written: {error}", growing_path.display()))
+        })?;
+        Ok(Self { path: path.to_owned(), growing, pending: Vec::new(), started: false, made })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Takes a frame; at least once a second of video what was computed goes to disk.
+    pub fn record(&mut self, frame: &FrameEstimate) -> Result<()> {
+        self.pending.push(frame.clone());
+        if self.pending.len() >= GROUP { self.flush() } else { Ok(()) }
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        let text = trajectory_file::csv_from_frames(&self.pending);
+        // The header stands once.
+        let body = if self.started { text.split_once('\n').map_or("", |(_, body)| body) } else { &text };
+        self.started = true;
+        self.pending.clear();
+        self.growing.write_all(body.as_bytes()).map_err(|error| {
+            Error::output(format!(
+                "{} cannot be written: {error}",
+                self.path.join("trajectory.csv").display()
+            ))
+        })
+    }
+
+    /// Writes one file.
+    pub fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        files::write(&self.path.join(name), bytes)
+    }
+
+    /// Writes the trajectories, the parameters and the statistics, and takes away what was only there in case of a crash.
+    pub fn finish(
+        &mut self,
+        frames: &[FrameEstimate],
+        statistics: &Statistics,
+        run_toml: &str,
+    ) -> Result<()> {
+        self.started = true;
+        self.write("trajectory.tum", trajectory_file::tum_from_frames(frames).as_bytes())?;
+        self.write("trajectory.csv", trajectory_file::csv_from_frames(frames).as_bytes())?;
+        self.write("run.toml", run_toml.as_bytes())?;
+        self.write("stats.json", (statistics.json()? + "\n").as_bytes())
+    }
+}

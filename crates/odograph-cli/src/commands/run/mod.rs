@@ -1,0 +1,214 @@
+//! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
+
+mod folder;
+mod map;
+mod pipeline;
+mod plan;
+mod statistics;
+
+use crate::Outcome;
+use folder::OutputFolder;
+use odograph::error::{Error, Result};
+use odograph::motion::MotionModel;
+pub use plan::RunPlan;
+pub use statistics::Statistics;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Follow a recorded drive: writes the trajectory, the map, a mosaic of the ground and a report.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct RunArguments {
+    /// A video, a folder of pictures, `-` for Y4M on standard input, or the run.toml of an earlier run.
+    #[arg(value_name = "SOURCE")]
+    pub source: String,
+    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Height of the camera above the ground, metres; the camera looks straight down.
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with = "rig")]
+    pub height: Option<f64>,
+    /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
+    #[arg(long, value_name = "FILE")]
+    pub rig: Option<PathBuf>,
+    /// Ground seen by the whole image, metres, e.g. 1.20x0.90: stands in for a camera file.
+    #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
+    pub field_of_view: Option<FieldOfView>,
+    /// What may change between frames.
+    #[arg(long, value_name = "MODEL", default_value = "rigid")]
+    pub motion: Motion,
+    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
+    #[arg(long, value_name = "FILE")]
+    pub timestamps: Option<PathBuf>,
+    /// Frames a second, where the source does not say.
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    pub fps: Option<f64>,
+    /// Begin so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub start: Option<f64>,
+    /// End so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub end: Option<f64>,
+    /// Take every n-th frame.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub every: u64,
+    /// Take at most so many frames.
+    #[arg(long, value_name = "N")]
+    pub max_frames: Option<u64>,
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// Where results go and how much is said, alike for every command that tracks.
+#[derive(Debug, Clone, clap::Args)]
+pub struct OutputArguments {
+    /// Folder for the results.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: PathBuf,
+    /// Overwrite results that are already there.
+    #[arg(long)]
+    pub force: bool,
+    /// Threads to use; the results are the same for any number. [default: as many as help]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    pub quiet: bool,
+    /// Print stats.json to standard output instead of a summary.
+    #[arg(long)]
+    pub json: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph run drive.mp4 --camera camera.yaml --height 1.20 -o drive/
+  odograph run frames/ --timestamps frames.txt --camera camera.yaml --rig rig.toml -o drive/
+  odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
+  odograph run drive/run.toml -o again/
+
+Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the
+recording (what there is has been written).";
+
+/// A field of view on the ground: width and height in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FieldOfView(pub f64, pub f64);
+
+fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
+    let sides = text
+        .split_once(['x', 'X', '×'])
+        .and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?)));
+    match sides {
+        Some((w, h)) if [w, h].iter().all(|v: &f64| v.is_finite() && *v > 0.0) => Ok(FieldOfView(w, h)),
+        _ => Err("give width and height in metres, as 1.20x0.90".to_owned()),
+    }
+}
+
+/// The motion models by their names on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Motion {
+    /// The paper's mean vector: x and y only, for comparison.
+    Mean,
+    /// Fixed height and tilt.
+    Rigid,
+    /// The height changes too.
+    Similarity,
+    /// Height and tilt change too: held by hand, or flying.
+    Free,
+}
+
+impl From<Motion> for MotionModel {
+    fn from(motion: Motion) -> Self {
+        match motion {
+            Motion::Mean => Self::Mean,
+            Motion::Rigid => Self::Rigid,
+            Motion::Similarity => Self::Similarity,
+            Motion::Free => Self::Free,
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(arguments: RunArguments) -> Result<Outcome> {
+    let folder = OutputFolder::new(&arguments.output.output, arguments.output.force)?;
+    let (plan, source) = RunPlan::new(&arguments)?;
+    let report = follow(&plan, source, folder, &arguments.output)?;
+    report.tell(&arguments.output)?;
+    Ok(report.outcome())
+}
+
+/// What a run gave.
+pub struct RunReport {
+    pub statistics: Statistics,
+    pub warnings: Vec<String>,
+    pub folder: PathBuf,
+}
+
+/// Follows a source by a plan and writes everything into the folder. What ends the recording early is an error only after all that was
+/// computed has been written.
+pub fn follow(
+    plan: &RunPlan,
+    source: odograph_video::Source,
+    mut folder: OutputFolder,
+    arguments: &OutputArguments,
+) -> Result<RunReport> {
+    let started = Instant::now();
+    let description = source.info().description.clone();
+    let mut tracked = pipeline::track(plan, source, &mut folder, arguments)?;
+    if tracked.frames.len() < 2 && !tracked.interrupted {
+        let too_few = if tracked.frames.is_empty() { "no frame" } else { "only one frame" };
+        return Err(tracked.failure.unwrap_or_else(|| {
+            Error::input(format!(
+                "{} has {too_few} in the chosen range; a movement needs at least two",
+                plan.source.path
+            ))
+        }));
+    }
+    let failure = tracked.failure.take();
+    tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
+    let statistics = Statistics::new(&tracked, started.elapsed());
+    map::write(plan, &description, &tracked, &mut folder)?;
+    folder.finish(&tracked.frames, &statistics, &plan.text()?)?;
+    match failure {
+        Some(error) => Err(error),
+        None => Ok(RunReport { statistics, warnings: tracked.warnings, folder: folder.path().to_owned() }),
+    }
+}
+
+impl RunReport {
+    fn outcome(&self) -> Outcome {
+        // With less than half of the frames posed the path is not the recording's path.
+        if 2 * self.statistics.frames_with_pose < self.statistics.frames {
+            Outcome::TrackingFailed
+        } else {
+            Outcome::Done
+        }
+    }
+
+    /// Tells the result and where to look.
+    #[allow(clippy::print_stdout, clippy::print_stderr)] // results are what standard output is for
+    pub fn tell(&self, arguments: &OutputArguments) -> Result<()> {
+        if arguments.json {
+            println!("{}", self.statistics.json()?);
+        } else if !arguments.quiet {
+            print!("{}", self.statistics.summary());
+            println!("Look at {}", shown(&self.folder.join("report.html")));
+        }
+        if !arguments.quiet {
+            for warning in &self.warnings {
+                eprintln!("odograph: warning: {warning}");
+            }
+        }
+        if self.outcome() == Outcome::TrackingFailed && !arguments.quiet {
+            eprintln!(
+                "odograph: the movement could not be measured in {} of {} frames; the report says where and why",
+                self.statistics.frames - self.statistics.frames_with_pose,
+                self.statistics.frames
+            );
+        }
+        Ok(())
+    }
+}
+
+fn shown(path: &Path) -> String {
+    path.display().to_string()
+}

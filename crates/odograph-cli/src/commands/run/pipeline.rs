@@ -1,0 +1,214 @@
+//! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
+
+use super::folder::OutputFolder;
+use super::{OutputArguments, RunPlan};
+use crate::interrupt;
+use indicatif::{ProgressBar, ProgressStyle};
+use odograph::camera::Camera;
+use odograph::error::{Error, Result};
+use odograph::geometry::GroundPose;
+use odograph::mapping::Mosaic;
+use odograph::odometry::Odometry;
+use odograph::trajectory::FrameEstimate;
+use odograph_video::{Frame, Source};
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// What came out of the pipeline.
+pub struct Tracked {
+    pub frames: Vec<FrameEstimate>,
+    pub mosaic: Mosaic,
+    pub keyframes: u64,
+    pub warnings: Vec<String>,
+    pub times: StageTimes,
+    pub interrupted: bool,
+    /// What ended the recording before its end, if anything did.
+    pub failure: Option<Error>,
+}
+
+/// How long each frame took in each stage.
+#[derive(Debug, Default)]
+pub struct StageTimes {
+    pub decode: Vec<Duration>,
+    pub track: Vec<Duration>,
+    pub map: Vec<Duration>,
+}
+
+/// Frames that wait between two stages: enough to even out a slow frame, few enough not to need memory.
+const QUEUE: usize = 4;
+
+/// Follows every frame of the source. Each frame's result is in the folder within a second of video.
+pub fn track(
+    plan: &RunPlan,
+    source: Source,
+    folder: &mut OutputFolder,
+    arguments: &OutputArguments,
+) -> Result<Tracked> {
+    let mut tracking = Tracking {
+        odometry: Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?,
+        frames: Vec::new(),
+        times: Vec::new(),
+        progress: progress(source.info().frame_count, arguments.quiet),
+        folder,
+    };
+    let mut decoding = Decoding { source, times: Vec::new() };
+    let mut laying =
+        Laying { camera: plan.camera.clone(), mosaic: Mosaic::new(Default::default()), times: Vec::new() };
+    let outcome = match arguments.threads.map_or(3, usize::from) {
+        1 => one_by_one(&mut decoding, &mut tracking, &mut laying),
+        threads => side_by_side(&mut decoding, &mut tracking, &mut laying, threads),
+    };
+    tracking.progress.finish_and_clear();
+    Ok(Tracked {
+        keyframes: tracking.odometry.keyframes(),
+        frames: tracking.frames,
+        mosaic: laying.mosaic,
+        warnings: decoding.source.take_warnings(),
+        times: StageTimes { decode: decoding.times, track: tracking.times, map: laying.times },
+        interrupted: interrupt::asked(),
+        failure: outcome.err(),
+    })
+}
+
+/// The three stages in turn.
+fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, laying: &mut Laying) -> Result<()> {
+    while let Some(frame) = decoding.next()? {
+        if let Some(posed) = tracking.next(frame)? {
+            laying.next(&posed);
+        }
+    }
+    Ok(())
+}
+
+/// The three stages on two or three threads: the mapping shares the tracking's where there are only two.
+fn side_by_side(
+    decoding: &mut Decoding,
+    tracking: &mut Tracking<'_>,
+    laying: &mut Laying,
+    threads: usize,
+) -> Result<()> {
+    let (frames_in, frames_out) = mpsc::sync_channel::<Frame>(QUEUE);
+    let (posed_in, posed_out) = mpsc::sync_channel::<Posed>(QUEUE);
+    thread::scope(|scope| {
+        let decoder = scope.spawn(move || -> Result<()> {
+            while let Some(frame) = decoding.next()? {
+                if frames_in.send(frame).is_err() {
+                    break; // tracking has ended, and says why itself
+                }
+            }
+            Ok(())
+        });
+        let mut here = None;
+        let mapper = if threads > 2 {
+            Some(scope.spawn(move || posed_out.iter().for_each(|posed| laying.next(&posed))))
+        } else {
+            drop(posed_out);
+            here = Some(laying);
+            None
+        };
+        let outcome = frames_out.iter().try_for_each(|frame| -> Result<()> {
+            if let Some(posed) = tracking.next(frame)? {
+                match &mut here {
+                    Some(laying) => laying.next(&posed),
+                    None => drop(posed_in.send(posed)),
+                }
+            }
+            Ok(())
+        });
+        drop((frames_out, posed_in));
+        let died =
+            |_| Error::input("a stage of the pipeline ended unexpectedly; please report this recording");
+        if let Some(mapper) = mapper {
+            mapper.join().map_err(died)?;
+        }
+        let decoded = decoder.join().map_err(died)?;
+        outcome.and(decoded)
+    })
+}
+
+/// Stage one: frames from the source, until its end or until the run is asked to end.
+struct Decoding {
+    source: Source,
+    times: Vec<Duration>,
+}
+
+impl Decoding {
+    fn next(&mut self) -> Result<Option<Frame>> {
+        if interrupt::asked() {
+            return Ok(None);
+        }
+        let started = Instant::now();
+        let frame = self.source.next_frame()?;
+        if frame.is_some() {
+            self.times.push(started.elapsed());
+        }
+        Ok(frame)
+    }
+}
+
+/// Stage two: poses.
+struct Tracking<'a> {
+    odometry: Odometry,
+    frames: Vec<FrameEstimate>,
+    times: Vec<Duration>,
+    progress: ProgressBar,
+    folder: &'a mut OutputFolder,
+}
+
+/// A frame with its pose, for the mosaic.
+struct Posed {
+    frame: Frame,
+    pose: GroundPose,
+}
+
+impl Tracking<'_> {
+    fn next(&mut self, frame: Frame) -> Result<Option<Posed>> {
+        let started = Instant::now();
+        let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
+        let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        self.times.push(started.elapsed());
+        self.folder.record(&estimate)?;
+        self.progress.inc(1);
+        let pose = estimate.estimate.as_ref().map(|known| known.pose);
+        self.frames.push(estimate);
+        Ok(pose.map(|pose| Posed { frame, pose }))
+    }
+}
+
+/// Stage three: the mosaic.
+struct Laying {
+    camera: Camera,
+    mosaic: Mosaic,
+    times: Vec<Duration>,
+}
+
+impl Laying {
+    fn next(&mut self, posed: &Posed) {
+        let started = Instant::now();
+        if self.mosaic.wants(&self.camera, &posed.pose) {
+            if posed.frame.has_color() {
+                self.mosaic.add(&posed.frame.rgb(), &self.camera, &posed.pose);
+            } else {
+                self.mosaic.add(&posed.frame.gray, &self.camera, &posed.pose);
+            }
+        }
+        self.times.push(started.elapsed());
+    }
+}
+
+/// A bar where the number of frames is known, a count where not; nothing where standard error is no terminal.
+fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+    let template = match frames {
+        Some(_) => "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left",
+        None => "{spinner} {pos} frames, {per_sec}",
+    };
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
+}

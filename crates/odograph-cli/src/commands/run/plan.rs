@@ -1,0 +1,157 @@
+//! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
+
+use super::RunArguments;
+use crate::files;
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::formats::{camera_file, rig_file};
+use odograph::motion::MotionModel;
+use odograph::odometry::OdometryConfig;
+use odograph_video::{Source, SourceOptions};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// What is run: the source, the camera over it, and every parameter of the pipeline.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunPlan {
+    /// The version of the program that made the plan.
+    pub odograph: String,
+    pub source: SourcePlan,
+    pub camera: Camera,
+    pub rig: Rig,
+    pub odometry: OdometryConfig,
+}
+
+/// Which frames are taken from where.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourcePlan {
+    pub path: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub timestamps: Option<PathBuf>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fps: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_s: Option<f64>,
+    pub every: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_frames: Option<u64>,
+}
+
+impl SourcePlan {
+    fn open(&self) -> Result<Source> {
+        let options = SourceOptions {
+            timestamps: self.timestamps.clone(),
+            fps: self.fps,
+            start_s: self.start_s,
+            end_s: self.end_s,
+            every: self.every,
+            max_frames: self.max_frames,
+            color: true,
+        };
+        odograph_video::open(&self.path, &options)
+    }
+}
+
+const HEADER: &str =
+    "# Every parameter of this run. Repeat it with:  odograph run run.toml -o another-folder\n\n";
+
+impl RunPlan {
+    /// The plan that the arguments ask for, and its opened source. A source that is itself a `run.toml` is repeated as it was.
+    pub fn new(arguments: &RunArguments) -> Result<(Self, Source)> {
+        if arguments.source.ends_with(".toml") {
+            let plan = Self::read(arguments)?;
+            let source = plan.source.open()?;
+            return Ok((plan, source));
+        }
+        if arguments.camera.is_none() && arguments.field_of_view.is_none() {
+            return Err(Error::usage(
+                "no camera is given; give --camera FILE (and --height METRES), or --field-of-view WIDTHxHEIGHT in metres \
+                 as measured on the ground",
+            ));
+        }
+        let rig = rig(arguments)?;
+        let source_plan = SourcePlan {
+            path: arguments.source.clone(),
+            timestamps: arguments.timestamps.clone(),
+            fps: arguments.fps,
+            start_s: arguments.start,
+            end_s: arguments.end,
+            every: arguments.every,
+            max_frames: arguments.max_frames,
+        };
+        // A camera file that cannot be read is told before a source that may take long to open.
+        let camera_text = arguments.camera.as_deref().map(files::read_text).transpose()?;
+        let source = source_plan.open()?;
+        let size = (source.info().width, source.info().height);
+        let camera = match (&camera_text, &arguments.camera, arguments.field_of_view) {
+            (Some(text), Some(path), _) => {
+                camera_file::parse(text, Some(size)).map_err(|error| error.at(path.display()))?
+            }
+            (_, _, Some(field)) => Camera::from_field_of_view(size, (field.0, field.1), rig.height_m)?,
+            _ => return Err(Error::usage("no camera is given")),
+        };
+        if (camera.width(), camera.height()) != size {
+            return Err(Error::input(format!(
+                "the frames of {} are {}x{} but the camera is calibrated for {}x{}; calibrate at the recording's size",
+                arguments.source,
+                size.0,
+                size.1,
+                camera.width(),
+                camera.height(),
+            )));
+        }
+        let mut odometry = OdometryConfig::default();
+        odometry.motion.model = MotionModel::from(arguments.motion);
+        let plan = Self {
+            odograph: env!("CARGO_PKG_VERSION").to_owned(),
+            source: source_plan,
+            camera,
+            rig,
+            odometry,
+        };
+        Ok((plan, source))
+    }
+
+    fn read(arguments: &RunArguments) -> Result<Self> {
+        let path = PathBuf::from(&arguments.source);
+        let decides = arguments.camera.is_some()
+            || arguments.field_of_view.is_some()
+            || arguments.rig.is_some()
+            || arguments.height.is_some();
+        if decides {
+            return Err(Error::usage(format!(
+                "{} already says which camera and rig are used; leave --camera, --field-of-view, --rig and --height away",
+                path.display()
+            )));
+        }
+        let text = files::read_text(&path)?;
+        toml::from_str(&text).map_err(|error| {
+            Error::input(format!("{} is not the run.toml of a run: {}", path.display(), error.message()))
+        })
+    }
+
+    /// The plan as the text of `run.toml`.
+    pub fn text(&self) -> Result<String> {
+        let body = toml::to_string(self)
+            .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
+        Ok(format!("{HEADER}{body}"))
+    }
+}
+
+fn rig(arguments: &RunArguments) -> Result<Rig> {
+    match (&arguments.rig, arguments.height) {
+        (Some(path), _) => {
+            rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))
+        }
+        (None, Some(height_m)) => Rig::level(height_m).validated(),
+        // The field of view already gives the scale; any height gives the same path.
+        (None, None) if arguments.field_of_view.is_some() => Ok(Rig::level(1.0)),
+        (None, None) => Err(Error::usage(
+            "the height of the camera above the ground is missing; give --height METRES, or --rig FILE",
+        )),
+    }
+}

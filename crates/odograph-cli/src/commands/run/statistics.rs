@@ -1,0 +1,121 @@
+//! The figures of a run: `stats.json` and the summary.
+
+use super::pipeline::Tracked;
+use odograph::error::{Error, Result};
+use odograph::trajectory::{TrackStatus, distance_m};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// The figures of a run, as `stats.json` has them. Documented in `docs/output.md`.
+#[derive(Debug, Clone, Serialize)]
+pub struct Statistics {
+    /// Frames taken from the source.
+    pub frames: u64,
+    /// Frames whose pose was measured.
+    pub frames_with_pose: u64,
+    /// From the first to the last frame, seconds of the recording.
+    pub duration_s: f64,
+    /// Length of the measured path, metres; gaps do not count.
+    pub distance_m: f64,
+    /// Frames a second of the whole run, writing included.
+    pub fps: f64,
+    /// Frames a second had decoding cost nothing.
+    pub fps_without_decoding: f64,
+    /// Time a frame by stage.
+    pub stages: BTreeMap<&'static str, StageTime>,
+    /// Keyframes made.
+    pub keyframes: u64,
+    /// Stretches without a pose.
+    pub losses: u64,
+    /// The most memory the program had, bytes; `null` where the system does not tell.
+    pub peak_memory_bytes: Option<u64>,
+    /// Whether the run was ended early by a signal.
+    pub interrupted: bool,
+}
+
+/// How long a stage takes.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct StageTime {
+    /// Mean over all frames, milliseconds.
+    pub mean_ms: f64,
+    /// 99 of 100 frames take at most this long, milliseconds.
+    pub p99_ms: f64,
+}
+
+impl StageTime {
+    fn of(durations: &[Duration]) -> Self {
+        let mut sorted: Vec<f64> = durations.iter().map(|d| 1e3 * d.as_secs_f64()).collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let rank = (0.99 * sorted.len() as f64).ceil() as usize;
+        Self {
+            mean_ms: sorted.iter().sum::<f64>() / sorted.len().max(1) as f64,
+            p99_ms: sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0),
+        }
+    }
+}
+
+impl Statistics {
+    /// The figures of what was tracked in `elapsed`.
+    pub fn new(tracked: &Tracked, elapsed: Duration) -> Self {
+        let frames = &tracked.frames;
+        let posed = |i: usize| frames[i].estimate.is_some();
+        let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
+        let duration_s = match (frames.first(), frames.last()) {
+            (Some(first), Some(last)) => last.time_s - first.time_s,
+            _ => 0.0,
+        };
+        let seconds = |durations: &[Duration]| durations.iter().sum::<Duration>().as_secs_f64();
+        let rate = |s: f64| if s > 0.0 { frames.len() as f64 / s } else { 0.0 };
+        Self {
+            frames: frames.len() as u64,
+            frames_with_pose: frames.iter().filter(|f| f.status == TrackStatus::Tracked).count() as u64,
+            duration_s,
+            distance_m: distance_m(frames),
+            fps: rate(elapsed.as_secs_f64()),
+            fps_without_decoding: rate(seconds(&tracked.times.track) + seconds(&tracked.times.map)),
+            stages: BTreeMap::from([
+                ("decode", StageTime::of(&tracked.times.decode)),
+                ("track", StageTime::of(&tracked.times.track)),
+                ("map", StageTime::of(&tracked.times.map)),
+            ]),
+            keyframes: tracked.keyframes,
+            losses: losses as u64,
+            peak_memory_bytes: peak_memory_bytes(),
+            interrupted: tracked.interrupted,
+        }
+    }
+
+    /// As JSON text.
+    pub fn json(&self) -> Result<String> {
+        serde_json::to_string_pretty(self)
+            .map_err(|error| Error::output(format!("the statistics cannot be written as JSON: {error}")))
+    }
+
+    /// For people, a few lines.
+    pub fn summary(&self) -> String {
+        let lost = match self.losses {
+            0 => "never lost".to_owned(),
+            1 => "lost once".to_owned(),
+            n => format!("lost {n} times"),
+        };
+        format!(
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n",
+            self.distance_m,
+            self.duration_s,
+            self.frames_with_pose,
+            self.frames,
+            self.keyframes,
+            self.fps,
+            self.fps_without_decoding,
+        )
+    }
+}
+
+/// The high-water mark of resident memory, from Linux's `/proc`.
+fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(1024 * kilobytes)
+}
