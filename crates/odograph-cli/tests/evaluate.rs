@@ -1,5 +1,8 @@
 //! The command `odograph evaluate`, as a person runs it.
 
+// Helpers of tests count as tests, which clippy does not see outside a module of tests.
+#![allow(clippy::unwrap_used)]
+
 use serde_json::Value;
 use std::fmt::Write;
 use std::fs;

@@ -42,6 +42,11 @@ pub fn text(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Eval
             "note     the positions leave the rotation open (a straight path, or none); the first orientations settle it"
         );
     }
+    for delta in
+        options.deltas.iter().filter(|&&delta| e.relative.iter().all(|relative| relative.delta != delta))
+    {
+        let _ = writeln!(out, "note     the path has no stretch of {delta}");
+    }
     let _ = writeln!(
         out,
         "\n{:<30}{:>12}{:>12}{:>12}{:>12}{:>12}{:>12}{:>8}",
