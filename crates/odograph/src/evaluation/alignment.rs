@@ -40,7 +40,7 @@ pub struct Similarity {
     /// Rotation and translation (metres) after the scaling.
     pub truth_from_estimate: Isometry3<f64>,
     /// Whether the positions determine the rotation. Where they do not (a straight path leaves the turn about itself free, a
-    /// standing camera any turn) the smallest of the best rotations is taken.
+    /// standing camera any turn) that one of the best rotations is taken which brings the first orientations closest together.
     pub rotation_determined: bool,
 }
 
@@ -76,7 +76,8 @@ pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity
             let c = sums.covariance;
             let (along, across) = (c[(0, 0)] + c[(1, 1)], c[(1, 0)] - c[(0, 1)]);
             let determined = along.hypot(across) > DETERMINED * sums.largest();
-            let angle_rad = if determined { across.atan2(along) } else { 0.0 };
+            let first = sums.first_rotation.coords;
+            let angle_rad = if determined { across.atan2(along) } else { 2.0 * first.z.atan2(first.w) };
             let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
             let mut shift = sums.truth_mean - rotation * sums.estimate_mean;
             shift.z = 0.0;
@@ -126,6 +127,8 @@ struct Sums {
     truth_spread: f64,
     /// Sum of (truth − mean)(estimate − mean)ᵀ.
     covariance: Matrix3<f64>,
+    /// The rotation that brings the first orientations together.
+    first_rotation: UnitQuaternion<f64>,
 }
 
 /// A rotation with the value of what it maximises.
@@ -148,6 +151,9 @@ impl Sums {
             estimate_spread: 0.0,
             truth_spread: 0.0,
             covariance: Matrix3::zeros(),
+            first_rotation: pairs.first().map_or_else(UnitQuaternion::identity, |pair| {
+                pair.truth.rotation * pair.estimate.rotation.inverse()
+            }),
         };
         for pair in pairs {
             let estimate = pair.estimate.translation.vector - estimate_mean;
@@ -168,8 +174,8 @@ impl Sums {
     /// found as B. K. P. Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987, does: the
     /// quaternion is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix, which is always a rotation and
     /// never a reflection. The difference of the largest two eigenvalues is twice the sum of Umeyama's two smaller (signed)
-    /// singular values; where it vanishes the best rotations are a whole eigenspace, and the smallest of them is the
-    /// projection of the identity onto it.
+    /// singular values; where it vanishes the best rotations are a whole eigenspace, and the one of them that is closest to a
+    /// wanted rotation is the projection of that onto it.
     fn best_rotation(&self) -> BestRotation {
         let c = &self.covariance;
         let (xx, yy, zz) = (c[(0, 0)], c[(1, 1)], c[(2, 2)]);
@@ -189,8 +195,9 @@ impl Sums {
             .filter(|&index| eigen.eigenvalues[index] >= gain - rounding)
             .map(|index| eigen.eigenvectors.column(index).into_owned())
             .collect();
-        let identity = Vector4::new(1.0, 0.0, 0.0, 0.0);
-        let nearest: Vector4<f64> = best.iter().map(|axis| *axis * axis.dot(&identity)).sum();
+        let q = self.first_rotation.coords;
+        let wanted = Vector4::new(q.w, q.x, q.y, q.z);
+        let nearest: Vector4<f64> = best.iter().map(|axis| *axis * axis.dot(&wanted)).sum();
         let chosen = match best.as_slice() {
             [only] => *only,
             [first, ..] if nearest.norm() < 1e-6 => *first,

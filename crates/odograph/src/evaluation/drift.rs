@@ -3,7 +3,6 @@
 use super::association::{PosePair, path_m};
 use super::relative::error_between;
 use crate::geometry::wrap_angle;
-use nalgebra::Isometry3;
 use serde::Serialize;
 
 /// Mean error over all segments of one length: from every pose to the first one whose true path is at least that much further,
@@ -62,18 +61,14 @@ fn over(pairs: &[PosePair], path_m: &[f64], length_m: f64) -> Option<SegmentDrif
     })
 }
 
-/// How far a camera turned about the world's z axis from one pose to another, radians in (−π, π], counter-clockwise positive:
-/// the twist about z of the rotation in the world. Unlike a difference of Euler angles it has no direction of view in which it
-/// is undefined; for a camera of constant tilt it is exactly the change of heading.
-pub fn heading_change_rad(start: &Isometry3<f64>, end: &Isometry3<f64>) -> f64 {
-    let turn = end.rotation * start.rotation.inverse();
-    wrap_angle(2.0 * turn.coords.z.atan2(turn.coords.w))
-}
-
-/// By how much the estimate's change of heading exceeds the truth's, radians in (−π, π].
+/// The part of a stretch's rotation error that is a turn about the world's z axis, radians in (−π, π], counter-clockwise
+/// positive: the twist about z of the relative error seen in the true world. It does not depend on the estimate's world, and
+/// unlike a difference of Euler angles it is defined in every direction of view; for a camera of constant tilt it is exactly the
+/// error of the change of heading.
 pub(super) fn heading_error_rad(start: &PosePair, end: &PosePair) -> f64 {
-    let estimate = heading_change_rad(&start.estimate, &end.estimate);
-    wrap_angle(estimate - heading_change_rad(&start.truth, &end.truth))
+    let error = error_between(start, end).rotation;
+    let in_world = end.truth.rotation * error * end.truth.rotation.inverse();
+    wrap_angle(2.0 * in_world.coords.z.atan2(in_world.coords.w))
 }
 
 /// Every power of ten from 1 m that fits into the path, or 0.1 m for a path below 1 m.

@@ -18,7 +18,7 @@ mod statistics;
 pub use absolute::AbsoluteErrors;
 pub use alignment::{Alignment, Similarity};
 pub use association::{PosePair, associate};
-pub use drift::{SegmentDrift, heading_change_rad};
+pub use drift::SegmentDrift;
 pub use relative::{Delta, RelativeErrors};
 pub use statistics::Statistics;
 
@@ -79,7 +79,8 @@ pub struct Evaluation {
     pub relative: Vec<RelativeErrors>,
     /// Errors over segments as shares of their length, one entry for each length for which the path is long enough.
     pub drift: Vec<SegmentDrift>,
-    /// Error of the heading at the last pose against the first, radians in (−π, π], counter-clockwise positive.
+    /// Error of the heading at the last pose when the first poses are laid onto each other, radians in (−π, π],
+    /// counter-clockwise positive.
     pub final_heading_error_rad: f64,
     /// Error of the position at the last pose when the first poses are laid onto each other, metres.
     pub final_position_error_m: f64,

@@ -1,7 +1,7 @@
 use super::*;
 use crate::geometry::GroundPose;
 use crate::trajectory::StampedPose;
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 fn trajectory(poses: impl IntoIterator<Item = Isometry3<f64>>) -> Trajectory {
@@ -132,12 +132,13 @@ fn degenerate_paths_have_finite_errors() {
             }
         }
     }
-    // A straight path leaves the turn about itself free, but not the error.
+    // A straight path leaves the turn about itself free; the orientations settle it.
     let e = evaluate(&moved(&straight, &turned, 1.0), &straight, &with(Alignment::Se3)).unwrap();
     assert!(!e.alignment.rotation_determined && e.absolute.translation.max < 1e-12);
+    assert!(e.absolute.rotation.max < 1e-7);
     let e = evaluate(&still, &still, &with(Alignment::Se3)).unwrap();
     assert!(e.scale.is_none() && e.drift.is_empty() && e.relative.len() == 1);
-    assert_eq!(e.alignment.truth_from_estimate, Isometry3::identity());
+    assert!((e.alignment.truth_from_estimate.to_homogeneous() - Matrix4::identity()).amax() < 1e-12);
 }
 
 #[test]
@@ -216,6 +217,11 @@ proptest! {
             for (x, y) in one.drift.iter().zip(&other.drift) {
                 prop_assert!((x.translation_percent - y.translation_percent).abs() < 1e-9);
                 prop_assert!((x.rotation_deg_per_m - y.rotation_deg_per_m).abs() < 1e-9);
+            }
+            // Heading is about the true world's z axis, so only the estimate's world is free.
+            let other = evaluate(&moved(&estimate, &a, 1.0), &truth, &options(all_pairs)).unwrap();
+            for (x, y) in one.drift.iter().zip(&other.drift) {
+                prop_assert!((x.heading_bias_deg_per_m - y.heading_bias_deg_per_m).abs() < 1e-6);
             }
         }
     }

@@ -120,6 +120,13 @@ mod tests {
         }
     }
 
+    #[test]
+    fn deep_nesting_is_survived() {
+        for bracket in ["[", "{a="] {
+            assert!(parse(&format!("a = {}", bracket.repeat(100_000))).is_err());
+        }
+    }
+
     proptest! {
         #[test]
         fn a_written_rig_is_read_back_identically(height_m in 1e-3..1e3, roll_rad in -1.0..1.0, pitch_rad in -1.0..1.0, yaw_rad in -4.0..4.0) {

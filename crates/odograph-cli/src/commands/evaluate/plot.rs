@@ -5,10 +5,10 @@ use odograph::formats::trajectory_file::Trajectory;
 use std::fmt::Write;
 
 const WIDTH: f64 = 960.0;
-const HEIGHT: f64 = 1180.0;
 /// Inner edges of the panels.
 const LEFT: f64 = 84.0;
 const RIGHT: f64 = WIDTH - 28.0;
+const TOP: f64 = 70.0;
 const TRUTH: &str = "#444444";
 const ESTIMATE: &str = "#d1495b";
 const ROTATION: &str = "#2a6f97";
@@ -16,8 +16,11 @@ const ROTATION: &str = "#2a6f97";
 /// A whole SVG document. The path is seen along the axis in which it has least to show (from above for a camera over ground),
 /// at the same scale both ways; below it the position and the rotation error of each compared pose.
 pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
+    let view = View::of(evaluation, truth);
+    let below = view.bottom + 60.0;
+    let height = below + 430.0;
     let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{HEIGHT}\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{height}\" viewBox=\"0 0 {WIDTH} {height}\" \
          font-family=\"sans-serif\" font-size=\"13\" fill=\"#222222\">\n\
          <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n\
          <text x=\"{LEFT}\" y=\"30\" font-size=\"17\" font-weight=\"bold\">{}</text>\n",
@@ -28,25 +31,31 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
         "<text x=\"{LEFT}\" y=\"50\">absolute position error: rmse {:.6} m, largest {:.6} m; path {:.3} m</text>",
         evaluation.absolute.translation.rmse, evaluation.absolute.translation.max, evaluation.truth_length_m
     );
-    draw_paths(&mut out, evaluation, truth);
+    draw_paths(&mut out, &view, evaluation);
     let start_s = evaluation.pairs.first().map_or(0.0, |pair| pair.time_s);
-    let over_time = |errors: &[f64], factor: f64| -> Vec<(f64, f64)> {
-        evaluation
-            .pairs
-            .iter()
-            .zip(errors)
-            .map(|(pair, error)| (pair.time_s - start_s, error * factor))
-            .collect()
-    };
-    let position = over_time(&evaluation.absolute.translation_m, 1.0);
-    let rotation = over_time(&evaluation.absolute.rotation_rad, 180.0 / std::f64::consts::PI);
-    draw_errors(&mut out, (750.0, 910.0), "position error (m)", ESTIMATE, &position);
-    draw_errors(&mut out, (960.0, 1120.0), "rotation error (°)", ROTATION, &rotation);
+    let degrees: Vec<f64> = evaluation.absolute.rotation_rad.iter().map(|angle| angle.to_degrees()).collect();
+    let position_m = &evaluation.absolute.translation_m;
+    draw_errors(
+        &mut out,
+        (below, below + 160.0),
+        "position error (m)",
+        ESTIMATE,
+        &evaluation.pairs,
+        position_m,
+    );
+    draw_errors(
+        &mut out,
+        (below + 210.0, below + 370.0),
+        "rotation error (°)",
+        ROTATION,
+        &evaluation.pairs,
+        &degrees,
+    );
     let _ = writeln!(
         out,
         "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">time since {start_s:.3} s (s)</text>",
         0.5 * (LEFT + RIGHT),
-        HEIGHT - 14.0
+        height - 14.0
     );
     out.push_str("</svg>\n");
     out
@@ -65,42 +74,67 @@ impl Axis {
         self.from_px + (value - self.low) / (self.high - self.low) * (self.to_px - self.from_px)
     }
 
-    /// Round values between `low` and `high`, about `count` of them, with the decimals they need.
-    fn ticks(&self, count: f64) -> Vec<(f64, String)> {
-        let rough = (self.high - self.low) / count;
+    /// The step of round numbers (1, 2 or 5 times a power of ten) that cuts the range into about `count` parts.
+    fn step(&self, count: f64) -> f64 {
+        let rough = 0.75 * (self.high - self.low) / count;
         let power = 10f64.powf(rough.log10().floor());
-        let step =
-            [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&s| s >= rough).unwrap_or(rough);
-        let decimals = (-step.log10().floor()).clamp(0.0, 12.0) as usize;
+        [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&step| step >= rough).unwrap_or(rough)
+    }
+
+    /// The multiples of a step within the range, with the decimals they need.
+    fn ticks(&self, step: f64) -> Vec<(f64, String)> {
+        let decimals = (-(step * 1.001).log10().floor()).clamp(0.0, 12.0) as usize;
         let first = (self.low / step).ceil();
-        (0..=(2.0 * count) as usize + 2)
-            .map(|index| (first + index as f64) * step)
-            .filter(|&value| value <= self.high + step * 1e-9)
+        (0..64)
+            .map(|index| (first + f64::from(index)) * step)
+            .take_while(|&value| value <= self.high + step * 1e-9)
             // Adding zero makes a negative zero positive.
             .map(|value| (value, format!("{:.decimals$}", (value / step).round() * step + 0.0)))
             .collect()
     }
 }
 
-fn draw_paths(out: &mut String, evaluation: &Evaluation, truth: &Trajectory) {
-    let (top, bottom) = (70.0, 690.0);
-    let position = |pose: &nalgebra::Isometry3<f64>| <[f64; 3]>::from(pose.translation.vector);
-    let true_path: Vec<[f64; 3]> = truth.poses.iter().map(|pose| position(&pose.world_from_camera)).collect();
-    let estimated: Vec<[f64; 3]> = evaluation.pairs.iter().map(|pair| position(&pair.estimate)).collect();
-    let (low, high) = bounds(true_path.iter().chain(&estimated));
-    let (across, up) = seen_axes([0, 1, 2].map(|i| high[i] - low[i]));
-    // One scale for both axes, a margin of 5 %, and at least a millimetre to look at.
-    let (wide, tall) = (RIGHT - LEFT, bottom - top);
-    let metres_per_px =
-        ((high[across] - low[across]) / wide).max((high[up] - low[up]) / tall).max(1e-3 / wide) * 1.1;
-    let axis = |i: usize, from_px: f64, to_px: f64| {
-        let centre = 0.5 * (low[i] + high[i]);
-        let reach = 0.5 * metres_per_px * (to_px - from_px).abs();
-        Axis { low: centre - reach, high: centre + reach, from_px, to_px }
-    };
-    let (x, y) = (axis(across, LEFT, RIGHT), axis(up, bottom, top));
+/// The paths and how they are seen: along the axis in which they have least to show, at one scale both ways.
+struct View {
+    truth: Vec<[f64; 3]>,
+    estimate: Vec<[f64; 3]>,
+    across: usize,
+    up: usize,
+    x: Axis,
+    y: Axis,
+    bottom: f64,
+}
+
+impl View {
+    fn of(evaluation: &Evaluation, truth: &Trajectory) -> Self {
+        let position = |pose: &nalgebra::Isometry3<f64>| <[f64; 3]>::from(pose.translation.vector);
+        let truth: Vec<_> = truth.poses.iter().map(|pose| position(&pose.world_from_camera)).collect();
+        let estimate: Vec<_> = evaluation.pairs.iter().map(|pair| position(&pair.estimate)).collect();
+        let (low, high) = bounds(truth.iter().chain(&estimate));
+        let (across, up) = seen_axes([0, 1, 2].map(|i| high[i] - low[i]));
+        // A margin of 5 %, and at least a millimetre to look at.
+        let wide_m = (high[across] - low[across]).max(1e-3) * 1.1;
+        let tall_m = (high[up] - low[up]) * 1.1;
+        let wide = RIGHT - LEFT;
+        let tall = (wide * tall_m / wide_m).clamp(220.0, 640.0);
+        let metres_per_px = (wide_m / wide).max(tall_m / tall);
+        let axis = |i: usize, from_px: f64, to_px: f64| {
+            let centre = 0.5 * (low[i] + high[i]);
+            let reach = 0.5 * metres_per_px * (to_px - from_px).abs();
+            Axis { low: centre - reach, high: centre + reach, from_px, to_px }
+        };
+        let bottom = TOP + tall;
+        let (x, y) = (axis(across, LEFT, RIGHT), axis(up, bottom, TOP));
+        Self { truth, estimate, across, up, x, y, bottom }
+    }
+}
+
+fn draw_paths(out: &mut String, view: &View, evaluation: &Evaluation) {
+    let View { truth: true_path, estimate: estimated, across, up, x, y, bottom } = view;
+    let (across, up, bottom) = (*across, *up, *bottom);
     let names = ["x", "y", "z"];
-    frame(out, &x, &y, &format!("{} (m)", names[up]));
+    let step = x.step(8.0);
+    frame(out, x, y, (step, step.min(y.step(3.0))), &format!("{} (m)", names[up]));
     let _ = writeln!(
         out,
         "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{} (m)</text>",
@@ -109,7 +143,7 @@ fn draw_paths(out: &mut String, evaluation: &Evaluation, truth: &Trajectory) {
         names[across]
     );
     let on_paper = |p: &[f64; 3]| (x.at(p[across]), y.at(p[up]));
-    let drawn: Vec<_> = thinned(&true_path).map(on_paper).collect();
+    let drawn: Vec<_> = thinned(true_path).map(on_paper).collect();
     polyline(out, TRUTH, 3.0, "stroke-dasharray=\"7 4\"", &drawn);
     // No line is drawn where there was no estimate.
     let mut from = 0;
@@ -136,26 +170,43 @@ fn draw_paths(out: &mut String, evaluation: &Evaluation, truth: &Trajectory) {
          <circle cx=\"208\" cy=\"13\" r=\"6\" fill=\"#ffffff\" stroke=\"{ESTIMATE}\" stroke-width=\"2\"/><text x=\"220\" y=\"18\">start</text>\
          <rect x=\"268\" y=\"8\" width=\"10\" height=\"10\" fill=\"{ESTIMATE}\"/><text x=\"285\" y=\"18\">end</text></g>",
         RIGHT - 352.0,
-        top + 2.0
+        TOP + 2.0
     );
 }
 
-fn draw_errors(out: &mut String, (top, bottom): (f64, f64), name: &str, color: &str, points: &[(f64, f64)]) {
+fn draw_errors(
+    out: &mut String,
+    (top, bottom): (f64, f64),
+    name: &str,
+    color: &str,
+    pairs: &[PosePair],
+    errors: &[f64],
+) {
+    let start_s = pairs.first().map_or(0.0, |pair| pair.time_s);
+    let points: Vec<_> =
+        pairs.iter().zip(errors).map(|(pair, &error)| (pair.time_s - start_s, error)).collect();
     let duration_s = points.last().map_or(0.0, |point| point.0);
-    let largest = points.iter().fold(0.0, |largest: f64, point| largest.max(point.1));
+    let largest = errors.iter().copied().fold(0.0, f64::max);
     let x = Axis { low: 0.0, high: duration_s.max(1e-3), from_px: LEFT, to_px: RIGHT };
-    let y = Axis { low: 0.0, high: (largest * 1.08).max(1e-9), from_px: bottom, to_px: top };
-    frame(out, &x, &y, name);
-    let drawn: Vec<_> = envelope(points).iter().map(|point| (x.at(point.0), y.at(point.1))).collect();
-    polyline(out, color, 1.4, "", &drawn);
+    let y = Axis { low: 0.0, high: (largest * 1.08).max(1e-5), from_px: bottom, to_px: top };
+    frame(out, &x, &y, (x.step(8.0), y.step(4.0)), name);
+    let mut from = 0;
+    for end in gaps(pairs).chain([points.len()]) {
+        let drawn: Vec<_> = envelope(&points[from..end], points.len())
+            .iter()
+            .map(|point| (x.at(point.0), y.at(point.1)))
+            .collect();
+        polyline(out, color, 1.4, "", &drawn);
+        from = end;
+    }
 }
 
 /// Grid, tick labels, border, and the name of the vertical axis.
-fn frame(out: &mut String, x: &Axis, y: &Axis, name: &str) {
+fn frame(out: &mut String, x: &Axis, y: &Axis, (step_x, step_y): (f64, f64), name: &str) {
     let (top, bottom) = (y.to_px, y.from_px);
     let _ = writeln!(out, "<g stroke=\"#dddddd\" stroke-width=\"1\">");
-    let ticks_x = x.ticks(8.0);
-    let ticks_y = y.ticks(((bottom - top) / 60.0).max(3.0));
+    let ticks_x = x.ticks(step_x);
+    let ticks_y = y.ticks(step_y);
     for (value, _) in &ticks_x {
         let _ = writeln!(out, "<path d=\"M{:.2} {top}V{bottom}\"/>", x.at(*value));
     }
@@ -249,9 +300,9 @@ fn thinned<T>(points: &[T]) -> impl Iterator<Item = &T> {
     points.iter().enumerate().filter(move |(i, _)| i % step == 0 || *i == last).map(|(_, point)| point)
 }
 
-/// Points of a curve, thinned so that no peak is lost: of each bundle the lowest and the highest.
-fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let step = (2 * points.len()).div_ceil(MOST_POINTS).max(1);
+/// Points of a part of a curve of `all` points, thinned so that no peak is lost: of each bundle the lowest and the highest.
+fn envelope(points: &[(f64, f64)], all: usize) -> Vec<(f64, f64)> {
+    let step = (2 * all).div_ceil(MOST_POINTS).max(1);
     if step <= 2 {
         return points.to_vec();
     }

@@ -21,7 +21,7 @@ pub fn text(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Eval
     );
     let _ = writeln!(out, "path     {:.3} m true, {:.3} m estimated", e.truth_length_m, e.estimate_length_m);
     let scale = match e.scale {
-        Some(scale) => format!("{scale:.6} times the estimate fits best ({:+.3} %)", 100.0 * (scale - 1.0)),
+        Some(scale) => format!("truth is {scale:.6} times the estimate ({:+.3} %)", 100.0 * (scale - 1.0)),
         None => "not told by these paths".to_owned(),
     };
     let _ = writeln!(out, "scale    {scale}");
@@ -39,8 +39,13 @@ pub fn text(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Eval
     if !e.alignment.rotation_determined {
         let _ = writeln!(
             out,
-            "note     the positions leave the rotation open (a straight path, or none); the smallest was taken"
+            "note     the positions leave the rotation open (a straight path, or none); the first orientations settle it"
         );
+    }
+    for delta in
+        options.deltas.iter().filter(|&&delta| e.relative.iter().all(|relative| relative.delta != delta))
+    {
+        let _ = writeln!(out, "note     the path has no stretch of {delta}");
     }
     let _ = writeln!(
         out,
@@ -56,13 +61,13 @@ pub fn text(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Eval
     if !e.drift.is_empty() {
         let _ = writeln!(
             out,
-            "\n{:<30}{:>12}{:>12}{:>12}{:>12}{:>12}",
+            "\n{:<30}{:>14}{:>14}{:>14}{:>14}{:>10}",
             "mean drift over each", "position %", "rotation °/m", "heading °/m", "bias °/m", "segments"
         );
         for drift in &e.drift {
             let _ = writeln!(
                 out,
-                "{:<30}{:>12.5}{:>12.5}{:>12.5}{:>+12.5}{:>12}",
+                "{:<30}{:>14.5}{:>14.5}{:>14.5}{:>+14.5}{:>10}",
                 format!("{} m", drift.length_m),
                 drift.translation_percent,
                 drift.rotation_deg_per_m,

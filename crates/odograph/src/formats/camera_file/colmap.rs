@@ -11,8 +11,10 @@ const PIXEL_CENTRE: f64 = 0.5;
 pub(super) fn recognised(text: &str) -> bool {
     lines(text).next().is_some_and(|(_, line)| {
         let words: Vec<_> = line.split_whitespace().take(4).collect();
-        let model =
-            |word: &str| word.chars().all(|c| c.is_ascii_uppercase() || c.is_ascii_digit() || c == '_');
+        let model = |word: &str| {
+            word.starts_with(|c: char| c.is_ascii_uppercase())
+                && word.chars().all(|c| c.is_ascii_uppercase() || c.is_ascii_digit() || c == '_')
+        };
         words.len() == 4 && words[0].chars().all(|c| c.is_ascii_digit()) && model(words[1])
     })
 }

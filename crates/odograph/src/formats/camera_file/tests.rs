@@ -135,7 +135,10 @@ fn what_is_wrong_is_said_with_key_and_value() {
         (with("image_width: 640", "image_width: -640"), "image_width is -640"),
         (with("image_width: 640", "image_width: wide"), "image_width is the text \"wide\""),
         (with("image_width: 640\n", ""), "image_width is missing"),
-        (with("image_width: 640", "image_width: 640\nimage_width: 641"), "duplicate"),
+        (
+            with("image_width: 640", "image_width: 640\nimage_width: 641"),
+            "the key `image_width` twice (line 5)",
+        ),
         (with("3.4228315473308373e+02", "9.4e+09"), "principal point"),
         (
             with("---\n", "---\ndistortion_model: omnidirectional\n"),
@@ -163,6 +166,10 @@ fn what_is_wrong_is_said_with_key_and_value() {
         ("1 PINHOLE 640 480 500 NaN 320 240\n".to_owned(), "\"NaN\""),
         ("1 PINHOLE 640 -480 500 501 320 240\n".to_owned(), "image size of 640x-480"),
         (format!("a: {}", "[".repeat(100_000)), "YAML"),
+        ("a: &a [1, 1]\n".to_owned() + &"b: [*a, *a]\n".repeat(2), "the key `b` twice"),
+        ("- ".repeat(100_000), "nested deeper than any calibration"),
+        ("a: 1\n---\nb: 2\n".to_owned(), "several YAML documents"),
+        ("1 2 3 4\n".to_owned(), "instead of keys"),
         ("a: &a [1]\n".to_owned() + &"b: {c: ".repeat(60), "YAML"),
     ];
     for (text, part) in cases {

@@ -8,6 +8,38 @@ use std::fmt;
 /// Camera files are small; with every board corner of a long calibration they stay below this.
 const MAX_BYTES: usize = 16 << 20;
 
+/// What the parser found wrong, for a person who wrote or exported a file and does not know the parser.
+fn sentence(error: &serde_saphyr::Error) -> String {
+    use serde_saphyr::Error::{Budget, DuplicateMappingKey, MultipleDocuments};
+    let line = error.location().map_or_else(String::new, |location| format!(" (line {})", location.line()));
+    match error.without_snippet() {
+        DuplicateMappingKey { key: Some(key), .. } => {
+            format!("the camera file holds the key `{}` twice{line}; keep one of them", shown(key))
+        }
+        MultipleDocuments { .. } => {
+            format!("the camera file holds several YAML documents{line}; keep the one with the camera")
+        }
+        Budget { .. } => {
+            format!(
+                "the camera file is larger or nested deeper than any calibration{line}; is this the right file?"
+            )
+        }
+        // The parser's own message may run over several lines.
+        other => {
+            let message = other.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+            format!(
+                "the camera file is not readable as YAML: {}",
+                message.chars().take(300).collect::<String>()
+            )
+        }
+    }
+}
+
+/// The beginning of a text, for a sentence.
+fn shown(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(40).collect()
+}
+
 /// A node of the tree.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Value {
@@ -33,11 +65,7 @@ impl Value {
             non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
             with_snippet: false,
         };
-        serde_saphyr::from_str_with_options(text, options).map_err(|error| {
-            // The parser's own message may run over several lines; a person gets one sentence.
-            let message = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-            Error::input(format!("the camera file is not readable as YAML: {message}"))
-        })
+        serde_saphyr::from_str_with_options(text, options).map_err(|error| Error::input(sentence(&error)))
     }
 
     /// The value of a key, where this is a map that has it.
@@ -112,7 +140,7 @@ impl fmt::Display for Value {
             Self::Nothing => f.write_str("empty"),
             Self::Truth(truth) => write!(f, "{truth}"),
             Self::Number(number) => write!(f, "{number}"),
-            Self::Text(text) => write!(f, "the text {:?}", text.chars().take(40).collect::<String>()),
+            Self::Text(text) => write!(f, "the text {:?}", shown(text)),
             Self::List(items) => write!(f, "a list of {}", items.len()),
             Self::Map(_) => f.write_str("a map of keys"),
         }
