@@ -33,8 +33,8 @@ pub(super) fn carpet(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
     let wear = fractal(seed ^ 15, (x, y), footprint_m, 1.5, 3, 0.5);
     let gray = 98.0
         + seen * (46.0 * own * bump as f32 + 30.0 * (bump as f32 - 0.44))
-        + 62.0 * shade
-        + 30.0 * fibre
+        + 38.0 * shade
+        + 45.0 * fibre
         + 12.0 * wear;
     tinted(gray, [1.08, 0.98, 0.92])
 }
@@ -84,7 +84,7 @@ pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3]
     }
     let tufts = fractal(seed ^ 48, at, footprint_m, 0.05, 4, 0.8);
     let patches = fractal(seed ^ 49, at, footprint_m, 1.5, 4, 0.6);
-    let gray = 92.0 + seen * 55.0 * (top - 0.45) + 75.0 * tufts + 26.0 * patches;
+    let gray = 92.0 + seen * 55.0 * (top - 0.45) + 55.0 * tufts + 26.0 * patches;
     let dry = 0.25 * patches;
     tinted(gray, [0.85 + dry, 1.18, 0.48 + 0.5 * dry])
 }
@@ -104,12 +104,12 @@ pub(super) fn bare(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
     tinted(152.0 + 1.6 * clouds + 2.0 * grain, [1.0, 1.0, 1.0])
 }
 
-/// How much a point belongs to a patch, 0 to 1; patches cover about half of the ground.
+/// How much a point belongs to a patch, 0 to 1; patches cover about a third of the ground.
 pub(super) fn patch(seed: u32, (x, y): Point, patch_m: f64) -> f32 {
     let coarse = fractal(seed ^ 71, (x, y), 1e-4, patch_m, 3, 0.4);
     // Borders are ragged over centimetres.
     let ragged = fractal(seed ^ 72, (x, y), 1e-4, 0.12, 4, 0.7);
-    smooth_step(0.5 + f64::from(coarse + 0.10 * ragged) / 0.12) as f32
+    smooth_step(0.5 + f64::from(coarse - 0.06 + 0.10 * ragged) / 0.12) as f32
 }
 
 /// Darkness of shadows that lie on the ground, 0 (lit) to 1.

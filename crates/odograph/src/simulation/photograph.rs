@@ -85,8 +85,10 @@ impl Photograph {
 
     /// Three pieces of the photograph, from the corners of the triangle of a skewed grid that the point lies in.
     fn scattered(&self, seed: u32, (x, y): (f64, f64), level: &Level, scale: f64) -> [f32; 3] {
-        let smaller = self.levels[0].width.min(self.levels[0].height) as f64 * self.metres_per_pixel;
-        let grid = 0.35 * smaller;
+        let width_m = self.levels[0].width as f64 * self.metres_per_pixel;
+        let height_m = self.levels[0].height as f64 * self.metres_per_pixel;
+        // A piece reaches one grid step around its corner: cut from the inside, it never shows the photograph's edge.
+        let grid = 0.25 * width_m.min(height_m);
         // Skewing the plane turns squares into rhombi of two equilateral triangles.
         let (u, v) = ((x - 0.577_350_269 * y) / grid, 1.154_700_538 * y / grid);
         let (i, j) = (u.floor(), v.floor());
@@ -108,11 +110,12 @@ impl Photograph {
             if weight < 1e-3 {
                 continue;
             }
-            let shift_x =
-                f64::from(cell(seed ^ 93, i, j)) * self.levels[0].width as f64 * self.metres_per_pixel;
-            let shift_y =
-                f64::from(cell(seed ^ 94, i, j)) * self.levels[0].height as f64 * self.metres_per_pixel;
-            let piece = level.bicubic((x + shift_x) / scale, (y + shift_y) / scale, mirror);
+            let (corner_x, corner_y) =
+                ((f64::from(i) + 0.5 * f64::from(j)) * grid, f64::from(j) * grid * 0.866_025_404);
+            let center = |seed: u32, size_m: f64| grid + f64::from(cell(seed, i, j)) * (size_m - 2.0 * grid);
+            let piece_x = center(seed ^ 93, width_m) + x - corner_x;
+            let piece_y = center(seed ^ 94, height_m) + y - corner_y;
+            let piece = level.bicubic(piece_x / scale, piece_y / scale, mirror);
             for c in 0..3 {
                 sum[c] += weight * (piece[c] - self.mean[c]);
             }

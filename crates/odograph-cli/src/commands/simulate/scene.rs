@@ -205,7 +205,7 @@ fn texture(arguments: &SimulateArguments) -> Result<Texture> {
         [first, second] => Ok(Texture::Patchwork {
             first: Arc::new(one(0, first)?),
             second: Arc::new(one(1, second)?),
-            patch_m: 2.0,
+            patch_m: 1.6,
         }),
         more => Err(Error::usage(format!("--texture was given {} times; two are the limit", more.len()))),
     }
