@@ -179,7 +179,7 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         m if m.starts_with(&matroska::MAGIC) => video(Box::new(MatroskaReader::open(file)?)),
         [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => video(Box::new(AviReader::open(file)?)),
         m if let Some(codec) = annex_b::codec(m) => video(Box::new(AnnexBReader::open(file, codec))),
-        _ => ffmpeg::open(path, "this kind of file", options.color),
+        _ => ffmpeg::open(path, ffmpeg::Content::Unknown, options.color),
     }
 }
 

@@ -25,9 +25,13 @@ pub(crate) fn open(
     }
     .to_string();
     let name = name.as_str();
+    let through_ffmpeg = |codec: &str| {
+        let content = ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
+        ffmpeg::open(path, content, color)
+    };
     let mut decoders: VecDeque<MakeDecoder> = codec::decoders(&track, color)?.into();
     let Some(make) = decoders.pop_front() else {
-        return ffmpeg::open(path, name, color);
+        return through_ffmpeg(name);
     };
     let mut video = Video {
         reader,
@@ -42,7 +46,7 @@ pub(crate) fn open(
         damaged: 0,
         first_damage: None,
         current: None,
-        track,
+        track: track.clone(),
         packet: Packet::default(),
         warnings: Vec::new(),
     };
@@ -50,7 +54,7 @@ pub(crate) fn open(
     match video.fill() {
         Ok(()) => {}
         Err(Refused::Unsupported(what)) => {
-            return ffmpeg::open(path, &format!("{name} ({what})"), color);
+            return through_ffmpeg(&format!("{name} ({what})"));
         }
         Err(Refused::Failed(error)) => return Err(error),
     }
