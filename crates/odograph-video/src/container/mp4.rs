@@ -77,7 +77,7 @@ impl PacketReader for Mp4Reader {
         read_up_to(&mut self.file, u64::from(sample.size), &mut packet.data)?;
         let time = time_of(&self.edits, self.tick_s, sample.time);
         packet.shown = time.is_some();
-        packet.time_s = time.unwrap_or(sample.time as f64 * self.tick_s);
+        packet.time_s = time.unwrap_or_else(|| hidden_time_of(&self.edits, self.tick_s, sample.time));
         if self.track.times == super::Times::Unknown {
             packet.time_s = self.next as f64;
         }
@@ -106,6 +106,13 @@ fn time_of(edits: &[Edit], tick_s: f64, time: i64) -> Option<f64> {
     }
     let edit = edits.iter().find(|e| (e.media_from..e.media_to).contains(&time))?;
     Some(edit.starts_at_s + (time - edit.media_from) as f64 * tick_s)
+}
+
+/// When a sample that is not shown would be shown if the edit before it (or the first one) had no bounds: decoders need it in its
+/// place among the others.
+fn hidden_time_of(edits: &[Edit], tick_s: f64, time: i64) -> f64 {
+    let edit = edits.iter().rfind(|e| e.media_from <= time).or(edits.first());
+    edit.map_or(0.0, |e| e.starts_at_s) + (time - edit.map_or(0, |e| e.media_from)) as f64 * tick_s
 }
 
 struct Index {
