@@ -83,7 +83,7 @@ pub(crate) fn open(path: &Path, content: Content<'_>, color: bool) -> Result<Ope
                 });
             }
             Ok(None) => {
-                let said = process.last_message();
+                let said = process.message();
                 if said.contains("fps_mode") {
                     continue;
                 }
@@ -123,7 +123,7 @@ struct Process {
 /// What ffmpeg said.
 #[derive(Default)]
 struct Messages {
-    last: String,
+    first: String,
     count: usize,
 }
 
@@ -184,18 +184,18 @@ impl Process {
     fn finish(&mut self) {
         while self.times.recv_timeout(PATIENCE).is_ok() {}
         let failed = !self.child.wait().is_ok_and(|status| status.success());
-        let said = self.last_message();
+        let said = self.message();
         if !said.is_empty() || failed {
             let ending = if failed { "stopped early" } else { "found damage" };
             self.warnings.push(format!("ffmpeg {ending}: {}", if said.is_empty() { "it did not say why" } else { &said }));
         }
     }
 
-    fn last_message(&self) -> String {
+    fn message(&self) -> String {
         let messages = self.messages.lock().unwrap_or_else(PoisonError::into_inner);
         match messages.count {
-            0 | 1 => messages.last.clone(),
-            count => format!("{} ({count} messages)", messages.last),
+            0 | 1 => messages.first.clone(),
+            count => format!("{} ({count} messages)", messages.first),
         }
     }
 }
@@ -280,11 +280,19 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f
                 let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
                 // The last words of a failure are mostly about its consequences; the first say what is wrong.
                 if messages.count == 0 {
-                    messages.last = text.chars().take(200).collect();
+                    messages.first = without_speaker(text).chars().take(200).collect();
                 }
                 messages.count += 1;
             }
         }
+    }
+}
+
+/// A message without the part of ffmpeg that says it and its address: `[mov @ 0x55d0] moov atom not found`.
+fn without_speaker(message: &str) -> &str {
+    match message.strip_prefix('[').and_then(|rest| rest.split_once("] ")) {
+        Some((speaker, rest)) if speaker.contains(" @ ") => without_speaker(rest),
+        _ => message,
     }
 }
 
@@ -330,6 +338,7 @@ mod tests {
         assert_eq!(Line::read("#codec_id 0: wrapped_avframe"), Line::Head);
         assert_eq!(Line::read("0,          3,          3,        1,      456, 0xed0d96bd"), Line::Frame(3));
         assert_eq!(Line::read("0, what, now"), Line::Message("0, what, now"));
+        assert_eq!(without_speaker("[mov,mp4 @ 0x55e2] [a @ 0x1] moov atom not found"), "moov atom not found");
         assert_eq!(Line::read("file:x: Invalid data"), Line::Message("file:x: Invalid data"));
     }
 }

@@ -1,7 +1,7 @@
 //! Samples through a decoder into the order of presentation.
 
 use crate::codec::{self, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
-use crate::container::{Codec, Packet, PacketReader, Times, Track};
+use crate::container::{Packet, PacketReader, Times, Track};
 use crate::ffmpeg;
 use crate::frame::Picture;
 use crate::source::{Frames, Opened};
@@ -16,22 +16,14 @@ pub(crate) fn open(
     color: bool,
 ) -> Result<Opened> {
     let track = reader.track().clone();
-    let name = match &track.codec {
-        Codec::H264 => "H.264",
-        Codec::H265 => "H.265 (HEVC)",
-        Codec::Vp9 => "VP9",
-        Codec::MotionJpeg => "Motion JPEG",
-        Codec::Other(name) => name,
-    }
-    .to_string();
-    let name = name.as_str();
+    let (decoders, name) = codec::decoders(&track, color)?;
     let through_ffmpeg = |codec: &str| {
         let content = ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
         ffmpeg::open(path, content, color)
     };
-    let mut decoders: VecDeque<MakeDecoder> = codec::decoders(&track, color)?.into();
+    let mut decoders = VecDeque::from(decoders);
     let Some(make) = decoders.pop_front() else {
-        return through_ffmpeg(name);
+        return through_ffmpeg(&name);
     };
     let mut video = Video {
         reader,

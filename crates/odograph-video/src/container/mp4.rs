@@ -41,6 +41,13 @@ impl Mp4Reader {
 
         let mut samples = movie.samples;
         let promised = samples.len();
+        if promised == 0 {
+            return Err(Error::input(if index.cut {
+                "the file is cut off inside its index (the moov box), before the places of its frames"
+            } else {
+                "the video in this file has no frames"
+            }));
+        }
         let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
         if let Some(complete) = complete {
             samples.truncate(complete);
@@ -53,7 +60,10 @@ impl Mp4Reader {
             return Err(Error::input(format!("frame {too_large} claims to take more than 256 MB")));
         }
         let mut edits = movie.edits;
-        if !edits.is_empty() && !samples.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
+        if samples.is_empty() {
+            return Err(Error::input(format!("the file is cut off: none of its {promised} frames is there")));
+        }
+        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
         {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
             edits.clear();
