@@ -1,10 +1,344 @@
-//! Everything else, through an installed `ffmpeg`.
+//! Everything else, through an installed `ffmpeg`: a process of its own with bounded memory, killed when it is not needed.
+//!
+//! It writes the frames as Y4M to its standard output, in the format closest to the one they are stored in, so that luminance
+//! is not converted; and a line for each frame with its time, as the container has it, to its standard error (muxer
+//! `framecrc`), among its messages.
 
-use crate::source::Opened;
+use crate::frame::Picture;
+use crate::source::{Frames, Opened};
+use crate::y4m;
 use odograph::error::{Error, Result};
-use std::path::Path;
+use std::ffi::{OsStr, OsString};
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
 
-/// Opens a file with ffmpeg. `codec` names what this crate does not decode.
-pub(crate) fn open(_path: &Path, codec: &str, _color: bool) -> Result<Opened> {
-    Err(Error::input(format!("{codec} needs ffmpeg, which is not installed")))
+/// Names the program; empty, there is none.
+const VARIABLE: &str = "ODOGRAPH_FFMPEG";
+/// How long to wait for a frame before giving up.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Address space the process may use, in KiB: enough for 8K.
+#[cfg(unix)]
+const MEMORY_KIB: u32 = 6 << 20;
+/// Formats whose luminance plane is taken as it is.
+const FORMATS: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p|yuv411p|gray";
+
+/// What a file is that this crate does not decode itself.
+pub(crate) enum Content<'a> {
+    /// A codec and its container, by name, and the number of frames where the container says it.
+    Video { codec: &'a str, container: &'a str, frame_count: Option<u64> },
+    /// No kind of file that is known here.
+    Unknown,
+}
+
+/// Opens a file with ffmpeg.
+///
+/// # Errors
+/// Where there is no ffmpeg, a sentence that says what it would be needed for; where it does not decode the file either, its
+/// own words.
+pub(crate) fn open(path: &Path, content: Content<'_>, color: bool) -> Result<Opened> {
+    let Some(program) = program() else {
+        return Err(Error::input(match content {
+            Content::Video { codec, container, .. } => format!(
+                "{codec} in {container} is decoded through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or convert the video to H.264"
+            ),
+            Content::Unknown => format!(
+                "this is not a picture or video of a kind known here; with the program ffmpeg installed (or named in {VARIABLE}) more kinds can be read"
+            ),
+        }));
+    };
+    let fail = |why: &str| {
+        Error::input(match content {
+            Content::Video { codec, container, .. } => {
+                format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
+            }
+            Content::Unknown => {
+                format!("this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}")
+            }
+        })
+    };
+    // `-fps_mode` came with ffmpeg 5.1; before that it was `-vsync`.
+    for passthrough in ["-fps_mode", "-vsync"] {
+        let mut process = Process::start(&program, path, passthrough, color)?;
+        match process.receive() {
+            Ok(Some(first)) => {
+                process.first = Some(first);
+                let (description, frame_count) = match content {
+                    Content::Video { codec, container, frame_count } => {
+                        (format!("{codec} in {container}, through ffmpeg"), frame_count)
+                    }
+                    Content::Unknown => ("video through ffmpeg".to_string(), None),
+                };
+                return Ok(Opened {
+                    frames: Box::new(process),
+                    frame_count,
+                    description,
+                    times_known: true,
+                    timestamps_used: false,
+                    frames_per_second: None,
+                });
+            }
+            Ok(None) => {
+                let said = process.message();
+                if said.contains("fps_mode") {
+                    continue;
+                }
+                return Err(fail(if said.is_empty() { "it has no frames" } else { &said }));
+            }
+            Err(error) => return Err(fail(&error.to_string())),
+        }
+    }
+    Err(fail("this version of ffmpeg is too old"))
+}
+
+/// The program to run, if there is one.
+fn program() -> Option<PathBuf> {
+    let named = std::env::var_os(VARIABLE);
+    if named.as_deref().is_some_and(OsStr::is_empty) {
+        return None;
+    }
+    let name = PathBuf::from(named.unwrap_or_else(|| OsString::from("ffmpeg")));
+    if name.components().count() > 1 {
+        return name.is_file().then_some(name);
+    }
+    let with_ending = name.with_extension(std::env::consts::EXE_EXTENSION);
+    std::env::split_paths(&std::env::var_os("PATH")?).map(|folder| folder.join(&with_ending)).find(|p| p.is_file())
+}
+
+/// A running ffmpeg.
+struct Process {
+    child: Child,
+    pictures: Receiver<Result<Picture>>,
+    times: Receiver<f64>,
+    messages: Arc<Mutex<Messages>>,
+    first: Option<(f64, Picture)>,
+    current: Option<Picture>,
+    warnings: Vec<String>,
+}
+
+/// What ffmpeg said.
+#[derive(Default)]
+struct Messages {
+    first: String,
+    count: usize,
+}
+
+impl Process {
+    fn start(program: &Path, path: &Path, passthrough: &str, color: bool) -> Result<Self> {
+        let mut input = OsString::from("file:");
+        input.push(path);
+        let mut command = bounded(program);
+        command.args(["-nostdin", "-hide_banner", "-v", "error", "-copyts", "-protocol_whitelist", "file", "-i"]).arg(input);
+        command.args(["-map", "0:v:0", passthrough, "passthrough", "-vf", FORMATS]);
+        command.args(["-strict", "-1", "-f", "yuv4mpegpipe", "pipe:1"]);
+        command.args(["-map", "0:v:0", passthrough, "passthrough", "-enc_time_base", "-1", "-c:v", "wrapped_avframe"]);
+        command.args(["-flush_packets", "1", "-f", "framecrc", "pipe:2"]);
+        let mut child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|error| Error::input(format!("ffmpeg cannot be started: {error}")))?;
+        let (picture_sender, pictures) = sync_channel(4);
+        let (time_sender, times) = channel();
+        let messages = Arc::new(Mutex::new(Messages::default()));
+        if let (Some(output), Some(log)) = (child.stdout.take(), child.stderr.take()) {
+            thread::spawn(move || read_pictures(output, color, &picture_sender));
+            let messages = Arc::clone(&messages);
+            thread::spawn(move || {
+                read_log(log, &messages, |time_s| {
+                    // Nobody waits for times any more once the source is dropped.
+                    let _ = time_sender.send(time_s);
+                });
+            });
+        }
+        Ok(Self { child, pictures, times, messages, first: None, current: None, warnings: Vec::new() })
+    }
+
+    /// The next frame; `None` at the end.
+    fn receive(&mut self) -> Result<Option<(f64, Picture)>> {
+        let stalled = || Error::input(format!("ffmpeg gave no frame for {} seconds", PATIENCE.as_secs()));
+        let picture = match self.pictures.recv_timeout(PATIENCE) {
+            Ok(picture) => picture?,
+            Err(RecvTimeoutError::Timeout) => return Err(stalled()),
+            Err(RecvTimeoutError::Disconnected) => {
+                self.finish();
+                return Ok(None);
+            }
+        };
+        match self.times.recv_timeout(PATIENCE) {
+            Ok(time_s) => Ok(Some((time_s, picture))),
+            Err(RecvTimeoutError::Timeout) => Err(stalled()),
+            Err(RecvTimeoutError::Disconnected) => {
+                self.finish();
+                Ok(None)
+            }
+        }
+    }
+
+    /// Waits until ffmpeg has ended and has said all it had to say.
+    fn finish(&mut self) {
+        while self.times.recv_timeout(PATIENCE).is_ok() {}
+        let failed = !self.child.wait().is_ok_and(|status| status.success());
+        let said = self.message();
+        if !said.is_empty() || failed {
+            let ending = if failed { "stopped early" } else { "found damage" };
+            self.warnings.push(format!("ffmpeg {ending}: {}", if said.is_empty() { "it did not say why" } else { &said }));
+        }
+    }
+
+    fn message(&self) -> String {
+        let messages = self.messages.lock().unwrap_or_else(PoisonError::into_inner);
+        match messages.count {
+            0 | 1 => messages.first.clone(),
+            count => format!("{} ({count} messages)", messages.first),
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // A process that has ended already cannot be killed, and need not be.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Frames for Process {
+    fn advance(&mut self) -> Result<Option<f64>> {
+        let next = match self.first.take() {
+            Some(first) => Some(first),
+            None => self.receive()?,
+        };
+        let Some((time_s, picture)) = next else { return Ok(None) };
+        self.current = Some(picture);
+        Ok(Some(time_s))
+    }
+
+    fn picture(&mut self) -> Result<Picture> {
+        self.current.take().ok_or_else(|| Error::input("the frame was already taken"))
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+/// The program under a limit of its address space, where the system has one.
+#[cfg(unix)]
+fn bounded(program: &Path) -> Command {
+    let mut command = Command::new("/bin/sh");
+    command.arg("-c").arg(format!("ulimit -v {MEMORY_KIB} 2>/dev/null; exec \"$0\" \"$@\"")).arg(program);
+    command
+}
+
+#[cfg(not(unix))]
+fn bounded(program: &Path) -> Command {
+    Command::new(program)
+}
+
+fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Picture>>) {
+    let mut reader = BufReader::with_capacity(1 << 18, output);
+    // Nothing at all means that ffmpeg failed; its messages say why.
+    if !reader.fill_buf().is_ok_and(|bytes| !bytes.is_empty()) {
+        return;
+    }
+    let mut frames = match y4m::open(reader, None, color) {
+        Ok(opened) => opened.frames,
+        Err(error) => {
+            let _ = sender.send(Err(error));
+            return;
+        }
+    };
+    while let Some(picture) = frames.advance().and_then(|time| time.map(|_| frames.picture()).transpose()).transpose() {
+        if sender.send(picture).is_err() {
+            return;
+        }
+    }
+}
+
+/// Tells the frames' times from the messages.
+fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f64)) {
+    let mut tick_s = 1.0;
+    let mut reader = BufReader::new(log);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        if !reader.read_until(b'\n', &mut line).is_ok_and(|length| length > 0) {
+            return;
+        }
+        let line = String::from_utf8_lossy(&line);
+        match Line::read(line.trim_end()) {
+            Line::TimeBase(seconds) => tick_s = seconds,
+            Line::Frame(ticks) => tell(ticks as f64 * tick_s),
+            Line::Head => {}
+            Line::Message(text) => {
+                let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
+                // The last words of a failure are mostly about its consequences; the first say what is wrong.
+                if messages.count == 0 {
+                    messages.first = without_speaker(text).chars().take(200).collect();
+                }
+                messages.count += 1;
+            }
+        }
+    }
+}
+
+/// A message without the part of ffmpeg that says it and its address: `[mov @ 0x55d0] moov atom not found`.
+fn without_speaker(message: &str) -> &str {
+    match message.strip_prefix('[').and_then(|rest| rest.split_once("] ")) {
+        Some((speaker, rest)) if speaker.contains(" @ ") => without_speaker(rest),
+        _ => message,
+    }
+}
+
+#[derive(Debug, PartialEq)]
+enum Line<'a> {
+    TimeBase(f64),
+    /// Presentation time in ticks.
+    Frame(i64),
+    Head,
+    Message(&'a str),
+}
+
+impl<'a> Line<'a> {
+    /// `#tb 0: 1/25` or `0, dts, pts, duration, size, checksum`; anything else is a message.
+    fn read(line: &'a str) -> Self {
+        if let Some(base) = line.strip_prefix("#tb 0: ").and_then(|base| base.split_once('/')) {
+            if let (Ok(numerator), Ok(denominator)) = (base.0.parse::<u32>(), base.1.trim().parse::<u32>()) {
+                return Self::TimeBase(f64::from(numerator) / f64::from(denominator.max(1)));
+            }
+        }
+        if line.starts_with('#') || line.trim().is_empty() {
+            return Self::Head;
+        }
+        let mut fields = line.split(',').map(str::trim);
+        if let (Some("0"), Some(_), Some(ticks), Some(_), Some(_), Some(checksum)) =
+            (fields.next(), fields.next(), fields.next(), fields.next(), fields.next(), fields.next())
+        {
+            if let (Ok(ticks), true) = (ticks.parse(), checksum.starts_with("0x")) {
+                return Self::Frame(ticks);
+            }
+        }
+        Self::Message(line)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_the_log() {
+        assert_eq!(Line::read("#tb 0: 1/25"), Line::TimeBase(0.04));
+        assert_eq!(Line::read("#codec_id 0: wrapped_avframe"), Line::Head);
+        assert_eq!(Line::read("0,          3,          3,        1,      456, 0xed0d96bd"), Line::Frame(3));
+        assert_eq!(Line::read("0, what, now"), Line::Message("0, what, now"));
+        assert_eq!(without_speaker("[mov,mp4 @ 0x55e2] [a @ 0x1] moov atom not found"), "moov atom not found");
+        assert_eq!(Line::read("file:x: Invalid data"), Line::Message("file:x: Invalid data"));
+    }
 }

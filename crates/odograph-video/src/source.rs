@@ -185,7 +185,7 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
             video(Box::new(AviReader::open(file)?))
         }
         m if let Some(codec) = annex_b::codec(m) => video(Box::new(AnnexBReader::open(file, codec))),
-        _ => ffmpeg::open(path, "this kind of file", options.color),
+        _ => ffmpeg::open(path, ffmpeg::Content::Unknown, options.color),
     }
 }
 

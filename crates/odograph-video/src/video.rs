@@ -1,7 +1,7 @@
 //! Samples through a decoder into the order of presentation.
 
 use crate::codec::{self, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
-use crate::container::{Codec, Packet, PacketReader, Times, Track};
+use crate::container::{Packet, PacketReader, Times, Track};
 use crate::ffmpeg;
 use crate::frame::Picture;
 use crate::source::{Frames, Opened};
@@ -12,18 +12,14 @@ use std::path::Path;
 /// Opens a track with the first decoder that takes it; with ffmpeg where none does.
 pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> Result<Opened> {
     let track = reader.track().clone();
-    let name = match &track.codec {
-        Codec::H264 => "H.264",
-        Codec::H265 => "H.265 (HEVC)",
-        Codec::Vp9 => "VP9",
-        Codec::MotionJpeg => "Motion JPEG",
-        Codec::Other(name) => name,
-    }
-    .to_string();
-    let name = name.as_str();
-    let mut decoders: VecDeque<MakeDecoder> = codec::decoders(&track, color)?.into();
+    let (decoders, name) = codec::decoders(&track, color)?;
+    let through_ffmpeg = |codec: &str| {
+        let content = ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
+        ffmpeg::open(path, content, color)
+    };
+    let mut decoders = VecDeque::from(decoders);
     let Some(make) = decoders.pop_front() else {
-        return ffmpeg::open(path, name, color);
+        return through_ffmpeg(&name);
     };
     let mut video = Video {
         reader,
@@ -38,7 +34,7 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
         damaged: 0,
         first_damage: None,
         current: None,
-        track,
+        track: track.clone(),
         packet: Packet::default(),
         warnings: Vec::new(),
     };
@@ -46,7 +42,7 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
     match video.fill() {
         Ok(()) => {}
         Err(Refused::Unsupported(what)) => {
-            return ffmpeg::open(path, &format!("{name} ({what})"), color);
+            return through_ffmpeg(&format!("{name} ({what})"));
         }
         Err(Refused::Failed(error)) => return Err(error),
     }

@@ -17,9 +17,10 @@ use rust_h264::nal::{NalUnit, NalUnitType};
 /// Most pictures that may wait for an earlier one (`MaxDpbFrames`, H.264 A.3.1).
 const MAX_REORDER: usize = 16;
 
-/// The decoders for a track, the fast one first where it can be expected to do.
-pub(crate) fn decoders(track: &Track, color: bool) -> Result<Vec<MakeDecoder>> {
+/// The decoders for a track, the fast one first where it can be expected to do, and the stream's name.
+pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
     let set_up = SetUp::read(track, color)?;
+    let name = set_up.description();
     let fast_may_do = set_up.parameters.as_ref().is_none_or(|p| {
         p.chroma_format == 1
             && p.bit_depth == 8
@@ -37,7 +38,7 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<Vec<MakeDecoder>> {
     if complete_may_do {
         decoders.push(Box::new(move || Ok(Box::new(Complete::new(set_up.clone())?))));
     }
-    Ok(decoders)
+    Ok((decoders, name))
 }
 
 /// What both decoders need to know of the stream before it starts.

@@ -134,8 +134,8 @@ impl Decoder for Hevc {
             match guarded("H.265", || self.decoder.decode_nal(&unit))? {
                 Ok(Some(frame)) => self.push(frame, stamp, starts_group, out),
                 Ok(None) => {}
-                Err(error @ (DecodeError::Unsupported(_) | DecodeError::ResourceLimit(_))) => {
-                    refusal = Some(Refusal::Unsupported(error.to_string()));
+                Err(DecodeError::Unsupported(what) | DecodeError::ResourceLimit(what)) => {
+                    refusal = Some(Refusal::Unsupported(what.to_string()));
                 }
                 Err(error) => refusal = Some(Refusal::Damaged(error.to_string())),
             }

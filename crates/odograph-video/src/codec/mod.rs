@@ -73,20 +73,20 @@ pub(crate) trait Decoder: Send {
     fn description(&self) -> String;
 }
 
-/// The decoders for a track, the fastest first, each made when its turn comes.
-pub(crate) fn decoders(track: &Track, color: bool) -> Result<Vec<MakeDecoder>> {
-    Ok(match track.codec {
+/// The decoders for a track, the fastest first, each made when its turn comes; and what the track is, as people know it.
+pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
+    Ok(match &track.codec {
         Codec::H264 => h264::decoders(track, color)?,
-        Codec::H265 => h265::decoders(track, color)?,
+        Codec::H265 => (h265::decoders(track, color)?, "H.265".to_string()),
         Codec::Vp9 => {
             let track = track.clone();
-            vec![Box::new(move || Ok(Box::new(vp9::Vp9::new(&track, color))))]
+            (vec![Box::new(move || Ok(Box::new(vp9::Vp9::new(&track, color))))], "VP9".to_string())
         }
         Codec::MotionJpeg => {
             let height = track.height;
-            vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))]
+            (vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))], "Motion JPEG".to_string())
         }
-        Codec::Other(_) => Vec::new(),
+        Codec::Other(name) => (Vec::new(), name.clone()),
     })
 }
 

@@ -25,6 +25,14 @@ pub(crate) struct AviReader {
     warnings: Vec<String>,
 }
 
+/// How much of the head of the video stream is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Head {
+    Searching,
+    HeaderSeen,
+    Complete,
+}
+
 impl AviReader {
     pub fn open(file: File) -> Result<Self> {
         let length = file.metadata().map(|m| m.len()).unwrap_or(0);
@@ -54,31 +62,44 @@ impl AviReader {
         Ok(reader)
     }
 
+    /// Reads up to the first sample. The lists of the head are entered without looking at their lengths, which some writers get
+    /// wrong.
     fn read_head(&mut self) -> Result<()> {
-        let mut found = false;
+        let mut streams = 0u8;
+        let mut state = Head::Searching;
+        let mut payload = Vec::new();
         while let Some((kind, size)) = self.chunk()? {
+            let size = u64::from(size);
             match &kind {
                 b"RIFF" => {
                     self.list_kind()?;
                 }
-                b"LIST" => {
-                    let inside = self.list_kind()?;
-                    if &inside == b"movi" {
+                b"LIST" => match &self.list_kind()? {
+                    b"movi" => {
                         self.first_sample = self.at;
                         break;
                     }
-                    let mut payload = Vec::new();
-                    read_up_to(&mut self.file, u64::from(size).saturating_sub(4), &mut payload)?;
+                    b"hdrl" | b"strl" => {}
+                    _ => self.skip(size.saturating_sub(4))?,
+                },
+                b"strh" | b"strf" => {
+                    read_up_to(&mut self.file, size, &mut payload)?;
                     self.at += payload.len() as u64;
-                    self.align(u64::from(size))?;
-                    if &inside == b"hdrl" && !found {
-                        found = self.read_streams(&payload).is_some();
+                    self.align(size)?;
+                    if &kind == b"strh" {
+                        streams = streams.saturating_add(1);
+                        if state == Head::Searching && self.read_stream_header(&payload).is_some() && streams <= 100 {
+                            self.stream = [b'0' + (streams - 1) / 10, b'0' + (streams - 1) % 10];
+                            state = Head::HeaderSeen;
+                        }
+                    } else if state == Head::HeaderSeen && self.read_stream_format(&payload).is_some() {
+                        state = Head::Complete;
                     }
                 }
-                _ => self.skip(u64::from(size))?,
+                _ => self.skip(size)?,
             }
         }
-        if !found {
+        if state != Head::Complete {
             return Err(Error::input("there is no video in this AVI file, or its head is damaged"));
         }
         if self.first_sample == 0 {
@@ -87,49 +108,49 @@ impl AviReader {
         Ok(())
     }
 
-    /// Finds the first video stream among the lists of the head.
-    fn read_streams(&mut self, head: &[u8]) -> Option<()> {
-        let lists = Chunks { rest: head }.filter(|(k, p)| k == b"LIST" && p.starts_with(b"strl"));
-        for (number, (_, list)) in lists.enumerate() {
-            let chunk =
-                |wanted: &[u8; 4]| Chunks { rest: &list[4..] }.find(|(k, _)| k == wanted).map(|(_, p)| p);
-            let Some(mut header) = chunk(b"strh").map(Bytes::new) else { continue };
-            if header.take(4)? != b"vids" {
-                continue;
-            }
-            header.skip(16)?;
-            let (scale, rate) = (header.u32_le()?, header.u32_le()?);
-            let (start, count) = (header.u32_le()?, header.u32_le()?);
-            if number > 99 {
-                return None;
-            }
-            self.stream = [b'0' + (number / 10) as u8, b'0' + (number % 10) as u8];
-            self.track.frame_count = (count > 0).then_some(u64::from(count));
-            if scale > 0 && rate > 0 {
-                self.frame_s = f64::from(scale) / f64::from(rate);
-            } else {
-                (self.frame_s, self.track.times) = (1.0, Times::Unknown);
-            }
-            self.starts_at = f64::from(start) * self.frame_s;
-            let mut format = Bytes::new(chunk(b"strf")?);
-            format.skip(4)?;
-            self.track.width = format.u32_le()? as usize;
-            self.track.height = (format.u32_le()? as i32).unsigned_abs() as usize;
-            format.skip(4)?;
-            self.track.codec = codec(format.take(4)?);
-            return Some(());
+    /// A `strh` chunk; `None` where it is not a video's.
+    fn read_stream_header(&mut self, header: &[u8]) -> Option<()> {
+        let mut header = Bytes::new(header);
+        header.take(4).filter(|kind| kind == b"vids")?;
+        header.skip(16)?;
+        let (scale, rate) = (header.u32_le()?, header.u32_le()?);
+        let (start, count) = (header.u32_le()?, header.u32_le()?);
+        self.track.frame_count = (count > 0).then_some(u64::from(count));
+        if scale > 0 && rate > 0 {
+            self.frame_s = f64::from(scale) / f64::from(rate);
+        } else {
+            (self.frame_s, self.track.times) = (1.0, Times::Unknown);
         }
-        None
+        self.starts_at = f64::from(start) * self.frame_s;
+        Some(())
     }
 
-    /// The head of the next chunk; `None` at the end.
+    /// A `strf` chunk: a `BITMAPINFOHEADER`.
+    fn read_stream_format(&mut self, format: &[u8]) -> Option<()> {
+        let mut format = Bytes::new(format);
+        format.skip(4)?;
+        self.track.width = format.u32_le()? as usize;
+        self.track.height = (format.u32_le()? as i32).unsigned_abs() as usize;
+        format.skip(4)?;
+        self.track.codec = codec(format.take(4)?);
+        Some(())
+    }
+
+    /// The head of the next chunk; `None` at the end. Zeros before it are skipped: what is left of wrong lengths.
     fn chunk(&mut self) -> Result<Option<([u8; 4], u32)>> {
         let mut head = [0u8; 8];
-        if self.length.saturating_sub(self.at) < 8 {
-            return Ok(None);
+        loop {
+            if self.length.saturating_sub(self.at) < 8 {
+                return Ok(None);
+            }
+            self.file.read_exact(&mut head[..4]).map_err(unreadable)?;
+            self.at += 4;
+            if head[..4] != [0; 4] {
+                break;
+            }
         }
-        self.file.read_exact(&mut head).map_err(unreadable)?;
-        self.at += 8;
+        self.file.read_exact(&mut head[4..]).map_err(unreadable)?;
+        self.at += 4;
         let [a, b, c, d, size @ ..] = head;
         Ok(Some(([a, b, c, d], u32::from_le_bytes(size))))
     }
@@ -218,24 +239,6 @@ impl PacketReader for AviReader {
 
     fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
-    }
-}
-
-/// The chunks inside a list; the last one may be cut off.
-struct Chunks<'a> {
-    rest: &'a [u8],
-}
-
-impl<'a> Iterator for Chunks<'a> {
-    type Item = ([u8; 4], &'a [u8]);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let mut bytes = Bytes::new(self.rest);
-        let kind: [u8; 4] = bytes.take(4)?.try_into().ok()?;
-        let size = bytes.u32_le()? as usize;
-        let payload = bytes.take(size.min(bytes.rest().len()))?;
-        self.rest = bytes.rest().get(size % 2..).unwrap_or_default();
-        Some((kind, payload))
     }
 }
 

@@ -41,12 +41,18 @@ impl Mp4Reader {
 
         let mut samples = movie.samples;
         let promised = samples.len();
+        if promised == 0 {
+            return Err(Error::input(if index.cut {
+                "the file is cut off inside its index (the moov box), before the places of its frames"
+            } else {
+                "the video in this file has no frames"
+            }));
+        }
         let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
         if let Some(complete) = complete {
             samples.truncate(complete);
-            warnings.push(format!(
-                "the file is cut off: {complete} of the {promised} frames it should have are there"
-            ));
+            warnings
+                .push(format!("the file is cut off: {complete} of the {promised} frames it should have are there"));
         } else if index.cut {
             warnings.push("the file is cut off inside its last fragment".to_string());
         }
@@ -54,9 +60,10 @@ impl Mp4Reader {
             return Err(Error::input(format!("frame {too_large} claims to take more than 256 MB")));
         }
         let mut edits = movie.edits;
-        if !edits.is_empty()
-            && !samples.is_empty()
-            && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
+        if samples.is_empty() {
+            return Err(Error::input(format!("the file is cut off: none of its {promised} frames is there")));
+        }
+        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
         {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
             edits.clear();
@@ -80,7 +87,7 @@ impl PacketReader for Mp4Reader {
         read_up_to(&mut self.file, u64::from(sample.size), &mut packet.data)?;
         let time = time_of(&self.edits, self.tick_s, sample.time);
         packet.shown = time.is_some();
-        packet.time_s = time.unwrap_or(sample.time as f64 * self.tick_s);
+        packet.time_s = time.unwrap_or_else(|| hidden_time_of(&self.edits, self.tick_s, sample.time));
         if self.track.times == super::Times::Unknown {
             packet.time_s = self.next as f64;
         }
@@ -111,6 +118,13 @@ fn time_of(edits: &[Edit], tick_s: f64, time: i64) -> Option<f64> {
     Some(edit.starts_at_s + (time - edit.media_from) as f64 * tick_s)
 }
 
+/// When a sample that is not shown would be shown if the edit before it (or the first one) had no bounds: decoders need it in its
+/// place among the others.
+fn hidden_time_of(edits: &[Edit], tick_s: f64, time: i64) -> f64 {
+    let edit = edits.iter().rfind(|e| e.media_from <= time).or(edits.first());
+    edit.map_or(0.0, |e| e.starts_at_s) + (time - edit.map_or(0, |e| e.media_from)) as f64 * tick_s
+}
+
 struct Index {
     moov: Vec<u8>,
     fragments: Fragments,
@@ -128,8 +142,7 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
         let mut header = [0u8; 16];
         let available = (length - at).min(16) as usize;
         file.read_exact(&mut header[..available]).map_err(unreadable)?;
-        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at)
-        else {
+        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at) else {
             warnings.push(format!("what follows byte {at} is not MP4 and was ignored"));
             break;
         };

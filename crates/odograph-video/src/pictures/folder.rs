@@ -33,7 +33,11 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
             }
         }
     }
+    let subfolder = listing.folders.iter().find(|f| Listing::read(f).is_ok_and(|inside| !inside.pictures.is_empty()));
     Err(Error::input(match listing.other {
+        _ if let Some(subfolder) = subfolder => {
+            format!("there are no pictures in this folder itself; give the folder {} that is in it", name_of(subfolder))
+        }
         None => "the folder is empty".to_string(),
         Some(example) => {
             format!(
@@ -51,6 +55,8 @@ pub(crate) fn open_picture(path: &Path, options: &SourceOptions) -> Result<Opene
 struct Listing {
     /// In natural order.
     pictures: Vec<PathBuf>,
+    /// In the order of their names.
+    folders: Vec<PathBuf>,
     /// Something else that is there.
     other: Option<String>,
 }
@@ -58,7 +64,7 @@ struct Listing {
 impl Listing {
     fn read(folder: &Path) -> Result<Self> {
         let unreadable = |error: std::io::Error| Error::input(format!("the folder cannot be read: {error}"));
-        let mut listing = Self { pictures: Vec::new(), other: None };
+        let mut listing = Self { pictures: Vec::new(), folders: Vec::new(), other: None };
         let mut others = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(unreadable)? {
             let path = entry.map_err(unreadable)?.path();
@@ -69,9 +75,13 @@ impl Listing {
                 listing.pictures.push(path);
             } else {
                 others.push(name);
+                if path.is_dir() {
+                    listing.folders.push(path);
+                }
             }
         }
         listing.pictures.sort_by(|a, b| natural_order(&name_of(a), &name_of(b)));
+        listing.folders.sort();
         listing.other = others.into_iter().min();
         Ok(listing)
     }
