@@ -2,6 +2,7 @@
 
 mod commands;
 mod files;
+mod report;
 
 use clap::{Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};

@@ -15,7 +15,7 @@ use crate::trajectory::{FrameEstimate, distance_m};
 use path::{Path, simplified};
 use std::fmt::Write;
 use svg::{coordinate, escape};
-use window::{PAGE_WIDTH, Window};
+use window::Window;
 
 /// Colours of the drawing on a light page.
 const INK: &str = "#1b2430";
@@ -26,10 +26,12 @@ const BACKGROUND: &str = "#ffffff";
 const TIME_COLOURS: usize = 48;
 
 /// What is drawn besides the path.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct MapDrawing<'a> {
-    /// Over the drawing; any text.
+    /// Over the drawing, with a line of figures; any text. Empty: neither.
     pub title: &'a str,
+    /// Width of the drawing, from 400 to 4000 units; words are 14 to 16 units high.
+    pub width: f64,
     /// A picture of the ground under the path.
     pub backdrop: Option<Backdrop<'a>>,
 }
@@ -49,18 +51,28 @@ pub struct Backdrop<'a> {
     pub opacity: f64,
 }
 
+impl Default for MapDrawing<'_> {
+    fn default() -> Self {
+        Self { title: "", width: 1200.0, backdrop: None }
+    }
+}
+
 impl MapDrawing<'_> {
-    /// The drawing as a whole SVG document, 1200 units wide. The same input gives the same text.
+    /// The drawing as a whole SVG document. The same input gives the same text.
     ///
     /// Any number of frames makes a drawing, none too: polylines are thinned to what the eye can tell apart. Poses that are not
     /// finite count as lost.
     pub fn svg(&self, frames: &[FrameEstimate]) -> String {
         let path = Path::new(frames);
         let backdrop = self.backdrop.filter(|b| b.is_drawable());
-        let window = Window::around(&path, backdrop.map(|b| (b.placement, b.width_px, b.height_px)));
+        let page_width = if self.width.is_nan() { 1200.0 } else { self.width.clamp(400.0, 4000.0).round() };
+        let mut heading = String::new();
+        let top = self.heading(frames, &path, page_width, &mut heading);
+        let backed = backdrop.map(|b| (b.placement, b.width_px, b.height_px));
+        let window = Window::around(&path, backed, page_width, top);
         let mut body = String::new();
         window.ground(&mut body);
-        let _ = writeln!(body, "<g clip-path=\"url(#map-ground)\">");
+        let _ = writeln!(body, "<g clip-path=\"url(#{})\">", window.clip_name());
         if let Some(backdrop) = backdrop {
             backdrop.draw(&window, &mut body);
         }
@@ -82,19 +94,21 @@ impl MapDrawing<'_> {
                 coordinate(window.top + 0.5 * window.height - 24.0)
             );
         }
-        self.heading(frames, &path, &mut body);
         let height = markers::legend(&path, &window, &shown, &mut body);
         let height = coordinate(height);
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"map\" viewBox=\"0 0 {PAGE_WIDTH} {height}\" \
-             width=\"{PAGE_WIDTH}\" height=\"{height}\" font-family=\"Roboto, 'Helvetica Neue', Arial, sans-serif\" \
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"map\" viewBox=\"0 0 {page_width} {height}\" \
+             width=\"{page_width}\" height=\"{height}\" font-family=\"Roboto, 'Helvetica Neue', Arial, sans-serif\" \
              role=\"img\" aria-label=\"Map of the movement\">\n\
-             <rect class=\"page\" fill=\"{BACKGROUND}\" width=\"{PAGE_WIDTH}\" height=\"{height}\"/>\n{body}</svg>\n"
+             <rect class=\"page\" fill=\"{BACKGROUND}\" width=\"{page_width}\" height=\"{height}\"/>\n{heading}{body}</svg>\n"
         )
     }
 
-    /// Title and one line of figures over the drawing.
-    fn heading(&self, frames: &[FrameEstimate], path: &Path<'_>, body: &mut String) {
+    /// Title and figures over the drawing, as many lines as they need; returns where the drawn ground begins.
+    fn heading(&self, frames: &[FrameEstimate], path: &Path<'_>, page_width: f64, body: &mut String) -> f64 {
+        if self.title.trim().is_empty() {
+            return 20.0;
+        }
         let posed = path.places().count();
         let mut facts = vec![
             format!("{} travelled", scale::length_text(finite(distance_m(frames)))),
@@ -105,14 +119,30 @@ impl MapDrawing<'_> {
         if gaps > 0 {
             facts.push(format!("lost {gaps} {}", if gaps == 1 { "time" } else { "times" }));
         }
-        let title = if self.title.trim().is_empty() { "Map of the movement" } else { self.title };
-        let title = escape(&svg::fitted(title, 27.0, PAGE_WIDTH - 120.0));
+        let room = page_width - 86.0 - window::RIGHT_MARGIN;
+        let title = escape(&svg::fitted(self.title, 27.0, room));
         let _ = writeln!(
             body,
-            "<text class=\"ink\" fill=\"{INK}\" x=\"86\" y=\"46\" font-size=\"27\" font-weight=\"500\">{title}</text>\n\
-             <text class=\"muted\" fill=\"{MUTED}\" x=\"86\" y=\"75\" font-size=\"16\">{}</text>",
-            facts.join("  ·  ")
+            "<text class=\"ink\" fill=\"{INK}\" x=\"86\" y=\"46\" font-size=\"27\" font-weight=\"500\">{title}</text>"
         );
+        let mut lines: Vec<String> = vec![];
+        for fact in facts {
+            match lines.last_mut() {
+                Some(line) if svg::text_width(line, 16.0) + svg::text_width(&fact, 16.0) + 20.0 < room => {
+                    line.push_str("  ·  ");
+                    line.push_str(&fact);
+                }
+                _ => lines.push(fact),
+            }
+        }
+        for (index, line) in lines.iter().enumerate() {
+            let y = coordinate(75.0 + 22.0 * index as f64);
+            let _ = writeln!(
+                body,
+                "<text class=\"muted\" fill=\"{MUTED}\" x=\"86\" y=\"{y}\" font-size=\"16\">{line}</text>"
+            );
+        }
+        75.0 + 22.0 * lines.len() as f64
     }
 }
 

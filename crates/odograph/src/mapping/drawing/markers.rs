@@ -3,7 +3,7 @@
 use super::path::Path;
 use super::scale::{duration_text, length_text, round_step};
 use super::svg::{coordinate as c, text_width};
-use super::window::{PAGE_WIDTH, Window};
+use super::window::{RIGHT_MARGIN, Window};
 use super::{BACKGROUND, INK, MUTED, TIME_COLOURS, hex, time_colour};
 use crate::geometry::wrap_angle;
 use crate::trajectory::PoseEstimate;
@@ -322,7 +322,7 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
     let (mut x, mut y) = (window.left, window.bottom() + 84.0);
     let _ = writeln!(body, "<g font-size=\"15\">");
     for (width, item) in items {
-        if x > window.left && x + width > PAGE_WIDTH - 34.0 {
+        if x > window.left && x + width > window.page_width() - RIGHT_MARGIN {
             (x, y) = (window.left, y + 32.0);
         }
         let _ = writeln!(body, "<g transform=\"translate({} {})\">{item}</g>", c(x), c(y));

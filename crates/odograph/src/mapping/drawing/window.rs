@@ -7,15 +7,12 @@ use super::{BACKGROUND, FAINT, INK, MUTED};
 use crate::mapping::Placement;
 use std::fmt::Write;
 
-/// Page width of the drawing, in drawing units.
-pub(super) const PAGE_WIDTH: f64 = 1200.0;
-/// Left and right edge of the drawn ground on the page.
+/// Left edge of the drawn ground on the page.
 const LEFT: f64 = 86.0;
-const RIGHT: f64 = PAGE_WIDTH - 34.0;
-/// Top edge of the drawn ground.
-const TOP: f64 = 96.0;
-/// Least and greatest height of the drawn ground on the page.
-const HEIGHTS: (f64, f64) = (420.0, 900.0);
+/// From the right edge of the drawn ground to that of the page.
+pub(super) const RIGHT_MARGIN: f64 = 34.0;
+/// Least and greatest height of the drawn ground, as a share of the page's width.
+const HEIGHTS: (f64, f64) = (0.35, 0.75);
 /// Room around the path for markers and their words, drawing units.
 const MARGIN: f64 = 48.0;
 /// Nothing smaller than this is blown up to fill the page, metres: below it there is only noise.
@@ -35,7 +32,12 @@ pub(super) struct Window {
 
 impl Window {
     /// The window that shows the whole path, and all of the backdrop.
-    pub fn around(path: &Path<'_>, backdrop: Option<(Placement, usize, usize)>) -> Self {
+    pub fn around(
+        path: &Path<'_>,
+        backdrop: Option<(Placement, usize, usize)>,
+        page_width: f64,
+        top: f64,
+    ) -> Self {
         let mut low = (f64::INFINITY, f64::INFINITY);
         let mut high = (f64::NEG_INFINITY, f64::NEG_INFINITY);
         let mut include = |x: f64, y: f64| {
@@ -56,10 +58,11 @@ impl Window {
         let least = LEAST_EXTENT_M.max(1e-9 * (centre_m.0.abs() + centre_m.1.abs()));
         let (width_m, height_m) = (high.0 - low.0, high.1 - low.1);
         let room = |size: f64| size - 2.0 * MARGIN;
-        let width = RIGHT - LEFT;
-        let scale = (room(width) / width_m.max(least)).min(room(HEIGHTS.1) / height_m.max(least));
-        let height = (height_m * scale + 2.0 * MARGIN).clamp(HEIGHTS.0, HEIGHTS.1).round();
-        Self { centre_m, scale, left: LEFT, top: TOP, width, height }
+        let width = page_width - RIGHT_MARGIN - LEFT;
+        let heights = (HEIGHTS.0 * page_width, HEIGHTS.1 * page_width);
+        let scale = (room(width) / width_m.max(least)).min(room(heights.1) / height_m.max(least));
+        let height = (height_m * scale + 2.0 * MARGIN).clamp(heights.0, heights.1).round();
+        Self { centre_m, scale, left: LEFT, top, width, height }
     }
 
     /// Where a ground point is on the page.
@@ -78,9 +81,19 @@ impl Window {
         self.top + self.height
     }
 
+    /// Width of the whole page.
+    pub fn page_width(&self) -> f64 {
+        self.right() + RIGHT_MARGIN
+    }
+
+    /// The name under which the clip rectangle is known; two drawings of different width can stand on one page.
+    pub fn clip_name(&self) -> String {
+        format!("map-ground-{}", coordinate(self.page_width()))
+    }
+
     /// The step between grid lines, metres.
     fn grid_step_m(&self) -> f64 {
-        scale::round_step(self.width / self.scale, 11.0)
+        scale::round_step(100.0 / self.scale, 1.0)
     }
 
     /// Grid lines (to go over the ground, under the path).
@@ -165,7 +178,7 @@ impl Window {
             "x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"",
             self.left, self.top, self.width, self.height
         );
-        let _ = writeln!(svg, "<clipPath id=\"map-ground\"><rect {place}/></clipPath>");
+        let _ = writeln!(svg, "<clipPath id=\"{}\"><rect {place}/></clipPath>", self.clip_name());
         let _ = writeln!(svg, "<rect class=\"ground\" fill=\"{BACKGROUND}\" {place}/>");
     }
 }
