@@ -2,6 +2,10 @@
 
 mod commands;
 mod files;
+#[cfg_attr(
+    not(test),
+    expect(dead_code, reason = "the run command, which shows its results with it, comes next")
+)]
 mod report;
 
 use clap::{Parser, Subcommand};

@@ -3,6 +3,7 @@
 use super::figures::{Figures, in_words, weakest};
 use super::plot::{Range, Series, TimeAxis, plot};
 use odograph::camera::{Camera, Distortion, Rig};
+use odograph::geometry::wrap_angle;
 use odograph::mapping::drawing::scale::{duration_text, length_text};
 use odograph::mapping::drawing::svg::{data_uri, escape};
 use odograph::mapping::{MapDrawing, Placement};
@@ -155,7 +156,7 @@ fn cards(figures: &Figures, page: &mut String) {
         let pose = &last.pose;
         card(
             "End position",
-            &format!("{}, {}", length_text(pose.x_m), length_text(pose.y_m)),
+            &position_text(pose.x_m, pose.y_m),
             &format!(
                 "x forward, y left of the start; the heading there is {}°.",
                 number(pose.heading_rad.to_degrees(), 1)
@@ -188,6 +189,28 @@ fn cards(figures: &Figures, page: &mut String) {
     page.push_str("</div>\n");
 }
 
+/// A position as `x, y unit`, to the millimetre or three digits.
+fn position_text(x_m: f64, y_m: f64) -> String {
+    let (unit, size_m, decimals) = match x_m.abs().max(y_m.abs()) {
+        far if far >= 10_000.0 => ("km", 1000.0, 3),
+        far if far >= 100.0 => ("m", 1.0, 2),
+        far if far >= 0.1 => ("m", 1.0, 3),
+        _ => ("mm", 0.001, 1),
+    };
+    format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
+}
+
+/// The heading of every frame with a pose, degrees, without the jumps of whole turns.
+fn continuous_headings(frames: &[FrameEstimate]) -> Vec<Option<f64>> {
+    let mut before: Option<f64> = None;
+    let mut next = |heading_rad: f64| {
+        let continued = before.map_or(heading_rad, |last| last + wrap_angle(heading_rad - last));
+        before = continued.is_finite().then_some(continued).or(before);
+        continued.to_degrees()
+    };
+    frames.iter().map(|frame| frame.estimate.as_ref().map(|e| next(e.pose.heading_rad))).collect()
+}
+
 /// Standard deviations of the position in its worst direction, metres, and of the heading, radians.
 fn sigmas(estimate: &PoseEstimate) -> (f64, f64) {
     let c = &estimate.covariance;
@@ -205,7 +228,7 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
     let _ = writeln!(
         page,
         "<h2>The map</h2>\n<figure><figcaption><span>The path seen from above, coloured from blue at the start to orange at \
-         the end. Short strokes point where the top of the image points.</span></figcaption>\n\
+         the end. Darts point where the top of the image points.</span></figcaption>\n\
          <div class=\"wide\">{}</div><div class=\"narrow\">{narrow}</div></figure>",
         input.map_svg
     );
@@ -229,7 +252,7 @@ fn over_time(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
     let times_s: Vec<f64> = frames.iter().map(|frame| frame.time_s - first.time_s).collect();
     let shaded_s: Vec<(f64, f64)> =
         figures.lost.iter().map(|stretch| (stretch.from_s, stretch.to_s)).collect();
-    let axis = TimeAxis { times_s: &times_s, shaded_s: &shaded_s };
+    let axis = TimeAxis::new(&times_s, &shaded_s);
     let posed = |value: &dyn Fn(&PoseEstimate) -> f64| -> Vec<Option<f64>> {
         frames.iter().map(|frame| frame.estimate.as_ref().map(value)).collect()
     };
@@ -255,7 +278,7 @@ fn over_time(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
     figure(
         "Heading (°)",
         "Where the top of the image points; counter-clockwise is up.",
-        &[blue(posed(&|e| e.pose.heading_rad.to_degrees()))],
+        &[blue(continuous_headings(frames))],
         Range::Around(2.0),
     );
     let heights = posed(&|e| e.pose.height_m);

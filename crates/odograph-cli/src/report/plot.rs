@@ -31,21 +31,21 @@ pub enum Range {
 
 /// The time axis that all plots of a page share.
 pub struct TimeAxis<'a> {
-    /// Seconds since the first frame, one a frame.
-    pub times_s: &'a [f64],
-    /// From–to of the stretches to be shaded, seconds since the first frame.
-    pub shaded_s: &'a [(f64, f64)],
+    times_s: &'a [f64],
+    shaded_s: &'a [(f64, f64)],
+    span_s: f64,
 }
 
-impl TimeAxis<'_> {
-    fn span_s(&self) -> f64 {
-        let longest = self.times_s.iter().copied().filter(|t| t.is_finite()).fold(0.0, f64::max);
-        if longest > 0.0 { longest } else { 1.0 }
+impl<'a> TimeAxis<'a> {
+    /// An axis over the frames' times, with stretches from–to to be shaded; all in seconds since the first frame.
+    pub fn new(times_s: &'a [f64], shaded_s: &'a [(f64, f64)]) -> Self {
+        let longest = times_s.iter().copied().filter(|t| t.is_finite()).fold(0.0, f64::max);
+        Self { times_s, shaded_s, span_s: if longest > 0.0 { longest } else { 1.0 } }
     }
 
     /// The unit times are told in, and how many seconds it has.
     fn unit(&self) -> (&'static str, f64) {
-        match self.span_s() {
+        match self.span_s {
             s if s > 3.0 * 3600.0 => ("h", 3600.0),
             s if s > 300.0 => ("min", 60.0),
             _ => ("s", 1.0),
@@ -53,7 +53,7 @@ impl TimeAxis<'_> {
     }
 
     fn x(&self, time_s: f64) -> f64 {
-        LEFT + (RIGHT - LEFT) * (time_s / self.span_s()).clamp(0.0, 1.0)
+        LEFT + (RIGHT - LEFT) * (time_s / self.span_s).clamp(0.0, 1.0)
     }
 }
 
@@ -86,8 +86,8 @@ pub fn plot(name: &str, axis: &TimeAxis<'_>, series: &[Series<'_>], range: Range
         );
     }
     let (unit, seconds) = axis.unit();
-    let step = round_step(axis.span_s() / seconds, 6.0);
-    for value in multiples(0.0, axis.span_s() / seconds, step) {
+    let step = round_step(axis.span_s / seconds, 6.0);
+    for value in multiples(0.0, axis.span_s / seconds, step) {
         let at = axis.x(value * seconds);
         let _ = writeln!(
             svg,
@@ -197,7 +197,7 @@ mod tests {
         let times: Vec<f64> = (0..108_000).map(|k| f64::from(k) / 30.0).collect();
         let values: Vec<_> =
             (0..108_000).map(|k| Some(if k == 54_321 { 9.0 } else { (0.01 * f64::from(k)).sin() })).collect();
-        let axis = TimeAxis { times_s: &times, shaded_s: &[] };
+        let axis = TimeAxis::new(&times, &[]);
         let svg = plot("x", &axis, &[Series { class: "a", values }], Range::Around(0.1));
         assert!(svg.len() < 80_000, "{}", svg.len());
         let top = coordinate(BOTTOM - (BOTTOM - TOP) * (9.0 + 1.0 + 0.5) / 11.0);
@@ -208,7 +208,7 @@ mod tests {
     fn lines_break_where_there_is_no_value() {
         let times: Vec<f64> = (0..9).map(f64::from).collect();
         let values = (0..9).map(|k| (k != 4).then_some(f64::from(k))).collect();
-        let axis = TimeAxis { times_s: &times, shaded_s: &[(4.0, 5.0)] };
+        let axis = TimeAxis::new(&times, &[(4.0, 5.0)]);
         let svg = plot("x", &axis, &[Series { class: "a", values }], Range::FromZero);
         let d = svg.split("class=\"line a\" d=\"").nth(1).unwrap();
         assert_eq!(d.split('"').next().unwrap().matches('M').count(), 2);
@@ -217,10 +217,10 @@ mod tests {
 
     #[test]
     fn hostile_values_leave_no_trace() {
-        let axis = TimeAxis { times_s: &[0.0, f64::NAN, 1.0], shaded_s: &[] };
+        let axis = TimeAxis::new(&[0.0, f64::NAN, 1.0], &[]);
         let values = vec![Some(f64::INFINITY), Some(1.0), Some(f64::NAN)];
         let svg = plot("x", &axis, &[Series { class: "a", values }], Range::Around(0.0));
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
-        plot("x", &TimeAxis { times_s: &[], shaded_s: &[] }, &[], Range::FromZero);
+        plot("x", &TimeAxis::new(&[], &[]), &[], Range::FromZero);
     }
 }

@@ -21,6 +21,7 @@ use window::Window;
 const INK: &str = "#1b2430";
 const MUTED: &str = "#64707f";
 const FAINT: &str = "#dfe4ea";
+const AXIS: &str = "#aab4bf";
 const BACKGROUND: &str = "#ffffff";
 /// How many colours time is shown in.
 const TIME_COLOURS: usize = 48;
@@ -79,8 +80,10 @@ impl MapDrawing<'_> {
         window.grid(&mut body);
         let mut shown = markers::Shown::default();
         markers::ellipses(&path, &window, &mut shown, &mut body);
-        gaps(&path, &window, &mut shown, &mut body);
+        let breaks = gaps(&path, &window, &mut body);
+        shown.gaps = !breaks.is_empty();
         stretches(&path, &window, &mut body);
+        breaks.into_iter().for_each(|(x, y)| markers::cross(x, y, &mut body));
         markers::headings(&path, &window, &mut shown, &mut body);
         markers::ends(&path, &window, &mut body);
         let _ = writeln!(body, "</g>");
@@ -117,7 +120,7 @@ impl MapDrawing<'_> {
         ];
         let gaps = path.stretches.len().saturating_sub(1) + usize::from(path.ends_lost);
         if gaps > 0 {
-            facts.push(format!("lost {gaps} {}", if gaps == 1 { "time" } else { "times" }));
+            facts.push(if gaps == 1 { "lost once".into() } else { format!("lost {gaps} times") });
         }
         let room = page_width - 86.0 - window::RIGHT_MARGIN;
         let title = escape(&svg::fitted(self.title, 27.0, room));
@@ -219,8 +222,9 @@ fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
     let _ = writeln!(body, "</g>");
 }
 
-/// Dashed lines between stretches, crossed at both ends: nobody knows the way the camera took there.
-fn gaps(path: &Path<'_>, window: &Window, shown: &mut markers::Shown, body: &mut String) {
+/// Dashed lines between stretches: nobody knows the way the camera took there. Returns where the measurement broke off and
+/// where it began again.
+fn gaps(path: &Path<'_>, window: &Window, body: &mut String) -> Vec<(f64, f64)> {
     let at = |place: &path::Place<'_>| window.page(place.pose().x_m, place.pose().y_m);
     let mut breaks = vec![];
     for pair in path.stretches.windows(2) {
@@ -244,10 +248,7 @@ fn gaps(path: &Path<'_>, window: &Window, shown: &mut markers::Shown, body: &mut
         breaks.push(at(last));
     }
     breaks.dedup_by(|a, b| (a.0 - b.0).hypot(a.1 - b.1) < 1.0);
-    shown.gaps = !breaks.is_empty();
-    for (x, y) in breaks {
-        markers::cross(x, y, body);
-    }
+    breaks
 }
 
 fn polyline(points: &[(f64, f64)], style: &str, body: &mut String) {

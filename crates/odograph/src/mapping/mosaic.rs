@@ -21,8 +21,10 @@ use tiles::{Lookup, TILE, Tiles};
 /// strong lens distortion (k1 = −0.3) the error is below 0.02 px.
 const BLOCK: i64 = 8;
 /// Share of the footprint that must be new, or seen at least twice as well as before, for a frame to be wanted.
-const WANTED_NEW: f64 = 0.12;
-const WANTED_BETTER: f64 = 0.30;
+const WANTED_NEW: f64 = 0.08;
+const WANTED_BETTER: f64 = 0.40;
+/// Ground seen this many times as well before is not touched again.
+const OUTWEIGHED: u16 = 6;
 /// How much of the brightness step to the ground already there is taken out; less than all, so that small errors die out
 /// along the path instead of adding up.
 const GAIN_SHARE: f64 = 0.95;
@@ -128,11 +130,12 @@ impl Mosaic {
         let Some(resolution_m) = self.resolution_m else {
             return true;
         };
+        let feather = Feather::new(camera);
         let (mut seen, mut new, mut better) = (0, 0, 0);
         for point in footprint.ground_points(&view) {
             let Some(look) = view.look(point) else { continue };
             seen += 1;
-            let weight = feathered(look.x as f32, look.y as f32, look.quality() as f32, camera);
+            let weight = feather.weight(look.x as f32, look.y as f32, look.quality() as f32).unwrap_or(1);
             match self.tiles.weight(address(point.x_m, resolution_m), address(-point.y_m, resolution_m)) {
                 0 => new += 1,
                 before if 2 * u16::from(before) < u16::from(weight) => better += 1,
@@ -289,7 +292,7 @@ impl Mosaic {
         camera: &Camera,
     ) -> bool {
         let gains = self.gains::<N>(blocks);
-        let (right, bottom) = ((camera.width() - 1) as f32, (camera.height() - 1) as f32);
+        let feather = Feather::new(camera);
         let mut lookup = Lookup::new();
         let mut laid = false;
         for row in blocks.rows.clone() {
@@ -299,8 +302,8 @@ impl Mosaic {
                 // Outside the image on one side altogether; a margin of one block allows for a curved image border.
                 let outside = known().all(|c| c.x < 0.0)
                     || known().all(|c| c.y < 0.0)
-                    || known().all(|c| c.x > right)
-                    || known().all(|c| c.y > bottom);
+                    || known().all(|c| c.x > feather.right)
+                    || known().all(|c| c.y > feather.bottom);
                 if outside {
                     continue;
                 }
@@ -323,10 +326,14 @@ impl Mosaic {
                                 Corner { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
                             }
                         };
-                        let Some(sample) = self.samples.at::<N>(at.x, at.y) else { continue };
-                        let weight = feathered(at.x, at.y, at.quality, camera);
-                        blend::<N>(pixel, std::array::from_fn(|c| sample[c] * gains[c]), weight);
+                        let Some(weight) = feather.weight(at.x, at.y, at.quality) else { continue };
                         laid = true;
+                        // What was seen much better before is left as it is: sharper, and quicker.
+                        if u16::from(pixel[3]) >= OUTWEIGHED * u16::from(weight) {
+                            continue;
+                        }
+                        let Some(sample) = self.samples.at::<N>(at.x, at.y) else { continue };
+                        blend::<N>(pixel, std::array::from_fn(|c| sample[c] * gains[c]), weight);
                     }
                 }
             }
@@ -360,13 +367,28 @@ fn block(metres: f64, resolution_m: f64) -> i64 {
     address(metres, resolution_m).div_euclid(BLOCK)
 }
 
-/// The weight of a sample, 1 to 63: greatest in the middle of the image, 1 at its border, less where the ground is seen at a
-/// slant.
-fn feathered(x: f32, y: f32, quality: f32, camera: &Camera) -> u8 {
-    let (width, height) = (camera.width() as f32, camera.height() as f32);
-    let from_border = x.min(y).min(width - 1.0 - x).min(height - 1.0 - y) + 0.5;
-    let share = (from_border / (0.5 * width.min(height))).clamp(0.0, 1.0);
-    (1.0 + 62.0 * share * share * quality) as u8
+/// How much a sample counts by where in the image it is.
+struct Feather {
+    right: f32,
+    bottom: f32,
+    /// One over half the shorter side, 1/px.
+    by_half: f32,
+}
+
+impl Feather {
+    fn new(camera: &Camera) -> Self {
+        let (width, height) = (camera.width() as f32, camera.height() as f32);
+        Self { right: width - 1.0, bottom: height - 1.0, by_half: 2.0 / width.min(height) }
+    }
+
+    /// The weight, 1 to 63: greatest in the middle of the image, 1 at its border, less where the ground is seen at a slant.
+    /// `None` outside the centres of the outermost pixels.
+    #[inline]
+    fn weight(&self, x: f32, y: f32, quality: f32) -> Option<u8> {
+        let from_border = x.min(self.right - x).min(y.min(self.bottom - y));
+        let share = ((from_border + 0.5) * self.by_half).min(1.0);
+        (from_border >= 0.0).then(|| (1.0 + 62.0 * share * share * quality) as u8)
+    }
 }
 
 /// The weighted mean of a stored pixel (colour and weight) and a sample.

@@ -3,7 +3,7 @@
 use super::path::Path;
 use super::scale;
 use super::svg::{coordinate, escape};
-use super::{BACKGROUND, FAINT, INK, MUTED};
+use super::{AXIS, BACKGROUND, FAINT, INK, MUTED};
 use crate::mapping::Placement;
 use std::fmt::Write;
 
@@ -100,7 +100,7 @@ impl Window {
     pub fn grid(&self, svg: &mut String) {
         let step = self.grid_step_m();
         let mut line = |a: (f64, f64), b: (f64, f64), at_zero: bool| {
-            let (class, colour, wide) = if at_zero { ("axis", MUTED, 1.2) } else { ("faint", FAINT, 1.0) };
+            let (class, colour, wide) = if at_zero { ("axis", AXIS, 1.2) } else { ("faint", FAINT, 1.0) };
             let _ = writeln!(
                 svg,
                 "<line class=\"{class}\" stroke=\"{colour}\" stroke-width=\"{wide}\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
@@ -127,7 +127,7 @@ impl Window {
         let (unit, metres) = scale::length_unit(step);
         let _ = writeln!(
             svg,
-            "<rect class=\"frame\" fill=\"none\" stroke=\"{MUTED}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
+            "<rect class=\"frame\" fill=\"none\" stroke=\"{AXIS}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
             self.left, self.top, self.width, self.height
         );
         let _ = writeln!(svg, "<g class=\"muted\" fill=\"{MUTED}\" font-size=\"14\">");
