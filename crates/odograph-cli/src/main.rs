@@ -2,10 +2,7 @@
 
 mod commands;
 mod files;
-#[cfg_attr(
-    not(test),
-    expect(dead_code, reason = "the run command, which shows its results with it, comes next")
-)]
+#[cfg_attr(not(test), allow(dead_code, unused_imports, reason = "the run command shows its results with it"))]
 mod report;
 
 use clap::{Parser, Subcommand};

@@ -56,7 +56,7 @@ impl Figures {
     }
 
     /// Straight from the first position to the last, metres.
-    pub fn from_start_m(&self) -> Option<f64> {
+    pub fn start_to_end_m(&self) -> Option<f64> {
         let (first, last) = (self.first?, self.last.as_ref()?.pose);
         Some((last.x_m - first.x_m).hypot(last.y_m - first.y_m))
     }
@@ -125,4 +125,12 @@ pub fn in_words(reason: LossReason) -> &'static str {
         LossReason::Disagreement => "the corners did not move as one plane (moving things, not a floor)",
         _ => "the movement could not be measured",
     }
+}
+
+/// Standard deviations of the position in its worst direction, metres, and of the heading, radians.
+pub fn sigmas(estimate: &PoseEstimate) -> (f64, f64) {
+    let c = &estimate.covariance;
+    let (xx, xy, yy) = (c[(0, 0)], c[(0, 1)], c[(1, 1)]);
+    let worst = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);
+    (worst.max(0.0).sqrt(), c[(2, 2)].max(0.0).sqrt())
 }

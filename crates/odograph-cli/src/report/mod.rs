@@ -1,5 +1,6 @@
 //! What a person looks at after a run: the map as a picture and the report page.
 
+mod charts;
 mod figures;
 mod page;
 mod plot;

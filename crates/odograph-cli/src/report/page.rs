@@ -1,13 +1,12 @@
 //! The report: one page that stands alone, in plain words, and says the same for the same run.
 
-use super::figures::{Figures, in_words, weakest};
-use super::plot::{Range, Series, TimeAxis, plot};
+use super::charts::over_time;
+use super::figures::{Figures, in_words, sigmas, weakest};
 use odograph::camera::{Camera, Distortion, Rig};
-use odograph::geometry::wrap_angle;
 use odograph::mapping::drawing::scale::{duration_text, length_text};
 use odograph::mapping::drawing::svg::{data_uri, escape};
 use odograph::mapping::{MapDrawing, Placement};
-use odograph::trajectory::{FrameEstimate, PoseEstimate};
+use odograph::trajectory::FrameEstimate;
 use std::fmt::Write;
 
 /// Rows of the table of lost stretches; a run that is lost more often is told by number.
@@ -152,7 +151,7 @@ fn cards(figures: &Figures, page: &mut String) {
             page,
         );
     }
-    if let (Some(last), Some(away_m)) = (&figures.last, figures.from_start_m()) {
+    if let (Some(last), Some(away_m)) = (&figures.last, figures.start_to_end_m()) {
         let pose = &last.pose;
         card(
             "End position",
@@ -171,7 +170,7 @@ fn cards(figures: &Figures, page: &mut String) {
             "From start to end",
             &length_text(away_m),
             &format!(
-                "Straight from the first position to the last{share}. For a round trip it is the error."
+                "Straight from the first position to the last{share}. For a round trip that is the whole error."
             ),
             page,
         );
@@ -198,25 +197,6 @@ fn position_text(x_m: f64, y_m: f64) -> String {
         _ => ("mm", 0.001, 1),
     };
     format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
-}
-
-/// The heading of every frame with a pose, degrees, without the jumps of whole turns.
-fn continuous_headings(frames: &[FrameEstimate]) -> Vec<Option<f64>> {
-    let mut before: Option<f64> = None;
-    let mut next = |heading_rad: f64| {
-        let continued = before.map_or(heading_rad, |last| last + wrap_angle(heading_rad - last));
-        before = continued.is_finite().then_some(continued).or(before);
-        continued.to_degrees()
-    };
-    frames.iter().map(|frame| frame.estimate.as_ref().map(|e| next(e.pose.heading_rad))).collect()
-}
-
-/// Standard deviations of the position in its worst direction, metres, and of the heading, radians.
-fn sigmas(estimate: &PoseEstimate) -> (f64, f64) {
-    let c = &estimate.covariance;
-    let (xx, xy, yy) = (c[(0, 0)], c[(0, 1)], c[(1, 1)]);
-    let worst = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);
-    (worst.max(0.0).sqrt(), c[(2, 2)].max(0.0).sqrt())
 }
 
 fn number(value: f64, decimals: usize) -> String {
@@ -247,99 +227,24 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
     }
 }
 
-fn over_time(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
-    let Some(first) = frames.first() else { return };
-    let times_s: Vec<f64> = frames.iter().map(|frame| frame.time_s - first.time_s).collect();
-    let shaded_s: Vec<(f64, f64)> =
-        figures.lost.iter().map(|stretch| (stretch.from_s, stretch.to_s)).collect();
-    let axis = TimeAxis::new(&times_s, &shaded_s);
-    let posed = |value: &dyn Fn(&PoseEstimate) -> f64| -> Vec<Option<f64>> {
-        frames.iter().map(|frame| frame.estimate.as_ref().map(value)).collect()
-    };
-    let blue = |values| Series { class: "blue", values };
-    let shading = if figures.lost.is_empty() { "" } else { " Shaded: lost." };
-    let _ = writeln!(
-        page,
-        "<h2>Over time</h2>\n<p class=\"quiet\">Every frame of the run.{shading}</p>\n<div class=\"plots\">"
-    );
-    let mut figure = |name: &str, says: &str, series: &[Series<'_>], range: Range| {
-        let _ = writeln!(
-            page,
-            "<figure><figcaption><b>{name}</b><span>{says}</span></figcaption>\n{}</figure>",
-            plot(name, &axis, series, range)
-        );
-    };
-    figure(
-        "Speed (m/s)",
-        "How fast the camera moved over the ground.",
-        &[blue(posed(&|e| e.velocity.speed_m_s()))],
-        Range::FromZero,
-    );
-    figure(
-        "Heading (°)",
-        "Where the top of the image points; counter-clockwise is up.",
-        &[blue(continuous_headings(frames))],
-        Range::Around(2.0),
-    );
-    let heights = posed(&|e| e.pose.height_m);
-    let known = || heights.iter().copied().flatten();
-    if known().fold(f64::NEG_INFINITY, f64::max) - known().fold(f64::INFINITY, f64::min) > 1e-6 {
-        figure("Height (m)", "Height of the camera above the ground.", &[blue(heights)], Range::Around(0.01));
-    }
-    figure(
-        "Corners",
-        "<span class=\"key blue\">found again</span><span class=\"key orange\">agreeing with the movement</span><br>The more \
-         agree, the better the movement is supported.",
-        &[
-            blue(frames.iter().map(|f| Some(f.tracks as f64)).collect()),
-            Series { class: "orange", values: frames.iter().map(|f| Some(f.inliers as f64)).collect() },
-        ],
-        Range::FromZero,
-    );
-    figure(
-        "Residual (px)",
-        "How far the agreeing corners lie from where the movement puts them.",
-        &[blue(
-            frames.iter().map(|f| (f.estimate.is_some() && f.inliers > 0).then_some(f.residual_px)).collect(),
-        )],
-        Range::FromZero,
-    );
-    let worst_m = frames.iter().filter_map(|f| f.estimate.as_ref()).map(|e| sigmas(e).0).fold(0.0, f64::max);
-    let (unit, size_m) = if worst_m < 0.1 { ("mm", 0.001) } else { ("m", 1.0) };
-    figure(
-        &format!("Uncertainty of the position ({unit})"),
-        "One standard deviation in the worst direction, by the program's own reckoning.",
-        &[blue(posed(&|e| sigmas(e).0 / size_m))],
-        Range::FromZero,
-    );
-    figure(
-        "Uncertainty of the heading (°)",
-        "One standard deviation, by the program's own reckoning.",
-        &[blue(posed(&|e| sigmas(e).1.to_degrees()))],
-        Range::FromZero,
-    );
-    page.push_str("</div>\n");
-}
-
 fn doubts(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
     page.push_str("<h2>Where it was unsure</h2>\n");
     if figures.lost.is_empty() {
         page.push_str("<p>It was never lost.</p>\n");
     } else {
         page.push_str(
-            "<div class=\"box scroll\"><table><tr><th class=\"number\">Lost from</th><th class=\"number\">to</th>\
-             <th class=\"number\">for</th><th class=\"number\">frames</th><th>because</th></tr>\n",
+            "<div class=\"box scroll\"><table><tr><th>Lost</th><th>for</th><th>because</th></tr>\n",
         );
         for stretch in figures.lost.iter().take(MOST_ROWS) {
             let reasons: Vec<&str> = stretch.reasons.iter().map(|&reason| in_words(reason)).collect();
             let _ = writeln!(
                 page,
-                "<tr><td class=\"number\">{:.2} s</td><td class=\"number\">{:.2} s</td><td class=\"number\">{}</td>\
-                 <td class=\"number\">{}</td><td>{}</td></tr>",
+                "<tr><td class=\"time\">{:.2} – {:.2} s</td><td>{}, {} {}</td><td>{}</td></tr>",
                 stretch.from_s,
                 stretch.to_s,
                 duration_text(stretch.to_s - stretch.from_s),
                 stretch.frames,
+                if stretch.frames == 1 { "frame" } else { "frames" },
                 reasons.join("; then ")
             );
         }
@@ -354,7 +259,7 @@ fn doubts(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
     }
     let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
     page.push_str(
-        "<p>These measured frames had the fewest corners that agree with the movement:</p>\n<div class=\"box scroll\"><table>\
+        "<p>These measured frames had the fewest corners that agree with the movement:</p>\n<div class=\"box scroll\"><table class=\"figures\">\
          <tr><th class=\"number\">Frame</th><th class=\"number\">at</th><th class=\"number\">agreeing</th>\
          <th class=\"number\">of corners</th><th class=\"number\">residual</th></tr>\n",
     );

@@ -175,6 +175,40 @@ fn an_hour_stays_a_small_page() {
     assert!(page.len() < 3_000_000, "{} bytes", page.len());
 }
 
+/// Paths that are hard to draw well.
+fn odd_paths() -> Vec<(&'static str, Vec<FrameEstimate>)> {
+    let along = |count: u64, pose: &dyn Fn(f64) -> (f64, f64, f64)| -> Vec<FrameEstimate> {
+        let mut frames = figure_eight(count);
+        for (k, frame) in frames.iter_mut().enumerate() {
+            if let Some(estimate) = &mut frame.estimate {
+                let (x_m, y_m, heading_rad) = pose(k as f64 / count as f64);
+                estimate.pose = GroundPose { x_m, y_m, heading_rad, ..estimate.pose };
+            }
+        }
+        frames
+    };
+    let mut lost_at_the_end = along(300, &|s| (300.0 * s, 4000.0 * s, 1.5));
+    for frame in &mut lost_at_the_end[250..] {
+        frame.status = TrackStatus::Lost { reason: LossReason::Jump };
+        frame.estimate = None;
+    }
+    vec![
+        ("none", vec![]),
+        ("straight", along(600, &|s| (10.0 * s, 0.01 * (9.0 * s).sin(), 0.0))),
+        ("kilometres", lost_at_the_end),
+        ("pivot", along(600, &|s| (0.4 - 0.4 * (TAU * s).cos(), -0.4 * (TAU * s).sin(), -TAU * s))),
+        ("still", along(100, &|s| (2e-5 * (40.0 * s).sin(), 2e-5 * (70.0 * s).cos(), 0.0))),
+        (
+            "lanes",
+            along(3000, &|s| {
+                let (lane, t) = ((8.0 * s).floor(), (8.0 * s).fract());
+                let back = lane % 2.0 > 0.5;
+                (if back { 5.0 - 5.0 * t } else { 5.0 * t }, 0.4 * lane, if back { TAU / 2.0 } else { 0.0 })
+            }),
+        ),
+    ]
+}
+
 /// Writes what a person would look at into the folder named by `ODOGRAPH_LOOK`; does nothing where it is not set.
 #[test]
 fn a_look() {
@@ -205,6 +239,11 @@ fn a_look() {
         crate::files::write(&folder.join(format!("{name}.svg")), svg.as_bytes()).unwrap();
         let width = if name == "map-narrow" { 700 } else { MAP_WIDTH_PX };
         crate::files::write(&folder.join(format!("{name}.png")), &map_png(&svg, width).unwrap()).unwrap();
+    }
+    for (name, path) in odd_paths() {
+        let svg =
+            MapDrawing { title: &format!("{name} {}", "of a very long name".repeat(8)), ..plain }.svg(&path);
+        crate::files::write(&folder.join(format!("map-{name}.png")), &map_png(&svg, 1000).unwrap()).unwrap();
     }
     let png_whole = crate::files::png_from_rgba(whole.width, whole.height, &whole.rgba).unwrap();
     crate::files::write(&folder.join("mosaic.png"), &png_whole).unwrap();

@@ -122,11 +122,12 @@ impl MapDrawing<'_> {
         if gaps > 0 {
             facts.push(if gaps == 1 { "lost once".into() } else { format!("lost {gaps} times") });
         }
-        let room = page_width - 86.0 - window::RIGHT_MARGIN;
+        let left = window::left(page_width);
+        let room = page_width - left - window::RIGHT_MARGIN;
         let title = escape(&svg::fitted(self.title, 27.0, room));
         let _ = writeln!(
             body,
-            "<text class=\"ink\" fill=\"{INK}\" x=\"86\" y=\"46\" font-size=\"27\" font-weight=\"500\">{title}</text>"
+            "<text class=\"ink\" fill=\"{INK}\" x=\"{left}\" y=\"46\" font-size=\"27\" font-weight=\"500\">{title}</text>"
         );
         let mut lines: Vec<String> = vec![];
         for fact in facts {
@@ -142,7 +143,7 @@ impl MapDrawing<'_> {
             let y = coordinate(75.0 + 22.0 * index as f64);
             let _ = writeln!(
                 body,
-                "<text class=\"muted\" fill=\"{MUTED}\" x=\"86\" y=\"{y}\" font-size=\"16\">{line}</text>"
+                "<text class=\"muted\" fill=\"{MUTED}\" x=\"{left}\" y=\"{y}\" font-size=\"16\">{line}</text>"
             );
         }
         75.0 + 22.0 * lines.len() as f64

@@ -39,10 +39,10 @@ pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body
             let pose = place.pose();
             since_m += (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m);
             before = pose;
-            if index > 0 && since_m < every_m && (pose.heading_rad - heading).abs() < 0.785 {
+            if index == 0 || since_m < every_m && (pose.heading_rad - heading).abs() < 0.785 {
                 continue;
             }
-            since_m = if since_m >= every_m { (since_m - every_m) % every_m } else { since_m };
+            since_m = 0.0;
             heading = pose.heading_rad;
             let (x, y) = window.page(pose.x_m, pose.y_m);
             // A camera that goes round and round would otherwise paint the same ticks over each other.
@@ -253,6 +253,17 @@ fn best_place(
     places.into_iter().min_by_key(covered).unwrap_or(places[0])
 }
 
+/// A round length without needless digits: `50 cm`, `2 m`.
+fn round_length(length_m: f64) -> String {
+    let text = length_text(length_m);
+    match text.split_once(' ') {
+        Some((digits, unit)) if digits.contains('.') => {
+            format!("{} {unit}", digits.trim_end_matches('0').trim_end_matches('.'))
+        }
+        _ => text,
+    }
+}
+
 /// The row under the drawing that explains its marks; returns where the page ends.
 pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut String) -> f64 {
     let mut items: Vec<(f64, String)> = vec![];
@@ -261,12 +272,8 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
     };
     let wide = |words: &str| text_width(words, 15.0);
 
-    let mut bar_m = round_step(170.0 / window.scale, 1.0);
-    if bar_m * window.scale > 190.0 {
-        bar_m *= 0.5;
-    }
-    let (bar, words) = (bar_m * window.scale, length_text(bar_m));
-    let words = words.replace(".00 ", " ").replace(".0 ", " ");
+    let bar_m = round_step(80.0 / window.scale, 1.0);
+    let (bar, words) = (bar_m * window.scale, round_length(bar_m));
     let half = c(0.5 * bar);
     items.push((
         bar + 10.0 + wide(&words),
@@ -304,12 +311,9 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
         items.push((18.0 + wide("end"), end_mark(5.0, 0.0) + &text(18.0, "end")));
     }
     if let Some(every_m) = shown.headings {
-        let every = length_text(every_m).replace(".00 ", " ").replace(".0 ", " ");
-        let words = format!("heading, every {every} and 45°");
-        let tick = format!(
-            "<path class=\"tick\" stroke=\"{INK}\" stroke-width=\"1.7\" stroke-linecap=\"round\" d=\"M2 6L9 -7\"/>"
-        );
-        items.push((20.0 + wide(&words), tick + &text(18.0, &words)));
+        let words = format!("heading, every {} or 45°", round_length(every_m));
+        let mark = format!("<path class=\"tick\" fill=\"{INK}\" d=\"{}\"/>", dart(6.0, 0.0, 0.6));
+        items.push((24.0 + wide(&words), mark + &text(24.0, &words)));
     }
     if shown.ellipses {
         let words = "2 σ of the position";

@@ -22,7 +22,7 @@ fn tracked(number: u64, x_m: f64, y_m: f64, heading_rad: f64, sigma_m: f64) -> F
         tracks: 200,
         inliers: 180,
         residual_px: 0.1,
-        keyframe: number % 10 == 0,
+        keyframe: number.is_multiple_of(10),
         segment: 0,
     }
 }

@@ -7,16 +7,24 @@ use super::{AXIS, BACKGROUND, FAINT, INK, MUTED};
 use crate::mapping::Placement;
 use std::fmt::Write;
 
-/// Left edge of the drawn ground on the page.
-const LEFT: f64 = 86.0;
+/// Pages narrower than this, as on a phone, have smaller margins and stand upright.
+const NARROW: f64 = 700.0;
+/// Left edge of the drawn ground on a wide and on a narrow page.
+const LEFT: (f64, f64) = (86.0, 76.0);
 /// From the right edge of the drawn ground to that of the page.
 pub(super) const RIGHT_MARGIN: f64 = 34.0;
 /// Least and greatest height of the drawn ground, as a share of the page's width.
 const HEIGHTS: (f64, f64) = (0.35, 0.75);
-/// Room around the path for markers and their words, drawing units.
-const MARGIN: f64 = 48.0;
+const NARROW_HEIGHTS: (f64, f64) = (0.6, 1.2);
+/// Room around the path for markers and their words on a wide and on a narrow page, drawing units.
+const MARGIN: (f64, f64) = (48.0, 30.0);
 /// Nothing smaller than this is blown up to fill the page, metres: below it there is only noise.
 const LEAST_EXTENT_M: f64 = 0.004;
+
+/// Left edge of the drawn ground, and of all words over it, on a page of the given width.
+pub(super) fn left(page_width: f64) -> f64 {
+    if page_width < NARROW { LEFT.1 } else { LEFT.0 }
+}
 
 /// A rectangle of ground and its place on the page; the same scale on both axes.
 #[derive(Debug, Clone, Copy)]
@@ -52,17 +60,22 @@ impl Window {
             }
         }
         if low.0 > high.0 {
-            (low, high) = ((-0.5, -0.5), (0.5, 0.5));
+            (low, high) = ((-0.5, -0.2), (0.5, 0.2));
         }
         let centre_m = (0.5 * (low.0 + high.0), 0.5 * (low.1 + high.1));
         let least = LEAST_EXTENT_M.max(1e-9 * (centre_m.0.abs() + centre_m.1.abs()));
         let (width_m, height_m) = (high.0 - low.0, high.1 - low.1);
-        let room = |size: f64| size - 2.0 * MARGIN;
-        let width = page_width - RIGHT_MARGIN - LEFT;
-        let heights = (HEIGHTS.0 * page_width, HEIGHTS.1 * page_width);
+        let left = left(page_width);
+        let (margin, heights) = match page_width < NARROW {
+            false => (MARGIN.0, HEIGHTS),
+            true => (MARGIN.1, NARROW_HEIGHTS),
+        };
+        let room = |size: f64| size - 2.0 * margin;
+        let width = page_width - RIGHT_MARGIN - left;
+        let heights = (heights.0 * page_width, heights.1 * page_width);
         let scale = (room(width) / width_m.max(least)).min(room(heights.1) / height_m.max(least));
-        let height = (height_m * scale + 2.0 * MARGIN).clamp(heights.0, heights.1).round();
-        Self { centre_m, scale, left: LEFT, top, width, height }
+        let height = (height_m * scale + 2.0 * margin).clamp(heights.0, heights.1).round();
+        Self { centre_m, scale, left, top, width, height }
     }
 
     /// Where a ground point is on the page.
@@ -156,10 +169,11 @@ impl Window {
         let _ = writeln!(
             svg,
             "<g class=\"ink\" fill=\"{INK}\" font-size=\"15\" text-anchor=\"middle\"><text x=\"{}\" y=\"{}\">{}</text>\
-             <text transform=\"translate(24 {}) rotate(-90)\">{}</text></g>",
+             <text transform=\"translate({} {}) rotate(-90)\">{}</text></g>",
             coordinate(middle_x),
             coordinate(self.bottom() + 46.0),
             name("x, forward at the start"),
+            coordinate(self.left - 60.0),
             coordinate(middle_y),
             name("y, left at the start"),
         );
