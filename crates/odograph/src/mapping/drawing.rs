@@ -15,21 +15,24 @@ use crate::trajectory::{FrameEstimate, distance_m};
 use path::{Path, simplified};
 use std::fmt::Write;
 use svg::{coordinate, escape};
-use window::{PAGE_WIDTH, Window};
+use window::Window;
 
 /// Colours of the drawing on a light page.
 const INK: &str = "#1b2430";
 const MUTED: &str = "#64707f";
 const FAINT: &str = "#dfe4ea";
+const AXIS: &str = "#aab4bf";
 const BACKGROUND: &str = "#ffffff";
 /// How many colours time is shown in.
 const TIME_COLOURS: usize = 48;
 
 /// What is drawn besides the path.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct MapDrawing<'a> {
-    /// Over the drawing; any text.
+    /// Over the drawing, with a line of figures; any text. Empty: neither.
     pub title: &'a str,
+    /// Width of the drawing, from 400 to 4000 units; words are 14 to 16 units high.
+    pub width: f64,
     /// A picture of the ground under the path.
     pub backdrop: Option<Backdrop<'a>>,
 }
@@ -49,26 +52,38 @@ pub struct Backdrop<'a> {
     pub opacity: f64,
 }
 
+impl Default for MapDrawing<'_> {
+    fn default() -> Self {
+        Self { title: "", width: 1200.0, backdrop: None }
+    }
+}
+
 impl MapDrawing<'_> {
-    /// The drawing as a whole SVG document, 1200 units wide. The same input gives the same text.
+    /// The drawing as a whole SVG document. The same input gives the same text.
     ///
     /// Any number of frames makes a drawing, none too: polylines are thinned to what the eye can tell apart. Poses that are not
     /// finite count as lost.
     pub fn svg(&self, frames: &[FrameEstimate]) -> String {
         let path = Path::new(frames);
         let backdrop = self.backdrop.filter(|b| b.is_drawable());
-        let window = Window::around(&path, backdrop.map(|b| (b.placement, b.width_px, b.height_px)));
+        let page_width = if self.width.is_nan() { 1200.0 } else { self.width.clamp(400.0, 4000.0).round() };
+        let mut heading = String::new();
+        let top = self.heading(frames, &path, page_width, &mut heading);
+        let backed = backdrop.map(|b| (b.placement, b.width_px, b.height_px));
+        let window = Window::around(&path, backed, page_width, top);
         let mut body = String::new();
         window.ground(&mut body);
-        let _ = writeln!(body, "<g clip-path=\"url(#map-ground)\">");
+        let _ = writeln!(body, "<g clip-path=\"url(#{})\">", window.clip_name());
         if let Some(backdrop) = backdrop {
             backdrop.draw(&window, &mut body);
         }
         window.grid(&mut body);
         let mut shown = markers::Shown::default();
         markers::ellipses(&path, &window, &mut shown, &mut body);
-        gaps(&path, &window, &mut shown, &mut body);
+        let breaks = gaps(&path, &window, &mut body);
+        shown.gaps = !breaks.is_empty();
         stretches(&path, &window, &mut body);
+        breaks.into_iter().for_each(|(x, y)| markers::cross(x, y, &mut body));
         markers::headings(&path, &window, &mut shown, &mut body);
         markers::ends(&path, &window, &mut body);
         let _ = writeln!(body, "</g>");
@@ -82,19 +97,21 @@ impl MapDrawing<'_> {
                 coordinate(window.top + 0.5 * window.height - 24.0)
             );
         }
-        self.heading(frames, &path, &mut body);
         let height = markers::legend(&path, &window, &shown, &mut body);
         let height = coordinate(height);
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"map\" viewBox=\"0 0 {PAGE_WIDTH} {height}\" \
-             width=\"{PAGE_WIDTH}\" height=\"{height}\" font-family=\"Roboto, 'Helvetica Neue', Arial, sans-serif\" \
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"map\" viewBox=\"0 0 {page_width} {height}\" \
+             width=\"{page_width}\" height=\"{height}\" font-family=\"Roboto, 'Helvetica Neue', Arial, sans-serif\" \
              role=\"img\" aria-label=\"Map of the movement\">\n\
-             <rect class=\"page\" fill=\"{BACKGROUND}\" width=\"{PAGE_WIDTH}\" height=\"{height}\"/>\n{body}</svg>\n"
+             <rect class=\"page\" fill=\"{BACKGROUND}\" width=\"{page_width}\" height=\"{height}\"/>\n{heading}{body}</svg>\n"
         )
     }
 
-    /// Title and one line of figures over the drawing.
-    fn heading(&self, frames: &[FrameEstimate], path: &Path<'_>, body: &mut String) {
+    /// Title and figures over the drawing, as many lines as they need; returns where the drawn ground begins.
+    fn heading(&self, frames: &[FrameEstimate], path: &Path<'_>, page_width: f64, body: &mut String) -> f64 {
+        if self.title.trim().is_empty() {
+            return 20.0;
+        }
         let posed = path.places().count();
         let mut facts = vec![
             format!("{} travelled", scale::length_text(finite(distance_m(frames)))),
@@ -103,16 +120,33 @@ impl MapDrawing<'_> {
         ];
         let gaps = path.stretches.len().saturating_sub(1) + usize::from(path.ends_lost);
         if gaps > 0 {
-            facts.push(format!("lost {gaps} {}", if gaps == 1 { "time" } else { "times" }));
+            facts.push(if gaps == 1 { "lost once".into() } else { format!("lost {gaps} times") });
         }
-        let title = if self.title.trim().is_empty() { "Map of the movement" } else { self.title };
-        let title = escape(&svg::fitted(title, 27.0, PAGE_WIDTH - 120.0));
+        let left = window::left(page_width);
+        let room = page_width - left - window::RIGHT_MARGIN;
+        let title = escape(&svg::fitted(self.title, 27.0, room));
         let _ = writeln!(
             body,
-            "<text class=\"ink\" fill=\"{INK}\" x=\"86\" y=\"46\" font-size=\"27\" font-weight=\"500\">{title}</text>\n\
-             <text class=\"muted\" fill=\"{MUTED}\" x=\"86\" y=\"75\" font-size=\"16\">{}</text>",
-            facts.join("  ·  ")
+            "<text class=\"ink\" fill=\"{INK}\" x=\"{left}\" y=\"46\" font-size=\"27\" font-weight=\"500\">{title}</text>"
         );
+        let mut lines: Vec<String> = vec![];
+        for fact in facts {
+            match lines.last_mut() {
+                Some(line) if svg::text_width(line, 16.0) + svg::text_width(&fact, 16.0) + 20.0 < room => {
+                    line.push_str("  ·  ");
+                    line.push_str(&fact);
+                }
+                _ => lines.push(fact),
+            }
+        }
+        for (index, line) in lines.iter().enumerate() {
+            let y = coordinate(75.0 + 22.0 * index as f64);
+            let _ = writeln!(
+                body,
+                "<text class=\"muted\" fill=\"{MUTED}\" x=\"{left}\" y=\"{y}\" font-size=\"16\">{line}</text>"
+            );
+        }
+        75.0 + 22.0 * lines.len() as f64
     }
 }
 
@@ -189,8 +223,9 @@ fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
     let _ = writeln!(body, "</g>");
 }
 
-/// Dashed lines between stretches, crossed at both ends: nobody knows the way the camera took there.
-fn gaps(path: &Path<'_>, window: &Window, shown: &mut markers::Shown, body: &mut String) {
+/// Dashed lines between stretches: nobody knows the way the camera took there. Returns where the measurement broke off and
+/// where it began again.
+fn gaps(path: &Path<'_>, window: &Window, body: &mut String) -> Vec<(f64, f64)> {
     let at = |place: &path::Place<'_>| window.page(place.pose().x_m, place.pose().y_m);
     let mut breaks = vec![];
     for pair in path.stretches.windows(2) {
@@ -214,10 +249,7 @@ fn gaps(path: &Path<'_>, window: &Window, shown: &mut markers::Shown, body: &mut
         breaks.push(at(last));
     }
     breaks.dedup_by(|a, b| (a.0 - b.0).hypot(a.1 - b.1) < 1.0);
-    shown.gaps = !breaks.is_empty();
-    for (x, y) in breaks {
-        markers::cross(x, y, body);
-    }
+    breaks
 }
 
 fn polyline(points: &[(f64, f64)], style: &str, body: &mut String) {

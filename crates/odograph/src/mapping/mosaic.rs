@@ -6,26 +6,22 @@
 //! steeper view (feathering), after each frame's brightness has been fitted to the ground that is already there.
 
 mod footprint;
+mod laying;
 mod sampling;
 mod tiles;
 
 use crate::camera::Camera;
-use crate::geometry::{GroundPoint, GroundPose};
+use crate::geometry::GroundPose;
 use crate::image::{GrayImage, RgbImage};
 use crate::mapping::Placement;
 use footprint::{Footprint, View};
+use laying::{BLOCK, Blocks, Corner, Feather};
 use sampling::Samples;
-use tiles::{Lookup, TILE, Tiles};
+use tiles::{TILE, Tiles};
 
-/// Side of the blocks, in ground pixels, within which the way from the ground to the image is taken as bilinear. At a
-/// strong lens distortion (k1 = −0.3) the error is below 0.02 px.
-const BLOCK: i64 = 8;
 /// Share of the footprint that must be new, or seen at least twice as well as before, for a frame to be wanted.
-const WANTED_NEW: f64 = 0.12;
-const WANTED_BETTER: f64 = 0.30;
-/// How much of the brightness step to the ground already there is taken out; less than all, so that small errors die out
-/// along the path instead of adding up.
-const GAIN_SHARE: f64 = 0.95;
+const WANTED_NEW: f64 = 0.08;
+const WANTED_BETTER: f64 = 0.40;
 /// Ground pixels farther than this from the origin are not addressed.
 const FARTHEST_PIXEL: f64 = 1e12;
 
@@ -92,14 +88,6 @@ pub struct Mosaic {
     samples: Samples,
 }
 
-/// What is known at a corner of a block: where it is in the image, and how well the ground is seen there.
-#[derive(Debug, Clone, Copy)]
-struct Corner {
-    x: f32,
-    y: f32,
-    quality: f32,
-}
-
 impl Mosaic {
     /// An empty mosaic.
     pub fn new(options: MosaicOptions) -> Self {
@@ -119,7 +107,8 @@ impl Mosaic {
     }
 
     /// Whether a frame from this pose would show enough that is new, or shown better than so far. Cheap (some hundred
-    /// points are looked up); ask it for every frame and lay those it wants.
+    /// points are looked up); ask it for every frame and lay those it wants, and the last frame of each stretch besides: what
+    /// came between it and the last one wanted is seen by no other.
     pub fn wants(&mut self, camera: &Camera, pose: &GroundPose) -> bool {
         let footprint = Footprint::of(&mut self.footprint, camera);
         let Some(view) = View::new(camera, pose) else {
@@ -128,11 +117,12 @@ impl Mosaic {
         let Some(resolution_m) = self.resolution_m else {
             return true;
         };
+        let feather = Feather::new(camera);
         let (mut seen, mut new, mut better) = (0, 0, 0);
         for point in footprint.ground_points(&view) {
             let Some(look) = view.look(point) else { continue };
             seen += 1;
-            let weight = feathered(look.x as f32, look.y as f32, look.quality() as f32, camera);
+            let weight = feather.weight(look.x as f32, look.y as f32, look.quality() as f32).unwrap_or(1);
             match self.tiles.weight(address(point.x_m, resolution_m), address(-point.y_m, resolution_m)) {
                 0 => new += 1,
                 before if 2 * u16::from(before) < u16::from(weight) => better += 1,
@@ -227,113 +217,6 @@ impl Mosaic {
         None
     }
 
-    /// Where the corners of all blocks are in the image.
-    fn find_corners(&mut self, blocks: &Blocks, view: &View<'_>, resolution_m: f64) {
-        self.corners.clear();
-        let side = BLOCK as f64 * resolution_m;
-        for row in blocks.rows.start..=blocks.rows.end {
-            for column in blocks.columns.start..=blocks.columns.end {
-                let look = view.look(GroundPoint::new(column as f64 * side, -(row as f64) * side));
-                self.corners.push(look.map(|look| Corner {
-                    x: look.x as f32,
-                    y: look.y as f32,
-                    quality: look.quality() as f32,
-                }));
-            }
-        }
-    }
-
-    fn corners_of(&self, blocks: &Blocks, column: i64, row: i64) -> [Option<Corner>; 4] {
-        let stride = (blocks.columns.end - blocks.columns.start + 1) as usize;
-        let at = (row - blocks.rows.start) as usize * stride + (column - blocks.columns.start) as usize;
-        [self.corners[at], self.corners[at + 1], self.corners[at + stride], self.corners[at + stride + 1]]
-    }
-
-    /// The gain of each channel that brings the frame to the brightness of the ground already there: the median ratio in the
-    /// middle of all blocks that have been seen before.
-    fn gains<const N: usize>(&self, blocks: &Blocks) -> [f32; N] {
-        let mut ratios: [Vec<f32>; N] = std::array::from_fn(|_| vec![]);
-        for row in blocks.rows.clone() {
-            for column in blocks.columns.clone() {
-                let [Some(a), Some(b), Some(c), Some(d)] = self.corners_of(blocks, column, row) else {
-                    continue;
-                };
-                let middle = (0.25 * (a.x + b.x + c.x + d.x), 0.25 * (a.y + b.y + c.y + d.y));
-                let Some(new) = self.samples.at::<N>(middle.0, middle.1) else { continue };
-                let Some(old) = self.tiles.colour(column * BLOCK + BLOCK / 2, row * BLOCK + BLOCK / 2) else {
-                    continue;
-                };
-                for channel in 0..N {
-                    let (old, new) = (f32::from(old[channel]), new[channel]);
-                    if old.min(new) > 8.0 && old.max(new) < 247.0 {
-                        ratios[channel].push(old / new);
-                    }
-                }
-            }
-        }
-        ratios.map(|mut ratios| {
-            let middle = ratios.len() / 2;
-            if ratios.len() < 24 {
-                return 1.0;
-            }
-            let (_, median, _) = ratios.select_nth_unstable_by(middle, f32::total_cmp);
-            f64::from(*median).powf(GAIN_SHARE).clamp(0.5, 2.0) as f32
-        })
-    }
-
-    fn lay<const N: usize>(
-        &mut self,
-        blocks: &Blocks,
-        view: &View<'_>,
-        resolution_m: f64,
-        camera: &Camera,
-    ) -> bool {
-        let gains = self.gains::<N>(blocks);
-        let (right, bottom) = ((camera.width() - 1) as f32, (camera.height() - 1) as f32);
-        let mut lookup = Lookup::new();
-        let mut laid = false;
-        for row in blocks.rows.clone() {
-            for column in blocks.columns.clone() {
-                let corners = self.corners_of(blocks, column, row);
-                let known = || corners.iter().flatten();
-                // Outside the image on one side altogether; a margin of one block allows for a curved image border.
-                let outside = known().all(|c| c.x < 0.0)
-                    || known().all(|c| c.y < 0.0)
-                    || known().all(|c| c.x > right)
-                    || known().all(|c| c.y > bottom);
-                if outside {
-                    continue;
-                }
-                let (left, top) = (column * BLOCK, row * BLOCK);
-                let tile = &mut *self.tiles.at(&mut lookup, left, top);
-                let (in_x, in_y) = (left.rem_euclid(TILE) as usize, top.rem_euclid(TILE) as usize);
-                for j in 0..BLOCK as usize {
-                    let pixels = &mut tile[(in_y + j) * TILE as usize + in_x..][..BLOCK as usize];
-                    let whole = match corners {
-                        [Some(a), Some(b), Some(c), Some(d)] => Some(Corner::row(a, b, c, d, j)),
-                        _ => None,
-                    };
-                    for (i, pixel) in pixels.iter_mut().enumerate() {
-                        let at = match whole {
-                            Some((first, step)) => first.plus(step, i as f32),
-                            None => {
-                                let x_m = (left as f64 + i as f64 + 0.5) * resolution_m;
-                                let y_m = -(top as f64 + j as f64 + 0.5) * resolution_m;
-                                let Some(look) = view.look(GroundPoint::new(x_m, y_m)) else { continue };
-                                Corner { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
-                            }
-                        };
-                        let Some(sample) = self.samples.at::<N>(at.x, at.y) else { continue };
-                        let weight = feathered(at.x, at.y, at.quality, camera);
-                        blend::<N>(pixel, std::array::from_fn(|c| sample[c] * gains[c]), weight);
-                        laid = true;
-                    }
-                }
-            }
-        }
-        laid
-    }
-
     fn keep_within_bounds(&mut self) {
         // Four tiles can meet at the origin and never become one.
         let limit = (self.options.max_pixels / (TILE * TILE) as usize).max(4);
@@ -344,12 +227,6 @@ impl Mosaic {
     }
 }
 
-/// The blocks under a footprint: ranges of block columns (along x) and rows (against y).
-struct Blocks {
-    columns: std::ops::Range<i64>,
-    rows: std::ops::Range<i64>,
-}
-
 /// The ground pixel on one axis that holds a coordinate.
 fn address(metres: f64, resolution_m: f64) -> i64 {
     (metres / resolution_m).floor() as i64
@@ -358,57 +235,6 @@ fn address(metres: f64, resolution_m: f64) -> i64 {
 /// The block on one axis that holds a coordinate.
 fn block(metres: f64, resolution_m: f64) -> i64 {
     address(metres, resolution_m).div_euclid(BLOCK)
-}
-
-/// The weight of a sample, 1 to 63: greatest in the middle of the image, 1 at its border, less where the ground is seen at a
-/// slant.
-fn feathered(x: f32, y: f32, quality: f32, camera: &Camera) -> u8 {
-    let (width, height) = (camera.width() as f32, camera.height() as f32);
-    let from_border = x.min(y).min(width - 1.0 - x).min(height - 1.0 - y) + 0.5;
-    let share = (from_border / (0.5 * width.min(height))).clamp(0.0, 1.0);
-    (1.0 + 62.0 * share * share * quality) as u8
-}
-
-/// The weighted mean of a stored pixel (colour and weight) and a sample.
-#[inline]
-fn blend<const N: usize>(pixel: &mut [u8; 4], sample: [f32; N], weight: u8) {
-    let before = pixel[3];
-    let share = f32::from(weight) / (f32::from(before) + f32::from(weight));
-    for channel in 0..3 {
-        let old = f32::from(pixel[channel]);
-        let new = sample[channel.min(N - 1)].min(255.0);
-        pixel[channel] = (old + (new - old) * share + 0.5) as u8;
-    }
-    pixel[3] = before.saturating_add(weight);
-}
-
-impl Corner {
-    fn mix(self, other: Self, share: f32) -> Self {
-        let mix = |a: f32, b: f32| a + (b - a) * share;
-        Self { x: mix(self.x, other.x), y: mix(self.y, other.y), quality: mix(self.quality, other.quality) }
-    }
-
-    /// The first pixel centre of row `j` in a block with the corners a b / c d, and the step to the next.
-    fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> (Self, Self) {
-        let down = (j as f32 + 0.5) / BLOCK as f32;
-        let (left, right) = (a.mix(c, down), b.mix(d, down));
-        let part = |a: f32, b: f32| (b - a) / BLOCK as f32;
-        let step = Self {
-            x: part(left.x, right.x),
-            y: part(left.y, right.y),
-            quality: part(left.quality, right.quality),
-        };
-        (left.plus(step, 0.5), step)
-    }
-
-    #[inline]
-    fn plus(self, step: Self, times: f32) -> Self {
-        Self {
-            x: self.x + step.x * times,
-            y: self.y + step.y * times,
-            quality: self.quality + step.quality * times,
-        }
-    }
 }
 
 #[cfg(test)]

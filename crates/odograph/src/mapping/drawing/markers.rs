@@ -3,7 +3,7 @@
 use super::path::Path;
 use super::scale::{duration_text, length_text, round_step};
 use super::svg::{coordinate as c, text_width};
-use super::window::{PAGE_WIDTH, Window};
+use super::window::{RIGHT_MARGIN, Window};
 use super::{BACKGROUND, INK, MUTED, TIME_COLOURS, hex, time_colour};
 use crate::geometry::wrap_angle;
 use crate::trajectory::PoseEstimate;
@@ -13,8 +13,10 @@ use std::fmt::Write;
 const START: &str = "#0f9d58";
 const ELLIPSE: &str = "#0e7490";
 const LOST: &str = "#c2410c";
-/// Length of a heading tick on the page.
-const TICK: f64 = 15.0;
+/// The dart that points along a heading: how far its tip and its tail reach from the position, and half its width.
+const DART: (f64, f64, f64) = (10.0, 5.0, 4.8);
+/// Half axes smaller than this, in drawing units, would drown in the line of the path.
+const SEEN: f64 = 8.0;
 
 /// Which kinds of marks the drawing has; the legend explains those.
 #[derive(Debug, Default)]
@@ -25,7 +27,7 @@ pub(super) struct Shown {
     pub ellipses: bool,
 }
 
-/// Ticks that point where the top of the image points, at regular distances and wherever the camera has turned by 45°.
+/// Darts that point where the top of the image points, at regular distances and wherever the camera has turned by 45°.
 pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
     let every_m = round_step(70.0 / window.scale, 1.0);
     let mut taken = BTreeSet::new();
@@ -37,10 +39,10 @@ pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body
             let pose = place.pose();
             since_m += (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m);
             before = pose;
-            if index > 0 && since_m < every_m && (pose.heading_rad - heading).abs() < 0.785 {
+            if index == 0 || since_m < every_m && (pose.heading_rad - heading).abs() < 0.785 {
                 continue;
             }
-            since_m = if since_m >= every_m { (since_m - every_m) % every_m } else { since_m };
+            since_m = 0.0;
             heading = pose.heading_rad;
             let (x, y) = window.page(pose.x_m, pose.y_m);
             // A camera that goes round and round would otherwise paint the same ticks over each other.
@@ -48,18 +50,26 @@ pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body
             if !taken.insert(((x / 8.0).round() as i64, (y / 8.0).round() as i64, octant)) {
                 continue;
             }
-            let (dx, dy) = (TICK * heading.cos(), -TICK * heading.sin());
-            let _ = write!(ticks, "M{} {}l{} {}", c(x), c(y), c(dx), c(dy));
+            ticks.push_str(&dart(x, y, heading));
         }
     }
     if !ticks.is_empty() {
         shown.headings = Some(every_m);
         let _ = writeln!(
             body,
-            "<g fill=\"none\" stroke-linecap=\"round\"><path class=\"casing\" stroke=\"{BACKGROUND}\" stroke-width=\"4\" d=\"{ticks}\"/>\
-             <path class=\"tick\" stroke=\"{INK}\" stroke-width=\"1.7\" d=\"{ticks}\"/></g>"
+            "<path class=\"tick casing\" fill=\"{INK}\" stroke=\"{BACKGROUND}\" stroke-width=\"1.2\" stroke-linejoin=\"round\" d=\"{ticks}\"/>"
         );
     }
+}
+
+/// The outline of a dart at a position that points along a heading.
+fn dart(x: f64, y: f64, heading_rad: f64) -> String {
+    let (forward, left) = ((heading_rad.cos(), -heading_rad.sin()), (-heading_rad.sin(), -heading_rad.cos()));
+    let at = |ahead: f64, aside: f64| {
+        format!("{} {}", c(x + ahead * forward.0 + aside * left.0), c(y + ahead * forward.1 + aside * left.1))
+    };
+    let (tip, tail, half) = DART;
+    format!("M{}L{}L{}L{}Z", at(tip, 0.0), at(-tail, half), at(-0.45 * tail, 0.0), at(-tail, -half))
 }
 
 /// Half axes of the 2-sigma ellipse of the position, metres, and the direction of the longer one, radians; `None` where the
@@ -75,38 +85,35 @@ fn two_sigma(estimate: &PoseEstimate) -> Option<(f64, f64, f64)> {
 
 /// The 2-sigma ellipses of the position, where they are large enough to be seen and do not pile up; always that of the end.
 pub(super) fn ellipses(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
-    let mut last: Option<(f64, f64, f64)> = None;
     let mut drawn: Vec<String> = vec![];
-    let mut draw = |x: f64, y: f64, (long, short, turn): (f64, f64, f64)| {
-        let seen = long * window.scale >= 3.0 && long * window.scale < 3000.0 && drawn.len() < 60;
-        if seen {
-            drawn.push(format!(
-                "<ellipse rx=\"{}\" ry=\"{}\" transform=\"translate({} {}) rotate({})\"/>",
-                c(long * window.scale),
-                c((short * window.scale).max(0.5)),
-                c(x),
-                c(y),
-                c(-turn.to_degrees())
-            ));
-        }
-        seen
-    };
-    for place in path.places() {
+    // Centres, and how far from them the next ellipse must be. The end comes first: it is always there.
+    let mut end: Option<(f64, f64, f64)> = None;
+    let mut last: Option<(f64, f64, f64)> = None;
+    for place in path.places().next_back().into_iter().chain(path.places()) {
         let (x, y) = window.page(place.pose().x_m, place.pose().y_m);
-        let away = last.is_none_or(|(u, v, apart)| (x - u).hypot(y - v) > apart);
-        if !away {
+        let close =
+            |other: Option<(f64, f64, f64)>| other.is_some_and(|(u, v, apart)| (x - u).hypot(y - v) < apart);
+        if drawn.len() >= 60 || close(end) || close(last) {
             continue;
         }
-        let Some(ellipse) = two_sigma(place.estimate) else { continue };
-        if ellipse.0 * window.scale >= 5.0 && draw(x, y, ellipse) {
-            last = Some((x, y, (1.6 * ellipse.0 * window.scale).max(110.0)));
+        let Some((long, short, turn)) = two_sigma(place.estimate) else { continue };
+        let (long, short) = (long * window.scale, short * window.scale);
+        if !(SEEN..3000.0).contains(&long) {
+            continue;
         }
-    }
-    if let Some(end) = path.places().next_back() {
-        let (x, y) = window.page(end.pose().x_m, end.pose().y_m);
-        let alone = last.is_none_or(|(u, v, _)| (x - u).hypot(y - v) > 20.0);
-        if let (true, Some(ellipse)) = (alone, two_sigma(end.estimate)) {
-            draw(x, y, ellipse);
+        drawn.push(format!(
+            "<ellipse rx=\"{}\" ry=\"{}\" transform=\"translate({} {}) rotate({})\"/>",
+            c(long),
+            c(short.max(0.5)),
+            c(x),
+            c(y),
+            c(-turn.to_degrees())
+        ));
+        let centre = Some((x, y, (1.6 * long).max(110.0)));
+        if drawn.len() == 1 {
+            end = centre;
+        } else {
+            last = centre;
         }
     }
     shown.ellipses = !drawn.is_empty();
@@ -246,6 +253,17 @@ fn best_place(
     places.into_iter().min_by_key(covered).unwrap_or(places[0])
 }
 
+/// A round length without needless digits: `50 cm`, `2 m`.
+fn round_length(length_m: f64) -> String {
+    let text = length_text(length_m);
+    match text.split_once(' ') {
+        Some((digits, unit)) if digits.contains('.') => {
+            format!("{} {unit}", digits.trim_end_matches('0').trim_end_matches('.'))
+        }
+        _ => text,
+    }
+}
+
 /// The row under the drawing that explains its marks; returns where the page ends.
 pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut String) -> f64 {
     let mut items: Vec<(f64, String)> = vec![];
@@ -254,12 +272,8 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
     };
     let wide = |words: &str| text_width(words, 15.0);
 
-    let mut bar_m = round_step(170.0 / window.scale, 1.0);
-    if bar_m * window.scale > 190.0 {
-        bar_m *= 0.5;
-    }
-    let (bar, words) = (bar_m * window.scale, length_text(bar_m));
-    let words = words.replace(".00 ", " ").replace(".0 ", " ");
+    let bar_m = round_step(80.0 / window.scale, 1.0);
+    let (bar, words) = (bar_m * window.scale, round_length(bar_m));
     let half = c(0.5 * bar);
     items.push((
         bar + 10.0 + wide(&words),
@@ -297,12 +311,9 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
         items.push((18.0 + wide("end"), end_mark(5.0, 0.0) + &text(18.0, "end")));
     }
     if let Some(every_m) = shown.headings {
-        let every = length_text(every_m).replace(".00 ", " ").replace(".0 ", " ");
-        let words = format!("heading, every {every} and 45°");
-        let tick = format!(
-            "<path class=\"tick\" stroke=\"{INK}\" stroke-width=\"1.7\" stroke-linecap=\"round\" d=\"M2 6L9 -7\"/>"
-        );
-        items.push((20.0 + wide(&words), tick + &text(18.0, &words)));
+        let words = format!("heading, every {} or 45°", round_length(every_m));
+        let mark = format!("<path class=\"tick\" fill=\"{INK}\" d=\"{}\"/>", dart(6.0, 0.0, 0.6));
+        items.push((24.0 + wide(&words), mark + &text(24.0, &words)));
     }
     if shown.ellipses {
         let words = "2 σ of the position";
@@ -322,7 +333,7 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
     let (mut x, mut y) = (window.left, window.bottom() + 84.0);
     let _ = writeln!(body, "<g font-size=\"15\">");
     for (width, item) in items {
-        if x > window.left && x + width > PAGE_WIDTH - 34.0 {
+        if x > window.left && x + width > window.page_width() - RIGHT_MARGIN {
             (x, y) = (window.left, y + 32.0);
         }
         let _ = writeln!(body, "<g transform=\"translate({} {})\">{item}</g>", c(x), c(y));

@@ -95,7 +95,7 @@ pub(super) fn simplified(points: impl IntoIterator<Item = (f64, f64)>, tolerance
                 let high = width.min(offset + half);
                 let backwards = distance < reach - tolerance;
                 (offset.abs() <= width && low <= high && !backwards)
-                    .then(|| (middle + 0.5 * (low + high), 0.5 * (high - low)))
+                    .then_some((middle + 0.5 * (low + high), 0.5 * (high - low)))
             }
         };
         if let (None, Some(previous)) = (narrowed, inside) {

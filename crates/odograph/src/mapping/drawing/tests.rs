@@ -22,7 +22,7 @@ fn tracked(number: u64, x_m: f64, y_m: f64, heading_rad: f64, sigma_m: f64) -> F
         tracks: 200,
         inliers: 180,
         residual_px: 0.1,
-        keyframe: number % 10 == 0,
+        keyframe: number.is_multiple_of(10),
         segment: 0,
     }
 }
@@ -51,7 +51,7 @@ fn assert_well_formed(svg: &str) {
 }
 
 fn drawn(frames: &[FrameEstimate]) -> String {
-    let svg = MapDrawing { title: "a <drive> & more", backdrop: None }.svg(frames);
+    let svg = MapDrawing { title: "a <drive> & more", ..MapDrawing::default() }.svg(frames);
     assert_well_formed(&svg);
     svg
 }
@@ -106,7 +106,7 @@ fn a_gap_is_dashed_and_never_part_of_the_solid_path() {
 #[test]
 fn world_x_runs_right_and_world_y_up() {
     let frames = [tracked(0, 0.0, 0.0, 0.0, 0.0), tracked(1, 1.0, 0.5, 0.0, 0.0)];
-    let window = Window::around(&Path::new(&frames), None);
+    let window = Window::around(&Path::new(&frames), None, 1200.0, 20.0);
     let (start, end) = (window.page(0.0, 0.0), window.page(1.0, 0.5));
     assert!(end.0 > start.0 && end.1 < start.1);
     assert!(((end.0 - start.0) - 2.0 * (start.1 - end.1)).abs() < 1e-9, "one scale");
@@ -126,13 +126,13 @@ fn a_backdrop_lies_where_its_placement_says() {
     let frames = [tracked(0, 0.0, 0.0, 0.0, 0.0), tracked(1, 1.0, 0.0, 0.0, 0.0)];
     let placement = Placement { metres_per_pixel: 0.01, x_m: -0.5, y_m: 0.5 };
     let backdrop = Backdrop { png: b"png", width_px: 200, height_px: 100, placement, opacity: 0.8 };
-    let svg = MapDrawing { title: "", backdrop: Some(backdrop) }.svg(&frames);
+    let svg = MapDrawing { backdrop: Some(backdrop), ..MapDrawing::default() }.svg(&frames);
     assert_well_formed(&svg);
-    let window = Window::around(&Path::new(&frames), Some((placement, 200, 100)));
+    let window = Window::around(&Path::new(&frames), Some((placement, 200, 100)), 1200.0, 20.0);
     let corner = window.page(-0.505, 0.505);
     assert!(svg.contains(&format!("<image x=\"{:.3}\" y=\"{:.3}\"", corner.0, corner.1)));
     let odd = Backdrop { placement: Placement { x_m: f64::NAN, ..placement }, ..backdrop };
-    assert!(!MapDrawing { title: "", backdrop: Some(odd) }.svg(&frames).contains("<image"));
+    assert!(!MapDrawing { backdrop: Some(odd), ..MapDrawing::default() }.svg(&frames).contains("<image"));
 }
 
 proptest! {

@@ -3,23 +3,28 @@
 use super::path::Path;
 use super::scale;
 use super::svg::{coordinate, escape};
-use super::{BACKGROUND, FAINT, INK, MUTED};
+use super::{AXIS, BACKGROUND, FAINT, INK, MUTED};
 use crate::mapping::Placement;
 use std::fmt::Write;
 
-/// Page width of the drawing, in drawing units.
-pub(super) const PAGE_WIDTH: f64 = 1200.0;
-/// Left and right edge of the drawn ground on the page.
-const LEFT: f64 = 86.0;
-const RIGHT: f64 = PAGE_WIDTH - 34.0;
-/// Top edge of the drawn ground.
-const TOP: f64 = 96.0;
-/// Least and greatest height of the drawn ground on the page.
-const HEIGHTS: (f64, f64) = (420.0, 900.0);
-/// Room around the path for markers and their words, drawing units.
-const MARGIN: f64 = 48.0;
+/// Pages narrower than this, as on a phone, have smaller margins and stand upright.
+const NARROW: f64 = 700.0;
+/// Left edge of the drawn ground on a wide and on a narrow page.
+const LEFT: (f64, f64) = (86.0, 76.0);
+/// From the right edge of the drawn ground to that of the page.
+pub(super) const RIGHT_MARGIN: f64 = 34.0;
+/// Least and greatest height of the drawn ground, as a share of the page's width.
+const HEIGHTS: (f64, f64) = (0.35, 0.75);
+const NARROW_HEIGHTS: (f64, f64) = (0.6, 1.2);
+/// Room around the path for markers and their words on a wide and on a narrow page, drawing units.
+const MARGIN: (f64, f64) = (48.0, 30.0);
 /// Nothing smaller than this is blown up to fill the page, metres: below it there is only noise.
 const LEAST_EXTENT_M: f64 = 0.004;
+
+/// Left edge of the drawn ground, and of all words over it, on a page of the given width.
+pub(super) fn left(page_width: f64) -> f64 {
+    if page_width < NARROW { LEFT.1 } else { LEFT.0 }
+}
 
 /// A rectangle of ground and its place on the page; the same scale on both axes.
 #[derive(Debug, Clone, Copy)]
@@ -35,7 +40,12 @@ pub(super) struct Window {
 
 impl Window {
     /// The window that shows the whole path, and all of the backdrop.
-    pub fn around(path: &Path<'_>, backdrop: Option<(Placement, usize, usize)>) -> Self {
+    pub fn around(
+        path: &Path<'_>,
+        backdrop: Option<(Placement, usize, usize)>,
+        page_width: f64,
+        top: f64,
+    ) -> Self {
         let mut low = (f64::INFINITY, f64::INFINITY);
         let mut high = (f64::NEG_INFINITY, f64::NEG_INFINITY);
         let mut include = |x: f64, y: f64| {
@@ -50,16 +60,22 @@ impl Window {
             }
         }
         if low.0 > high.0 {
-            (low, high) = ((-0.5, -0.5), (0.5, 0.5));
+            (low, high) = ((-0.5, -0.2), (0.5, 0.2));
         }
         let centre_m = (0.5 * (low.0 + high.0), 0.5 * (low.1 + high.1));
         let least = LEAST_EXTENT_M.max(1e-9 * (centre_m.0.abs() + centre_m.1.abs()));
         let (width_m, height_m) = (high.0 - low.0, high.1 - low.1);
-        let room = |size: f64| size - 2.0 * MARGIN;
-        let width = RIGHT - LEFT;
-        let scale = (room(width) / width_m.max(least)).min(room(HEIGHTS.1) / height_m.max(least));
-        let height = (height_m * scale + 2.0 * MARGIN).clamp(HEIGHTS.0, HEIGHTS.1).round();
-        Self { centre_m, scale, left: LEFT, top: TOP, width, height }
+        let left = left(page_width);
+        let (margin, heights) = match page_width < NARROW {
+            false => (MARGIN.0, HEIGHTS),
+            true => (MARGIN.1, NARROW_HEIGHTS),
+        };
+        let room = |size: f64| size - 2.0 * margin;
+        let width = page_width - RIGHT_MARGIN - left;
+        let heights = (heights.0 * page_width, heights.1 * page_width);
+        let scale = (room(width) / width_m.max(least)).min(room(heights.1) / height_m.max(least));
+        let height = (height_m * scale + 2.0 * margin).clamp(heights.0, heights.1).round();
+        Self { centre_m, scale, left, top, width, height }
     }
 
     /// Where a ground point is on the page.
@@ -78,16 +94,26 @@ impl Window {
         self.top + self.height
     }
 
+    /// Width of the whole page.
+    pub fn page_width(&self) -> f64 {
+        self.right() + RIGHT_MARGIN
+    }
+
+    /// The name under which the clip rectangle is known; two drawings of different width can stand on one page.
+    pub fn clip_name(&self) -> String {
+        format!("map-ground-{}", coordinate(self.page_width()))
+    }
+
     /// The step between grid lines, metres.
     fn grid_step_m(&self) -> f64 {
-        scale::round_step(self.width / self.scale, 11.0)
+        scale::round_step(100.0 / self.scale, 1.0)
     }
 
     /// Grid lines (to go over the ground, under the path).
     pub fn grid(&self, svg: &mut String) {
         let step = self.grid_step_m();
         let mut line = |a: (f64, f64), b: (f64, f64), at_zero: bool| {
-            let (class, colour, wide) = if at_zero { ("axis", MUTED, 1.2) } else { ("faint", FAINT, 1.0) };
+            let (class, colour, wide) = if at_zero { ("axis", AXIS, 1.2) } else { ("faint", FAINT, 1.0) };
             let _ = writeln!(
                 svg,
                 "<line class=\"{class}\" stroke=\"{colour}\" stroke-width=\"{wide}\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
@@ -114,7 +140,7 @@ impl Window {
         let (unit, metres) = scale::length_unit(step);
         let _ = writeln!(
             svg,
-            "<rect class=\"frame\" fill=\"none\" stroke=\"{MUTED}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
+            "<rect class=\"frame\" fill=\"none\" stroke=\"{AXIS}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
             self.left, self.top, self.width, self.height
         );
         let _ = writeln!(svg, "<g class=\"muted\" fill=\"{MUTED}\" font-size=\"14\">");
@@ -143,10 +169,11 @@ impl Window {
         let _ = writeln!(
             svg,
             "<g class=\"ink\" fill=\"{INK}\" font-size=\"15\" text-anchor=\"middle\"><text x=\"{}\" y=\"{}\">{}</text>\
-             <text transform=\"translate(24 {}) rotate(-90)\">{}</text></g>",
+             <text transform=\"translate({} {}) rotate(-90)\">{}</text></g>",
             coordinate(middle_x),
             coordinate(self.bottom() + 46.0),
             name("x, forward at the start"),
+            coordinate(self.left - 60.0),
             coordinate(middle_y),
             name("y, left at the start"),
         );
@@ -165,7 +192,7 @@ impl Window {
             "x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"",
             self.left, self.top, self.width, self.height
         );
-        let _ = writeln!(svg, "<clipPath id=\"map-ground\"><rect {place}/></clipPath>");
+        let _ = writeln!(svg, "<clipPath id=\"{}\"><rect {place}/></clipPath>", self.clip_name());
         let _ = writeln!(svg, "<rect class=\"ground\" fill=\"{BACKGROUND}\" {place}/>");
     }
 }

@@ -8,8 +8,11 @@ pub(super) struct Samples {
     width: usize,
     height: usize,
     channels: usize,
-    /// Pixels of the full image per pixel of these samples.
-    shrink: f32,
+    /// Pixels of these samples per pixel of the full image.
+    scale: f32,
+    /// Greatest coordinates between which can be sampled.
+    right: f32,
+    bottom: f32,
     samples: Vec<u8>,
     spare: Vec<u8>,
 }
@@ -25,7 +28,7 @@ impl Samples {
             MosaicSource::Gray(gray) => (gray.width(), gray.height(), 1, gray.samples()),
             MosaicSource::Rgb(rgb) => (rgb.width(), rgb.height(), 3, rgb.samples()),
         };
-        (self.width, self.height, self.channels, self.shrink) = (width, height, channels, 1.0);
+        (self.width, self.height, self.channels, self.scale) = (width, height, channels, 1.0);
         self.samples.clear();
         self.samples.extend_from_slice(samples);
         for _ in 0..level {
@@ -34,6 +37,7 @@ impl Samples {
             }
             self.halve();
         }
+        (self.right, self.bottom) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
     }
 
     fn halve(&mut self) {
@@ -55,16 +59,16 @@ impl Samples {
         }
         std::mem::swap(&mut self.samples, &mut self.spare);
         (self.width, self.height) = (width, height);
-        self.shrink *= 2.0;
+        self.scale *= 0.5;
     }
 
     /// The bilinear sample at a pixel of the full image; `None` outside the centres of its outermost pixels.
     #[inline]
     pub fn at<const N: usize>(&self, x: f32, y: f32) -> Option<[f32; N]> {
-        let scale = 1.0 / self.shrink;
-        let (x, y) = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5);
-        let inside = x >= 0.0 && y >= 0.0 && x <= (self.width - 1) as f32 && y <= (self.height - 1) as f32;
-        if !inside || self.width < 2 || self.height < 2 {
+        let offset = 0.5 * self.scale - 0.5;
+        let (x, y) = (x * self.scale + offset, y * self.scale + offset);
+        if !(x >= 0.0 && y >= 0.0 && x <= self.right && y <= self.bottom && self.width > 1 && self.height > 1)
+        {
             return None;
         }
         let (left, top) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));

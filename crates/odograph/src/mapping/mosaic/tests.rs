@@ -1,5 +1,6 @@
 use super::*;
 use crate::camera::Distortion;
+use crate::geometry::GroundPoint;
 use crate::geometry::Pixel;
 
 /// The brightness of an analytic ground: waves in three directions, none shorter than 4 cm.

@@ -1,0 +1,136 @@
+//! The figures of a run that stand at the head of its report.
+
+use odograph::geometry::GroundPose;
+use odograph::trajectory::{FrameEstimate, LossReason, PoseEstimate, TrackStatus, distance_m};
+
+/// A stretch of frames without a pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LostStretch {
+    /// From the first lost frame, seconds since the first frame of the run.
+    pub from_s: f64,
+    /// To the next frame with a pose (the last frame where there is none), seconds since the first frame of the run.
+    pub to_s: f64,
+    /// Number of frames without a pose.
+    pub frames: usize,
+    /// Why, in the order they came; each once.
+    pub reasons: Vec<LossReason>,
+}
+
+/// What the head of the report says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Figures {
+    pub frames: usize,
+    pub with_pose: usize,
+    pub duration_s: f64,
+    pub distance_m: f64,
+    pub lost: Vec<LostStretch>,
+    /// Distance divided by the time that was not lost, metres per second.
+    pub mean_speed_m_s: Option<f64>,
+    pub first: Option<GroundPose>,
+    pub last: Option<PoseEstimate>,
+}
+
+impl Figures {
+    pub fn new(frames: &[FrameEstimate]) -> Self {
+        let ends = frames.first().zip(frames.last());
+        let duration_s = ends.map_or(0.0, |(first, last)| (last.time_s - first.time_s).max(0.0));
+        let lost = lost_stretches(frames);
+        let distance_m = distance_m(frames);
+        let known_s = duration_s - lost.iter().map(|stretch| stretch.to_s - stretch.from_s).sum::<f64>();
+        let mut estimates = frames.iter().filter_map(|frame| frame.estimate.as_ref());
+        Self {
+            frames: frames.len(),
+            with_pose: estimates.clone().count(),
+            duration_s,
+            distance_m,
+            lost,
+            mean_speed_m_s: (known_s > 0.0).then_some(distance_m / known_s),
+            first: estimates.clone().next().map(|e| e.pose),
+            last: estimates.next_back().cloned(),
+        }
+    }
+
+    /// Seconds without a pose, all stretches together.
+    pub fn lost_s(&self) -> f64 {
+        self.lost.iter().map(|stretch| stretch.to_s - stretch.from_s).sum()
+    }
+
+    /// Straight from the first position to the last, metres.
+    pub fn start_to_end_m(&self) -> Option<f64> {
+        let (first, last) = (self.first?, self.last.as_ref()?.pose);
+        Some((last.x_m - first.x_m).hypot(last.y_m - first.y_m))
+    }
+}
+
+/// The runs of frames without a pose.
+pub fn lost_stretches(frames: &[FrameEstimate]) -> Vec<LostStretch> {
+    let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
+    let mut stretches: Vec<LostStretch> = vec![];
+    let mut open = false;
+    for frame in frames {
+        let at_s = frame.time_s - start_s;
+        match frame.status {
+            TrackStatus::Lost { reason } => {
+                if !open {
+                    stretches.push(LostStretch { from_s: at_s, to_s: at_s, frames: 0, reasons: vec![] });
+                }
+                if let Some(stretch) = stretches.last_mut() {
+                    stretch.frames += 1;
+                    stretch.to_s = at_s;
+                    if !stretch.reasons.contains(&reason) {
+                        stretch.reasons.push(reason);
+                    }
+                }
+                open = true;
+            }
+            TrackStatus::Tracked => {
+                if let (true, Some(stretch)) = (open, stretches.last_mut()) {
+                    stretch.to_s = at_s;
+                }
+                open = false;
+            }
+        }
+    }
+    stretches
+}
+
+/// The frames with a pose that the fewest corners speak for, weakest first, spread over the run so that one bad moment
+/// does not fill the list. The first frame of a stretch has nothing to be compared with and does not count.
+pub fn weakest(frames: &[FrameEstimate], count: usize) -> Vec<&FrameEstimate> {
+    let follows = |pair: &[FrameEstimate]| pair[0].estimate.is_some() && pair[1].estimate.is_some();
+    let mut candidates: Vec<&FrameEstimate> =
+        frames.windows(2).filter(|pair| follows(pair)).map(|pair| &pair[1]).collect();
+    candidates.sort_by_key(|frame| (frame.inliers, frame.frame));
+    let duration_s = Figures::new(frames).duration_s;
+    let apart_s = (duration_s / (3.0 * count as f64)).min(5.0);
+    let mut chosen: Vec<&FrameEstimate> = vec![];
+    for frame in candidates {
+        if chosen.len() == count {
+            break;
+        }
+        if chosen.iter().all(|other| (other.time_s - frame.time_s).abs() > apart_s) {
+            chosen.push(frame);
+        }
+    }
+    chosen
+}
+
+/// A reason as the report says it.
+pub fn in_words(reason: LossReason) -> &'static str {
+    match reason {
+        LossReason::Bare => {
+            "too little texture to hold on to (bare floor, darkness, something over the lens)"
+        }
+        LossReason::Jump => "hardly a corner was found again (a cut, a jump, strong blur)",
+        LossReason::Disagreement => "the corners did not move as one plane (moving things, not a floor)",
+        _ => "the movement could not be measured",
+    }
+}
+
+/// Standard deviations of the position in its worst direction, metres, and of the heading, radians.
+pub fn sigmas(estimate: &PoseEstimate) -> (f64, f64) {
+    let c = &estimate.covariance;
+    let (xx, xy, yy) = (c[(0, 0)], c[(0, 1)], c[(1, 1)]);
+    let worst = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);
+    (worst.max(0.0).sqrt(), c[(2, 2)].max(0.0).sqrt())
+}

@@ -1,0 +1,317 @@
+//! The report: one page that stands alone, in plain words, and says the same for the same run.
+
+use super::charts::over_time;
+use super::figures::{Figures, in_words, sigmas, weakest};
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::mapping::drawing::scale::{duration_text, length_text};
+use odograph::mapping::drawing::svg::{data_uri, escape};
+use odograph::mapping::{MapDrawing, Placement};
+use odograph::trajectory::FrameEstimate;
+use std::fmt::Write;
+
+/// Rows of the table of lost stretches; a run that is lost more often is told by number.
+const MOST_ROWS: usize = 100;
+
+/// All that the report tells.
+pub struct ReportInput<'a> {
+    /// Name of the run, for instance that of the recording; any text.
+    pub title: &'a str,
+    /// What was read, in words: file, size, frame rate; any text.
+    pub source: &'a str,
+    /// Every frame of the run, in order of time.
+    pub frames: &'a [FrameEstimate],
+    /// The camera as used.
+    pub camera: &'a Camera,
+    /// How it sat over the ground at the start.
+    pub rig: &'a Rig,
+    /// The map as [`MapDrawing::svg`] draws it.
+    pub map_svg: &'a str,
+    /// The ground, where there is a picture of it.
+    pub mosaic: Option<ReportMosaic<'a>>,
+    /// Every parameter as used, as `run.toml` has it.
+    pub run_toml: &'a str,
+    /// What a person should know about the input; sentences.
+    pub warnings: &'a [String],
+}
+
+/// The mosaic as the report shows it.
+pub struct ReportMosaic<'a> {
+    /// The bytes of a PNG file, not larger than a page needs.
+    pub png: &'a [u8],
+    /// Its columns.
+    pub width_px: usize,
+    /// Its rows.
+    pub height_px: usize,
+    /// Where the full picture lies.
+    pub placement: Placement,
+    /// Name of the file with the full picture.
+    pub file_name: &'a str,
+}
+
+/// The report as the text of one HTML file that refers to nothing outside itself.
+pub fn html(input: &ReportInput<'_>) -> String {
+    let figures = Figures::new(input.frames);
+    let title = escape(input.title);
+    let mut page = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>{title} – odograph</title>\n<style>\n{}</style>\n</head>\n<body>\n<main>\n\
+         <h1>{title}</h1>\n<p class=\"quiet\">{}</p>\n<p class=\"lead\">{}</p>\n",
+        include_str!("style.css"),
+        escape(input.source),
+        lead(&figures)
+    );
+    warnings(input.warnings, &mut page);
+    cards(&figures, &mut page);
+    ground(input, &mut page);
+    over_time(input.frames, &figures, &mut page);
+    doubts(input.frames, &figures, &mut page);
+    parameters(input, &mut page);
+    let _ = write!(
+        page,
+        "<footer>Made by odograph {}. Lengths are in metres over ground; x is forward and y is left at the start, headings count \
+         counter-clockwise. Times count from the first frame.</footer>\n</main>\n</body>\n</html>\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    page
+}
+
+/// The run in one or two sentences.
+fn lead(figures: &Figures) -> String {
+    if figures.with_pose == 0 {
+        return "The movement could not be measured in any frame. What stood in the way is told below."
+            .into();
+    }
+    let way = format!(
+        "The camera travelled <b>{}</b> in {}.",
+        length_text(figures.distance_m),
+        duration_text(figures.duration_s)
+    );
+    let kept = match figures.lost.len() {
+        0 => "Its movement was measured in every frame.".into(),
+        1 => format!(
+            "Its movement was lost once, for {}; nothing is drawn there.",
+            duration_text(figures.lost_s())
+        ),
+        n => format!(
+            "Its movement was lost {n} times, for {} altogether; nothing is drawn there.",
+            duration_text(figures.lost_s())
+        ),
+    };
+    format!("{way} {kept}")
+}
+
+fn warnings(warnings: &[String], page: &mut String) {
+    if warnings.is_empty() {
+        return;
+    }
+    page.push_str("<div class=\"box warnings\"><b>To be aware of</b><ul>");
+    for warning in warnings {
+        let _ = write!(page, "<li>{}</li>", escape(warning));
+    }
+    page.push_str("</ul></div>\n");
+}
+
+fn card(name: &str, value: &str, says: &str, page: &mut String) {
+    let _ = writeln!(page, "<div class=\"card\"><em>{name}</em><b>{value}</b><small>{says}</small></div>");
+}
+
+fn cards(figures: &Figures, page: &mut String) {
+    page.push_str("<div class=\"cards\">\n");
+    card(
+        "Distance",
+        &length_text(figures.distance_m),
+        "Length of the measured path; lost stretches do not count.",
+        page,
+    );
+    card("Duration", &duration_text(figures.duration_s), "From the first frame to the last.", page);
+    let share = 100.0 * figures.with_pose as f64 / figures.frames.max(1) as f64;
+    // Rounded down: 100 % is said only where it is all.
+    card(
+        "Frames with a pose",
+        &format!("{:.1} %", (10.0 * share).floor() / 10.0),
+        &format!("{} of {} frames.", figures.with_pose, figures.frames),
+        page,
+    );
+    let times = match figures.lost.len() {
+        0 => "never".into(),
+        1 => "once".into(),
+        n => format!("{n} times"),
+    };
+    let lost = match figures.lost.len() {
+        0 => "The movement was followed from the first frame to the last.".into(),
+        _ => format!("{} altogether without a pose.", duration_text(figures.lost_s())),
+    };
+    card("Lost", &times, &lost, page);
+    if let Some(speed) = figures.mean_speed_m_s {
+        card(
+            "Mean speed",
+            &format!("{}/s", length_text(speed)),
+            "Distance divided by the time it was followed.",
+            page,
+        );
+    }
+    if let (Some(last), Some(away_m)) = (&figures.last, figures.start_to_end_m()) {
+        let pose = &last.pose;
+        card(
+            "End position",
+            &position_text(pose.x_m, pose.y_m),
+            &format!(
+                "x forward, y left of the start; the heading there is {}°.",
+                number(pose.heading_rad.to_degrees(), 1)
+            ),
+            page,
+        );
+        let share = match figures.distance_m {
+            d if d > 0.0 => format!(", {:.1} % of the distance", 100.0 * away_m / d),
+            _ => String::new(),
+        };
+        card(
+            "From start to end",
+            &length_text(away_m),
+            &format!(
+                "Straight from the first position to the last{share}. For a round trip that is the whole error."
+            ),
+            page,
+        );
+        let (position_m, heading_rad) = sigmas(last);
+        card(
+            "Uncertainty at the end",
+            &format!("± {}", length_text(2.0 * position_m)),
+            &format!(
+                "And ± {}° of heading: two standard deviations since the start or the last loss, if camera and height are right.",
+                number(2.0 * heading_rad.to_degrees(), 2)
+            ),
+            page,
+        );
+    }
+    page.push_str("</div>\n");
+}
+
+/// A position as `x, y unit`, to the millimetre or three digits.
+fn position_text(x_m: f64, y_m: f64) -> String {
+    let (unit, size_m, decimals) = match x_m.abs().max(y_m.abs()) {
+        far if far >= 10_000.0 => ("km", 1000.0, 3),
+        far if far >= 100.0 => ("m", 1.0, 2),
+        far if far >= 0.1 => ("m", 1.0, 3),
+        _ => ("mm", 0.001, 1),
+    };
+    format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
+}
+
+fn number(value: f64, decimals: usize) -> String {
+    format!("{value:.decimals$}").replace('-', "−")
+}
+
+fn ground(input: &ReportInput<'_>, page: &mut String) {
+    let narrow = MapDrawing { width: 460.0, ..MapDrawing::default() }.svg(input.frames);
+    let _ = writeln!(
+        page,
+        "<h2>The map</h2>\n<figure><figcaption><span>The path seen from above, coloured from blue at the start to orange at \
+         the end. Darts point where the top of the image points.</span></figcaption>\n\
+         <div class=\"wide\">{}</div><div class=\"narrow\">{narrow}</div></figure>",
+        input.map_svg
+    );
+    if let Some(mosaic) = &input.mosaic {
+        let _ = writeln!(
+            page,
+            "<h2>The ground</h2>\n<figure><figcaption><span>The frames laid on the ground where they were taken. A pixel of \
+             {} is {} wide; its world file says where it lies.</span></figcaption>\n\
+             <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground\" src=\"{}\"></figure>",
+            escape(mosaic.file_name),
+            length_text(mosaic.placement.metres_per_pixel),
+            mosaic.width_px,
+            mosaic.height_px,
+            data_uri("image/png", mosaic.png)
+        );
+    }
+}
+
+fn doubts(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
+    page.push_str("<h2>Where it was unsure</h2>\n");
+    if figures.lost.is_empty() {
+        page.push_str("<p>It was never lost.</p>\n");
+    } else {
+        page.push_str(
+            "<div class=\"box scroll\"><table><tr><th>Lost</th><th>for</th><th>because</th></tr>\n",
+        );
+        for stretch in figures.lost.iter().take(MOST_ROWS) {
+            let reasons: Vec<&str> = stretch.reasons.iter().map(|&reason| in_words(reason)).collect();
+            let _ = writeln!(
+                page,
+                "<tr><td class=\"time\">{:.2} – {:.2} s</td><td>{}, {} {}</td><td>{}</td></tr>",
+                stretch.from_s,
+                stretch.to_s,
+                duration_text(stretch.to_s - stretch.from_s),
+                stretch.frames,
+                if stretch.frames == 1 { "frame" } else { "frames" },
+                reasons.join("; then ")
+            );
+        }
+        page.push_str("</table></div>\n");
+        if figures.lost.len() > MOST_ROWS {
+            let _ = writeln!(page, "<p>And {} stretches more.</p>", figures.lost.len() - MOST_ROWS);
+        }
+    }
+    let weak = weakest(frames, 6);
+    if weak.is_empty() {
+        return;
+    }
+    let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
+    page.push_str(
+        "<p>These measured frames had the fewest corners that agree with the movement:</p>\n<div class=\"box scroll\"><table class=\"figures\">\
+         <tr><th class=\"number\">Frame</th><th class=\"number\">at</th><th class=\"number\">agreeing</th>\
+         <th class=\"number\">of corners</th><th class=\"number\">residual</th></tr>\n",
+    );
+    for frame in weak {
+        let _ = writeln!(
+            page,
+            "<tr><td class=\"number\">{}</td><td class=\"number\">{:.2} s</td><td class=\"number\">{}</td>\
+             <td class=\"number\">{}</td><td class=\"number\">{:.2} px</td></tr>",
+            frame.frame,
+            frame.time_s - start_s,
+            frame.inliers,
+            frame.tracks,
+            frame.residual_px
+        );
+    }
+    page.push_str("</table></div>\n");
+}
+
+fn parameters(input: &ReportInput<'_>, page: &mut String) {
+    let (camera, rig) = (input.camera, input.rig);
+    let (fx, fy) = camera.focal_px();
+    let (cx, cy) = camera.principal_px();
+    let lens = match camera.distortion() {
+        Distortion::None => "none (a pinhole)".into(),
+        other => {
+            let name = if matches!(other, Distortion::KannalaBrandt { .. }) {
+                "Kannala–Brandt fisheye"
+            } else {
+                "Brown–Conrady"
+            };
+            let values: Vec<String> =
+                other.coefficients().iter().map(|c| format!("{c}").replace('-', "−")).collect();
+            format!("{name}: {}", values.join(", "))
+        }
+    };
+    let degrees = |angle_rad: f64| format!("{}°", number(angle_rad.to_degrees(), 2));
+    let rows = [
+        ("Image", format!("{} × {} pixels", camera.width(), camera.height())),
+        ("Focal length", format!("{fx:.2}, {fy:.2} px")),
+        ("Principal point", format!("{cx:.2}, {cy:.2} px")),
+        ("Lens distortion", lens),
+        ("Height above the ground", length_text(rig.height_m)),
+        ("Roll, pitch, mount yaw", [rig.roll_rad, rig.pitch_rad, rig.yaw_rad].map(degrees).join(", ")),
+    ];
+    page.push_str("<h2>What it was told</h2>\n<div class=\"box scroll\"><table>\n");
+    for (name, value) in rows {
+        let _ = writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
+    }
+    let _ = writeln!(
+        page,
+        "</table></div>\n<p>All parameters as used; with this file the run can be repeated:</p>\n\
+         <div class=\"box\"><pre>{}</pre></div>",
+        escape(input.run_toml)
+    );
+}

@@ -1,0 +1,39 @@
+//! The drawn map as a picture, with a typeface that travels with the program.
+
+use odograph::error::{Error, Result};
+use resvg::{tiny_skia, usvg};
+use std::sync::Arc;
+
+const REGULAR: &[u8] = include_bytes!("fonts/Roboto-Regular.ttf");
+const MEDIUM: &[u8] = include_bytes!("fonts/Roboto-Medium.ttf");
+/// Width of `map.png`, pixels.
+pub const MAP_WIDTH_PX: u32 = 1600;
+
+/// An SVG drawing as the bytes of a PNG file, `width_px` wide. The same on every machine: only the program's own fonts are
+/// used, and nothing that the drawing might refer to outside itself is opened.
+pub fn map_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
+    let wrong = |what: String| Error::output(format!("the map cannot be made a PNG: {what}"));
+    let mut fonts = usvg::fontdb::Database::new();
+    fonts.load_font_data(REGULAR.to_vec());
+    fonts.load_font_data(MEDIUM.to_vec());
+    fonts.set_sans_serif_family("Roboto");
+    let options = usvg::Options {
+        font_family: "Roboto".into(),
+        fontdb: Arc::new(fonts),
+        image_href_resolver: usvg::ImageHrefResolver {
+            resolve_data: usvg::ImageHrefResolver::default_data_resolver(),
+            resolve_string: Box::new(|_, _| None),
+        },
+        ..usvg::Options::default()
+    };
+    let tree = usvg::Tree::from_str(svg, &options).map_err(|error| wrong(error.to_string()))?;
+    let scale = width_px as f32 / tree.size().width();
+    let height_px = (tree.size().height() * scale).ceil() as u32;
+    let mut pixels = tiny_skia::Pixmap::new(width_px, height_px)
+        .ok_or_else(|| wrong(format!("{width_px}x{height_px} pixels are no picture")))?;
+    pixels.fill(tiny_skia::Color::WHITE);
+    resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());
+    // The page is opaque, so the colours are not premultiplied by anything.
+    let rgb: Vec<u8> = pixels.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    crate::files::png_from_rgb_samples(width_px as usize, height_px as usize, &rgb)
+}
