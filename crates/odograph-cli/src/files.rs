@@ -54,11 +54,6 @@ pub fn png_from_rgb(image: &RgbImage) -> Result<Vec<u8>> {
     encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples())
 }
 
-<<<<<<< HEAD
-/// An image with opacity (red, green, blue, alpha a pixel) as the bytes of a PNG file.
-pub fn png_from_rgba(width: usize, height: usize, samples: &[u8]) -> Result<Vec<u8>> {
-    encode_png(width, height, png::ColorType::Rgba, samples)
-=======
 /// Interleaved red, green and blue in row order as the bytes of a PNG file.
 pub fn png_from_rgb_samples(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
     encode_png(width, height, png::ColorType::Rgb, rgb)
@@ -67,7 +62,6 @@ pub fn png_from_rgb_samples(width: usize, height: usize, rgb: &[u8]) -> Result<V
 /// A picture with opacity, interleaved red, green, blue and opacity in row order, as the bytes of a PNG file.
 pub fn png_from_rgba(width: usize, height: usize, rgba: &[u8]) -> Result<Vec<u8>> {
     encode_png(width, height, png::ColorType::Rgba, rgba)
->>>>>>> report
 }
 
 fn encode_png(width: usize, height: usize, color: png::ColorType, samples: &[u8]) -> Result<Vec<u8>> {

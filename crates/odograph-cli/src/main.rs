@@ -2,12 +2,8 @@
 
 mod commands;
 mod files;
-<<<<<<< HEAD
 mod interrupt;
-=======
-#[cfg_attr(not(test), allow(dead_code, unused_imports, reason = "the run command shows its results with it"))]
 mod report;
->>>>>>> report
 
 use clap::{Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};

@@ -4,6 +4,7 @@ use super::RunPlan;
 use super::folder::OutputFolder;
 use super::pipeline::Tracked;
 use crate::files;
+use crate::report::{self, ReportInput, ReportMosaic};
 use odograph::error::Result;
 use odograph::mapping::{Backdrop, MapDrawing};
 
@@ -16,17 +17,42 @@ pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut 
         folder.write("mosaic.png", &png)?;
         folder.write("mosaic.pgw", mosaic.placement.world_file().as_bytes())?;
     }
-    let small = tracked.mosaic.picture_within(1600);
+    let small = tracked.mosaic.picture_within(LONGEST_SIDE_PX);
     let small_png = small.as_ref().map(|m| files::png_from_rgba(m.width, m.height, &m.rgba)).transpose()?;
-    let backdrop = small.as_ref().zip(small_png.as_deref()).map(|(mosaic, png)| Backdrop {
+    let small = small.as_ref().zip(small_png.as_deref());
+    let backdrop = small.map(|(mosaic, png)| Backdrop {
         png,
         width_px: mosaic.width,
         height_px: mosaic.height,
         placement: mosaic.placement,
-        opacity: 0.55,
+        opacity: BACKDROP_OPACITY,
     });
     let svg = MapDrawing { title, backdrop }.svg(&tracked.frames);
     folder.write("map.svg", svg.as_bytes())?;
-    let _ = description;
-    Ok(())
+    folder.write("map.png", &report::map_png(&svg, report::MAP_WIDTH_PX)?)?;
+    // The page shows the path on plain paper: the mosaic has its own place on it.
+    let page = report::html(&ReportInput {
+        title,
+        source: description,
+        frames: &tracked.frames,
+        camera: &plan.camera,
+        rig: &plan.rig,
+        map_svg: &MapDrawing { title, backdrop: None }.svg(&tracked.frames),
+        mosaic: small.map(|(mosaic, png)| ReportMosaic {
+            png,
+            width_px: mosaic.width,
+            height_px: mosaic.height,
+            placement: mosaic.placement,
+            file_name: "mosaic.png",
+        }),
+        run_toml: &plan.text()?,
+        warnings: &tracked.warnings,
+    });
+    folder.write("report.html", page.as_bytes())
 }
+
+/// The mosaic in the map and on the page: sharp on any screen, a few megabytes at most.
+const LONGEST_SIDE_PX: usize = 1600;
+
+/// The path must stay the strongest thing on the map.
+const BACKDROP_OPACITY: f64 = 0.55;
