@@ -136,7 +136,8 @@ impl Mosaic {
     /// Lays a frame on the ground. Returns whether any of it could be laid: not where the size is not the camera's, where the
     /// pose is not finite, or where the camera hardly looks at the ground.
     ///
-    /// Only the part of the image is used where a metre of ground has at least a quarter of the pixels that it has in the
+    /// Frames of one mosaic are all gray or all in colour; a gray frame takes the colour from the ground it is laid on. Only the
+    /// part of the image is used where a metre of ground has at least a quarter of the pixels that it has in the
     /// middle.
     pub fn add<'a>(
         &mut self,
