@@ -159,9 +159,10 @@ impl Mosaic {
             wished.map_or(sample_m, |wished| wished.max(0.25 * sample_m))
         });
         // A camera that has climbed sees less detail: storing it finer than twice what it sees would be waste.
+        let mut halvings = 0;
         while sample_m > 2.0 * resolution_m {
             resolution_m *= 2.0;
-            self.tiles = self.tiles.halved();
+            halvings += 1;
         }
         let footprint = Footprint::of(&mut self.footprint, camera);
         let Some((low, high)) = footprint.bounds(&view) else {
@@ -173,6 +174,7 @@ impl Mosaic {
             return false;
         }
         self.resolution_m = Some(resolution_m);
+        (0..halvings).for_each(|_| self.tiles = self.tiles.halved());
         let level = (sample_m.recip() * resolution_m).log2().round().clamp(0.0, 8.0) as u32;
         self.samples.take(image, level);
         let columns = block(low.x_m, resolution_m)..block(high.x_m, resolution_m) + 1;
