@@ -16,6 +16,9 @@ use std::path::{Path, PathBuf};
 /// The rate that is assumed where nothing says one.
 const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
 
+/// Start and end mean the frames that people name by their decimals, which binary fractions miss by a little.
+const TIME_SLACK_S: f64 = 1e-6;
+
 /// Which frames are wanted, and how a source without times gets them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceOptions {
@@ -290,10 +293,10 @@ impl Source {
             }
             self.last_time_s = time_s;
             let since_first_s = time_s - *self.first_time_s.get_or_insert(time_s);
-            if self.options.end_s.is_some_and(|end_s| since_first_s > end_s) {
+            if self.options.end_s.is_some_and(|end_s| since_first_s > end_s + TIME_SLACK_S) {
                 return Ok(None);
             }
-            if self.options.start_s.is_some_and(|start_s| since_first_s < start_s) {
+            if self.options.start_s.is_some_and(|start_s| since_first_s < start_s - TIME_SLACK_S) {
                 continue;
             }
             self.in_range += 1;

@@ -68,9 +68,11 @@ impl Mp4Reader {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
             edits.clear();
         }
+        let tick_s = 1.0 / f64::from(movie.timescale);
+        begin_with_a_frame(&mut edits, &samples, tick_s);
         let mut track = movie.track;
         track.frame_count = Some(samples.iter().filter(|s| shown(&edits, s.time)).count() as u64);
-        Ok(Self { file, track, samples, tick_s: 1.0 / f64::from(movie.timescale), edits, next: 0, warnings })
+        Ok(Self { file, track, samples, tick_s, edits, next: 0, warnings })
     }
 }
 
@@ -102,6 +104,17 @@ impl PacketReader for Mp4Reader {
 
     fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
+    }
+}
+
+/// Moves what is shown so that its first frame comes at once: an edit may start between two frames. (ffmpeg does the same.)
+fn begin_with_a_frame(edits: &mut [Edit], samples: &[Sample], tick_s: f64) {
+    let Some(delay_s) = edits.first().map(|e| e.starts_at_s) else { return };
+    let first_s = samples.iter().filter_map(|s| time_of(edits, tick_s, s.time)).fold(f64::INFINITY, f64::min);
+    if first_s.is_finite() && first_s > delay_s {
+        for edit in edits {
+            edit.starts_at_s -= first_s - delay_s;
+        }
     }
 }
 
