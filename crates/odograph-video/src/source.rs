@@ -146,7 +146,16 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     let path = path.as_ref();
     options.check()?;
     let place = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
-    open_kind(path, options).and_then(|opened| Source::new(place.clone(), opened, options)).map_err(|e| e.at(place))
+    open_kind(path, options).and_then(|opened| Source::new(place.clone(), opened, options)).map_err(|e| told(&e, &place))
+}
+
+/// An error with the place it happened, on one line: decoders of third parties break theirs.
+fn told(error: &Error, place: &str) -> Error {
+    Error::new(error.kind(), one_line(&error.to_string())).at(place)
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
@@ -161,6 +170,10 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         return pictures::open_folder(path, options);
     }
     let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
+    if !metadata.is_file() {
+        // A pipe or a device can only be read once, from front to back.
+        return y4m::open(BufReader::with_capacity(1 << 18, file), None, options.color);
+    }
     let mut magic = Vec::new();
     file.by_ref()
         .take(64)
@@ -210,7 +223,9 @@ impl Source {
         let info = SourceInfo {
             width,
             height,
-            frame_count: opened.frame_count.map(|count| count.div_ceil(options.every)),
+            frame_count: opened
+                .frame_count
+                .map(|count| count.div_ceil(options.every).min(options.max_frames.unwrap_or(u64::MAX))),
             description: format!("{}, {width}x{height}", opened.description),
         };
         Ok(Self {
@@ -242,7 +257,7 @@ impl Source {
     /// When a frame is damaged beyond what its decoder forgives, has another size than the first, or has no line in the
     /// file of timestamps. A video that is cut off is no error: its frames up to the cut are given, and a warning.
     pub fn next_frame(&mut self) -> Result<Option<Frame>> {
-        let frame = self.next_wanted().map_err(|error| error.at(&self.place));
+        let frame = self.next_wanted().map_err(|error| told(&error, &self.place));
         if !matches!(frame, Ok(Some(_))) {
             self.end();
         }
@@ -254,7 +269,7 @@ impl Source {
         let mut warnings = std::mem::take(&mut self.warnings);
         warnings.append(&mut self.frames.take_warnings());
         for warning in &mut warnings {
-            *warning = format!("{}: {warning}", self.place);
+            *warning = format!("{}: {}", self.place, one_line(warning));
         }
         warnings
     }

@@ -214,6 +214,8 @@ fn what_is_not_a_source_is_one_sentence() {
 
     let broken = folder(&[("1.png", gray_png(0)), ("2.png", gray_png(0)[..40].to_vec()), ("3.png", b"no".to_vec())]);
     assert!(sentence(broken.path()).contains("2.png: the PNG picture cannot be decoded"));
+    let cut = folder(&[("1.jpg", include_bytes!("data/ramp.jpg")[..210].to_vec())]);
+    assert!(sentence(cut.path()).ends_with("1.jpg: the JPEG picture is cut off"));
 }
 
 #[test]
