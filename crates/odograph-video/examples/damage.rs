@@ -62,7 +62,8 @@ fn damaged(original: &[u8], random: &mut Random) -> Vec<u8> {
 }
 
 fn decode(path: &Path) -> Result<(u64, usize)> {
-    let mut source = open(path, &SourceOptions { max_frames: Some(150), color: true, ..SourceOptions::default() })?;
+    let mut source =
+        open(path, &SourceOptions { max_frames: Some(150), color: true, ..SourceOptions::default() })?;
     let mut frames = 0;
     while let Some(frame) = source.next_frame()? {
         frames += 1;
@@ -73,7 +74,8 @@ fn decode(path: &Path) -> Result<(u64, usize)> {
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
-    let count: u64 = arguments.next().and_then(|n| n.parse().ok()).ok_or_else(|| Error::usage("how many copies?"))?;
+    let count: u64 =
+        arguments.next().and_then(|n| n.parse().ok()).ok_or_else(|| Error::usage("how many copies?"))?;
     for path in arguments.map(PathBuf::from) {
         let original = std::fs::read(&path).map_err(|error| Error::input(error.to_string()))?;
         let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();

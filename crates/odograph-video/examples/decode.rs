@@ -12,7 +12,8 @@ use std::time::Instant;
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
     let path = arguments.next().ok_or_else(|| Error::usage("which recording?"))?;
-    let mut out = arguments.next().map(std::fs::File::create).transpose().map_err(|e| Error::output(e.to_string()))?;
+    let mut out =
+        arguments.next().map(std::fs::File::create).transpose().map_err(|e| Error::output(e.to_string()))?;
     let start = Instant::now();
     let mut source = open(&path, &SourceOptions::default())?;
     let mut frames = 0u32;
@@ -24,7 +25,11 @@ fn main() -> Result<()> {
         }
     }
     let seconds = start.elapsed().as_secs_f64();
-    eprintln!("{}: {frames} frames in {seconds:.3} s, {:.0} a second", source.info().description, f64::from(frames) / seconds);
+    eprintln!(
+        "{}: {frames} frames in {seconds:.3} s, {:.0} a second",
+        source.info().description,
+        f64::from(frames) / seconds
+    );
     for warning in source.take_warnings() {
         eprintln!("{warning}");
     }

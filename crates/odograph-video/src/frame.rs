@@ -124,11 +124,8 @@ impl Chroma {
         }
         let (red_share, blue_share) = self.encoding.matrix.red_and_blue(height);
         let green_share = 1.0 - red_share - blue_share;
-        let (offset, luma_scale, chroma_scale) = if self.encoding.full_range {
-            (0.0, 1.0, 1.0)
-        } else {
-            (16.0, 255.0 / 219.0, 255.0 / 224.0)
-        };
+        let (offset, luma_scale, chroma_scale) =
+            if self.encoding.full_range { (0.0, 1.0, 1.0) } else { (16.0, 255.0 / 219.0, 255.0 / 224.0) };
         let red_from_red = 2.0 * (1.0 - red_share) * chroma_scale;
         let blue_from_blue = 2.0 * (1.0 - blue_share) * chroma_scale;
         let green_from_red = -red_from_red * red_share / green_share;

@@ -146,7 +146,9 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     let path = path.as_ref();
     options.check()?;
     let place = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
-    open_kind(path, options).and_then(|opened| Source::new(place.clone(), opened, options)).map_err(|e| told(&e, &place))
+    open_kind(path, options)
+        .and_then(|opened| Source::new(place.clone(), opened, options))
+        .map_err(|e| told(&e, &place))
 }
 
 /// An error with the place it happened, on one line: decoders of third parties break theirs.
@@ -188,12 +190,16 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         }
         m if pictures::is_picture(m) => pictures::open_picture(path, options),
         [_, _, _, _, kind @ ..]
-            if [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot"].iter().any(|k| kind.starts_with(*k)) =>
+            if [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot"]
+                .iter()
+                .any(|k| kind.starts_with(*k)) =>
         {
             video(Box::new(Mp4Reader::open(file)?))
         }
         m if m.starts_with(&matroska::MAGIC) => video(Box::new(MatroskaReader::open(file)?)),
-        [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => video(Box::new(AviReader::open(file)?)),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => {
+            video(Box::new(AviReader::open(file)?))
+        }
         m if let Some(codec) = annex_b::codec(m) => video(Box::new(AnnexBReader::open(file, codec))),
         _ => ffmpeg::open(path, ffmpeg::Content::Unknown, options.color),
     }
@@ -299,7 +305,10 @@ impl Source {
                 Clock::Container => source_time_s,
                 Clock::Rate(fps) => number as f64 / fps,
                 Clock::List(times) => *times.get(number as usize).ok_or_else(|| {
-                    Error::input(format!("the file of timestamps has {} times, but there are more frames", times.len()))
+                    Error::input(format!(
+                        "the file of timestamps has {} times, but there are more frames",
+                        times.len()
+                    ))
                 })?,
             };
             if !time_s.is_finite() || time_s <= self.last_time_s {

@@ -114,12 +114,15 @@ pub(crate) fn time_from_name(stem: &str) -> Option<f64> {
         let plain = stem.bytes().all(|b| b.is_ascii_digit() || b == b'.');
         stem.parse().ok().filter(|_| plain)?
     } else if stem.bytes().all(|b| b.is_ascii_digit()) {
-        seconds_from_digits(stem, match stem.len() {
-            18 | 19 => 9,
-            15 | 16 => 6,
-            12 | 13 => 3,
-            _ => return None,
-        })?
+        seconds_from_digits(
+            stem,
+            match stem.len() {
+                18 | 19 => 9,
+                15 | 16 => 6,
+                12 | 13 => 3,
+                _ => return None,
+            },
+        )?
     } else {
         return None;
     };
@@ -132,7 +135,8 @@ mod tests {
 
     #[test]
     fn tum_and_turned_round() {
-        let tum = "# timestamp filename\n1305031102.175304 rgb/1305031102.175304.png\n1305031102.2 rgb/b.png\n";
+        let tum =
+            "# timestamp filename\n1305031102.175304 rgb/1305031102.175304.png\n1305031102.2 rgb/b.png\n";
         let expected = Timestamps::Named(vec![
             ("rgb/1305031102.175304.png".into(), 1305031102.175304),
             ("rgb/b.png".into(), 1305031102.2),
@@ -148,7 +152,7 @@ mod tests {
     fn euroc_nanoseconds() {
         let csv = "#timestamp [ns],filename\n1403715273262142976,1403715273262142976.png\n1403715273312143104,x.png\r\n";
         let Timestamps::Named(named) = Timestamps::parse(csv).unwrap() else { panic!() };
-        assert!((named[0].1 - 1403715273.262142976).abs() < 1e-6);
+        assert!((named[0].1 - 1_403_715_273.262_143).abs() < 1e-6);
         assert_eq!(named[1].0, "x.png");
         let relative = "timestamp [ns],filename\n0,a.png\n50000000,b.png\n";
         assert_eq!(Timestamps::parse(relative).unwrap().into_times(), [0.0, 0.05]);
@@ -156,14 +160,24 @@ mod tests {
 
     #[test]
     fn bare_numbers_in_order() {
-        assert_eq!(Timestamps::parse("0\n0.1 # x\n\n0.25\n").unwrap(), Timestamps::InOrder(vec![0.0, 0.1, 0.25]));
+        assert_eq!(
+            Timestamps::parse("0\n0.1 # x\n\n0.25\n").unwrap(),
+            Timestamps::InOrder(vec![0.0, 0.1, 0.25])
+        );
     }
 
     #[test]
     fn what_cannot_be_is_one_sentence() {
-        for text in
-            ["", "# only\n", "0 a\n0 b\n", "1 a\n0.5 b\n", "0 1\n", "nan a\ninf b\nx y\n", "0 a\n1\n", "0 a\nfoo bar\n"]
-        {
+        for text in [
+            "",
+            "# only\n",
+            "0 a\n0 b\n",
+            "1 a\n0.5 b\n",
+            "0 1\n",
+            "nan a\ninf b\nx y\n",
+            "0 a\n1\n",
+            "0 a\nfoo bar\n",
+        ] {
             let error = Timestamps::parse(text).unwrap_err().to_string();
             assert!(!error.contains('\n') && error.len() > 10, "{text:?}: {error}");
         }
@@ -171,7 +185,7 @@ mod tests {
 
     #[test]
     fn names_that_are_times() {
-        assert!((time_from_name("1403715273262142976").unwrap() - 1403715273.2621429).abs() < 1e-6);
+        assert!((time_from_name("1403715273262142976").unwrap() - 1_403_715_273.262_143).abs() < 1e-6);
         assert_eq!(time_from_name("1305031102.175304"), Some(1305031102.175304));
         assert_eq!(time_from_name("000042"), None);
         assert_eq!(time_from_name("img_1"), None);

@@ -10,15 +10,12 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 /// Opens a track with the first decoder that takes it; with ffmpeg where none does.
-pub(crate) fn open(
-    path: &Path,
-    reader: Box<dyn PacketReader>,
-    color: bool,
-) -> Result<Opened> {
+pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> Result<Opened> {
     let track = reader.track().clone();
     let (decoders, name) = codec::decoders(&track, color)?;
     let through_ffmpeg = |codec: &str| {
-        let content = ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
+        let content =
+            ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
         ffmpeg::open(path, content, color)
     };
     let mut decoders = VecDeque::from(decoders);
@@ -52,7 +49,10 @@ pub(crate) fn open(
     }
     if video.ready.is_empty() {
         let why = video.first_damage.take().unwrap_or_else(|| "the video has no frames".to_string());
-        return Err(Error::input(format!("no frame of this {name} video in {} could be decoded: {why}", video.track.container)));
+        return Err(Error::input(format!(
+            "no frame of this {name} video in {} could be decoded: {why}",
+            video.track.container
+        )));
     }
     Ok(Opened {
         frame_count: video.track.frame_count,
@@ -213,7 +213,10 @@ impl Frames for Video {
         let mut warnings = self.reader.take_warnings();
         warnings.append(&mut self.warnings);
         if let Some(what) = self.first_damage.take().filter(|_| self.ended) {
-            warnings.push(format!("{} damaged pieces of the video were skipped or shown with faults ({what})", self.damaged));
+            warnings.push(format!(
+                "{} damaged pieces of the video were skipped or shown with faults ({what})",
+                self.damaged
+            ));
         }
         warnings
     }

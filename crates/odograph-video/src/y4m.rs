@@ -94,7 +94,9 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
         }
     }
     let layout = Layout::read(tag_of_layout).ok_or_else(|| {
-        Error::input(format!("the Y4M colour space {tag_of_layout} is not known; 420, 422, 444, 411 and mono are"))
+        Error::input(format!(
+            "the Y4M colour space {tag_of_layout} is not known; 420, 422, 444, 411 and mono are"
+        ))
     })?;
     limits::check_size(width, height)?;
     let y4m = Y4m {

@@ -3,6 +3,8 @@
 //! Needs the recordings (in `ODOGRAPH_DATA`, or `shared/data` beside the checkout) and `ffmpeg` with `ffprobe`; skips where one of
 //! them is absent. `cargo test -p odograph-video --test clips -- --nocapture` prints the table of `docs/decoding.md`.
 
+#![allow(clippy::print_stdout, clippy::unwrap_used)] // the helpers of a test may fail as the test does
+
 use odograph_video::{SourceOptions, open};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -48,11 +50,27 @@ fn compare(clip: &Path) -> Comparison {
     let name = clip.file_name().unwrap().to_string_lossy().into_owned();
     let format = ffprobe(clip, "stream=pix_fmt").remove(0);
     // The luminance plane itself; a source in RGB has none, and there the conversion is ffmpeg's on both sides.
-    let filter = if format.starts_with("yuv") || format == "gray" { "extractplanes=y" } else { "format=yuv444p,extractplanes=y" };
+    let filter = if format.starts_with("yuv") || format == "gray" {
+        "extractplanes=y"
+    } else {
+        "format=yuv444p,extractplanes=y"
+    };
     let mut ffmpeg = Command::new("ffmpeg")
         .args(["-v", "error", "-nostdin", "-i"])
         .arg(clip)
-        .args(["-map", "0:v:0", "-fps_mode", "passthrough", "-vf", filter, "-f", "rawvideo", "-pix_fmt", "gray", "-"])
+        .args([
+            "-map",
+            "0:v:0",
+            "-fps_mode",
+            "passthrough",
+            "-vf",
+            filter,
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "gray",
+            "-",
+        ])
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn()
@@ -73,7 +91,12 @@ fn compare(clip: &Path) -> Comparison {
         }
         result.samples += plane.len() as u64;
         if let Some(Some(time_s)) = expected_times.get(result.frames) {
-            assert!((frame.time_s - time_s).abs() < 1e-6, "{name}: frame {}: {} s, {time_s} s", frame.number, frame.time_s);
+            assert!(
+                (frame.time_s - time_s).abs() < 1e-6,
+                "{name}: frame {}: {} s, {time_s} s",
+                frame.number,
+                frame.time_s
+            );
         }
         result.frames += 1;
     }
@@ -107,7 +130,10 @@ fn compare_folder(folder: &str) {
         println!("| `{folder}/{name}` | {} | {} | {agreement} |", result.description, result.frames);
         // The last bits of an inverse transform of JPEG are the decoder's own; all other standards say every bit.
         if result.description.starts_with("Motion JPEG") {
-            assert!(result.largest_difference <= 3 && result.differing_samples * 20 < result.samples, "{name}");
+            assert!(
+                result.largest_difference <= 3 && result.differing_samples * 20 < result.samples,
+                "{name}"
+            );
         } else {
             assert_eq!(result.largest_difference, 0, "{name}");
         }

@@ -4,6 +4,8 @@
 //! sums are of the luminance planes that ffmpeg 5.1 decodes (`-fps_mode passthrough -vf extractplanes=y -f rawvideo -pix_fmt gray`),
 //! the times those that ffprobe tells.
 
+#![allow(clippy::unwrap_used)] // the helpers of a test may fail as the test does
+
 use odograph_video::{Frame, Source, SourceOptions, open};
 use std::path::PathBuf;
 
@@ -76,7 +78,8 @@ fn a_turned_video_is_given_upright() {
     assert_eq!((source.info().width, source.info().height), (48, 80));
     let frames = all(&mut source);
     assert_eq!(checksum(&frames), 0xe3ac_ca89_d65d_3463);
-    let lying = all(&mut opened("h264_bframes.mp4", &SourceOptions { color: true, ..SourceOptions::default() }));
+    let lying =
+        all(&mut opened("h264_bframes.mp4", &SourceOptions { color: true, ..SourceOptions::default() }));
     // The display matrix of the clip says a quarter turn with the clock: the left column becomes the top row, from its end.
     let (upright, lying) = (frames[5].rgb(), lying[5].rgb());
     assert_eq!(upright.pixel(0, 0), lying.pixel(0, 47));
@@ -103,9 +106,15 @@ fn start_end_every_and_most() {
         all(&mut opened("h264_bframes.mp4", &options)).iter().map(|f| f.number).collect()
     };
     let all_of_it = SourceOptions::default;
-    assert_eq!(chosen(SourceOptions { start_s: Some(0.1), end_s: Some(0.3), ..all_of_it() }), [3, 4, 5, 6, 7]);
+    assert_eq!(
+        chosen(SourceOptions { start_s: Some(0.1), end_s: Some(0.3), ..all_of_it() }),
+        [3, 4, 5, 6, 7]
+    );
     assert_eq!(chosen(SourceOptions { every: 5, ..all_of_it() }), [0, 5, 10]);
-    assert_eq!(chosen(SourceOptions { start_s: Some(0.1), every: 2, max_frames: Some(3), ..all_of_it() }), [3, 5, 7]);
+    assert_eq!(
+        chosen(SourceOptions { start_s: Some(0.1), every: 2, max_frames: Some(3), ..all_of_it() }),
+        [3, 5, 7]
+    );
     assert_eq!(chosen(SourceOptions { max_frames: Some(0), ..all_of_it() }), [0u64; 0]);
     // Start and end count from the first frame, also where the container's times do not start at zero.
     let mut late = opened("h264_fragmented.mp4", &SourceOptions { start_s: Some(0.4), ..all_of_it() });
@@ -127,7 +136,10 @@ fn a_rate_or_a_file_wins_over_the_container() {
     std::fs::write(&file, "0\n1\n").unwrap();
     let mut source = opened("vfr.mkv", &options);
     let error = std::iter::from_fn(|| source.next_frame().transpose()).find_map(Result::err).unwrap();
-    assert!(error.to_string().ends_with("the file of timestamps has 2 times, but there are more frames"), "{error}");
+    assert!(
+        error.to_string().ends_with("the file of timestamps has 2 times, but there are more frames"),
+        "{error}"
+    );
 }
 
 #[test]

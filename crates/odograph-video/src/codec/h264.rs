@@ -161,12 +161,8 @@ struct Fast {
 
 impl Fast {
     fn new(set_up: SetUp) -> Result<Self> {
-        let mut decoder = Self {
-            decoder: rusty_h264::Decoder::new(),
-            annex_b: Vec::new(),
-            starts_group: false,
-            set_up,
-        };
+        let mut decoder =
+            Self { decoder: rusty_h264::Decoder::new(), annex_b: Vec::new(), starts_group: false, set_up };
         for unit in &decoder.set_up.parameter_sets {
             decoder.annex_b.extend_from_slice(&[0, 0, 1]);
             decoder.annex_b.extend_from_slice(unit);
@@ -179,7 +175,12 @@ impl Fast {
 }
 
 impl Decoder for Fast {
-    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+    fn decode(
+        &mut self,
+        data: &[u8],
+        stamp: Stamp,
+        out: &mut Vec<Decoded>,
+    ) -> std::result::Result<(), Refusal> {
         let mut units = Vec::new();
         self.set_up.framing.split(data, &mut units);
         self.set_up.look_for_parameters(&units)?;
@@ -261,9 +262,9 @@ impl Complete {
         let Some((stamp, starts_group)) = self.building.take() else { return };
         let (chroma_width, chroma_height) = (frame.chroma_width() as usize, frame.chroma_height() as usize);
         let shift = frame.bit_depth.saturating_sub(8);
-        let plane = |samples: Vec<u8>| if shift == 0 { samples } else { narrow_little_endian(&samples, shift) };
-        let Some(gray) =
-            GrayImage::from_samples(frame.width as usize, frame.height as usize, plane(frame.y))
+        let plane =
+            |samples: Vec<u8>| if shift == 0 { samples } else { narrow_little_endian(&samples, shift) };
+        let Some(gray) = GrayImage::from_samples(frame.width as usize, frame.height as usize, plane(frame.y))
         else {
             return;
         };
@@ -284,7 +285,12 @@ impl Complete {
 }
 
 impl Decoder for Complete {
-    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+    fn decode(
+        &mut self,
+        data: &[u8],
+        stamp: Stamp,
+        out: &mut Vec<Decoded>,
+    ) -> std::result::Result<(), Refusal> {
         let mut units = Vec::new();
         self.set_up.framing.split(data, &mut units);
         self.set_up.look_for_parameters(&units)?;

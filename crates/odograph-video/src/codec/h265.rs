@@ -105,7 +105,12 @@ impl Hevc {
 }
 
 impl Decoder for Hevc {
-    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+    fn decode(
+        &mut self,
+        data: &[u8],
+        stamp: Stamp,
+        out: &mut Vec<Decoded>,
+    ) -> std::result::Result<(), Refusal> {
         let mut units = Vec::new();
         self.framing.split(data, &mut units);
         let mut refusal = None;

@@ -15,9 +15,12 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 ///
 /// May panic in the decoder; callers guard it.
 pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
-    let damaged = |error: &dyn std::fmt::Display| Error::input(format!("the JPEG picture cannot be decoded: {error}"));
-    let options =
-        DecoderOptions::default().set_max_width(limits::MAX_SIDE).set_max_height(limits::MAX_SIDE).set_strict_mode(false);
+    let damaged =
+        |error: &dyn std::fmt::Display| Error::input(format!("the JPEG picture cannot be decoded: {error}"));
+    let options = DecoderOptions::default()
+        .set_max_width(limits::MAX_SIDE)
+        .set_max_height(limits::MAX_SIDE)
+        .set_strict_mode(false);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(|e| damaged(&e))?;
     let info = decoder.info().ok_or_else(|| damaged(&"it has no head"))?;
@@ -34,7 +37,8 @@ pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     let picture = match wanted {
         ColorSpace::Luma => GrayImage::from_samples(width, height, samples).map(Picture::gray),
         ColorSpace::YCbCr if samples.len() == 3 * pixels => {
-            let plane = |channel: usize| samples.iter().copied().skip(channel).step_by(3).collect::<Vec<u8>>();
+            let plane =
+                |channel: usize| samples.iter().copied().skip(channel).step_by(3).collect::<Vec<u8>>();
             let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: true };
             let chroma = Chroma { width, height, blue: plane(1), red: plane(2), encoding };
             GrayImage::from_samples(width, height, plane(0))
@@ -60,7 +64,12 @@ impl MotionJpeg {
 }
 
 impl Decoder for MotionJpeg {
-    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+    fn decode(
+        &mut self,
+        data: &[u8],
+        stamp: Stamp,
+        out: &mut Vec<Decoded>,
+    ) -> std::result::Result<(), Refusal> {
         let picture = guarded("JPEG", || decode(data, self.color))?;
         let picture = picture.map_err(|error| Refusal::Damaged(error.to_string()))?;
         if self.height > 0 && picture.gray.height() * 2 <= self.height {

@@ -53,7 +53,12 @@ impl From<Error> for Refusal {
 /// Decodes one stream, sample by sample.
 pub(crate) trait Decoder: Send {
     /// Decodes one sample and appends the pictures that are finished, in decoding order.
-    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal>;
+    fn decode(
+        &mut self,
+        data: &[u8],
+        stamp: Stamp,
+        out: &mut Vec<Decoded>,
+    ) -> std::result::Result<(), Refusal>;
 
     /// Appends the pictures that are still inside.
     fn finish(&mut self, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal>;
@@ -79,7 +84,10 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, 
         }
         Codec::MotionJpeg => {
             let height = track.height;
-            (vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))], "Motion JPEG".to_string())
+            (
+                vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))],
+                "Motion JPEG".to_string(),
+            )
         }
         Codec::Other(name) => (Vec::new(), name.clone()),
     })

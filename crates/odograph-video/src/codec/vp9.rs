@@ -31,7 +31,12 @@ impl Vp9 {
 }
 
 impl Decoder for Vp9 {
-    fn decode(&mut self, data: &[u8], stamp: Stamp, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal> {
+    fn decode(
+        &mut self,
+        data: &[u8],
+        stamp: Stamp,
+        out: &mut Vec<Decoded>,
+    ) -> std::result::Result<(), Refusal> {
         let head = guarded("VP9", || parse_uncompressed_header(&mut BitReader::new(data), &[(0, 0); 8]))?;
         if let Ok(head) = head {
             if head.sized && head.width > 0 && head.height > 0 {
@@ -72,7 +77,9 @@ impl Decoder for Vp9 {
             let gray = planes
                 .next()
                 .and_then(|luminance| GrayImage::from_samples(width, height, luminance))
-                .ok_or_else(|| Refusal::Broken(Error::input("the VP9 decoder gave a picture of the wrong size")))?;
+                .ok_or_else(|| {
+                    Refusal::Broken(Error::input("the VP9 decoder gave a picture of the wrong size"))
+                })?;
             let color = match (planes.next(), planes.next()) {
                 (Some(blue), Some(red)) if self.color => Some(Chroma {
                     width: (width + frame.subsampling_x as usize) >> frame.subsampling_x,
@@ -86,7 +93,12 @@ impl Decoder for Vp9 {
                 _ => None,
             };
             self.number += 1;
-            out.push(Decoded { picture: Picture { gray, color }, stamp, order: self.number, starts_group: false });
+            out.push(Decoded {
+                picture: Picture { gray, color },
+                stamp,
+                order: self.number,
+                starts_group: false,
+            });
         }
         Ok(())
     }

@@ -19,7 +19,10 @@ pub(crate) fn codec(bytes: &[u8]) -> Option<Codec> {
     match after {
         // VPS, SPS, PPS, delimiter or SEI of the base layer, temporal layer 0.
         [0x40 | 0x42 | 0x44 | 0x46 | 0x4e, 1, ..] => Some(Codec::H265),
-        [head, ..] if head & 0x80 == 0 && matches!((head & 31, head >> 5), (7 | 8 | 5, 1..) | (6 | 9, 0) | (1, _)) => {
+        [head, ..]
+            if head & 0x80 == 0
+                && matches!((head & 31, head >> 5), (7 | 8 | 5, 1..) | (6 | 9, 0) | (1, _)) =>
+        {
             Some(Codec::H264)
         }
         _ => None,

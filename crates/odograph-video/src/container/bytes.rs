@@ -53,7 +53,6 @@ impl<'a> Bytes<'a> {
         self.array().map(u64::from_be_bytes)
     }
 
-
     pub fn u32_le(&mut self) -> Option<u32> {
         self.array().map(u32::from_le_bytes)
     }
@@ -63,7 +62,9 @@ impl<'a> Bytes<'a> {
 pub(crate) fn read_up_to(reader: &mut impl Read, count: u64, into: &mut Vec<u8>) -> Result<()> {
     into.clear();
     if count > limits::MAX_INDEX_BYTES {
-        return Err(Error::input(format!("a part of {count} bytes is larger than anything this program takes")));
+        return Err(Error::input(format!(
+            "a part of {count} bytes is larger than anything this program takes"
+        )));
     }
     reader.take(count).read_to_end(into).map_err(|error| Error::input(format!("cannot be read: {error}")))?;
     Ok(())

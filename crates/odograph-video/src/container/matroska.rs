@@ -82,7 +82,11 @@ impl MatroskaReader {
                     break;
                 }
                 INFO | TRACKS => {
-                    read_up_to(&mut self.file, size.unwrap_or(u64::MAX).min(self.length - self.at), &mut payload)?;
+                    read_up_to(
+                        &mut self.file,
+                        size.unwrap_or(u64::MAX).min(self.length - self.at),
+                        &mut payload,
+                    )?;
                     self.at += payload.len() as u64;
                     if id == INFO {
                         for (id, value) in Elements::new(&payload) {
@@ -101,7 +105,9 @@ impl MatroskaReader {
             }
         }
         if !tracks_seen {
-            return Err(Error::input("there is no track in this Matroska file, or the file is cut off before them"));
+            return Err(Error::input(
+                "there is no track in this Matroska file, or the file is cut off before them",
+            ));
         }
         if let (Some(duration), Some(frame_s)) = (duration_ticks, frame_s) {
             let frames = (duration * self.tick_s / frame_s).round();
@@ -207,7 +213,8 @@ impl MatroskaReader {
     fn element(&mut self) -> Result<Option<(u32, Option<u64>)>> {
         let mut head = [0u8; 12];
         let mut filled = 0;
-        let Some(id_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1) else {
+        let Some(id_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1)
+        else {
             return Ok(None);
         };
         if id_length > 4 {
@@ -219,7 +226,8 @@ impl MatroskaReader {
             }
         }
         let id = head[..id_length].iter().fold(0, |id, &b| id << 8 | u32::from(b));
-        let Some(size_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1) else {
+        let Some(size_length) = self.byte(&mut head, &mut filled)?.map(|b| b.leading_zeros() as usize + 1)
+        else {
             return Ok(None);
         };
         if size_length > 8 {
@@ -322,7 +330,8 @@ impl PacketReader for MatroskaReader {
 /// A length without the bit that marks its own length; all ones means unknown.
 fn size_of(bytes: &[u8]) -> Option<u64> {
     let (&first, rest) = bytes.split_first()?;
-    let value = rest.iter().fold(u64::from(first) & (0x7f >> first.leading_zeros()), |v, &b| v << 8 | u64::from(b));
+    let value =
+        rest.iter().fold(u64::from(first) & (0x7f >> first.leading_zeros()), |v, &b| v << 8 | u64::from(b));
     let unknown = (1u64 << (7 * bytes.len())) - 1;
     (value != unknown).then_some(value)
 }
@@ -344,7 +353,8 @@ impl<'a> Iterator for Elements<'a> {
     fn next(&mut self) -> Option<Self::Item> {
         let mut bytes = Bytes::new(self.rest);
         let id_length = bytes.rest().first()?.leading_zeros() as usize + 1;
-        let id = bytes.take(id_length).filter(|_| id_length <= 4)?.iter().fold(0, |id, &b| id << 8 | u32::from(b));
+        let id =
+            bytes.take(id_length).filter(|_| id_length <= 4)?.iter().fold(0, |id, &b| id << 8 | u32::from(b));
         let size_length = bytes.rest().first()?.leading_zeros() as usize + 1;
         let size = size_of(bytes.take(size_length).filter(|_| size_length <= 8)?).unwrap_or(u64::MAX);
         let size = usize::try_from(size).unwrap_or(usize::MAX).min(bytes.rest().len());

@@ -2,8 +2,9 @@
 //!
 //! Only the index is held in memory; samples are read from the file by their place.
 
-use super::bytes::{Bytes, read_up_to};
-use super::mp4_tables::{self, Boxes, Fragments, Sample};
+use super::bytes::read_up_to;
+use super::mp4_fragments::Fragments;
+use super::mp4_tables::{self, Edit, Sample};
 use super::{Packet, PacketReader, Track};
 use crate::limits;
 use odograph::error::{Error, Result};
@@ -20,15 +21,6 @@ pub(crate) struct Mp4Reader {
     edits: Vec<Edit>,
     next: usize,
     warnings: Vec<String>,
-}
-
-/// One entry of an edit list, with times in seconds (presentation) and ticks (media).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Edit {
-    pub starts_at_s: f64,
-    pub media_from: i64,
-    /// Exclusive.
-    pub media_to: i64,
 }
 
 impl Mp4Reader {
@@ -51,8 +43,9 @@ impl Mp4Reader {
         let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
         if let Some(complete) = complete {
             samples.truncate(complete);
-            warnings
-                .push(format!("the file is cut off: {complete} of the {promised} frames it should have are there"));
+            warnings.push(format!(
+                "the file is cut off: {complete} of the {promised} frames it should have are there"
+            ));
         } else if index.cut {
             warnings.push("the file is cut off inside its last fragment".to_string());
         }
@@ -63,8 +56,7 @@ impl Mp4Reader {
         if samples.is_empty() {
             return Err(Error::input(format!("the file is cut off: none of its {promised} frames is there")));
         }
-        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
-        {
+        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none()) {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
             edits.clear();
         }
@@ -155,7 +147,8 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
         let mut header = [0u8; 16];
         let available = (length - at).min(16) as usize;
         file.read_exact(&mut header[..available]).map_err(unreadable)?;
-        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at) else {
+        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at)
+        else {
             warnings.push(format!("what follows byte {at} is not MP4 and was ignored"));
             break;
         };
@@ -195,9 +188,4 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
 
 fn unreadable(error: std::io::Error) -> Error {
     Error::input(format!("cannot be read: {error}"))
-}
-
-/// The direct children of a box, for the tables.
-pub(super) fn child<'a>(parent: &'a [u8], kind: &[u8; 4]) -> Option<Bytes<'a>> {
-    Boxes::new(parent).find(|(k, _)| k == kind).map(|(_, payload)| Bytes::new(payload))
 }

@@ -25,7 +25,9 @@ fn kind(bytes: &[u8]) -> Option<Kind> {
         [0x89, b'P', b'N', b'G', ..] => Some(Kind::Png),
         [0xff, 0xd8, 0xff, ..] => Some(Kind::Jpeg),
         [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Some(Kind::Tiff),
-        [b'P', b'2' | b'3' | b'5' | b'6', c, ..] if c.is_ascii_whitespace() || *c == b'#' => Some(Kind::Portable),
+        [b'P', b'2' | b'3' | b'5' | b'6', c, ..] if c.is_ascii_whitespace() || *c == b'#' => {
+            Some(Kind::Portable)
+        }
         _ => None,
     }
 }
@@ -44,7 +46,8 @@ pub(super) fn picture(path: &Path, color: bool) -> Result<Picture> {
     if bytes.len() as u64 > limits::MAX_SAMPLE_BYTES {
         return Err(Error::input("the picture file is larger than 256 MB"));
     }
-    let kind = kind(&bytes).ok_or_else(|| Error::input("this is not a PNG, JPEG, TIFF, PGM or PPM picture"))?;
+    let kind =
+        kind(&bytes).ok_or_else(|| Error::input("this is not a PNG, JPEG, TIFF, PGM or PPM picture"))?;
     let (picture, orientation) = guarded("picture", || match kind {
         Kind::Png => (png(&bytes, color), Orientation::default()),
         Kind::Jpeg if jpeg_is_cut_off(&bytes) => {
@@ -65,7 +68,8 @@ fn jpeg_is_cut_off(bytes: &[u8]) -> bool {
 }
 
 fn png(bytes: &[u8], color: bool) -> Result<Picture> {
-    let damaged = |error: png::DecodingError| Error::input(format!("the PNG picture cannot be decoded: {error}"));
+    let damaged =
+        |error: png::DecodingError| Error::input(format!("the PNG picture cannot be decoded: {error}"));
     let limits = png::Limits { bytes: 8 * limits::MAX_PIXELS };
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
     decoder.set_transformations(png::Transformations::EXPAND);
@@ -85,7 +89,8 @@ fn png(bytes: &[u8], color: bool) -> Result<Picture> {
 fn tiff(bytes: &[u8], color: bool) -> Result<Picture> {
     use tiff::ColorType;
     use tiff::decoder::DecodingResult;
-    let damaged = |error: tiff::TiffError| Error::input(format!("the TIFF picture cannot be decoded: {error}"));
+    let damaged =
+        |error: tiff::TiffError| Error::input(format!("the TIFF picture cannot be decoded: {error}"));
     let mut allowed = tiff::decoder::Limits::default();
     allowed.decoding_buffer_size = 8 * limits::MAX_PIXELS;
     let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(damaged)?.with_limits(allowed);
@@ -121,8 +126,9 @@ fn assemble(width: usize, height: usize, channels: usize, samples: Vec<u8>, colo
         }
         3 => picture_from_rgb(width, height, samples, color),
         _ => {
-            let over_black =
-                samples.chunks_exact(4).flat_map(|p| [blend(p[0], p[3]), blend(p[1], p[3]), blend(p[2], p[3])]);
+            let over_black = samples
+                .chunks_exact(4)
+                .flat_map(|p| [blend(p[0], p[3]), blend(p[1], p[3]), blend(p[2], p[3])]);
             picture_from_rgb(width, height, over_black.collect(), color)
         }
     };

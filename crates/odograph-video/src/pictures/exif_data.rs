@@ -36,7 +36,8 @@ fn time(exif: &Exif) -> Option<f64> {
         return None;
     }
     let days = days_since_1970(i64::from(taken.year), i64::from(taken.month), i64::from(taken.day));
-    let seconds = ((days * 24 + i64::from(taken.hour)) * 60 + i64::from(taken.minute)) * 60 + i64::from(taken.second);
+    let seconds =
+        ((days * 24 + i64::from(taken.hour)) * 60 + i64::from(taken.minute)) * 60 + i64::from(taken.second);
     Some(seconds as f64 + f64::from(taken.nanosecond.unwrap_or(0)) * 1e-9)
 }
 

@@ -15,34 +15,45 @@ const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm"
 pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Opened> {
     let listing = Listing::read(folder)?;
     if !listing.pictures.is_empty() {
-        return open_pictures(listing.pictures, options.timestamps.as_deref(), options);
+        return open_pictures(listing.pictures, options.timestamps.as_deref(), options, true);
     }
-    let layouts = [("data.csv", "data"), ("cam0/data.csv", "cam0/data"), ("mav0/cam0/data.csv", "mav0/cam0/data"), ("rgb.txt", "rgb")];
+    let layouts = [
+        ("data.csv", "data"),
+        ("cam0/data.csv", "cam0/data"),
+        ("mav0/cam0/data.csv", "mav0/cam0/data"),
+        ("rgb.txt", "rgb"),
+    ];
     for (times, pictures) in layouts {
         let (times, pictures) = (folder.join(times), folder.join(pictures));
         if pictures.is_dir() {
             let inside = Listing::read(&pictures)?;
             if !inside.pictures.is_empty() {
                 let times = options.timestamps.clone().or(times.is_file().then_some(times));
-                return open_pictures(inside.pictures, times.as_deref(), options);
+                return open_pictures(inside.pictures, times.as_deref(), options, true);
             }
         }
     }
-    let subfolder = listing.folders.iter().find(|f| Listing::read(f).is_ok_and(|inside| !inside.pictures.is_empty()));
+    let subfolder =
+        listing.folders.iter().find(|f| Listing::read(f).is_ok_and(|inside| !inside.pictures.is_empty()));
     Err(Error::input(match listing.other {
         _ if let Some(subfolder) = subfolder => {
-            format!("there are no pictures in this folder itself; give the folder {} that is in it", name_of(subfolder))
+            format!(
+                "there are no pictures in this folder itself; give the folder {} that is in it",
+                name_of(subfolder)
+            )
         }
         None => "the folder is empty".to_string(),
         Some(example) => {
-            format!("there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}")
+            format!(
+                "there are no pictures (PNG, JPEG, TIFF, PGM, PPM) in this folder, only other things such as {example}"
+            )
         }
     }))
 }
 
 /// Opens one picture as a source of one frame.
 pub(crate) fn open_picture(path: &Path, options: &SourceOptions) -> Result<Opened> {
-    open_pictures(vec![path.to_path_buf()], options.timestamps.as_deref(), options)
+    open_pictures(vec![path.to_path_buf()], options.timestamps.as_deref(), options, false)
 }
 
 struct Listing {
@@ -118,7 +129,13 @@ fn digits(bytes: &[u8]) -> (&[u8], &[u8]) {
     (&number[zeros..], after)
 }
 
-fn open_pictures(pictures: Vec<PathBuf>, timestamps: Option<&Path>, options: &SourceOptions) -> Result<Opened> {
+/// `named`: errors name the picture, because the source is a folder.
+fn open_pictures(
+    pictures: Vec<PathBuf>,
+    timestamps: Option<&Path>,
+    options: &SourceOptions,
+    named: bool,
+) -> Result<Opened> {
     let mut warnings = Vec::new();
     let count = pictures.len();
     let (pictures, times) = match timestamps {
@@ -132,7 +149,11 @@ fn open_pictures(pictures: Vec<PathBuf>, timestamps: Option<&Path>, options: &So
             (pictures, times)
         }
     };
-    let kind = pictures.first().and_then(|p| p.extension()).map(|e| e.to_string_lossy().to_uppercase()).unwrap_or_default();
+    let kind = pictures
+        .first()
+        .and_then(|p| p.extension())
+        .map(|e| e.to_string_lossy().to_uppercase())
+        .unwrap_or_default();
     Ok(Opened {
         frame_count: Some(pictures.len() as u64),
         description: if count == 1 { format!("picture ({kind})") } else { format!("pictures ({kind})") },
@@ -146,13 +167,18 @@ fn open_pictures(pictures: Vec<PathBuf>, timestamps: Option<&Path>, options: &So
             next: 0,
             size: None,
             keep_color: options.color,
+            named,
             warnings,
         }),
     })
 }
 
 /// The pictures a file of timestamps names, with their times; or all, where it only has times.
-fn by_file(pictures: Vec<PathBuf>, file: &Path, warnings: &mut Vec<String>) -> Result<(Vec<PathBuf>, Vec<f64>)> {
+fn by_file(
+    pictures: Vec<PathBuf>,
+    file: &Path,
+    warnings: &mut Vec<String>,
+) -> Result<(Vec<PathBuf>, Vec<f64>)> {
     let place = file.display();
     match Timestamps::read(file)? {
         Timestamps::InOrder(times) if times.len() == pictures.len() => Ok((pictures, times)),
@@ -175,7 +201,9 @@ fn by_file(pictures: Vec<PathBuf>, file: &Path, warnings: &mut Vec<String>) -> R
             for (name, time_s) in named {
                 let last = name.rsplit(['/', '\\']).next().unwrap_or(&name);
                 let Some(picture) = by_name.get(last) else {
-                    return Err(Error::input(format!("{place} names the picture {name}, which is not there")));
+                    return Err(Error::input(format!(
+                        "{place} names the picture {name}, which is not there"
+                    )));
                 };
                 listed.push(picture.clone());
                 times.push(time_s);
@@ -202,7 +230,8 @@ fn from_exif(pictures: &[PathBuf], warnings: &mut Vec<String>) -> Option<Vec<f64
     let times = times?;
     if !increasing(&times) {
         warnings.push(
-            "the times in the pictures' EXIF data do not increase from picture to picture and were not used".to_string(),
+            "the times in the pictures' EXIF data do not increase from picture to picture and were not used"
+                .to_string(),
         );
         return None;
     }
@@ -222,6 +251,7 @@ struct Pictures {
     next: usize,
     size: Option<(usize, usize)>,
     keep_color: bool,
+    named: bool,
     warnings: Vec<String>,
 }
 
@@ -241,7 +271,8 @@ impl Frames for Pictures {
             .checked_sub(1)
             .and_then(|at| self.pictures.get(at))
             .ok_or_else(|| Error::input("there is no picture here"))?;
-        let picture = decode::picture(path, self.keep_color).map_err(|error| error.at(name_of(path)))?;
+        let picture = decode::picture(path, self.keep_color)
+            .map_err(|error| if self.named { error.at(name_of(path)) } else { error })?;
         let (width, height) = (picture.gray.width(), picture.gray.height());
         let (first_width, first_height) = *self.size.get_or_insert((width, height));
         if (width, height) != (first_width, first_height) {

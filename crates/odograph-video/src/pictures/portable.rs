@@ -17,7 +17,8 @@ pub(super) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
         b"P6" => (3, false),
         _ => return Err(Error::input("this is not a PGM or PPM picture")),
     };
-    let mut number = || number(&mut rest).ok_or_else(|| Error::input("the head of this PGM or PPM picture is damaged"));
+    let mut number =
+        || number(&mut rest).ok_or_else(|| Error::input("the head of this PGM or PPM picture is damaged"));
     let (width, height, most) = (number()?, number()?, number()?);
     let samples = channels * limits::check_size(width, height)?;
     if !(1..=65_535).contains(&most) {
@@ -40,7 +41,10 @@ pub(super) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
         if most < 256 {
             data.iter().take(samples).map(|&s| scaled(usize::from(s))).collect()
         } else {
-            data.chunks_exact(2).take(samples).map(|s| scaled(usize::from(s[0]) << 8 | usize::from(s[1]))).collect()
+            data.chunks_exact(2)
+                .take(samples)
+                .map(|s| scaled(usize::from(s[0]) << 8 | usize::from(s[1])))
+                .collect()
         }
     };
     if narrowed.len() != samples {
@@ -91,7 +95,14 @@ mod tests {
 
     #[test]
     fn damaged() {
-        for bytes in [&b"P5"[..], b"P5 2 2 255\nabc", b"P5 0 2 255\n", b"P2 9999 9999 255\n1", b"P5 2 2 0\nabcd", b"P7 1 1"] {
+        for bytes in [
+            &b"P5"[..],
+            b"P5 2 2 255\nabc",
+            b"P5 0 2 255\n",
+            b"P2 9999 9999 255\n1",
+            b"P5 2 2 0\nabcd",
+            b"P7 1 1",
+        ] {
             assert!(decode(bytes, false).is_err());
         }
     }
