@@ -287,7 +287,7 @@ fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Pi
 
 /// Tells the frames' times from the messages.
 fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f64)) {
-    let mut tick_s = 1.0;
+    let mut ticks_per_s = 1.0;
     let mut reader = BufReader::new(log);
     let mut line = Vec::new();
     loop {
@@ -297,8 +297,8 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f
         }
         let line = String::from_utf8_lossy(&line);
         match Line::read(line.trim_end()) {
-            Line::TimeBase(seconds) => tick_s = seconds,
-            Line::Frame(ticks) => tell(ticks as f64 * tick_s),
+            Line::TimeBase { numerator, denominator } => ticks_per_s = denominator / numerator,
+            Line::Frame(ticks) => tell(ticks as f64 / ticks_per_s),
             Line::Head => {}
             Line::Message(text) => {
                 let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
@@ -322,7 +322,11 @@ fn without_speaker(message: &str) -> &str {
 
 #[derive(Debug, PartialEq)]
 enum Line<'a> {
-    TimeBase(f64),
+    /// Seconds per tick.
+    TimeBase {
+        numerator: f64,
+        denominator: f64,
+    },
     /// Presentation time in ticks.
     Frame(i64),
     Head,
@@ -335,7 +339,8 @@ impl<'a> Line<'a> {
         if let Some(base) = line.strip_prefix("#tb 0: ").and_then(|base| base.split_once('/'))
             && let (Ok(numerator), Ok(denominator)) = (base.0.parse::<u32>(), base.1.trim().parse::<u32>())
         {
-            return Self::TimeBase(f64::from(numerator) / f64::from(denominator.max(1)));
+            let (numerator, denominator) = (f64::from(numerator.max(1)), f64::from(denominator.max(1)));
+            return Self::TimeBase { numerator, denominator };
         }
         if line.starts_with('#') || line.trim().is_empty() {
             return Self::Head;
@@ -403,7 +408,7 @@ mod tests {
 
     #[test]
     fn lines_of_the_log() {
-        assert_eq!(Line::read("#tb 0: 1/25"), Line::TimeBase(0.04));
+        assert_eq!(Line::read("#tb 0: 1/25"), Line::TimeBase { numerator: 1.0, denominator: 25.0 });
         assert_eq!(Line::read("#codec_id 0: wrapped_avframe"), Line::Head);
         assert_eq!(Line::read("0,          3,          3,        1,      456, 0xed0d96bd"), Line::Frame(3));
         assert_eq!(Line::read("0, what, now"), Line::Message("0, what, now"));

@@ -151,6 +151,10 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
         .map_err(|e| told(&e, &place))
 }
 
+/// What an MP4 or QuickTime file may start with.
+const MP4_STARTS: [&[u8]; 11] =
+    [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"uuid", b"styp", b"sidx", b"moof"];
+
 /// An error with the place it happened, on one line: decoders of third parties break theirs.
 fn told(error: &Error, place: &str) -> Error {
     Error::new(error.kind(), one_line(&error.to_string())).at(place)
@@ -188,12 +192,17 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         m if m.starts_with(y4m::MAGIC) => {
             y4m::open(BufReader::with_capacity(1 << 18, file), Some(metadata.len()), options.color)
         }
-        m if pictures::is_picture(m) => pictures::open_picture(path, options),
-        [_, _, _, _, kind @ ..]
-            if [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot"]
-                .iter()
-                .any(|k| kind.starts_with(*k)) =>
+        [0xff, 0xd8, ..]
+            if path
+                .extension()
+                .is_some_and(|e| e.eq_ignore_ascii_case("mjpeg") || e.eq_ignore_ascii_case("mjpg")) =>
         {
+            let content =
+                ffmpeg::Content::Video { codec: "Motion JPEG", container: "a raw stream", frame_count: None };
+            ffmpeg::open(path, content, options.color)
+        }
+        m if pictures::is_picture(m) => pictures::open_picture(path, options),
+        [_, _, _, _, kind @ ..] if MP4_STARTS.iter().any(|start| kind.starts_with(start)) => {
             video(Box::new(Mp4Reader::open(file)?))
         }
         m if m.starts_with(&matroska::MAGIC) => video(Box::new(MatroskaReader::open(file)?)),
@@ -356,3 +365,50 @@ const _: fn() = || {
     fn is_send<T: Send>() {}
     is_send::<Source>();
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use odograph::image::GrayImage;
+
+    /// Frames of one pixel at given times.
+    struct Listed(std::vec::IntoIter<f64>);
+
+    impl Frames for Listed {
+        fn advance(&mut self) -> Result<Option<f64>> {
+            Ok(self.0.next())
+        }
+
+        fn picture(&mut self) -> Result<Picture> {
+            Ok(Picture::gray(GrayImage::new(1, 1)))
+        }
+
+        fn take_warnings(&mut self) -> Vec<String> {
+            Vec::new()
+        }
+    }
+
+    #[test]
+    fn frames_whose_times_do_not_increase_are_left_out_and_told() {
+        let opened = Opened {
+            frames: Box::new(Listed(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0].into_iter())),
+            frame_count: Some(6),
+            description: "times".into(),
+            times_known: true,
+            timestamps_used: false,
+            frames_per_second: None,
+        };
+        let mut source = Source::new("here".into(), opened, &SourceOptions::default()).unwrap();
+        assert_eq!(source.info().description, "times, 1x1");
+        let frames: Vec<_> = std::iter::from_fn(|| source.next_frame().unwrap()).collect();
+        let seen: Vec<_> = frames.iter().map(|f| (f.number, f.time_s)).collect();
+        assert_eq!(seen, [(0, -1.0), (1, 0.0), (5, 2.0)]);
+        assert!(source.next_frame().unwrap().is_none());
+        let warnings = source.take_warnings();
+        assert_eq!(
+            warnings,
+            ["here: 3 frames whose time is not after the time of the frame before were left out"]
+        );
+        assert!(source.take_warnings().is_empty());
+    }
+}

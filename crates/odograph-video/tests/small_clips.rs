@@ -40,9 +40,11 @@ fn every_codec_and_container() {
     let at_25 = every(40, 12);
     let vfr = vec![0, 40, 80, 200, 240, 280, 360, 400, 440];
     let late = at_25.iter().map(|t| t + 80).collect();
-    let clips: [(&str, &str, u64, Vec<i64>); 9] = [
+    let clips: [(&str, &str, u64, Vec<i64>); 10] = [
         ("h264_bframes.mp4", "H.264 (High) in MP4, 80x48", 0x5b1a_067d_841c_528f, at_25.clone()),
         ("h264_fragmented.mp4", "H.264 (High) in MP4, 80x48", 0x5b1a_067d_841c_528f, late),
+        // AVI has only times of decoding; the frames take them in the order in which they are shown.
+        ("h264_bframes.avi", "H.264 (High) in AVI, 80x48", 0x5b1a_067d_841c_528f, at_25.clone()),
         ("h264_422.mkv", "H.264 (High 4:2:2) in Matroska, 80x48", 0xcda0_ef8e_6c6d_8428, at_25.clone()),
         ("h264_interlaced.264", "H.264 (High) in a raw stream, 80x48", 0x5a54_6a08_8141_ef3e, at_25.clone()),
         ("hevc.mp4", "H.265 (Main) in MP4, 80x48", 0xefb5_e431_d4ef_3ff0, at_25.clone()),
