@@ -2,7 +2,7 @@
 //! `ODOGRAPH_FFMPEG= cargo run --release -p odograph-video --example damage -- 300 drive.mp4 …`.
 //!
 //! Each copy has bytes changed, stretches overwritten or moved, or its end missing, all from a fixed seed. A panic, or a copy
-//! that takes more than 20 seconds, ends the program with its number; `odograph-damaged.*` in the temporary folder is that copy.
+//! that takes more than 20 seconds, ends the program with its number; `odograph-damaged-*` in the temporary folder is that copy.
 
 #![allow(clippy::print_stdout)]
 
@@ -79,7 +79,7 @@ fn main() -> Result<()> {
     for path in arguments.map(PathBuf::from) {
         let original = std::fs::read(&path).map_err(|error| Error::input(error.to_string()))?;
         let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
-        let copy = std::env::temp_dir().join(format!("odograph-damaged.{extension}"));
+        let copy = std::env::temp_dir().join(format!("odograph-damaged-{}.{extension}", std::process::id()));
         let (mut whole, mut warned, mut refused, mut slowest) = (0, 0, 0, (0.0, 0));
         for number in 0..count {
             let bytes = damaged(&original, &mut Random(number));
