@@ -16,6 +16,7 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
+#[allow(clippy::large_enum_variant)] // there is one of it
 enum Command {
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
