@@ -75,13 +75,13 @@ pub(super) fn bricks(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
 pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3] {
     // Directions that turn slowly over the ground keep the blades from lining up.
     let bend = 1.2 * f64::from(value_noise(seed ^ 41, x / 0.07, y / 0.07));
-    let seen = visibility(0.003, footprint_m);
+    let seen = visibility(0.004, footprint_m);
     let mut top = -1.0f32;
     for blade in 0..5u32 {
         let angle = f64::from(blade) * 0.628 + bend;
         let (sin, cos) = angle.sin_cos();
         let (along, across) = (cos * x + sin * y, -sin * x + cos * y);
-        top = top.max(value_noise(seed ^ (42 + blade), along / 0.022, across / 0.003));
+        top = top.max(value_noise(seed ^ (42 + blade), along / 0.026, across / 0.004));
     }
     let tufts = fractal(seed ^ 48, at, footprint_m, 0.05, 4, 0.8);
     let patches = fractal(seed ^ 49, at, footprint_m, 1.5, 4, 0.6);
