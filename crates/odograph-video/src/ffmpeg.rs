@@ -57,7 +57,9 @@ pub(crate) fn open(path: &Path, content: Content<'_>, color: bool) -> Result<Ope
                 format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
             }
             Content::Unknown => {
-                format!("this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}")
+                format!(
+                    "this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}"
+                )
             }
         })
     };
@@ -106,7 +108,9 @@ fn program() -> Option<PathBuf> {
         return name.is_file().then_some(name);
     }
     let with_ending = name.with_extension(std::env::consts::EXE_EXTENSION);
-    std::env::split_paths(&std::env::var_os("PATH")?).map(|folder| folder.join(&with_ending)).find(|p| p.is_file())
+    std::env::split_paths(&std::env::var_os("PATH")?)
+        .map(|folder| folder.join(&with_ending))
+        .find(|p| p.is_file())
 }
 
 /// A running ffmpeg.
@@ -132,10 +136,21 @@ impl Process {
         let mut input = OsString::from("file:");
         input.push(path);
         let mut command = bounded(program);
-        command.args(["-nostdin", "-hide_banner", "-v", "error", "-copyts", "-protocol_whitelist", "file", "-i"]).arg(input);
+        command
+            .args(["-nostdin", "-hide_banner", "-v", "error", "-copyts", "-protocol_whitelist", "file", "-i"])
+            .arg(input);
         command.args(["-map", "0:v:0", passthrough, "passthrough", "-vf", FORMATS]);
         command.args(["-strict", "-1", "-f", "yuv4mpegpipe", "pipe:1"]);
-        command.args(["-map", "0:v:0", passthrough, "passthrough", "-enc_time_base", "-1", "-c:v", "wrapped_avframe"]);
+        command.args([
+            "-map",
+            "0:v:0",
+            passthrough,
+            "passthrough",
+            "-enc_time_base",
+            "-1",
+            "-c:v",
+            "wrapped_avframe",
+        ]);
         command.args(["-flush_packets", "1", "-f", "framecrc", "pipe:2"]);
         let mut child = command
             .stdin(Stdio::null())
@@ -187,7 +202,10 @@ impl Process {
         let said = self.message();
         if !said.is_empty() || failed {
             let ending = if failed { "stopped early" } else { "found damage" };
-            self.warnings.push(format!("ffmpeg {ending}: {}", if said.is_empty() { "it did not say why" } else { &said }));
+            self.warnings.push(format!(
+                "ffmpeg {ending}: {}",
+                if said.is_empty() { "it did not say why" } else { &said }
+            ));
         }
     }
 
@@ -254,7 +272,9 @@ fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Pi
             return;
         }
     };
-    while let Some(picture) = frames.advance().and_then(|time| time.map(|_| frames.picture()).transpose()).transpose() {
+    while let Some(picture) =
+        frames.advance().and_then(|time| time.map(|_| frames.picture()).transpose()).transpose()
+    {
         if sender.send(picture).is_err() {
             return;
         }
@@ -338,7 +358,10 @@ mod tests {
         assert_eq!(Line::read("#codec_id 0: wrapped_avframe"), Line::Head);
         assert_eq!(Line::read("0,          3,          3,        1,      456, 0xed0d96bd"), Line::Frame(3));
         assert_eq!(Line::read("0, what, now"), Line::Message("0, what, now"));
-        assert_eq!(without_speaker("[mov,mp4 @ 0x55e2] [a @ 0x1] moov atom not found"), "moov atom not found");
+        assert_eq!(
+            without_speaker("[mov,mp4 @ 0x55e2] [a @ 0x1] moov atom not found"),
+            "moov atom not found"
+        );
         assert_eq!(Line::read("file:x: Invalid data"), Line::Message("file:x: Invalid data"));
     }
 }

@@ -14,7 +14,8 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
     let track = reader.track().clone();
     let (decoders, name) = codec::decoders(&track, color)?;
     let through_ffmpeg = |codec: &str| {
-        let content = ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
+        let content =
+            ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
         ffmpeg::open(path, content, color)
     };
     let mut decoders = VecDeque::from(decoders);

@@ -88,7 +88,10 @@ impl AviReader {
                     self.align(size)?;
                     if &kind == b"strh" {
                         streams = streams.saturating_add(1);
-                        if state == Head::Searching && self.read_stream_header(&payload).is_some() && streams <= 100 {
+                        if state == Head::Searching
+                            && self.read_stream_header(&payload).is_some()
+                            && streams <= 100
+                        {
                             self.stream = [b'0' + (streams - 1) / 10, b'0' + (streams - 1) % 10];
                             state = Head::HeaderSeen;
                         }

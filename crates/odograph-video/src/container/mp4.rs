@@ -51,8 +51,9 @@ impl Mp4Reader {
         let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
         if let Some(complete) = complete {
             samples.truncate(complete);
-            warnings
-                .push(format!("the file is cut off: {complete} of the {promised} frames it should have are there"));
+            warnings.push(format!(
+                "the file is cut off: {complete} of the {promised} frames it should have are there"
+            ));
         } else if index.cut {
             warnings.push("the file is cut off inside its last fragment".to_string());
         }
@@ -63,8 +64,7 @@ impl Mp4Reader {
         if samples.is_empty() {
             return Err(Error::input(format!("the file is cut off: none of its {promised} frames is there")));
         }
-        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
-        {
+        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none()) {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
             edits.clear();
         }
@@ -142,7 +142,8 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
         let mut header = [0u8; 16];
         let available = (length - at).min(16) as usize;
         file.read_exact(&mut header[..available]).map_err(unreadable)?;
-        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at) else {
+        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at)
+        else {
             warnings.push(format!("what follows byte {at} is not MP4 and was ignored"));
             break;
         };

@@ -33,10 +33,14 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
             }
         }
     }
-    let subfolder = listing.folders.iter().find(|f| Listing::read(f).is_ok_and(|inside| !inside.pictures.is_empty()));
+    let subfolder =
+        listing.folders.iter().find(|f| Listing::read(f).is_ok_and(|inside| !inside.pictures.is_empty()));
     Err(Error::input(match listing.other {
         _ if let Some(subfolder) = subfolder => {
-            format!("there are no pictures in this folder itself; give the folder {} that is in it", name_of(subfolder))
+            format!(
+                "there are no pictures in this folder itself; give the folder {} that is in it",
+                name_of(subfolder)
+            )
         }
         None => "the folder is empty".to_string(),
         Some(example) => {
