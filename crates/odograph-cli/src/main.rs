@@ -19,6 +19,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
@@ -38,6 +39,7 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     interrupt::listen();
     let outcome: Result<Outcome> = match arguments.command {
+        Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),

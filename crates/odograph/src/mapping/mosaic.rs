@@ -136,7 +136,8 @@ impl Mosaic {
     /// Lays a frame on the ground. Returns whether any of it could be laid: not where the size is not the camera's, where the
     /// pose is not finite, or where the camera hardly looks at the ground.
     ///
-    /// Only the part of the image is used where a metre of ground has at least a quarter of the pixels that it has in the
+    /// Frames of one mosaic are all gray or all in colour; a gray frame takes the colour from the ground it is laid on. Only the
+    /// part of the image is used where a metre of ground has at least a quarter of the pixels that it has in the
     /// middle.
     pub fn add<'a>(
         &mut self,
@@ -158,9 +159,10 @@ impl Mosaic {
             wished.map_or(sample_m, |wished| wished.max(0.25 * sample_m))
         });
         // A camera that has climbed sees less detail: storing it finer than twice what it sees would be waste.
+        let mut halvings = 0;
         while sample_m > 2.0 * resolution_m {
             resolution_m *= 2.0;
-            self.tiles = self.tiles.halved();
+            halvings += 1;
         }
         let footprint = Footprint::of(&mut self.footprint, camera);
         let Some((low, high)) = footprint.bounds(&view) else {
@@ -172,6 +174,7 @@ impl Mosaic {
             return false;
         }
         self.resolution_m = Some(resolution_m);
+        (0..halvings).for_each(|_| self.tiles = self.tiles.halved());
         let level = (sample_m.recip() * resolution_m).log2().round().clamp(0.0, 8.0) as u32;
         self.samples.take(image, level);
         let columns = block(low.x_m, resolution_m)..block(high.x_m, resolution_m) + 1;

@@ -12,7 +12,8 @@ fn tinted(gray: f32, tint: [f32; 3]) -> [f32; 3] {
 pub(super) fn asphalt(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
     let wear = fractal(seed ^ 1, at, footprint_m, 1.2, 4, 0.6);
     let stones = fractal(seed ^ 2, at, footprint_m, 0.016, 5, 0.95);
-    let bright = (fractal(seed ^ 3, at, footprint_m, 0.009, 2, 0.7) - 0.35).max(0.0);
+    let bright =
+        visibility(0.0045, footprint_m) * (fractal(seed ^ 3, at, footprint_m, 0.009, 2, 0.7) - 0.35).max(0.0);
     tinted(102.0 + 16.0 * wear + 115.0 * stones + 150.0 * bright, [1.0, 1.0, 1.02])
 }
 
@@ -92,9 +93,11 @@ pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3]
 /// Clouds over decimetres, fine grain, and a pore here and there.
 pub(super) fn concrete(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
     let clouds = fractal(seed ^ 51, at, footprint_m, 0.8, 5, 0.6);
-    let grain = fractal(seed ^ 52, at, footprint_m, 0.008, 3, 0.9);
-    let pores = (fractal(seed ^ 53, at, footprint_m, 0.012, 2, 0.5) - 0.62).max(0.0);
-    tinted(148.0 + 9.0 * clouds + 9.0 * grain - 130.0 * pores, [1.0, 1.0, 0.98])
+    let grain = fractal(seed ^ 52, at, footprint_m, 0.064, 6, 0.9);
+    // What is cut off sharply has finer structure than what it was cut from; it goes where a pixel could only alias it.
+    let pores =
+        visibility(0.006, footprint_m) * (fractal(seed ^ 53, at, footprint_m, 0.012, 2, 0.5) - 0.62).max(0.0);
+    tinted(148.0 + 9.0 * clouds + 17.0 * grain - 130.0 * pores, [1.0, 1.0, 0.98])
 }
 
 /// A painted floor: what little there is, is about one gray level.

@@ -66,21 +66,30 @@ impl Photograph {
 
     /// The colour at a ground point; see [`super::Texture::color`].
     pub(super) fn color(&self, seed: u32, at: (f64, f64), footprint_m: f64) -> [f32; 3] {
-        // The level whose pixels are about as large as the footprint; the raster is finer than that by half.
-        let finer = (footprint_m / self.metres_per_pixel).log2().round().max(0.0) as usize;
-        let level_index = finer.min(self.levels.len() - 1);
-        let level = &self.levels[level_index];
-        let scale = self.metres_per_pixel * (1u64 << level_index) as f64;
-        let color = match self.tiling {
-            Tiling::Repeat => level.bicubic(at.0 / scale, at.1 / scale, wrap),
-            Tiling::Mirror => level.bicubic(at.0 / scale, at.1 / scale, mirror),
-            Tiling::Scatter => self.scattered(seed, at, level, scale),
-        };
+        // Between the two levels whose pixels are about as large as the footprint, a little to the soft side.
+        let fineness =
+            ((footprint_m / self.metres_per_pixel).log2() + 0.3).clamp(0.0, (self.levels.len() - 1) as f64);
+        let (index, share) = (fineness as usize, fineness.fract() as f32);
+        let mut color = self.color_at_level(seed, at, index);
+        if share > 0.0 {
+            let coarser = self.color_at_level(seed, at, index + 1);
+            color = std::array::from_fn(|c| color[c] + share * (coarser[c] - color[c]));
+        }
         // A slow change of light and tint over metres, so that no two places look the same from afar.
         let light = 1.0 + 0.10 * fractal(seed ^ 91, at, footprint_m, 1.7, 3, 0.6);
         let warmth = 0.04 * fractal(seed ^ 92, at, footprint_m, 2.3, 2, 0.6);
         [color[0] * light * (1.0 + warmth), color[1] * light, color[2] * light * (1.0 - warmth)]
             .map(|v| v.clamp(0.0, 255.0))
+    }
+
+    fn color_at_level(&self, seed: u32, at: (f64, f64), index: usize) -> [f32; 3] {
+        let level = &self.levels[index];
+        let scale = self.metres_per_pixel * (1u64 << index) as f64;
+        match self.tiling {
+            Tiling::Repeat => level.bicubic(at.0 / scale, at.1 / scale, wrap),
+            Tiling::Mirror => level.bicubic(at.0 / scale, at.1 / scale, mirror),
+            Tiling::Scatter => self.scattered(seed, at, level, scale),
+        }
     }
 
     /// Three pieces of the photograph, from the corners of the triangle of a skewed grid that the point lies in.

@@ -222,3 +222,6 @@ fn times_s(config: &SimulationConfig) -> Result<Vec<f64>> {
         })
         .collect())
 }
+
+#[cfg(test)]
+mod tests;

@@ -27,7 +27,7 @@ pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut 
         placement: mosaic.placement,
         opacity: BACKDROP_OPACITY,
     });
-    let svg = MapDrawing { title, backdrop }.svg(&tracked.frames);
+    let svg = MapDrawing { title, backdrop, ..Default::default() }.svg(&tracked.frames);
     folder.write("map.svg", svg.as_bytes())?;
     folder.write("map.png", &report::map_png(&svg, report::MAP_WIDTH_PX)?)?;
     // The page shows the path on plain paper: the mosaic has its own place on it.
@@ -37,7 +37,7 @@ pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut 
         frames: &tracked.frames,
         camera: &plan.camera,
         rig: &plan.rig,
-        map_svg: &MapDrawing { title, backdrop: None }.svg(&tracked.frames),
+        map_svg: &MapDrawing { title, ..Default::default() }.svg(&tracked.frames),
         mosaic: small.map(|(mosaic, png)| ReportMosaic {
             png,
             width_px: mosaic.width,

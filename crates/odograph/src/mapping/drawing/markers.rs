@@ -39,7 +39,7 @@ pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body
             let pose = place.pose();
             since_m += (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m);
             before = pose;
-            if index == 0 || since_m < every_m && (pose.heading_rad - heading).abs() < 0.785 {
+            if index == 0 || since_m < every_m && wrap_angle(pose.heading_rad - heading).abs() < 0.785 {
                 continue;
             }
             since_m = 0.0;

@@ -106,7 +106,7 @@ impl Window {
 
     /// The step between grid lines, metres.
     fn grid_step_m(&self) -> f64 {
-        scale::round_step(100.0 / self.scale, 1.0)
+        scale::round_step((self.page_width() / 12.0).clamp(48.0, 100.0) / self.scale, 1.0)
     }
 
     /// Grid lines (to go over the ground, under the path).

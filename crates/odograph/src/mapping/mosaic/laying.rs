@@ -134,8 +134,9 @@ impl Mosaic {
                         if u16::from(pixel[3]) >= OUTWEIGHED * u16::from(weight) {
                             continue;
                         }
-                        let Some(sample) = self.samples.at::<N>(at.x, at.y) else { continue };
-                        blend::<N>(pixel, std::array::from_fn(|c| sample[c] * gains[c]), weight);
+                        let Some(mut sample) = self.samples.at::<N>(at.x, at.y) else { continue };
+                        sample.iter_mut().zip(gains).for_each(|(value, gain)| *value *= gain);
+                        blend(pixel, sample, weight);
                     }
                 }
             }
@@ -173,10 +174,13 @@ impl Feather {
 fn blend<const N: usize>(pixel: &mut [u8; 4], sample: [f32; N], weight: u8) {
     let before = pixel[3];
     let share = f32::from(weight) / (f32::from(before) + f32::from(weight));
-    for channel in 0..3 {
+    for channel in 0..N {
         let old = f32::from(pixel[channel]);
-        let new = sample[channel.min(N - 1)].min(255.0);
+        let new = sample[channel].min(255.0);
         pixel[channel] = (old + (new - old) * share + 0.5) as u8;
+    }
+    for channel in N..3 {
+        pixel[channel] = pixel[0];
     }
     pixel[3] = before.saturating_add(weight);
 }

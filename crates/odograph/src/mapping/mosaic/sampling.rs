@@ -76,11 +76,13 @@ impl Samples {
         let at = (top * self.width + left) * N;
         let above = self.samples.get(at..at + 2 * N)?;
         let below = self.samples.get(at + self.width * N..at + self.width * N + 2 * N)?;
-        Some(std::array::from_fn(|channel| {
+        let mut sample = [0.0; N];
+        for (channel, value) in sample.iter_mut().enumerate() {
             let (a, b) = (f32::from(above[channel]), f32::from(above[channel + N]));
             let (c, d) = (f32::from(below[channel]), f32::from(below[channel + N]));
             let (up, down) = (a + (b - a) * dx, c + (d - c) * dx);
-            up + (down - up) * dy
-        }))
+            *value = up + (down - up) * dy;
+        }
+        Some(sample)
     }
 }

@@ -184,6 +184,17 @@ fn what_cannot_be_laid_is_refused_without_harm() {
 }
 
 #[test]
+fn a_refused_frame_leaves_the_ground_as_it_was() {
+    let camera = camera();
+    let image = GrayImage::from_samples(320, 240, vec![90; 320 * 240]).unwrap();
+    let mut mosaic = Mosaic::new(MosaicOptions::default());
+    mosaic.add(&image, &camera, &GroundPose::level(0.5));
+    let before = mosaic.picture();
+    assert!(!mosaic.add(&image, &camera, &GroundPose { x_m: 1e30, ..GroundPose::level(50.0) }));
+    assert_eq!(mosaic.picture(), before);
+}
+
+#[test]
 fn a_climbing_camera_makes_the_mosaic_coarser() {
     let camera = camera();
     let image = GrayImage::new(320, 240);

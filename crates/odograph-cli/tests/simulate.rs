@@ -1,0 +1,193 @@
+//! `odograph simulate` as a person calls it.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// Calls the command with a small image and a short recording, unless the options say otherwise.
+fn simulate(folder: &Path, options: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    command.arg("simulate").arg("--output").arg(folder).args(options);
+    for (option, value) in [("--size", "96x72"), ("--duration", "0.3")] {
+        if !options.contains(&option) {
+            command.args([option, value]);
+        }
+    }
+    command.output().unwrap()
+}
+
+fn wrote(folder: &Path, options: &[&str]) {
+    let output = simulate(folder, options);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Every file below a folder with its content.
+fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut found = vec![];
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(folder).unwrap().display().to_string();
+                found.push((name, fs::read(&path).unwrap()));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn a_recording_has_frames_times_truth_camera_and_rig() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("sim");
+    wrote(&folder, &["--path", "eight", "--roll", "-2", "--vibration", "2:0.3:8", "--blur", "0.005"]);
+    let names: Vec<String> = contents(&folder).into_iter().map(|(name, _)| name).collect();
+    let pictures: Vec<String> = (0..10).map(|i| format!("frames/{i:06}.png")).collect();
+    let mut wanted: Vec<&str> = vec!["camera.yaml", "frames.txt", "rig.toml", "simulation.toml", "truth.tum"];
+    wanted.extend(pictures.iter().map(String::as_str));
+    wanted.sort_unstable();
+    assert_eq!(names, wanted);
+    let text = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
+    let lines = |name: &str| -> Vec<String> {
+        text(name).lines().filter(|line| !line.starts_with('#')).map(str::to_string).collect()
+    };
+    let (times, truth) = (lines("frames.txt"), lines("truth.tum"));
+    assert_eq!((times.len(), truth.len()), (10, 10));
+    for (time, pose) in times.iter().zip(&truth) {
+        assert_eq!(time.split(' ').next(), pose.split(' ').next(), "frames and truth tell the same times");
+        assert_eq!(pose.split(' ').count(), 8);
+    }
+    assert!(truth[0].starts_with("0.000000000 0.000000000 0.000000000 0.900000000 "));
+    let camera = odograph::formats::camera_file::parse(&text("camera.yaml"), None).unwrap();
+    assert_eq!((camera.width(), camera.height()), (96, 72));
+    let rig = odograph::formats::rig_file::parse(&text("rig.toml")).unwrap();
+    assert!((rig.roll_rad.to_degrees() + 2.0).abs() < 1e-12 && rig.height_m == 0.9);
+    assert!(text("simulation.toml").contains("figure-eight"));
+}
+
+#[test]
+fn the_same_options_write_the_same_bytes_for_any_number_of_threads() {
+    let scratch = tempfile::tempdir().unwrap();
+    let options =
+        ["--path", "walk", "--seed", "9", "--noise", "3", "--object", "--shadow", "--lighting", "--color"];
+    for (name, threads) in [("one", "1"), ("many", "5")] {
+        wrote(&scratch.path().join(name), &[options.as_slice(), &["--threads", threads]].concat());
+    }
+    let (one, many) = (contents(&scratch.path().join("one")), contents(&scratch.path().join("many")));
+    assert_eq!(one.len(), many.len());
+    for (a, b) in one.iter().zip(&many) {
+        assert!(a == b, "{} differs", a.0);
+    }
+}
+
+#[test]
+fn the_camera_file_it_writes_can_be_given_back() {
+    let scratch = tempfile::tempdir().unwrap();
+    let (first, second) = (scratch.path().join("first"), scratch.path().join("second"));
+    wrote(&first, &[]);
+    let camera = first.join("camera.yaml");
+    wrote(&second, &["--camera", camera.to_str().unwrap()]);
+    assert_eq!(fs::read(&camera).unwrap(), fs::read(second.join("camera.yaml")).unwrap());
+    assert_eq!(
+        fs::read(first.join("frames/000005.png")).unwrap(),
+        fs::read(second.join("frames/000005.png")).unwrap()
+    );
+    let clash =
+        simulate(&scratch.path().join("third"), &["--camera", camera.to_str().unwrap(), "--height", "NaN"]);
+    assert_eq!(clash.status.code(), Some(2));
+}
+
+#[test]
+fn video_files_hold_every_frame() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("sim");
+    wrote(&folder, &["--format", "y4m"]);
+    let stream = fs::read(folder.join("sim.y4m")).unwrap();
+    let header = stream.iter().position(|b| *b == b'\n').unwrap() + 1;
+    assert!(stream.starts_with(b"YUV4MPEG2 W96 H72 F30:1 "));
+    assert_eq!(stream.len(), header + 10 * (6 + 96 * 72));
+    // Another format takes the place of the first: the folder never holds two recordings.
+    wrote(&folder, &["--format", "mjpeg", "--color", "--force", "--quiet"]);
+    assert!(!folder.join("sim.y4m").exists());
+    let avi = fs::read(folder.join("sim.avi")).unwrap();
+    assert_eq!(avi.windows(3).filter(|w| *w == b"\xff\xd8\xff").count(), 10);
+    wrote(&folder, &["--force"]);
+    assert!(!folder.join("sim.avi").exists() && folder.join("frames/000009.png").exists());
+}
+
+#[test]
+fn a_photograph_is_a_floor() {
+    let scratch = tempfile::tempdir().unwrap();
+    let first = scratch.path().join("first");
+    wrote(&first, &["--color", "--texture", "bricks"]);
+    let photograph = first.join("frames/000000.png");
+    let folder = scratch.path().join("second");
+    let photograph = photograph.to_str().unwrap();
+    wrote(
+        &folder,
+        &["--texture", photograph, "--texture", "grass", "--photo-width", "1.5", "--tiling", "scatter"],
+    );
+    assert!(folder.join("truth.tum").exists());
+}
+
+#[test]
+fn nothing_is_overwritten_unless_it_may_be() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("sim");
+    wrote(&folder, &[]);
+    fs::write(folder.join("frames/mine.txt"), "mine").unwrap();
+    let before = contents(&folder);
+    let refused = simulate(&folder, &["--seed", "2"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--force"));
+    assert_eq!(contents(&folder), before);
+    wrote(&folder, &["--seed", "2", "--duration", "0.1", "--force"]);
+    assert_eq!(fs::read_to_string(folder.join("frames/mine.txt")).unwrap(), "mine");
+    assert!(!folder.join("frames/000009.png").exists(), "frames of the longer run are gone");
+}
+
+#[test]
+fn wrong_options_are_told_in_one_sentence_and_write_nothing() {
+    let scratch = tempfile::tempdir().unwrap();
+    let text = scratch.path().join("floor.png");
+    fs::write(&text, "not a picture").unwrap();
+    let text = text.to_str().unwrap();
+    for (options, code, says) in [
+        (vec!["--height", "-1"], 2, "height is -1"),
+        (vec!["--height", "nan"], 2, "height is NaN"),
+        (vec!["--roll", "95"], 2, "does not look at the ground"),
+        (vec!["--fps", "0"], 2, "frame rate is 0"),
+        (vec!["--noise", "-3"], 2, "noise is -3"),
+        (vec!["--speed", "0"], 2, "speed is 0"),
+        (vec!["--texture", "lava"], 2, "textures are asphalt"),
+        (vec!["--texture", text], 3, "neither PNG nor JPEG"),
+        (vec!["--texture", "missing.jpg"], 3, "cannot be read"),
+        (vec!["--texture", "bare", "--texture", "grass", "--texture", "tiles"], 2, "two are the limit"),
+        (vec!["--camera", "missing.yaml"], 3, "missing.yaml"),
+        (vec!["--size", "9x9"], 2, "640x480"),
+        (vec!["--blackout", "4:2"], 2, "FROM:TO"),
+        (vec!["--format", "y4m", "--dropped", "0.2"], 2, "--format png"),
+        (vec!["--path", "pivot", "--pitch", "-75"], 2, "pivot"),
+    ] {
+        let folder = scratch.path().join("sim");
+        let output = simulate(&folder, &options);
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{options:?}: {told}");
+        assert!(told.contains(says), "{options:?}: {told}");
+        assert!(!told.contains("panicked") && !folder.exists(), "{options:?}: {told}");
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_be_made_is_told() {
+    let scratch = tempfile::tempdir().unwrap();
+    let file = scratch.path().join("file");
+    fs::write(&file, "").unwrap();
+    let output = simulate(&file.join("sim"), &[]);
+    assert_eq!(output.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("cannot be made"));
+}

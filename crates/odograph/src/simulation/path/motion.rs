@@ -1,0 +1,204 @@
+//! Pieces of paths: how they run and how progress along them follows time.
+
+use super::super::noise::Wobble;
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Position and direction on the ground, in the carrier's frame at the start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Place {
+    pub(super) x_m: f64,
+    pub(super) y_m: f64,
+    pub(super) heading_rad: f64,
+}
+
+/// How a piece of the path leads from its start; progress runs from 0 to the law's amount.
+#[derive(Debug, Clone)]
+pub(super) enum Motion {
+    Still,
+    /// Progress in metres along a direction against the heading.
+    Line {
+        direction_rad: f64,
+    },
+    /// Progress in radians about a point in the segment's frame.
+    Turn {
+        about: (f64, f64),
+        sign: f64,
+    },
+    /// Progress in radians of the lemniscate's parameter.
+    Eight {
+        half_length_m: f64,
+    },
+    /// Progress in metres along a curve that is tabulated at even distances.
+    Curve {
+        bend: Bend,
+        step_m: f64,
+        nodes: Vec<(f64, f64)>,
+    },
+}
+
+/// Heading along a curve, by distance from its start.
+#[derive(Debug, Clone)]
+pub(super) enum Bend {
+    /// A turn whose rate swells and falls off over the whole length.
+    Once { length_m: f64, turn_rad: f64 },
+    /// Wandering heading.
+    Wandering { wobble: Wobble, amplitude_rad: f64 },
+}
+
+/// Progress by time: constant rate, with smooth ramps where the segment starts or ends at rest.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Law {
+    pub(super) amount: f64,
+    rate: f64,
+    ramp_s: f64,
+    from_rest: bool,
+    to_rest: bool,
+}
+
+/// Longest ramp between rest and full speed, seconds.
+const RAMP_S: f64 = 0.5;
+
+impl Place {
+    pub(super) const ORIGIN: Self = Self { x_m: 0.0, y_m: 0.0, heading_rad: 0.0 };
+
+    /// A place given in the frame of this one.
+    pub(super) fn then(self, local: Self) -> Self {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        Self {
+            x_m: self.x_m + cos * local.x_m - sin * local.y_m,
+            y_m: self.y_m + sin * local.x_m + cos * local.y_m,
+            heading_rad: self.heading_rad + local.heading_rad,
+        }
+    }
+}
+
+impl Law {
+    pub(super) fn constant(amount: f64, rate: f64) -> Self {
+        Self { amount, rate, ramp_s: 0.0, from_rest: false, to_rest: false }
+    }
+
+    pub(super) fn ramped(amount: f64, rate: f64, from_rest: bool, to_rest: bool) -> Self {
+        // Ramps take as much time as they cost distance twice; a short way gets shorter ones.
+        Self { amount, rate, ramp_s: RAMP_S.min(amount / rate), from_rest, to_rest }
+    }
+
+    pub(super) fn duration_s(&self) -> f64 {
+        let ramps = f64::from(u8::from(self.from_rest) + u8::from(self.to_rest));
+        self.amount / self.rate + 0.5 * self.ramp_s * ramps
+    }
+
+    pub(super) fn progress(&self, time_s: f64) -> f64 {
+        let duration_s = self.duration_s();
+        let time_s = time_s.clamp(0.0, duration_s);
+        let left_s = duration_s - time_s;
+        // The rate follows 3t² − 2t³ up and down; this is its integral.
+        let ramp = |t: f64| self.rate * self.ramp_s * (t * t * t - 0.5 * t * t * t * t);
+        if self.from_rest && time_s < self.ramp_s {
+            ramp(time_s / self.ramp_s)
+        } else if self.to_rest && left_s < self.ramp_s {
+            self.amount - ramp(left_s / self.ramp_s)
+        } else if self.from_rest {
+            self.rate * (time_s - 0.5 * self.ramp_s)
+        } else {
+            self.rate * time_s
+        }
+    }
+}
+
+impl Motion {
+    /// Where this leads after that much progress, from the start of the segment.
+    pub(super) fn end(&self, progress: f64) -> Place {
+        match self {
+            Self::Still => Place::ORIGIN,
+            Self::Line { direction_rad } => Place {
+                x_m: progress * direction_rad.cos(),
+                y_m: progress * direction_rad.sin(),
+                heading_rad: 0.0,
+            },
+            Self::Turn { about: (x, y), sign } => {
+                let heading_rad = sign * progress;
+                let (sin, cos) = heading_rad.sin_cos();
+                // The point stays: place + R · point = point.
+                Place { x_m: x - (cos * x - sin * y), y_m: y - (sin * x + cos * y), heading_rad }
+            }
+            Self::Eight { half_length_m } => {
+                // x = a sin s, y = a/2 sin 2s leaves the crossing at 45°; turned so that it leaves along x.
+                let (a, s) = (*half_length_m, progress);
+                let (x, y) = (a * s.sin(), 0.5 * a * (2.0 * s).sin());
+                let (dx, dy) = (s.cos(), (2.0 * s).cos());
+                let quarter = FRAC_PI_2 / 2.0;
+                // The tangent turns right by 270° and then left by as much; its angle against the start never is positive.
+                let raw = dy.atan2(dx) - quarter;
+                let heading_rad = if raw > 0.1 { raw - TAU } else { raw };
+                let (sin, cos) = (-quarter).sin_cos();
+                Place { x_m: cos * x - sin * y, y_m: sin * x + cos * y, heading_rad }
+            }
+            Self::Curve { bend, step_m, nodes } => {
+                let node = ((progress / step_m) as usize).min(nodes.len() - 1);
+                let from_m = node as f64 * step_m;
+                let (dx, dy) = bend.integral(from_m, progress);
+                Place {
+                    x_m: nodes[node].0 + dx,
+                    y_m: nodes[node].1 + dy,
+                    heading_rad: bend.heading_rad(progress),
+                }
+            }
+        }
+    }
+
+    pub(super) fn lap_length_m(&self) -> f64 {
+        let n = 2000;
+        let place = |i: usize| self.end(TAU * i as f64 / n as f64);
+        (0..n)
+            .map(|i| {
+                let (a, b) = (place(i), place(i + 1));
+                (b.x_m - a.x_m).hypot(b.y_m - a.y_m)
+            })
+            .sum()
+    }
+}
+
+/// A curve of that length: positions tabulated every few centimetres, exact between them.
+pub(super) fn curve(bend: Bend, length_m: f64) -> Motion {
+    let steps = (length_m / 0.05).ceil().max(16.0);
+    let step_m = length_m / steps;
+    let mut nodes = vec![(0.0, 0.0)];
+    let mut at = (0.0, 0.0);
+    for i in 0..steps as usize {
+        let (dx, dy) = bend.integral(i as f64 * step_m, (i + 1) as f64 * step_m);
+        at = (at.0 + dx, at.1 + dy);
+        nodes.push(at);
+    }
+    Motion::Curve { bend, step_m, nodes }
+}
+
+impl Bend {
+    pub(super) fn heading_rad(&self, distance_m: f64) -> f64 {
+        match self {
+            Self::Once { length_m, turn_rad } => {
+                let t = (distance_m / length_m).clamp(0.0, 1.0);
+                // Quintic: curvature and its change are zero at both ends.
+                turn_rad * t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
+            }
+            Self::Wandering { wobble, amplitude_rad } => {
+                amplitude_rad * (wobble.at(distance_m) - wobble.at(0.0))
+            }
+        }
+    }
+
+    /// The way between two distances: the integral of the direction, by Gauss–Legendre quadrature with five points.
+    pub(super) fn integral(&self, from_m: f64, to_m: f64) -> (f64, f64) {
+        const NODES: [(f64, f64); 5] = [
+            (-0.906_179_845_938_664, 0.236_926_885_056_189_1),
+            (-0.538_469_310_105_683_1, 0.478_628_670_499_366_5),
+            (0.0, 0.568_888_888_888_888_9),
+            (0.538_469_310_105_683_1, 0.478_628_670_499_366_5),
+            (0.906_179_845_938_664, 0.236_926_885_056_189_1),
+        ];
+        let (middle, half) = (0.5 * (from_m + to_m), 0.5 * (to_m - from_m));
+        NODES.iter().fold((0.0, 0.0), |sum, (node, weight)| {
+            let heading = self.heading_rad(middle + half * node);
+            (sum.0 + half * weight * heading.cos(), sum.1 + half * weight * heading.sin())
+        })
+    }
+}
