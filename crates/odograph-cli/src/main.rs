@@ -18,6 +18,7 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
+#[allow(clippy::large_enum_variant)] // there is one of it
 enum Command {
     Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
