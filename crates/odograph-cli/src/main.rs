@@ -24,6 +24,7 @@ enum Command {
     Run(commands::run::RunArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
+    Undistort(commands::undistort::UndistortArguments),
 }
 
 /// How a command that did not fail ended.
@@ -44,6 +45,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
+        Command::Undistort(arguments) => commands::undistort::undistort(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -280,9 +280,21 @@ fn valid_view(camera: &Camera) -> Result<Camera> {
         }
     }
     let size = (camera.width(), camera.height());
-    let sound =
-        view.left.is_finite() && view.right.is_finite() && view.top.is_finite() && view.bottom.is_finite();
-    if !sound || (size.0 > 1 && view.left >= view.right) || (size.1 > 1 && view.top >= view.bottom) {
+    // A side that the model reaches nowhere: as far as it reaches from the principal point towards it.
+    let (cx, cy) = camera.principal_px();
+    let across = |x: usize| camera.ray_from_pixel(Pixel::new(x as f64, cy)).map(|ray| ray.x);
+    let along = |y: usize| camera.ray_from_pixel(Pixel::new(cx, y as f64)).map(|ray| ray.y);
+    for (side, reached) in [
+        (&mut view.left, (0..size.0).find_map(across)),
+        (&mut view.right, (0..size.0).rev().find_map(across)),
+        (&mut view.top, (0..size.1).find_map(along)),
+        (&mut view.bottom, (0..size.1).rev().find_map(along)),
+    ] {
+        if side.is_infinite() {
+            *side = reached.ok_or_else(nothing)?;
+        }
+    }
+    if (size.0 > 1 && view.left >= view.right) || (size.1 > 1 && view.top >= view.bottom) {
         return Err(nothing());
     }
     let (across, along) = view.zooms(camera);
