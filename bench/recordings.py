@@ -99,7 +99,7 @@ def planar_checker(data, work):
     (work / "camera.yaml").write_text(
         camera_file((752, 480), 419.97, 419.31, 353.93, 250.78, [-0.31418, 0.10884, 0, 0])
     )
-    return [folder / "images", "--timestamps", work / "frames.txt", "--motion", "free"]
+    return [folder / "images", "--timestamps", work / "frames.txt"]
 
 
 def static_euroc(data, work):

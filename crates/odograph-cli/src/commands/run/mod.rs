@@ -35,7 +35,7 @@ pub struct RunArguments {
     #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
     /// What may change between frames.
-    #[arg(long, value_name = "MODEL", default_value = "rigid")]
+    #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(long, value_name = "FILE")]
@@ -106,6 +106,8 @@ fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
 /// The motion models by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Motion {
+    /// x, y and heading; height and tilt as far as the recording shows that they change.
+    Auto,
     /// The paper's mean vector: x and y only, for comparison.
     Mean,
     /// Fixed height and tilt.
@@ -119,6 +121,7 @@ pub enum Motion {
 impl From<Motion> for MotionModel {
     fn from(motion: Motion) -> Self {
         match motion {
+            Motion::Auto => Self::Auto,
             Motion::Mean => Self::Mean,
             Motion::Rigid => Self::Rigid,
             Motion::Similarity => Self::Similarity,
@@ -136,7 +139,7 @@ impl RunArguments {
             height: None,
             rig: None,
             field_of_view: None,
-            motion: Motion::Rigid,
+            motion: Motion::Auto,
             timestamps: None,
             fps: None,
             start: None,
