@@ -6,6 +6,7 @@
 
 mod follow;
 mod keyframe;
+mod limits;
 
 use crate::camera::{Camera, Rig};
 use crate::detection::DetectionConfig;
@@ -94,8 +95,9 @@ struct Candidate {
 const CONFIRMATIONS: usize = 3;
 
 impl Odometry {
-    /// A pipeline for one recording. Fails where the rig cannot be.
+    /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
+        let config = config.validated()?;
         Ok(Self {
             camera,
             config,
