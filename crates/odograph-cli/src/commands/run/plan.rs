@@ -1,6 +1,6 @@
 //! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
 
-use super::{Motion, RunArguments};
+use super::RunArguments;
 use crate::files;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -118,17 +118,18 @@ impl RunPlan {
 
     fn read(arguments: &RunArguments) -> Result<Self> {
         let path = PathBuf::from(&arguments.source);
+        let unasked = RunArguments::over(arguments.output.clone());
         let given = [
             ("--camera", arguments.camera.is_some()),
             ("--field-of-view", arguments.field_of_view.is_some()),
             ("--rig", arguments.rig.is_some()),
             ("--height", arguments.height.is_some()),
-            ("--motion", arguments.motion != Motion::Rigid),
+            ("--motion", arguments.motion != unasked.motion),
             ("--timestamps", arguments.timestamps.is_some()),
             ("--fps", arguments.fps.is_some()),
             ("--start", arguments.start.is_some()),
             ("--end", arguments.end.is_some()),
-            ("--every", arguments.every != 1),
+            ("--every", arguments.every != unasked.every),
             ("--max-frames", arguments.max_frames.is_some()),
         ];
         if let Some((option, _)) = given.iter().find(|(_, given)| *given) {
