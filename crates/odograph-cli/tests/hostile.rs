@@ -396,9 +396,16 @@ fn options_beside_a_plan_are_not_overheard() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
-    for more in
-        ["--every 2", "--start 1", "--end 1", "--fps 5", "--max-frames 3", "--timestamps t", "--height 2", "--motion mean"]
-    {
+    for more in [
+        "--every 2",
+        "--start 1",
+        "--end 1",
+        "--fps 5",
+        "--max-frames 3",
+        "--timestamps t",
+        "--height 2",
+        "--motion mean",
+    ] {
         place.refused(&format!("out/run.toml -o again {more}"), 2, "already says");
     }
 }
