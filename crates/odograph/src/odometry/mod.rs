@@ -6,6 +6,7 @@
 
 mod follow;
 mod keyframe;
+mod limits;
 mod recovery;
 
 use crate::camera::{Camera, Rig};
@@ -107,7 +108,7 @@ const MOST_CONFIRMATIONS: usize = 8;
 const DOUBTFUL_PRESENCE: f64 = 0.35;
 
 impl Odometry {
-    /// A pipeline for one recording. Fails where the rig cannot be.
+    /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         let first_pose = rig.validated()?.first_pose();
         Ok(Self {
@@ -117,7 +118,7 @@ impl Odometry {
             first_pose,
             wander: RigWander::new(&first_pose),
             keyframe: None,
-            memory: KeyframeMemory::new(config.keyframe.remembered),
+            memory: KeyframeMemory::new(config.validated()?.keyframe.remembered),
             last: None,
             filter: None,
             candidate: None,

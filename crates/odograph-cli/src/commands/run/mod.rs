@@ -6,13 +6,13 @@ mod pipeline;
 mod plan;
 mod statistics;
 
-use crate::Outcome;
+use crate::{Outcome, console};
 use folder::OutputFolder;
 use odograph::error::{Error, Result};
 use odograph::motion::MotionModel;
 pub use plan::RunPlan;
 pub use statistics::Statistics;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Follow a recorded drive: writes the trajectory, the map, a mosaic of the ground and a report.
@@ -190,8 +190,9 @@ pub fn follow(
     let failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
     let statistics = Statistics::new(&tracked, started.elapsed());
+    folder.write_trajectories(&tracked.frames, &plan.text()?)?;
     map::write(plan, &description, &tracked, &mut folder)?;
-    folder.finish(&tracked.frames, &statistics, &plan.text()?)?;
+    folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),
         None => Ok(RunReport { statistics, warnings: tracked.warnings, folder: folder.path().to_owned() }),
@@ -209,30 +210,25 @@ impl RunReport {
     }
 
     /// Tells the result and where to look.
-    #[allow(clippy::print_stdout, clippy::print_stderr)] // results are what standard output is for
     pub fn tell(&self, arguments: &OutputArguments) -> Result<()> {
         if arguments.json {
-            println!("{}", self.statistics.json()?);
+            console::print(&format!("{}\n", self.statistics.json()?))?;
         } else if !arguments.quiet {
-            print!("{}", self.statistics.summary());
-            println!("Look at {}", shown(&self.folder.join("report.html")));
+            let page = self.folder.join("report.html");
+            console::print(&format!("{}Look at {}\n", self.statistics.summary(), page.display()))?;
         }
         if !arguments.quiet {
             for warning in &self.warnings {
-                eprintln!("odograph: warning: {warning}");
+                console::warn(warning);
             }
         }
         if self.outcome() == Outcome::TrackingFailed && !arguments.quiet {
-            eprintln!(
-                "odograph: the movement could not be measured in {} of {} frames; the report says where and why",
+            console::complain(&format!(
+                "the movement could not be measured in {} of {} frames; the report says where and why",
                 self.statistics.frames - self.statistics.frames_with_pose,
                 self.statistics.frames
-            );
+            ));
         }
         Ok(())
     }
-}
-
-fn shown(path: &Path) -> String {
-    path.display().to_string()
 }
