@@ -104,6 +104,12 @@ const MOST_CONFIRMATIONS: usize = 8;
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
 const DOUBTFUL_PRESENCE: f64 = 0.35;
 
+/// A measurement further than this from where it was expected is a surprise, pixels: a joint of the floor may have been taken for its neighbour.
+const SURPRISE_PX: f64 = 12.0;
+
+/// Where a smaller part of the corners in view agrees with a surprise, it may be something else.
+const SURPRISING_PRESENCE: f64 = 0.7;
+
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
@@ -195,13 +201,19 @@ impl Odometry {
         outcome
     }
 
-    /// Whether a measurement may have followed something beside the ground, as a shadow that moves along.
+    /// Whether a measurement may have followed something beside the ground, as a shadow that moves along, or another part of the ground that
+    /// looks alike: few of the corners in view agree with it, or not most of them although it is not where it was expected.
     fn is_doubtful(&self, measurement: &Measurement) -> bool {
-        let well_supported = measurement.support >= self.config.keyframe.support;
-        !well_supported
-            && self.keyframe.as_ref().is_some_and(|keyframe| {
-                follow::presence(keyframe, &self.camera, &measurement.estimate) < DOUBTFUL_PRESENCE
-            })
+        let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
+        let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
+        let surprising = off_m * self.camera.focal_px().0 > SURPRISE_PX * found.height_m;
+        if !surprising && measurement.support >= self.config.keyframe.support {
+            return false;
+        }
+        let wanted = if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
+        self.keyframe
+            .as_ref()
+            .is_some_and(|keyframe| follow::presence(keyframe, &self.camera, &measurement.estimate) < wanted)
     }
 
     /// The pose of a frame anywhere over known ground. Takes up the keyframe in which it was found.
@@ -361,7 +373,8 @@ impl Odometry {
                 candidate.pose = measurement.estimate.pose;
                 candidate.confirmations += 1;
                 // To come back to known ground is better than to begin anew.
-                let needed = if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
+                let needed =
+                    if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
                 (candidate.confirmations >= needed).then_some(measurement)
             }
             Err(_) => {
