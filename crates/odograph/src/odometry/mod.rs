@@ -102,7 +102,7 @@ const CONFIRMATIONS: usize = 3;
 const MOST_CONFIRMATIONS: usize = 8;
 
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
-const DOUBTFUL_PRESENCE: f64 = 0.35;
+const DOUBTFUL_PRESENCE: f64 = 0.55;
 
 /// A measurement further than this from where it was expected is a surprise, pixels: a joint of the floor may have been taken for its neighbour.
 const SURPRISE_PX: f64 = 12.0;
@@ -207,13 +207,12 @@ impl Odometry {
         let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
         let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
         let surprising = off_m * self.camera.focal_px().0 > SURPRISE_PX * found.height_m;
-        if !surprising && measurement.support >= self.config.keyframe.support {
-            return false;
-        }
         let wanted = if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
-        self.keyframe
-            .as_ref()
-            .is_some_and(|keyframe| follow::presence(keyframe, &self.camera, &measurement.estimate) < wanted)
+        // The support counts corners out of view too: the presence is never below it.
+        measurement.support < wanted
+            && self.keyframe.as_ref().is_some_and(|keyframe| {
+                follow::presence(keyframe, &self.camera, &measurement.estimate) < wanted
+            })
     }
 
     /// The pose of a frame anywhere over known ground. Takes up the keyframe in which it was found.

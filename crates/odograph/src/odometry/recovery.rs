@@ -18,12 +18,13 @@ const REMEMBERED_PER_FRAME: usize = 2;
 /// Hypotheses that stand out less than this are not worth following.
 const LEAST_SCORE: f64 = 4.5;
 
-/// A hypothesis that stands out so many times as far as the next, and is confirmed by this part of the corners, needs no rivals.
+/// A hypothesis that stands out so many times as far as the next, and is confirmed by this part of the corners, is the truth.
 const OUTSTANDING: f64 = 1.4;
 const CLEAR_PRESENCE: f64 = 0.6;
 
-/// The part of the corners that should be in view which must be found again.
-const LEAST_PRESENCE: f64 = 0.3;
+/// The part of the corners in view which must be found again; less will do where no other hypothesis comes near.
+const LEAST_PRESENCE: f64 = 0.5;
+const LEAST_CLEAR_PRESENCE: f64 = 0.3;
 
 /// A rival with at least this part of the best one's inliers leaves the choice to the prediction.
 const RIVAL: f64 = 0.75;
@@ -159,16 +160,20 @@ impl Search<'_> {
                 break;
             }
             let Some((measurement, presence)) = self.confirm(keyframe, hypothesis, random) else { continue };
-            measurements.push(measurement);
             let next = hypotheses.get(rank + 1).map_or(0.0, |next| next.score);
-            if presence > CLEAR_PRESENCE && hypothesis.score > OUTSTANDING * next {
+            let outstanding = rank == 0 && hypothesis.score > OUTSTANDING * next;
+            if presence < if outstanding { LEAST_CLEAR_PRESENCE } else { LEAST_PRESENCE } {
+                continue;
+            }
+            measurements.push(measurement);
+            if presence > CLEAR_PRESENCE && outstanding {
                 return Confirmed { measurements, decided: true };
             }
         }
         Confirmed { measurements, decided: false }
     }
 
-    /// The measurement from where a hypothesis puts the camera, and the part of the corners in view that agrees; `None` where that is too small.
+    /// The measurement from where a hypothesis puts the camera, and the part of the corners in view that agrees.
     fn confirm(
         &self,
         keyframe: &Keyframe,
@@ -187,7 +192,7 @@ impl Search<'_> {
         let again = measure(&first.estimate.pose).filter(|again| again.support >= first.support);
         let measurement = again.unwrap_or(first);
         let presence = follow::presence(keyframe, self.camera, &measurement.estimate);
-        (presence >= LEAST_PRESENCE).then_some((measurement, presence))
+        Some((measurement, presence))
     }
 }
 

@@ -154,11 +154,15 @@ fn a_jump_over_tiles_is_right_or_said_to_be_lost() {
     let poses =
         [at(0.0, 0.0, 0.0), at(0.0, 0.01, 0.0), at(0.0, 0.51, 0.0), at(0.2, 0.51, 0.0), at(0.2, 0.5, 1.571)];
     let frames = world.run(&mut world.odometry(), &poses);
+    let mut followed = 0;
     for (frame, truth) in frames.iter().zip(&poses) {
         if frame.estimate.is_some() {
             assert_right(frame, truth, 6.0);
+            followed += 1;
         }
     }
+    println!("{followed} of {}", frames.len());
+    assert!(followed >= 3, "{followed}");
 }
 
 #[test]

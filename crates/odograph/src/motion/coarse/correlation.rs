@@ -9,7 +9,7 @@ use std::sync::Arc;
 const SIDE: usize = 192;
 
 /// Peaks that are kept of every rotation.
-const PEAKS_PER_ROTATION: usize = 3;
+const PEAKS_PER_ROTATION: usize = 8;
 
 /// Shifts that leave less than this part of the views in common are not looked at.
 const LEAST_OVERLAP: f64 = 0.18;

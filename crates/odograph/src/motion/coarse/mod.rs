@@ -95,7 +95,10 @@ const SCALE_STEPS: i32 = 4;
 /// Chance does not reach this score.
 const CERTAIN_SCORE: f64 = 12.0;
 
-/// Peaks of the correlation that are refined, for every hypothesis that is asked for.
+/// So many peaks of the correlation are judged by what the views have in common there.
+const PEAKS_JUDGED: usize = 100;
+
+/// Peaks that are refined, for every hypothesis that is asked for.
 const PEAKS_PER_HYPOTHESIS: usize = 4;
 
 impl CoarseRegistration {
@@ -178,23 +181,25 @@ fn refine(
 ) -> Vec<Hypothesis> {
     let noise = correlation::noise(peaks);
     peaks.sort_by(|a, b| b.value.total_cmp(&a.value));
-    let mut starts: Vec<Placement> = Vec::new();
-    for peak in peaks.iter() {
-        if starts.len() >= PEAKS_PER_HYPOTHESIS * options.hypotheses {
+    let mut starts: Vec<(f64, Placement)> = Vec::new();
+    for start in peaks.iter().map(Placement::of) {
+        if starts.len() >= PEAKS_JUDGED {
             break;
         }
-        let start = Placement::of(peak);
-        if !starts.iter().any(|other| other.near(&start, 2.0 * ROTATION_STEP_RAD)) {
-            starts.push(start);
+        if !starts.iter().any(|(_, other)| other.near(&start, 2.0 * ROTATION_STEP_RAD)) {
+            let quality = refinement::agreement(keyframe, now, &start).map_or(0.0, |found| found.quality());
+            starts.push((quality, start));
         }
     }
+    starts.sort_by(|a, b| b.0.total_cmp(&a.0));
+    starts.truncate(PEAKS_PER_HYPOTHESIS * options.hypotheses);
     let mut found: Vec<(Placement, Hypothesis)> = Vec::new();
-    for start in starts {
+    for (_, start) in starts {
         let Some((placement, agreement)) = refinement::improve(keyframe, now, start, options.scale_free)
         else {
             continue;
         };
-        let score = agreement.correlation * (agreement.samples as f64).sqrt() / noise;
+        let score = agreement.quality() / noise;
         let twin = found.iter_mut().find(|(other, _)| other.near(&placement, 0.5 * ROTATION_STEP_RAD));
         let hypothesis = placement.hypothesis(keyframe, now, &agreement, score);
         match twin {
