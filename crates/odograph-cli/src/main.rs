@@ -18,10 +18,13 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
+#[allow(clippy::large_enum_variant)] // there is one of it
 enum Command {
+    Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
+    Undistort(commands::undistort::UndistortArguments),
 }
 
 /// How a command that did not fail ended.
@@ -38,9 +41,11 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     interrupt::listen();
     let outcome: Result<Outcome> = match arguments.command {
+        Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
+        Command::Undistort(arguments) => commands::undistort::undistort(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

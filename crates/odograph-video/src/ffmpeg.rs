@@ -41,7 +41,11 @@ pub(crate) enum Content<'a> {
 /// Where there is no ffmpeg, a sentence that says what it would be needed for; where it does not decode the file either, its
 /// own words.
 pub(crate) fn open(path: &Path, content: Content<'_>, color: bool) -> Result<Opened> {
-    let Some(program) = program() else {
+    open_with(program(), path, content, color)
+}
+
+fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color: bool) -> Result<Opened> {
+    let Some(program) = program else {
         return Err(Error::input(match content {
             Content::Video { codec, container, .. } => format!(
                 "{codec} in {container} is decoded through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or convert the video to H.264"
@@ -57,7 +61,9 @@ pub(crate) fn open(path: &Path, content: Content<'_>, color: bool) -> Result<Ope
                 format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
             }
             Content::Unknown => {
-                format!("this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}")
+                format!(
+                    "this is not a picture or video of a kind known here, and ffmpeg cannot read it either: {why}"
+                )
             }
         })
     };
@@ -106,7 +112,9 @@ fn program() -> Option<PathBuf> {
         return name.is_file().then_some(name);
     }
     let with_ending = name.with_extension(std::env::consts::EXE_EXTENSION);
-    std::env::split_paths(&std::env::var_os("PATH")?).map(|folder| folder.join(&with_ending)).find(|p| p.is_file())
+    std::env::split_paths(&std::env::var_os("PATH")?)
+        .map(|folder| folder.join(&with_ending))
+        .find(|p| p.is_file())
 }
 
 /// A running ffmpeg.
@@ -132,10 +140,21 @@ impl Process {
         let mut input = OsString::from("file:");
         input.push(path);
         let mut command = bounded(program);
-        command.args(["-nostdin", "-hide_banner", "-v", "error", "-copyts", "-protocol_whitelist", "file", "-i"]).arg(input);
+        command
+            .args(["-nostdin", "-hide_banner", "-v", "error", "-copyts", "-protocol_whitelist", "file", "-i"])
+            .arg(input);
         command.args(["-map", "0:v:0", passthrough, "passthrough", "-vf", FORMATS]);
         command.args(["-strict", "-1", "-f", "yuv4mpegpipe", "pipe:1"]);
-        command.args(["-map", "0:v:0", passthrough, "passthrough", "-enc_time_base", "-1", "-c:v", "wrapped_avframe"]);
+        command.args([
+            "-map",
+            "0:v:0",
+            passthrough,
+            "passthrough",
+            "-enc_time_base",
+            "-1",
+            "-c:v",
+            "wrapped_avframe",
+        ]);
         command.args(["-flush_packets", "1", "-f", "framecrc", "pipe:2"]);
         let mut child = command
             .stdin(Stdio::null())
@@ -187,7 +206,10 @@ impl Process {
         let said = self.message();
         if !said.is_empty() || failed {
             let ending = if failed { "stopped early" } else { "found damage" };
-            self.warnings.push(format!("ffmpeg {ending}: {}", if said.is_empty() { "it did not say why" } else { &said }));
+            self.warnings.push(format!(
+                "ffmpeg {ending}: {}",
+                if said.is_empty() { "it did not say why" } else { &said }
+            ));
         }
     }
 
@@ -254,7 +276,9 @@ fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Pi
             return;
         }
     };
-    while let Some(picture) = frames.advance().and_then(|time| time.map(|_| frames.picture()).transpose()).transpose() {
+    while let Some(picture) =
+        frames.advance().and_then(|time| time.map(|_| frames.picture()).transpose()).transpose()
+    {
         if sender.send(picture).is_err() {
             return;
         }
@@ -263,7 +287,7 @@ fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Pi
 
 /// Tells the frames' times from the messages.
 fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f64)) {
-    let mut tick_s = 1.0;
+    let mut ticks_per_s = 1.0;
     let mut reader = BufReader::new(log);
     let mut line = Vec::new();
     loop {
@@ -273,8 +297,8 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f
         }
         let line = String::from_utf8_lossy(&line);
         match Line::read(line.trim_end()) {
-            Line::TimeBase(seconds) => tick_s = seconds,
-            Line::Frame(ticks) => tell(ticks as f64 * tick_s),
+            Line::TimeBase { numerator, denominator } => ticks_per_s = denominator / numerator,
+            Line::Frame(ticks) => tell(ticks as f64 / ticks_per_s),
             Line::Head => {}
             Line::Message(text) => {
                 let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
@@ -298,7 +322,11 @@ fn without_speaker(message: &str) -> &str {
 
 #[derive(Debug, PartialEq)]
 enum Line<'a> {
-    TimeBase(f64),
+    /// Seconds per tick.
+    TimeBase {
+        numerator: f64,
+        denominator: f64,
+    },
     /// Presentation time in ticks.
     Frame(i64),
     Head,
@@ -308,10 +336,11 @@ enum Line<'a> {
 impl<'a> Line<'a> {
     /// `#tb 0: 1/25` or `0, dts, pts, duration, size, checksum`; anything else is a message.
     fn read(line: &'a str) -> Self {
-        if let Some(base) = line.strip_prefix("#tb 0: ").and_then(|base| base.split_once('/')) {
-            if let (Ok(numerator), Ok(denominator)) = (base.0.parse::<u32>(), base.1.trim().parse::<u32>()) {
-                return Self::TimeBase(f64::from(numerator) / f64::from(denominator.max(1)));
-            }
+        if let Some(base) = line.strip_prefix("#tb 0: ").and_then(|base| base.split_once('/'))
+            && let (Ok(numerator), Ok(denominator)) = (base.0.parse::<u32>(), base.1.trim().parse::<u32>())
+        {
+            let (numerator, denominator) = (f64::from(numerator.max(1)), f64::from(denominator.max(1)));
+            return Self::TimeBase { numerator, denominator };
         }
         if line.starts_with('#') || line.trim().is_empty() {
             return Self::Head;
@@ -319,10 +348,9 @@ impl<'a> Line<'a> {
         let mut fields = line.split(',').map(str::trim);
         if let (Some("0"), Some(_), Some(ticks), Some(_), Some(_), Some(checksum)) =
             (fields.next(), fields.next(), fields.next(), fields.next(), fields.next(), fields.next())
+            && let (Ok(ticks), true) = (ticks.parse(), checksum.starts_with("0x"))
         {
-            if let (Ok(ticks), true) = (ticks.parse(), checksum.starts_with("0x")) {
-                return Self::Frame(ticks);
-            }
+            return Self::Frame(ticks);
         }
         Self::Message(line)
     }
@@ -332,13 +360,62 @@ impl<'a> Line<'a> {
 mod tests {
     use super::*;
 
+    const AV1: Content<'_> = Content::Video { codec: "AV1", container: "Matroska", frame_count: None };
+
+    fn refusal(program: Option<PathBuf>, path: &str, content: Content<'_>) -> String {
+        match open_with(program, Path::new(path), content, false) {
+            Ok(_) => panic!("opened"),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    #[test]
+    fn without_ffmpeg_the_sentence_names_the_codec_and_what_to_install() {
+        let text = refusal(None, "film.mkv", AV1);
+        assert!(text.starts_with("AV1 in Matroska") && text.contains("install ffmpeg"), "{text}");
+        assert!(
+            refusal(None, "film", Content::Unknown).contains("not a picture or video of a kind known here")
+        );
+    }
+
+    /// A script that fails in the way the name of its input says.
+    #[cfg(unix)]
+    fn stand_in() -> Option<PathBuf> {
+        Some(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/stand-in-for-ffmpeg"))
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_program_that_fails_is_told_in_its_own_words() {
+        let text = refusal(stand_in(), "fails", AV1);
+        assert_eq!(text, "AV1 in Matroska cannot be decoded, not even with ffmpeg: no such luck");
+        let text = refusal(stand_in(), "junk", AV1);
+        assert!(text.contains("this is not a Y4M stream"), "{text}");
+        let text = refusal(stand_in(), "silent", AV1);
+        assert!(text.ends_with("it has no frames"), "{text}");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn frames_and_times_arrive_together_and_an_early_end_is_told() {
+        let mut frames = open_with(stand_in(), Path::new("early"), AV1, false).unwrap().frames;
+        assert_eq!(frames.advance().unwrap(), Some(0.5));
+        assert_eq!(frames.picture().unwrap().gray.samples(), b"ab");
+        assert_eq!(frames.advance().unwrap(), Some(0.8));
+        assert_eq!(frames.advance().unwrap(), None);
+        assert_eq!(frames.take_warnings(), ["ffmpeg stopped early: not good"]);
+    }
+
     #[test]
     fn lines_of_the_log() {
-        assert_eq!(Line::read("#tb 0: 1/25"), Line::TimeBase(0.04));
+        assert_eq!(Line::read("#tb 0: 1/25"), Line::TimeBase { numerator: 1.0, denominator: 25.0 });
         assert_eq!(Line::read("#codec_id 0: wrapped_avframe"), Line::Head);
         assert_eq!(Line::read("0,          3,          3,        1,      456, 0xed0d96bd"), Line::Frame(3));
         assert_eq!(Line::read("0, what, now"), Line::Message("0, what, now"));
-        assert_eq!(without_speaker("[mov,mp4 @ 0x55e2] [a @ 0x1] moov atom not found"), "moov atom not found");
+        assert_eq!(
+            without_speaker("[mov,mp4 @ 0x55e2] [a @ 0x1] moov atom not found"),
+            "moov atom not found"
+        );
         assert_eq!(Line::read("file:x: Invalid data"), Line::Message("file:x: Invalid data"));
     }
 }

@@ -16,6 +16,9 @@ use std::path::{Path, PathBuf};
 /// The rate that is assumed where nothing says one.
 const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
 
+/// Start and end mean the frames that people name by their decimals, which binary fractions miss by a little.
+const TIME_SLACK_S: f64 = 1e-6;
+
 /// Which frames are wanted, and how a source without times gets them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceOptions {
@@ -145,7 +148,20 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     let place = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
     open_kind(path, options)
         .and_then(|opened| Source::new(place.clone(), opened, options))
-        .map_err(|e| e.at(place))
+        .map_err(|e| told(&e, &place))
+}
+
+/// What an MP4 or QuickTime file may start with.
+const MP4_STARTS: [&[u8]; 11] =
+    [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"uuid", b"styp", b"sidx", b"moof"];
+
+/// An error with the place it happened, on one line: decoders of third parties break theirs.
+fn told(error: &Error, place: &str) -> Error {
+    Error::new(error.kind(), one_line(&error.to_string())).at(place)
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
@@ -160,6 +176,10 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         return pictures::open_folder(path, options);
     }
     let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
+    if !metadata.is_file() {
+        // A pipe or a device can only be read once, from front to back.
+        return y4m::open(BufReader::with_capacity(1 << 18, file), None, options.color);
+    }
     let mut magic = Vec::new();
     file.by_ref()
         .take(64)
@@ -172,12 +192,17 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         m if m.starts_with(y4m::MAGIC) => {
             y4m::open(BufReader::with_capacity(1 << 18, file), Some(metadata.len()), options.color)
         }
-        m if pictures::is_picture(m) => pictures::open_picture(path, options),
-        [_, _, _, _, kind @ ..]
-            if [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot"]
-                .iter()
-                .any(|k| kind.starts_with(*k)) =>
+        [0xff, 0xd8, ..]
+            if path
+                .extension()
+                .is_some_and(|e| e.eq_ignore_ascii_case("mjpeg") || e.eq_ignore_ascii_case("mjpg")) =>
         {
+            let content =
+                ffmpeg::Content::Video { codec: "Motion JPEG", container: "a raw stream", frame_count: None };
+            ffmpeg::open(path, content, options.color)
+        }
+        m if pictures::is_picture(m) => pictures::open_picture(path, options),
+        [_, _, _, _, kind @ ..] if MP4_STARTS.iter().any(|start| kind.starts_with(start)) => {
             video(Box::new(Mp4Reader::open(file)?))
         }
         m if m.starts_with(&matroska::MAGIC) => video(Box::new(MatroskaReader::open(file)?)),
@@ -213,7 +238,9 @@ impl Source {
         let info = SourceInfo {
             width,
             height,
-            frame_count: opened.frame_count.map(|count| count.div_ceil(options.every)),
+            frame_count: opened
+                .frame_count
+                .map(|count| count.div_ceil(options.every).min(options.max_frames.unwrap_or(u64::MAX))),
             description: format!("{}, {width}x{height}", opened.description),
         };
         Ok(Self {
@@ -245,7 +272,7 @@ impl Source {
     /// When a frame is damaged beyond what its decoder forgives, has another size than the first, or has no line in the
     /// file of timestamps. A video that is cut off is no error: its frames up to the cut are given, and a warning.
     pub fn next_frame(&mut self) -> Result<Option<Frame>> {
-        let frame = self.next_wanted().map_err(|error| error.at(&self.place));
+        let frame = self.next_wanted().map_err(|error| told(&error, &self.place));
         if !matches!(frame, Ok(Some(_))) {
             self.end();
         }
@@ -257,7 +284,7 @@ impl Source {
         let mut warnings = std::mem::take(&mut self.warnings);
         warnings.append(&mut self.frames.take_warnings());
         for warning in &mut warnings {
-            *warning = format!("{}: {warning}", self.place);
+            *warning = format!("{}: {}", self.place, one_line(warning));
         }
         warnings
     }
@@ -299,10 +326,10 @@ impl Source {
             }
             self.last_time_s = time_s;
             let since_first_s = time_s - *self.first_time_s.get_or_insert(time_s);
-            if self.options.end_s.is_some_and(|end_s| since_first_s > end_s) {
+            if self.options.end_s.is_some_and(|end_s| since_first_s > end_s + TIME_SLACK_S) {
                 return Ok(None);
             }
-            if self.options.start_s.is_some_and(|start_s| since_first_s < start_s) {
+            if self.options.start_s.is_some_and(|start_s| since_first_s < start_s - TIME_SLACK_S) {
                 continue;
             }
             self.in_range += 1;
@@ -338,3 +365,50 @@ const _: fn() = || {
     fn is_send<T: Send>() {}
     is_send::<Source>();
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use odograph::image::GrayImage;
+
+    /// Frames of one pixel at given times.
+    struct Listed(std::vec::IntoIter<f64>);
+
+    impl Frames for Listed {
+        fn advance(&mut self) -> Result<Option<f64>> {
+            Ok(self.0.next())
+        }
+
+        fn picture(&mut self) -> Result<Picture> {
+            Ok(Picture::gray(GrayImage::new(1, 1)))
+        }
+
+        fn take_warnings(&mut self) -> Vec<String> {
+            Vec::new()
+        }
+    }
+
+    #[test]
+    fn frames_whose_times_do_not_increase_are_left_out_and_told() {
+        let opened = Opened {
+            frames: Box::new(Listed(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0].into_iter())),
+            frame_count: Some(6),
+            description: "times".into(),
+            times_known: true,
+            timestamps_used: false,
+            frames_per_second: None,
+        };
+        let mut source = Source::new("here".into(), opened, &SourceOptions::default()).unwrap();
+        assert_eq!(source.info().description, "times, 1x1");
+        let frames: Vec<_> = std::iter::from_fn(|| source.next_frame().unwrap()).collect();
+        let seen: Vec<_> = frames.iter().map(|f| (f.number, f.time_s)).collect();
+        assert_eq!(seen, [(0, -1.0), (1, 0.0), (5, 2.0)]);
+        assert!(source.next_frame().unwrap().is_none());
+        let warnings = source.take_warnings();
+        assert_eq!(
+            warnings,
+            ["here: 3 frames whose time is not after the time of the frame before were left out"]
+        );
+        assert!(source.take_warnings().is_empty());
+    }
+}

@@ -152,7 +152,7 @@ mod tests {
     fn euroc_nanoseconds() {
         let csv = "#timestamp [ns],filename\n1403715273262142976,1403715273262142976.png\n1403715273312143104,x.png\r\n";
         let Timestamps::Named(named) = Timestamps::parse(csv).unwrap() else { panic!() };
-        assert!((named[0].1 - 1403715273.262142976).abs() < 1e-6);
+        assert!((named[0].1 - 1_403_715_273.262_143).abs() < 1e-6);
         assert_eq!(named[1].0, "x.png");
         let relative = "timestamp [ns],filename\n0,a.png\n50000000,b.png\n";
         assert_eq!(Timestamps::parse(relative).unwrap().into_times(), [0.0, 0.05]);
@@ -185,7 +185,7 @@ mod tests {
 
     #[test]
     fn names_that_are_times() {
-        assert!((time_from_name("1403715273262142976").unwrap() - 1403715273.2621429).abs() < 1e-6);
+        assert!((time_from_name("1403715273262142976").unwrap() - 1_403_715_273.262_143).abs() < 1e-6);
         assert_eq!(time_from_name("1305031102.175304"), Some(1305031102.175304));
         assert_eq!(time_from_name("000042"), None);
         assert_eq!(time_from_name("img_1"), None);

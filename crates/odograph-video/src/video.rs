@@ -14,7 +14,8 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
     let track = reader.track().clone();
     let (decoders, name) = codec::decoders(&track, color)?;
     let through_ffmpeg = |codec: &str| {
-        let content = ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
+        let content =
+            ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
         ffmpeg::open(path, content, color)
     };
     let mut decoders = VecDeque::from(decoders);
@@ -47,6 +48,12 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
         Err(Refused::Failed(error)) => return Err(error),
     }
     if video.ready.is_empty() {
+        // Damage that is too much for these decoders may not be for ffmpeg; where it is, their words are the better ones.
+        if video.first_damage.is_some()
+            && let Ok(opened) = through_ffmpeg(&name)
+        {
+            return Ok(opened);
+        }
         let why = video.first_damage.take().unwrap_or_else(|| "the video has no frames".to_string());
         return Err(Error::input(format!(
             "no frame of this {name} video in {} could be decoded: {why}",
@@ -100,7 +107,15 @@ impl Video {
     fn fill(&mut self) -> std::result::Result<(), Refused> {
         let mut decoded = Vec::new();
         while self.ready.is_empty() && !self.ended {
-            let outcome = if self.reader.next_packet(&mut self.packet)? {
+            let more = match self.reader.next_packet(&mut self.packet) {
+                // What was read before is still worth showing.
+                Err(error) if self.given > 0 || !self.waiting.is_empty() => {
+                    self.damage(error.to_string());
+                    false
+                }
+                more => more?,
+            };
+            let outcome = if more {
                 let stamp = Stamp { time_s: self.packet.time_s, shown: self.packet.shown };
                 self.decoder.decode(&self.packet.data, stamp, &mut decoded)
             } else {
@@ -211,10 +226,10 @@ impl Frames for Video {
     fn take_warnings(&mut self) -> Vec<String> {
         let mut warnings = self.reader.take_warnings();
         warnings.append(&mut self.warnings);
-        if let Some(what) = self.first_damage.take().filter(|_| self.ended) {
+        if let Some(what) = self.first_damage.take() {
+            let damaged = std::mem::take(&mut self.damaged);
             warnings.push(format!(
-                "{} damaged pieces of the video were skipped or shown with faults ({what})",
-                self.damaged
+                "{damaged} damaged pieces of the video were skipped or shown with faults ({what})"
             ));
         }
         warnings

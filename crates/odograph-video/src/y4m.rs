@@ -104,7 +104,7 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
         width,
         height,
         layout,
-        full_range: full_range || tag_of_layout == "420jpeg" && header.contains("COLORRANGE=FULL"),
+        full_range,
         keep_color,
         number: 0,
         luminance: Vec::new(),

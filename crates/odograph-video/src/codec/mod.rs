@@ -84,7 +84,10 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, 
         }
         Codec::MotionJpeg => {
             let height = track.height;
-            (vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))], "Motion JPEG".to_string())
+            (
+                vec![Box::new(move || Ok(Box::new(jpeg::MotionJpeg::new(height, color))))],
+                "Motion JPEG".to_string(),
+            )
         }
         Codec::Other(name) => (Vec::new(), name.clone()),
     })

@@ -19,8 +19,10 @@ pub(crate) struct AviReader {
     track: Track,
     /// The stream's number as the two digits its chunks start with.
     stream: [u8; 2],
-    frame_s: f64,
-    starts_at: f64,
+    /// A frame lasts `scale / rate` seconds; the first starts after `start` frames.
+    scale: u32,
+    rate: u32,
+    start: u32,
     number: u64,
     warnings: Vec<String>,
 }
@@ -53,8 +55,9 @@ impl AviReader {
                 times: Times::Decoding,
             },
             stream: *b"  ",
-            frame_s: 0.0,
-            starts_at: 0.0,
+            scale: 1,
+            rate: 1,
+            start: 0,
             number: 0,
             warnings: Vec::new(),
         };
@@ -88,7 +91,10 @@ impl AviReader {
                     self.align(size)?;
                     if &kind == b"strh" {
                         streams = streams.saturating_add(1);
-                        if state == Head::Searching && self.read_stream_header(&payload).is_some() && streams <= 100 {
+                        if state == Head::Searching
+                            && self.read_stream_header(&payload).is_some()
+                            && streams <= 100
+                        {
                             self.stream = [b'0' + (streams - 1) / 10, b'0' + (streams - 1) % 10];
                             state = Head::HeaderSeen;
                         }
@@ -117,11 +123,10 @@ impl AviReader {
         let (start, count) = (header.u32_le()?, header.u32_le()?);
         self.track.frame_count = (count > 0).then_some(u64::from(count));
         if scale > 0 && rate > 0 {
-            self.frame_s = f64::from(scale) / f64::from(rate);
+            (self.scale, self.rate, self.start) = (scale, rate, start);
         } else {
-            (self.frame_s, self.track.times) = (1.0, Times::Unknown);
+            self.track.times = Times::Unknown;
         }
-        self.starts_at = f64::from(start) * self.frame_s;
         Some(())
     }
 
@@ -209,7 +214,8 @@ impl PacketReader for AviReader {
                     read_up_to(&mut self.file, size, &mut packet.data)?;
                     self.at += size;
                     self.align(size)?;
-                    packet.time_s = self.starts_at + number as f64 * self.frame_s;
+                    packet.time_s = (u64::from(self.start) + number) as f64 * f64::from(self.scale)
+                        / f64::from(self.rate);
                     packet.shown = true;
                     // An empty chunk repeats the frame before it: nothing was seen then.
                     if size > 0 {

@@ -34,7 +34,7 @@ pub(crate) struct MatroskaReader {
     number: u64,
     /// Bytes that were taken away from the front of every sample (header stripping compression).
     stripped: Vec<u8>,
-    tick_s: f64,
+    tick_ns: u64,
     cluster_ticks: i64,
     warnings: Vec<String>,
 }
@@ -60,7 +60,7 @@ impl MatroskaReader {
             },
             number: 0,
             stripped: Vec::new(),
-            tick_s: 1e-3,
+            tick_ns: 1_000_000,
             cluster_ticks: 0,
             warnings: Vec::new(),
         };
@@ -91,7 +91,7 @@ impl MatroskaReader {
                     if id == INFO {
                         for (id, value) in Elements::new(&payload) {
                             match id {
-                                0x2a_d7b1 => self.tick_s = unsigned(value).max(1) as f64 * 1e-9,
+                                0x2a_d7b1 => self.tick_ns = unsigned(value).max(1),
                                 0x4489 => duration_ticks = float(value),
                                 _ => {}
                             }
@@ -110,7 +110,7 @@ impl MatroskaReader {
             ));
         }
         if let (Some(duration), Some(frame_s)) = (duration_ticks, frame_s) {
-            let frames = (duration * self.tick_s / frame_s).round();
+            let frames = (duration * self.tick_ns as f64 * 1e-9 / frame_s).round();
             self.track.frame_count = (frames.is_finite() && frames > 0.0).then_some(frames as u64);
         }
         self.seek(self.first_cluster)
@@ -285,7 +285,8 @@ impl MatroskaReader {
         }
         let header = packet.data.len() - bytes.rest().len();
         packet.data.splice(..header, self.stripped.iter().copied());
-        packet.time_s = (self.cluster_ticks.saturating_add(i64::from(ticks))) as f64 * self.tick_s;
+        let ticks = i128::from(self.cluster_ticks) + i128::from(ticks);
+        packet.time_s = (ticks * i128::from(self.tick_ns)) as f64 / 1e9;
         packet.shown = true;
         Ok(true)
     }

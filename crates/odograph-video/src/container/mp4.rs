@@ -2,8 +2,9 @@
 //!
 //! Only the index is held in memory; samples are read from the file by their place.
 
-use super::bytes::{Bytes, read_up_to};
-use super::mp4_tables::{self, Boxes, Fragments, Sample};
+use super::bytes::read_up_to;
+use super::mp4_fragments::Fragments;
+use super::mp4_tables::{self, Edit, Sample};
 use super::{Packet, PacketReader, Track};
 use crate::limits;
 use odograph::error::{Error, Result};
@@ -15,20 +16,11 @@ pub(crate) struct Mp4Reader {
     file: BufReader<File>,
     track: Track,
     samples: Vec<Sample>,
-    /// Seconds per tick of the samples' times.
-    tick_s: f64,
+    /// Ticks of the samples' times in a second.
+    timescale: f64,
     edits: Vec<Edit>,
     next: usize,
     warnings: Vec<String>,
-}
-
-/// One entry of an edit list, with times in seconds (presentation) and ticks (media).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Edit {
-    pub starts_at_s: f64,
-    pub media_from: i64,
-    /// Exclusive.
-    pub media_to: i64,
 }
 
 impl Mp4Reader {
@@ -51,8 +43,9 @@ impl Mp4Reader {
         let complete = samples.iter().position(|s| s.offset.saturating_add(u64::from(s.size)) > length);
         if let Some(complete) = complete {
             samples.truncate(complete);
-            warnings
-                .push(format!("the file is cut off: {complete} of the {promised} frames it should have are there"));
+            warnings.push(format!(
+                "the file is cut off: {complete} of the {promised} frames it should have are there"
+            ));
         } else if index.cut {
             warnings.push("the file is cut off inside its last fragment".to_string());
         }
@@ -63,14 +56,15 @@ impl Mp4Reader {
         if samples.is_empty() {
             return Err(Error::input(format!("the file is cut off: none of its {promised} frames is there")));
         }
-        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none())
-        {
+        if !edits.is_empty() && samples.iter().all(|s| time_of(&edits, 1.0, s.time).is_none()) {
             warnings.push("the edit list shows no frame at all and was ignored".to_string());
             edits.clear();
         }
+        let timescale = f64::from(movie.timescale);
+        begin_with_a_frame(&mut edits, &samples, timescale);
         let mut track = movie.track;
         track.frame_count = Some(samples.iter().filter(|s| shown(&edits, s.time)).count() as u64);
-        Ok(Self { file, track, samples, tick_s: 1.0 / f64::from(movie.timescale), edits, next: 0, warnings })
+        Ok(Self { file, track, samples, timescale, edits, next: 0, warnings })
     }
 }
 
@@ -85,9 +79,9 @@ impl PacketReader for Mp4Reader {
         // A relative seek keeps the buffer where the next sample follows the last one.
         self.file.seek_relative(sample.offset as i64 - here as i64).map_err(unreadable)?;
         read_up_to(&mut self.file, u64::from(sample.size), &mut packet.data)?;
-        let time = time_of(&self.edits, self.tick_s, sample.time);
+        let time = time_of(&self.edits, self.timescale, sample.time);
         packet.shown = time.is_some();
-        packet.time_s = time.unwrap_or_else(|| hidden_time_of(&self.edits, self.tick_s, sample.time));
+        packet.time_s = time.unwrap_or_else(|| hidden_time_of(&self.edits, self.timescale, sample.time));
         if self.track.times == super::Times::Unknown {
             packet.time_s = self.next as f64;
         }
@@ -105,24 +99,36 @@ impl PacketReader for Mp4Reader {
     }
 }
 
+/// Moves what is shown so that its first frame comes at once: an edit may start between two frames. (ffmpeg does the same.)
+fn begin_with_a_frame(edits: &mut [Edit], samples: &[Sample], timescale: f64) {
+    let Some(delay_s) = edits.first().map(|e| e.starts_at_s) else { return };
+    let first_s =
+        samples.iter().filter_map(|s| time_of(edits, timescale, s.time)).fold(f64::INFINITY, f64::min);
+    if first_s.is_finite() && first_s > delay_s {
+        for edit in edits {
+            edit.starts_at_s -= first_s - delay_s;
+        }
+    }
+}
+
 fn shown(edits: &[Edit], time: i64) -> bool {
     edits.is_empty() || edits.iter().any(|e| (e.media_from..e.media_to).contains(&time))
 }
 
 /// When a sample is shown, in seconds; `None` where the edit list leaves it out.
-fn time_of(edits: &[Edit], tick_s: f64, time: i64) -> Option<f64> {
+fn time_of(edits: &[Edit], timescale: f64, time: i64) -> Option<f64> {
     if edits.is_empty() {
-        return Some(time as f64 * tick_s);
+        return Some(time as f64 / timescale);
     }
     let edit = edits.iter().find(|e| (e.media_from..e.media_to).contains(&time))?;
-    Some(edit.starts_at_s + (time - edit.media_from) as f64 * tick_s)
+    Some(edit.starts_at_s + (time - edit.media_from) as f64 / timescale)
 }
 
 /// When a sample that is not shown would be shown if the edit before it (or the first one) had no bounds: decoders need it in its
 /// place among the others.
-fn hidden_time_of(edits: &[Edit], tick_s: f64, time: i64) -> f64 {
+fn hidden_time_of(edits: &[Edit], timescale: f64, time: i64) -> f64 {
     let edit = edits.iter().rfind(|e| e.media_from <= time).or(edits.first());
-    edit.map_or(0.0, |e| e.starts_at_s) + (time - edit.map_or(0, |e| e.media_from)) as f64 * tick_s
+    edit.map_or(0.0, |e| e.starts_at_s) + (time - edit.map_or(0, |e| e.media_from)) as f64 / timescale
 }
 
 struct Index {
@@ -142,7 +148,8 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
         let mut header = [0u8; 16];
         let available = (length - at).min(16) as usize;
         file.read_exact(&mut header[..available]).map_err(unreadable)?;
-        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at) else {
+        let Some((kind, header_length, size)) = mp4_tables::box_header(&header[..available], length - at)
+        else {
             warnings.push(format!("what follows byte {at} is not MP4 and was ignored"));
             break;
         };
@@ -182,9 +189,4 @@ fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String
 
 fn unreadable(error: std::io::Error) -> Error {
     Error::input(format!("cannot be read: {error}"))
-}
-
-/// The direct children of a box, for the tables.
-pub(super) fn child<'a>(parent: &'a [u8], kind: &[u8; 4]) -> Option<Bytes<'a>> {
-    Boxes::new(parent).find(|(k, _)| k == kind).map(|(_, payload)| Bytes::new(payload))
 }

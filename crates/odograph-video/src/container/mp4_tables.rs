@@ -1,9 +1,9 @@
-//! The index of an MP4 file: boxes, sample tables, fragments, edit lists, the track's description.
+//! The index of an MP4 file: boxes, sample tables, edit lists.
 
 use super::bytes::Bytes;
-use super::mp4::{Edit, child};
-use super::{Codec, Times, Track};
-use crate::frame::{ColorEncoding, Matrix};
+use super::mp4_description::describe;
+use super::mp4_fragments::Fragments;
+use super::{Times, Track};
 use crate::limits::MAX_SAMPLES;
 use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
@@ -14,6 +14,15 @@ pub(super) struct Sample {
     pub offset: u64,
     pub size: u32,
     pub time: i64,
+}
+
+/// One entry of an edit list, with times in seconds (presentation) and ticks (media).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Edit {
+    pub starts_at_s: f64,
+    pub media_from: i64,
+    /// Exclusive.
+    pub media_to: i64,
 }
 
 pub(super) struct Movie {
@@ -61,6 +70,11 @@ impl<'a> Iterator for Boxes<'a> {
         self.rest = &self.rest[end..];
         Some((kind, payload))
     }
+}
+
+/// The first box of a kind inside another.
+pub(super) fn child<'a>(parent: &'a [u8], kind: &[u8; 4]) -> Option<Bytes<'a>> {
+    Boxes::new(parent).find(|(k, _)| k == kind).map(|(_, payload)| Bytes::new(payload))
 }
 
 /// The first video track that has samples.
@@ -224,15 +238,15 @@ fn sample_table(stbl: &[u8]) -> Result<(Vec<Sample>, bool)> {
                 _ => sizes.resize(count as usize, fixed),
             }
         }
-    } else if let Some(mut bytes) = child(stbl, b"stz2") {
-        if let (Some(_), Some(field), Some(count)) = (bytes.u32(), bytes.u32(), bytes.u32()) {
-            match field & 0xff {
-                16 => sizes.extend((0..count).map_while(|_| bytes.u16().map(u32::from))),
-                8 => sizes.extend((0..count).map_while(|_| bytes.u8().map(u32::from))),
-                _ => sizes.extend(bytes.rest().iter().flat_map(|b| [u32::from(b >> 4), u32::from(b & 15)])),
-            }
-            sizes.truncate(count as usize);
+    } else if let Some(mut bytes) = child(stbl, b"stz2")
+        && let (Some(_), Some(field), Some(count)) = (bytes.u32(), bytes.u32(), bytes.u32())
+    {
+        match field & 0xff {
+            16 => sizes.extend((0..count).map_while(|_| bytes.u16().map(u32::from))),
+            8 => sizes.extend((0..count).map_while(|_| bytes.u8().map(u32::from))),
+            _ => sizes.extend(bytes.rest().iter().flat_map(|b| [u32::from(b >> 4), u32::from(b & 15)])),
         }
+        sizes.truncate(count as usize);
     }
     if sizes.len() > MAX_SAMPLES {
         return Err(too_many());
@@ -297,229 +311,73 @@ fn sample_table(stbl: &[u8]) -> Result<(Vec<Sample>, bool)> {
     Ok((samples, reordered))
 }
 
-fn too_many() -> Error {
+pub(super) fn too_many() -> Error {
     Error::input(format!("the index claims more than {MAX_SAMPLES} frames"))
 }
 
-/// The track's codec, size and set-up from its first sample entry.
-fn describe(stsd: &[u8]) -> Option<Track> {
-    let mut bytes = Bytes::new(stsd);
-    bytes.skip(8)?;
-    let (kind, entry) = Boxes::new(bytes.rest()).next()?;
-    let mut bytes = Bytes::new(entry);
-    bytes.skip(24)?;
-    let (width, height) = (usize::from(bytes.u16()?), usize::from(bytes.u16()?));
-    bytes.skip(50)?;
-    let inside = bytes.rest();
-    let payload = |kind| child(inside, kind).map(|b| b.rest().to_vec());
-    let (codec, configuration) = match &kind {
-        b"avc1" | b"avc2" | b"avc3" | b"avc4" | b"dva1" | b"dvav" => (Codec::H264, payload(b"avcC")),
-        b"hvc1" | b"hev1" | b"dvh1" | b"dvhe" => (Codec::H265, payload(b"hvcC")),
-        b"vp09" => (Codec::Vp9, None),
-        b"jpeg" | b"mjpa" | b"mjpg" | b"MJPG" => (Codec::MotionJpeg, None),
-        b"mp4v" => match payload(b"esds").as_deref().and_then(object_type) {
-            Some(0x6c) => (Codec::MotionJpeg, None),
-            Some(0x60..=0x65) => (Codec::Other("MPEG-2 video".into()), None),
-            Some(0x6a) => (Codec::Other("MPEG-1 video".into()), None),
-            _ => (Codec::Other("MPEG-4 part 2 video".into()), None),
-        },
-        other => (Codec::Other(name(other)), None),
-    };
-    Some(Track {
-        container: "MP4",
-        codec,
-        width,
-        height,
-        configuration: configuration.unwrap_or_default(),
-        frame_count: None,
-        orientation: Orientation::default(),
-        encoding: child(inside, b"colr").and_then(|b| color(b.rest())),
-        times: Times::Decoding,
-    })
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// A codec's name from its four letters.
-fn name(kind: &[u8; 4]) -> String {
-    match kind {
-        b"av01" => "AV1".into(),
-        b"vp08" => "VP8".into(),
-        b"encv" => "encrypted video".into(),
-        b"s263" | b"h263" => "H.263".into(),
-        b"apch" | b"apcn" | b"apcs" | b"apco" | b"ap4h" | b"ap4x" => "ProRes".into(),
-        b"SVQ3" => "Sorenson Video 3".into(),
-        b"rle " => "QuickTime Animation".into(),
-        b"raw " | b"2vuy" | b"yuv2" | b"v210" => "uncompressed video".into(),
-        b"mjpb" => "Motion JPEG B".into(),
-        b"AVdn" => "DNxHD".into(),
-        b"vvc1" | b"vvi1" => "VVC".into(),
-        other => format!("'{}' video", String::from_utf8_lossy(other).trim()),
-    }
-}
-
-/// `objectTypeIndication` of an `esds` box (14496-1, 7.2.6).
-fn object_type(esds: &[u8]) -> Option<u8> {
-    let mut bytes = Bytes::new(esds);
-    bytes.skip(4)?;
-    let descriptor = |bytes: &mut Bytes<'_>| -> Option<u8> {
-        let tag = bytes.u8()?;
-        for _ in 0..4 {
-            if bytes.u8()? & 0x80 == 0 {
-                break;
-            }
-        }
-        Some(tag)
-    };
-    if descriptor(&mut bytes)? == 3 {
-        bytes.skip(2)?;
-        let flags = bytes.u8()?;
-        if flags & 0x80 != 0 {
-            bytes.skip(2)?;
-        }
-        if flags & 0x40 != 0 {
-            let length = bytes.u8()?;
-            bytes.skip(usize::from(length))?;
-        }
-        if flags & 0x20 != 0 {
-            bytes.skip(2)?;
-        }
-        descriptor(&mut bytes).filter(|&tag| tag == 4)?;
-    }
-    bytes.u8()
-}
-
-/// The `colr` box of kind `nclx` (14496-12, 12.1.5) or QuickTime's `nclc`.
-fn color(colr: &[u8]) -> Option<ColorEncoding> {
-    let mut bytes = Bytes::new(colr);
-    let kind = bytes.take(4)?;
-    bytes.skip(4)?;
-    let matrix = Matrix::from_h273(u64::from(bytes.u16()?));
-    match kind {
-        b"nclx" => Some(ColorEncoding { matrix, full_range: bytes.u8()? & 0x80 != 0 }),
-        b"nclc" => Some(ColorEncoding { matrix, full_range: false }),
-        _ => None,
-    }
-}
-
-/// The fragments of a file (`moof` boxes), in the order of the file.
-#[derive(Debug, Default)]
-pub(super) struct Fragments {
-    fragments: Vec<(u64, Vec<u8>)>,
-    bytes: u64,
-}
-
-impl Fragments {
-    /// Adds the `moof` box that starts at the given place in the file.
-    pub fn add(&mut self, at: u64, payload: &[u8]) -> Result<()> {
-        self.bytes += payload.len() as u64;
-        if self.bytes > crate::limits::MAX_INDEX_BYTES {
-            return Err(too_many());
-        }
-        self.fragments.push((at, payload.to_vec()));
-        Ok(())
+    fn full_box(kind: &[u8; 4], words: &[u32]) -> Vec<u8> {
+        let mut bytes = (12 + 4 * words.len() as u32).to_be_bytes().to_vec();
+        bytes.extend(kind);
+        bytes.extend([0; 4]);
+        bytes.extend(words.iter().flat_map(|w| w.to_be_bytes()));
+        bytes
     }
 
-    /// Appends the samples of a track; true where there are fragments of it (14496-12, 8.8).
-    fn samples(&self, track: u32, moov: &[u8], samples: &mut Vec<Sample>) -> Result<bool> {
-        let defaults = child(moov, b"mvex").and_then(|mvex| {
-            Boxes::new(mvex.rest()).filter(|(kind, _)| kind == b"trex").find_map(|(_, payload)| {
-                let mut bytes = Bytes::new(payload);
-                bytes.skip(4)?;
-                let id = bytes.u32()?;
-                bytes.skip(4)?;
-                (id == track).then_some((bytes.u32()?, bytes.u32()?))
-            })
-        });
-        let mut decode_time = 0i64;
-        let mut any = false;
-        for (at, moof) in &self.fragments {
-            let mut end_of_previous = *at;
-            for (kind, traf) in Boxes::new(moof) {
-                if &kind != b"traf" {
-                    continue;
-                }
-                let Some(head) = FragmentHead::read(traf, *at, end_of_previous, defaults) else { continue };
-                if head.track != track {
-                    continue;
-                }
-                any = true;
-                if let Some(mut bytes) = child(traf, b"tfdt") {
-                    let version = bytes.u32().unwrap_or(0) >> 24;
-                    let start = if version == 1 { bytes.u64() } else { bytes.u32().map(u64::from) };
-                    decode_time = start.map_or(decode_time, |t| t as i64);
-                }
-                let mut offset = head.base;
-                for (kind, trun) in Boxes::new(traf) {
-                    if &kind == b"trun" {
-                        head.run(trun, &mut offset, &mut decode_time, samples);
-                    }
-                    if samples.len() > MAX_SAMPLES {
-                        return Err(too_many());
-                    }
-                }
-                end_of_previous = offset;
-            }
-        }
-        Ok(any)
-    }
-}
-
-/// The `tfhd` box: where a track's data begin and what holds for all of its samples.
-struct FragmentHead {
-    track: u32,
-    base: u64,
-    duration: u32,
-    size: u32,
-}
-
-impl FragmentHead {
-    fn read(traf: &[u8], moof_at: u64, end_of_previous: u64, defaults: Option<(u32, u32)>) -> Option<Self> {
-        let mut bytes = child(traf, b"tfhd")?;
-        let flags = bytes.u32()? & 0xff_ffff;
-        let track = bytes.u32()?;
-        let base = match flags {
-            f if f & 1 != 0 => bytes.u64()?,
-            f if f & 0x2_0000 != 0 => moof_at,
-            _ => end_of_previous,
-        };
-        if flags & 2 != 0 {
-            bytes.u32()?;
-        }
-        let (duration, size) = defaults.unwrap_or((0, 0));
-        let duration = if flags & 8 != 0 { bytes.u32()? } else { duration };
-        let size = if flags & 16 != 0 { bytes.u32()? } else { size };
-        Some(Self { track, base, duration, size })
+    #[test]
+    fn heads_of_boxes() {
+        assert_eq!(box_header(b"\0\0\0\x10moov", 99), Some((*b"moov", 8, 16)));
+        assert_eq!(box_header(b"\0\0\0\x00mdat", 99), Some((*b"mdat", 8, 99)));
+        assert_eq!(box_header(b"\0\0\0\x01mdat\0\0\0\x01\0\0\0\0", 99), Some((*b"mdat", 16, 1 << 32)));
+        assert_eq!(box_header(b"\0\0\0\x04moov", 99), None);
+        assert_eq!(box_header(b"\0\0\0\x10\x01oov", 99), None);
     }
 
-    /// One `trun` box; what it does not say comes from the head.
-    fn run(&self, trun: &[u8], offset: &mut u64, decode_time: &mut i64, samples: &mut Vec<Sample>) {
-        let mut bytes = Bytes::new(trun);
-        let mut parse = || -> Option<()> {
-            let flags = bytes.u32()? & 0xff_ffff;
-            let count = bytes.u32()?;
-            if flags & 1 != 0 {
-                *offset = self.base.saturating_add_signed(i64::from(bytes.i32()?));
-            }
-            if flags & 4 != 0 {
-                bytes.u32()?;
-            }
-            for _ in 0..count {
-                let duration = if flags & 0x100 != 0 { bytes.u32()? } else { self.duration };
-                let size = if flags & 0x200 != 0 { bytes.u32()? } else { self.size };
-                if flags & 0x400 != 0 {
-                    bytes.u32()?;
-                }
-                let shift = if flags & 0x800 != 0 { bytes.i32()? } else { 0 };
-                if samples.len() > MAX_SAMPLES || (size == 0 && flags & 0xf00 == 0) {
-                    return None;
-                }
-                let time = decode_time.saturating_add(i64::from(shift));
-                samples.push(Sample { offset: *offset, size, time });
-                *offset = offset.saturating_add(u64::from(size));
-                *decode_time = decode_time.saturating_add(i64::from(duration));
-            }
-            Some(())
-        };
-        // A run that is cut off has the samples it has.
-        let _ = parse();
+    #[test]
+    fn chunks_sizes_and_times_of_samples() {
+        let table = [
+            full_box(b"stsz", &[0, 5, 10, 20, 30, 40, 50]),
+            full_box(b"stco", &[3, 1000, 2000, 3000]),
+            // Two samples in the first chunk, then one in each.
+            full_box(b"stsc", &[2, 1, 2, 1, 2, 1, 1]),
+            full_box(b"stts", &[2, 2, 100, 9, 50]),
+            full_box(b"ctts", &[2, 1, 7, 1, (-7i32) as u32]),
+        ]
+        .concat();
+        let (samples, reordered) = sample_table(&table).unwrap();
+        assert!(reordered);
+        let expected = [(1000, 10, 7), (1010, 20, 93), (2000, 30, 200), (3000, 40, 250)];
+        let read: Vec<_> = samples.iter().map(|s| (s.offset, s.size, s.time)).collect();
+        assert_eq!(read, expected);
+    }
+
+    #[test]
+    fn a_table_may_claim_what_it_likes() {
+        assert!(sample_table(&full_box(b"stsz", &[1, u32::MAX])).is_err());
+        let cut = full_box(b"stsz", &[0, u32::MAX, 5]);
+        assert!(sample_table(&cut).unwrap().0.is_empty());
+    }
+
+    #[test]
+    fn empty_edits_delay_and_others_choose() {
+        let list = full_box(b"elst", &[2, 500, u32::MAX, 0x10000, 1000, 64, 0x10000]);
+        let mut edts = (8 + list.len() as u32).to_be_bytes().to_vec();
+        edts.extend(b"edts");
+        edts.extend(&list);
+        let edits = edit_list(&edts, 1000.0, 90.0);
+        assert_eq!(edits, [Edit { starts_at_s: 0.5, media_from: 64, media_to: 154 }]);
+    }
+
+    #[test]
+    fn turned_and_mirrored_matrices() {
+        assert_eq!(orientation(UPRIGHT, UPRIGHT), Orientation::default());
+        assert_eq!(orientation([[0, 1], [-1, 0]], UPRIGHT), Orientation::turned(1));
+        // A quarter turn of the track within a movie that is turned by another makes a half turn.
+        assert_eq!(orientation([[0, 1], [-1, 0]], [[0, 1], [-1, 0]]), Orientation::turned(2));
+        let mirrored = Orientation { mirrored: true, quarter_turns: 0 };
+        assert_eq!(orientation([[-1, 0], [0, 1]], UPRIGHT), mirrored);
     }
 }

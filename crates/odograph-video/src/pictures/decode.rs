@@ -50,11 +50,21 @@ pub(super) fn picture(path: &Path, color: bool) -> Result<Picture> {
         kind(&bytes).ok_or_else(|| Error::input("this is not a PNG, JPEG, TIFF, PGM or PPM picture"))?;
     let (picture, orientation) = guarded("picture", || match kind {
         Kind::Png => (png(&bytes, color), Orientation::default()),
+        Kind::Jpeg if jpeg_is_cut_off(&bytes) => {
+            (Err(Error::input("the JPEG picture is cut off")), Orientation::default())
+        }
         Kind::Jpeg => (crate::codec::jpeg::decode(&bytes, color), exif_data::orientation(&bytes)),
         Kind::Tiff => (tiff(&bytes, color), exif_data::orientation(&bytes)),
         Kind::Portable => (portable::decode(&bytes, color), Orientation::default()),
     })?;
     Ok(orientation.upright(picture?))
+}
+
+/// Whether the marker that ends a JPEG picture is missing after its last scan: what the decoder would make up must not be
+/// tracked.
+fn jpeg_is_cut_off(bytes: &[u8]) -> bool {
+    let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
+    last(0xd9) < last(0xda)
 }
 
 fn png(bytes: &[u8], color: bool) -> Result<Picture> {

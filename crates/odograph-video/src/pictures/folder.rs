@@ -15,7 +15,7 @@ const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm"
 pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Opened> {
     let listing = Listing::read(folder)?;
     if !listing.pictures.is_empty() {
-        return open_pictures(listing.pictures, options.timestamps.as_deref(), options);
+        return open_pictures(listing.pictures, options.timestamps.as_deref(), options, true);
     }
     let layouts = [
         ("data.csv", "data"),
@@ -29,14 +29,18 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
             let inside = Listing::read(&pictures)?;
             if !inside.pictures.is_empty() {
                 let times = options.timestamps.clone().or(times.is_file().then_some(times));
-                return open_pictures(inside.pictures, times.as_deref(), options);
+                return open_pictures(inside.pictures, times.as_deref(), options, true);
             }
         }
     }
-    let subfolder = listing.folders.iter().find(|f| Listing::read(f).is_ok_and(|inside| !inside.pictures.is_empty()));
+    let subfolder =
+        listing.folders.iter().find(|f| Listing::read(f).is_ok_and(|inside| !inside.pictures.is_empty()));
     Err(Error::input(match listing.other {
         _ if let Some(subfolder) = subfolder => {
-            format!("there are no pictures in this folder itself; give the folder {} that is in it", name_of(subfolder))
+            format!(
+                "there are no pictures in this folder itself; give the folder {} that is in it",
+                name_of(subfolder)
+            )
         }
         None => "the folder is empty".to_string(),
         Some(example) => {
@@ -49,7 +53,7 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
 
 /// Opens one picture as a source of one frame.
 pub(crate) fn open_picture(path: &Path, options: &SourceOptions) -> Result<Opened> {
-    open_pictures(vec![path.to_path_buf()], options.timestamps.as_deref(), options)
+    open_pictures(vec![path.to_path_buf()], options.timestamps.as_deref(), options, false)
 }
 
 struct Listing {
@@ -125,10 +129,12 @@ fn digits(bytes: &[u8]) -> (&[u8], &[u8]) {
     (&number[zeros..], after)
 }
 
+/// `named`: errors name the picture, because the source is a folder.
 fn open_pictures(
     pictures: Vec<PathBuf>,
     timestamps: Option<&Path>,
     options: &SourceOptions,
+    named: bool,
 ) -> Result<Opened> {
     let mut warnings = Vec::new();
     let count = pictures.len();
@@ -161,6 +167,7 @@ fn open_pictures(
             next: 0,
             size: None,
             keep_color: options.color,
+            named,
             warnings,
         }),
     })
@@ -244,6 +251,7 @@ struct Pictures {
     next: usize,
     size: Option<(usize, usize)>,
     keep_color: bool,
+    named: bool,
     warnings: Vec<String>,
 }
 
@@ -263,7 +271,8 @@ impl Frames for Pictures {
             .checked_sub(1)
             .and_then(|at| self.pictures.get(at))
             .ok_or_else(|| Error::input("there is no picture here"))?;
-        let picture = decode::picture(path, self.keep_color).map_err(|error| error.at(name_of(path)))?;
+        let picture = decode::picture(path, self.keep_color)
+            .map_err(|error| if self.named { error.at(name_of(path)) } else { error })?;
         let (width, height) = (picture.gray.width(), picture.gray.height());
         let (first_width, first_height) = *self.size.get_or_insert((width, height));
         if (width, height) != (first_width, first_height) {

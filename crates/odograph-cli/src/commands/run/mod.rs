@@ -127,6 +127,27 @@ impl From<Motion> for MotionModel {
     }
 }
 
+impl RunArguments {
+    /// A run of nothing in particular that writes to `output`; fields are set from there.
+    pub fn over(output: OutputArguments) -> Self {
+        Self {
+            source: String::new(),
+            camera: None,
+            height: None,
+            rig: None,
+            field_of_view: None,
+            motion: Motion::Rigid,
+            timestamps: None,
+            fps: None,
+            start: None,
+            end: None,
+            every: 1,
+            max_frames: None,
+            output,
+        }
+    }
+}
+
 /// Runs the command.
 pub fn run(arguments: RunArguments) -> Result<Outcome> {
     let folder = OutputFolder::new(&arguments.output.output, arguments.output.force)?;

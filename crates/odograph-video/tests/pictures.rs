@@ -1,0 +1,279 @@
+//! Folders of pictures, their order, their times, their kinds; and sources that are not what they should be.
+
+#![allow(clippy::unwrap_used)] // the helpers of a test may fail as the test does
+
+use odograph::error::{ErrorKind, Result};
+use odograph_video::{Frame, SourceOptions, open};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+fn png(color: png::ColorType, depth: png::BitDepth, width: u32, height: u32, samples: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    encoder.write_header().unwrap().write_image_data(samples).unwrap();
+    bytes
+}
+
+fn gray_png(value: u8) -> Vec<u8> {
+    png(png::ColorType::Grayscale, png::BitDepth::Eight, 2, 2, &[value; 4])
+}
+
+fn folder(files: &[(&str, Vec<u8>)]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in files {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+    folder
+}
+
+fn read(path: &Path, options: &SourceOptions) -> Result<(Vec<Frame>, Vec<String>)> {
+    let mut source = open(path, options)?;
+    let mut frames = Vec::new();
+    while let Some(frame) = source.next_frame()? {
+        frames.push(frame);
+    }
+    Ok((frames, source.take_warnings()))
+}
+
+fn first_samples(frames: &[Frame]) -> Vec<u8> {
+    frames.iter().map(|f| f.gray.samples()[0]).collect()
+}
+
+/// Reads something that cannot be read; gives its one sentence.
+fn sentence(path: &Path) -> String {
+    let error = read(path, &SourceOptions::default()).unwrap_err();
+    let text = error.to_string();
+    assert_eq!(error.kind(), ErrorKind::Input, "{text}");
+    assert!(!text.contains('\n') && text.len() < 500, "{text}");
+    assert!(text.starts_with(&path.display().to_string()), "{text}");
+    text
+}
+
+#[test]
+fn natural_order_and_an_assumed_rate() {
+    let folder = folder(&[
+        ("f10.png", gray_png(10)),
+        ("f9.pgm", b"P5 2 2 255\n\x09\x09\x09\x09".to_vec()),
+        ("f1.PNG", gray_png(1)),
+        ("notes.txt", b"hello".to_vec()),
+        ("._f1.png", b"junk".to_vec()),
+    ]);
+    let (frames, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
+    assert_eq!(first_samples(&frames), [1, 9, 10]);
+    assert_eq!(frames[2].time_s, 2.0 / 30.0);
+    assert_eq!(warnings.len(), 1);
+    assert!(warnings[0].contains("30 frames a second are assumed"), "{warnings:?}");
+
+    let with_rate = SourceOptions { fps: Some(4.0), ..SourceOptions::default() };
+    let (frames, warnings) = read(folder.path(), &with_rate).unwrap();
+    assert_eq!((frames[2].time_s, warnings.len()), (0.5, 0));
+}
+
+#[test]
+fn times_from_a_file_in_every_form() {
+    let folder = folder(&[
+        ("a.png", gray_png(1)),
+        ("b.png", gray_png(2)),
+        ("c.png", gray_png(3)),
+        ("tum.txt", b"# rgb\n1.5 rgb/b.png\n2.25 rgb/c.png\n".to_vec()),
+        ("euroc.csv", b"#timestamp [ns],filename\n1000000000,c.png\n1500000000,a.png\n".to_vec()),
+        ("bare.txt", b"0\n0.5\n4\n".to_vec()),
+        ("back.txt", b"1 a.png\n0.5 b.png\n".to_vec()),
+        ("gone.txt", b"1 a.png\n2 z.png\n".to_vec()),
+        ("few.txt", b"1\n2\n".to_vec()),
+    ]);
+    let with = |name: &str| {
+        let timestamps = Some(folder.path().join(name));
+        read(folder.path(), &SourceOptions { timestamps, ..SourceOptions::default() })
+    };
+    let (frames, warnings) = with("tum.txt").unwrap();
+    assert_eq!(first_samples(&frames), [2, 3]);
+    assert_eq!((frames[0].time_s, frames[1].time_s), (1.5, 2.25));
+    assert!(warnings[0].contains("1 of 3 pictures have no time"), "{warnings:?}");
+    let (frames, _) = with("euroc.csv").unwrap();
+    assert_eq!(first_samples(&frames), [3, 1]);
+    assert_eq!((frames[0].time_s, frames[1].time_s), (1.0, 1.5));
+    assert_eq!(with("bare.txt").unwrap().0[2].time_s, 4.0);
+    assert!(with("back.txt").unwrap_err().to_string().contains("line 2"));
+    assert!(with("gone.txt").unwrap_err().to_string().contains("z.png, which is not there"));
+    assert!(with("few.txt").unwrap_err().to_string().contains("2 times, but there are 3 pictures"));
+    assert!(with("missing.txt").is_err());
+}
+
+#[test]
+fn euroc_layout_and_names_that_are_times() {
+    let folder = folder(&[
+        (
+            "mav0/cam0/data.csv",
+            b"#timestamp [ns],filename\n5,1403715273262142976.png\n7,1403715273312143104.png\n".to_vec(),
+        ),
+        ("mav0/cam0/data/1403715273262142976.png", gray_png(1)),
+        ("mav0/cam0/data/1403715273312143104.png", gray_png(2)),
+    ]);
+    let times = |place: &Path| -> Vec<f64> {
+        let (frames, warnings) = read(place, &SourceOptions::default()).unwrap();
+        assert!(warnings.is_empty());
+        frames.iter().map(|f| f.time_s).collect()
+    };
+    assert_eq!(times(folder.path()), [5e-9, 7e-9]);
+    let named = times(&folder.path().join("mav0/cam0/data"));
+    assert!(
+        (named[1] - named[0] - 0.050000128).abs() < 1e-6 && (named[0] - 1_403_715_273.262_143).abs() < 1e-6
+    );
+}
+
+/// A JPEG file's EXIF segment with `DateTimeOriginal` and its fraction, put into a small picture.
+fn jpeg_taken(second: u8, fraction: &str) -> Vec<u8> {
+    let date = format!("2024:05:06 07:08:{second:02}\0");
+    let mut tiff = b"II*\0\x08\0\0\0".to_vec();
+    let entry = |tag: u16, kind: u16, count: u32, value: [u8; 4]| {
+        let mut bytes = Vec::new();
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(count.to_le_bytes());
+        bytes.extend(value);
+        bytes
+    };
+    tiff.extend(1u16.to_le_bytes());
+    tiff.extend(entry(0x8769, 4, 1, 26u32.to_le_bytes()));
+    tiff.extend([0; 4]);
+    tiff.extend(2u16.to_le_bytes());
+    tiff.extend(entry(0x9003, 2, 20, 56u32.to_le_bytes()));
+    let mut digits = [0; 4];
+    digits[..fraction.len()].copy_from_slice(fraction.as_bytes());
+    tiff.extend(entry(0x9291, 2, fraction.len() as u32 + 1, digits));
+    tiff.extend([0; 4]);
+    tiff.extend(date.as_bytes());
+    let mut bytes = vec![0xff, 0xd8, 0xff, 0xe1];
+    bytes.extend((tiff.len() as u16 + 8).to_be_bytes());
+    bytes.extend(b"Exif\0\0");
+    bytes.extend(tiff);
+    bytes.extend(&include_bytes!("data/ramp.jpg")[2..]);
+    bytes
+}
+
+#[test]
+fn times_from_exif_where_every_picture_has_one() {
+    let folder = folder(&[
+        ("1.jpg", jpeg_taken(9, "25")),
+        ("2.jpg", jpeg_taken(9, "75")),
+        ("3.jpg", jpeg_taken(11, "")),
+    ]);
+    let (frames, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    let times: Vec<f64> = frames.iter().map(|f| f.time_s - frames[0].time_s).collect();
+    assert!((times[1] - 0.5).abs() < 1e-6 && (times[2] - 1.75).abs() < 1e-6, "{times:?}");
+    // 2024-05-06 07:08:09 UTC
+    assert!((frames[0].time_s - 1_714_979_289.25).abs() < 1e-6, "{}", frames[0].time_s);
+
+    fs::write(folder.path().join("4.jpg"), include_bytes!("data/ramp.jpg")).unwrap();
+    let (_, warnings) = read(folder.path(), &SourceOptions::default()).unwrap();
+    assert!(warnings[0].contains("are assumed"), "{warnings:?}");
+}
+
+#[test]
+fn deep_transparent_and_colored_pictures() {
+    use png::{BitDepth, ColorType};
+    let one = |bytes: Vec<u8>, color: bool| {
+        let folder = folder(&[("one.png", bytes)]);
+        let options = SourceOptions { color, ..SourceOptions::default() };
+        read(&folder.path().join("one.png"), &options).unwrap().0.remove(0)
+    };
+    let deep = one(png(ColorType::Grayscale, BitDepth::Sixteen, 2, 1, &[0x12, 0x7f, 0x12, 0x80]), false);
+    assert_eq!(deep.gray.samples(), [0x12, 0x13]);
+    let gray_alpha =
+        one(png(ColorType::GrayscaleAlpha, BitDepth::Eight, 3, 1, &[200, 255, 200, 0, 200, 51]), false);
+    assert_eq!(gray_alpha.gray.samples(), [200, 0, 40]);
+    let rgba = one(png(ColorType::Rgba, BitDepth::Eight, 2, 1, &[255, 0, 0, 255, 255, 255, 255, 0]), true);
+    assert_eq!(rgba.gray.samples(), [76, 0]);
+    assert_eq!(rgba.rgb().pixel(0, 0), [255, 0, 0]);
+    let deep_rgba =
+        one(png(ColorType::Rgba, BitDepth::Sixteen, 1, 1, &[255, 255, 0, 0, 0, 0, 255, 255]), false);
+    assert_eq!(deep_rgba.gray.samples(), [76]);
+    assert_eq!(deep_rgba.time_s, 0.0);
+}
+
+#[test]
+fn tiff_pictures() {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    tiff::encoder::TiffEncoder::new(&mut bytes)
+        .unwrap()
+        .write_image::<tiff::encoder::colortype::Gray16>(2, 1, &[0x1280, 0xffff])
+        .unwrap();
+    let folder = folder(&[("a.tif", bytes.into_inner())]);
+    assert_eq!(read(folder.path(), &SourceOptions::default()).unwrap().0[0].gray.samples(), [0x13, 255]);
+}
+
+#[test]
+fn what_is_not_a_source_is_one_sentence() {
+    assert!(sentence(Path::new("/nowhere/at/all.mp4")).ends_with("there is no such file or folder"));
+    assert!(sentence(folder(&[]).path()).ends_with("the folder is empty"));
+    let texts = folder(&[("b.txt", b"x".to_vec()), ("a.txt", b"x".to_vec())]);
+    assert!(sentence(texts.path()).ends_with("only other things such as a.txt"));
+    let outer = folder(&[("left/1.png", gray_png(0)), ("readme", b"x".to_vec())]);
+    assert!(sentence(outer.path()).ends_with("give the folder left that is in it"));
+
+    let sizes = folder(&[
+        ("1.png", gray_png(0)),
+        ("2.png", png(png::ColorType::Grayscale, png::BitDepth::Eight, 3, 2, &[0; 6])),
+    ]);
+    let text = sentence(sizes.path());
+    assert!(text.contains("the picture 2.png has 3x2 pixels, the first has 2x2"), "{text}");
+
+    let broken =
+        folder(&[("1.png", gray_png(0)), ("2.png", gray_png(0)[..40].to_vec()), ("3.png", b"no".to_vec())]);
+    assert!(sentence(broken.path()).contains("2.png: the PNG picture cannot be decoded"));
+    let cut = folder(&[("1.jpg", include_bytes!("data/ramp.jpg")[..210].to_vec())]);
+    assert!(sentence(cut.path()).ends_with("1.jpg: the JPEG picture is cut off"));
+}
+
+#[test]
+fn files_that_are_not_what_they_are_called() {
+    let random: Vec<u8> = (0u32..5000).map(|n| (n.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    let mp4 = |bytes: &[u8]| [b"\0\0\0\x10ftypisom\0\0\0\0", bytes].concat();
+    let files = [
+        ("empty.mp4", Vec::new(), "the file is empty"),
+        ("random.mp4", random.clone(), "not a picture or video of a kind known here"),
+        ("nothing.mp4", mp4(b""), "there is no index (moov box)"),
+        (
+            "unfinished.mp4",
+            mp4(&[&b"\0\0\x10\0mdat"[..], &random].concat()),
+            "the index (the moov box) is missing",
+        ),
+        ("soundless.mp4", mp4(b"\0\0\0\x08moov"), "there is no video in this file"),
+        ("hollow.mkv", vec![0x1a, 0x45, 0xdf, 0xa3, 0x80, 0x18, 0x53, 0x80, 0x67, 0x80], "there is no track"),
+        ("hollow.avi", b"RIFF\0\0\0\0AVI ".to_vec(), "there is no video in this AVI file"),
+        ("headless.h264", vec![0, 0, 0, 1, 0x65, 0x88, 1, 2, 3, 4], "no frame of this H.264 video"),
+        ("frameless.y4m", b"YUV4MPEG2 W2 H2\n".to_vec(), "there is no frame in it"),
+        ("huge.pgm", b"P5 99999 99999 255\n".to_vec(), "larger than"),
+    ];
+    for (name, bytes, expected) in files {
+        let folder = folder(&[(name, bytes)]);
+        let text = sentence(&folder.path().join(name));
+        assert!(text.contains(expected), "{text}");
+    }
+}
+
+#[test]
+fn a_video_that_is_cut_off_gives_what_is_there() {
+    let whole =
+        fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/h264_fragmented.mp4")).unwrap();
+    let (mut most, mut warned) = (0, 0);
+    for cut in (0..whole.len()).rev().step_by(97) {
+        let folder = folder(&[("cut.mp4", whole[..cut].to_vec())]);
+        match read(&folder.path().join("cut.mp4"), &SourceOptions::default()) {
+            Ok((frames, warnings)) => {
+                assert!(frames.len() <= 12);
+                most = most.max(frames.len());
+                warned += usize::from(!warnings.is_empty());
+            }
+            Err(error) => assert!(!error.to_string().contains('\n')),
+        }
+    }
+    assert!(most >= 6 && warned > 5, "{most} {warned}");
+}
