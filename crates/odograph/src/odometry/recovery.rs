@@ -10,7 +10,9 @@ use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
 use crate::image::Pyramid;
-use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random};
+use crate::motion::{
+    CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random, RigWander,
+};
 
 /// So many remembered keyframes are compared with a frame, beside the present one.
 const REMEMBERED_PER_FRAME: usize = 2;
@@ -79,10 +81,11 @@ impl Recovery {
         memory: &mut KeyframeMemory,
         camera: &Camera,
         config: &OdometryConfig,
+        wander: &RigWander,
         random: &mut Random,
     ) -> Option<Found> {
         let now = self.registration.view(lost.pyramid, &lost.last.pose)?;
-        let search = Search { lost: &lost, now, registration: &self.registration, camera, config };
+        let search = Search { lost: &lost, now, registration: &self.registration, camera, config, wander };
         let here = search.look(keyframe, random);
         let mut decided = here.decided;
         let mut confirmed: Vec<Found> = here
@@ -132,6 +135,7 @@ struct Search<'a> {
     registration: &'a CoarseRegistration,
     camera: &'a Camera,
     config: &'a OdometryConfig,
+    wander: &'a RigWander,
 }
 
 /// What the fine tracker makes of the hypotheses about one keyframe.
@@ -185,7 +189,7 @@ impl Search<'_> {
         // Whole turns are kept.
         let heading_rad = last.heading_rad + wrap_angle(pose.heading_rad - last.heading_rad);
         let mut measure = |from: &GroundPose| {
-            follow::measure(keyframe, pyramid, self.camera, from, self.config, random).ok()
+            follow::measure(keyframe, pyramid, self.camera, from, self.config, self.wander, random).ok()
         };
         let first = measure(&GroundPose { heading_rad, ..pose })?;
         // Once more from where it was found: corners that were out of reach are now within.
