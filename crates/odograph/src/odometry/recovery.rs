@@ -246,6 +246,7 @@ mod tests {
             covariance: Matrix6::identity(),
             inliers: vec![true; inliers],
             residual_px: 0.1,
+            rig_evidence: None,
         };
         Found {
             measurement: Measurement { estimate, prediction: pose, found: vec![], support: 0.5 },
