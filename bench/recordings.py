@@ -148,7 +148,7 @@ def nadir_caliterra(data, work):
     (work / "frames.txt").write_text("".join(f"{i} {row[0]}\n" for i, row in enumerate(rows)))
     (work / "rig.toml").write_text("height_m = 1.0\n")
     (work / "camera.yaml").write_text(camera_file((1000, 750), 729.3, 729.3, 499.5, 374.5, [0, 0, 0, 0]))
-    return [folder / "images", "--timestamps", work / "frames.txt", "--motion", "similarity"]
+    return [folder / "images", "--timestamps", work / "frames.txt", "--motion", "free"]
 
 
 RECORDINGS = {"planar_checker_a": planar_checker, "static_euroc_v101": static_euroc, "kylehart_ground": kylehart, "nadir_caliterra": nadir_caliterra}

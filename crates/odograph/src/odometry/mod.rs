@@ -84,6 +84,8 @@ pub struct Odometry {
     recovery: Recovery,
     /// So many frames before this one were lost.
     lost_frames: usize,
+    /// The part of the corners in view that agreed in the last frames: below 1 where not everything in view is ground.
+    usual_presence: f64,
     frames: u64,
     keyframes: u64,
     segment: usize,
@@ -107,6 +109,9 @@ const MOST_CONFIRMATIONS: usize = 8;
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
 const DOUBTFUL_PRESENCE: f64 = 0.55;
 
+/// Weight of the newest frame in the usual presence: about the last five count.
+const PRESENCE_RATE: f64 = 0.2;
+
 /// A measurement further than this from where it was expected is a surprise, pixels: a joint of the floor may have been taken for its neighbour.
 const SURPRISE_PX: f64 = 12.0;
 
@@ -129,6 +134,7 @@ impl Odometry {
             filter: None,
             candidate: None,
             lost_frames: 0,
+            usual_presence: 1.0,
             frames: 0,
             keyframes: 0,
             segment: 0,
@@ -219,7 +225,7 @@ impl Odometry {
         let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
         let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
         let surprising = off_m * self.camera.focal_px().0 > SURPRISE_PX * found.height_m;
-        let wanted = if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
+        let wanted = self.usual_presence * if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
         // The support counts corners out of view too: the presence is never below it.
         measurement.support < wanted
             && self.keyframe.as_ref().is_some_and(|keyframe| {
@@ -283,6 +289,10 @@ impl Odometry {
             .map(|(found, &inlier)| TrackView { pixel: found.warp.position, inlier })
             .collect();
         self.wander.learn(&estimate);
+        if let Some(keyframe) = &self.keyframe {
+            let presence = follow::presence(keyframe, &self.camera, &estimate);
+            self.usual_presence += PRESENCE_RATE * (presence - self.usual_presence);
+        }
         self.candidate = None;
         self.recovery.reset();
         if std::mem::take(&mut self.lost_frames) > 0 {
