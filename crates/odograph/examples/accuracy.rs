@@ -4,6 +4,8 @@
 //!
 //! 640x480 at 30 frames a second, a mild barrel lens, 2 gray levels of noise, 0.75 m above the ground.
 
+#![allow(clippy::print_stdout)] // the table is what it is for
+
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};

@@ -109,6 +109,9 @@ const MOST_CONFIRMATIONS: usize = 8;
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
 const DOUBTFUL_PRESENCE: f64 = 0.55;
 
+/// Where a smaller part of the corners in view agrees, what agrees does so by chance.
+const CHANCE_PRESENCE: f64 = 0.25;
+
 /// Weight of the newest frame in the usual presence: about the last five count.
 const PRESENCE_RATE: f64 = 0.2;
 
@@ -243,7 +246,15 @@ impl Odometry {
         let (Some(keyframe), Some(last)) = (&mut self.keyframe, &self.last) else {
             return near;
         };
-        if self.config.motion.model == MotionModel::Mean || follow::is_bare(pyramid) {
+        if self.config.motion.model == MotionModel::Mean {
+            return near;
+        }
+        let least = CHANCE_PRESENCE * self.usual_presence;
+        let near = near.and_then(|measurement| {
+            let presence = follow::presence(keyframe, &self.camera, &measurement.estimate);
+            if presence < least { Err(LossReason::Disagreement) } else { Ok(measurement) }
+        });
+        if follow::is_bare(pyramid) {
             return near;
         }
         let reason = near.as_ref().err().copied().unwrap_or(LossReason::Disagreement);
@@ -400,8 +411,9 @@ impl Odometry {
             &self.wander,
             &mut random,
         );
+        let presence = |m: &Measurement| follow::presence(&candidate.keyframe, &self.camera, &m.estimate);
         match measured {
-            Ok(measurement) => {
+            Ok(measurement) if presence(&measurement) >= CHANCE_PRESENCE => {
                 candidate.pose = measurement.estimate.pose;
                 candidate.confirmations += 1;
                 // To come back to known ground is better than to begin anew.
@@ -409,7 +421,7 @@ impl Odometry {
                     if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
                 (candidate.confirmations >= needed).then_some(measurement)
             }
-            Err(_) => {
+            _ => {
                 self.candidate = None;
                 None
             }
