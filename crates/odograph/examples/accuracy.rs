@@ -41,7 +41,8 @@ fn camera() -> Result<Camera> {
 
 fn drives() -> Result<Vec<Drive>> {
     let rig = Rig::level(RIG_HEIGHT_M);
-    let corner = camera()?.ray_from_pixel(Pixel::new(0.0, 0.0)).and_then(|ray| rig.first_pose().ground_from_ray(ray));
+    let corner =
+        camera()?.ray_from_pixel(Pixel::new(0.0, 0.0)).and_then(|ray| rig.first_pose().ground_from_ray(ray));
     let pivot = corner.map(|about| PathKind::Pivot { about, turn_rad: TAU });
     let straight = PathKind::Straight { length_m: 10.0 };
     let square = PathKind::SquareByTranslation { side_m: 2.5 };
@@ -122,7 +123,9 @@ fn main() -> Result<()> {
             words.is_empty() || words.iter().any(|word| all.contains(word.as_str()))
         })
         .collect();
-    println!("| drive | ground | model | frames posed | error over each metre | heading over each metre | at the end | heading at the end |");
+    println!(
+        "| drive | ground | model | frames posed | error over each metre | heading over each metre | at the end | heading at the end |"
+    );
     println!("|---|---|---|---|---|---|---|---|");
     let lines = Mutex::new(vec![None; chosen.len()]);
     let next = AtomicUsize::new(0);

@@ -1,10 +1,11 @@
 //! Finding a template again: pyramidal Lucas–Kanade, inverse compositional, indifferent to gain and offset.
 
-use super::patch::{AREA, Samples, sample};
-use super::template::{LevelTemplate, Template, dot};
+use super::patch::{AREA, Samples, sample_products};
+use super::template::{LevelTemplate, Template};
 use super::{FlowConfig, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
+use crate::image::simd::{dot, mean_and_energy};
 use nalgebra::Vector2;
 
 /// A template found again.
@@ -86,15 +87,14 @@ fn search(
     let mut last_step = f64::INFINITY;
     for _ in 0..iterations {
         let centre = (expected + shift) / scale;
-        if !sample(&image.levels()[level], centre, &prediction.linear, &mut samples) {
-            return Err(TrackFailure::Outside);
-        }
-        let gain = dot(&patch.contrast, &samples) / patch.contrast_energy;
+        let image = &image.levels()[level];
+        let products = sample_products(image, centre, &prediction.linear, &patch.appearance, &mut samples)
+            .ok_or(TrackFailure::Outside)?;
+        let gain = products.contrast / patch.contrast_energy;
         if gain < 0.05 {
             return Err(TrackFailure::Unlike); // darkness, or a negative
         }
-        let slope = Vector2::new(dot(&patch.gradient_x, &samples), dot(&patch.gradient_y, &samples)) / gain;
-        let step = prediction.linear * (patch.inverse_hessian * slope) * scale;
+        let step = prediction.linear * (patch.inverse_hessian * (products.gradient / gain)) * scale;
         shift -= step;
         last_step = step.norm();
         if last_step > 8.0 * scale {
@@ -112,9 +112,8 @@ fn search(
 
 /// The part of the contrast of `samples` that gain and offset of the template leave unexplained: √(1 − ρ²), ρ the correlation.
 pub(super) fn unexplained(patch: &LevelTemplate, samples: &Samples) -> f64 {
-    let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / AREA as f64;
-    let energy = samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>();
-    let product = dot(&patch.contrast, samples);
+    let (_, energy) = mean_and_energy(samples);
+    let product = dot(&patch.appearance.contrast, samples);
     if energy < 1e-6 || product <= 0.0 {
         return 1.0;
     }
