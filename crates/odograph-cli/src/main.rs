@@ -18,11 +18,13 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
+#[allow(clippy::large_enum_variant)] // there is one of it
 enum Command {
     Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
+    Undistort(commands::undistort::UndistortArguments),
 }
 
 /// How a command that did not fail ended.
@@ -43,6 +45,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
+        Command::Undistort(arguments) => commands::undistort::undistort(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -4,3 +4,4 @@ pub mod demo;
 pub mod evaluate;
 pub mod run;
 pub mod simulate;
+pub mod undistort;

@@ -4,7 +4,7 @@ mod avi;
 mod output;
 mod photographs;
 mod scene;
-mod y4m;
+pub(super) mod y4m;
 
 use crate::Outcome;
 use clap::ValueEnum;

@@ -5,11 +5,13 @@
 //! (M. Fischler and R. Bolles, 1981) and refined by robust Gauss–Newton, with a prior that says how far height and tilt may be from
 //! what they were. Only `mean` is different: it is the paper's mean vector, kept for comparison.
 
+mod coarse;
 mod mean;
 mod planar_pose;
 mod random;
 mod ransac;
 
+pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use mean::mean_displacement;
 pub use random::Random;
 

@@ -14,6 +14,8 @@ use nalgebra::Matrix6;
 #[derive(Debug, Clone)]
 pub struct Measurement {
     pub estimate: MotionEstimate,
+    /// Where it was looked for.
+    pub prediction: GroundPose,
     /// The corners found again, in step with the estimate's inliers.
     pub found: Vec<Found>,
     /// The part of the keyframe's corners that supports the movement, 0 to 1.
@@ -51,7 +53,6 @@ pub fn confirm(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
     camera: &Camera,
-    prediction: &GroundPose,
     measurement: Measurement,
     config: &OdometryConfig,
     random: &mut Random,
@@ -62,8 +63,22 @@ pub fn confirm(
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
     let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
-    judge(keyframe, found, camera, prediction, config, random).unwrap_or(measurement)
+    judge(keyframe, found, camera, &measurement.prediction, config, random).unwrap_or(measurement)
 }
+
+/// The part of a keyframe's corners which a camera at the measured pose should see that agrees with it, 0 to 1: low where only something
+/// beside the ground was followed.
+pub fn presence(keyframe: &Keyframe, camera: &Camera, estimate: &MotionEstimate) -> f64 {
+    let pose = Pose::new(estimate.pose);
+    let seen = |corner: &&super::keyframe::KeyCorner| {
+        pose.pixel(camera, corner.ground).is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
+    };
+    let expected = keyframe.corners.iter().filter(seen).count();
+    estimate.inlier_count() as f64 / expected.max(1) as f64
+}
+
+/// A template nearer to the border than this cannot be found.
+const TEMPLATE_REACH_PX: f64 = 10.0;
 
 /// Searches every corner where and in which shape the predicted pose expects it.
 fn follow(
@@ -124,7 +139,7 @@ fn judge(
     };
     let estimate = estimate.ok_or(LossReason::Disagreement)?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
-    Ok(Measurement { estimate, found, support })
+    Ok(Measurement { estimate, prediction: *prediction, found, support })
 }
 
 /// The paper's mean vector from the last frame to this one.

@@ -5,6 +5,7 @@ use crate::detection::{DetectionConfig, detect};
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
+use crate::motion::{CoarseRegistration, GroundView};
 use nalgebra::{Matrix2, Matrix6};
 use std::collections::VecDeque;
 
@@ -26,6 +27,30 @@ pub struct Keyframe {
     pub corners_at_first: usize,
     /// Where the corners are, enough to prepare the keyframe again.
     places: Vec<(usize, usize)>,
+    view: View,
+}
+
+/// The ground as the keyframe saw it, for coarse registration: made when it is first needed.
+#[derive(Debug, Default)]
+enum View {
+    #[default]
+    NotMade,
+    Made(Option<GroundView>),
+}
+
+impl View {
+    fn prepare(&mut self, registration: &CoarseRegistration, pyramid: &Pyramid, pose: &GroundPose) {
+        if let Self::NotMade = self {
+            *self = Self::Made(registration.view(pyramid, pose));
+        }
+    }
+
+    fn get(&self) -> Option<&GroundView> {
+        match self {
+            Self::NotMade => None,
+            Self::Made(view) => view.as_ref(),
+        }
+    }
 }
 
 /// A corner of a keyframe.
@@ -85,11 +110,11 @@ impl Keyframe {
         detection: &DetectionConfig,
     ) -> Self {
         let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
-        Self::prepare(KeyframeRecord { pyramid, pose, covariance, places }, camera)
+        Self::prepare(KeyframeRecord { pyramid, pose, covariance, places, view: View::NotMade, reachable: true }, camera)
     }
 
     fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {
-        let KeyframeRecord { pyramid, pose, covariance, places } = record;
+        let KeyframeRecord { pyramid, pose, covariance, places, view, .. } = record;
         let on_ground = |x: f64, y: f64| {
             camera.ray_from_pixel(Pixel::new(x, y)).and_then(|ray| pose.ground_from_ray(ray))
         };
@@ -104,7 +129,17 @@ impl Keyframe {
             })
         };
         let corners: Vec<KeyCorner> = places.iter().filter_map(corner).collect();
-        Self { corners_at_first: corners.len(), corners, pyramid, pose, covariance, places }
+        Self { corners_at_first: corners.len(), corners, pyramid, pose, covariance, places, view }
+    }
+
+    /// Makes the view for coarse registration, where there is none yet.
+    pub fn prepare_view(&mut self, registration: &CoarseRegistration) {
+        self.view.prepare(registration, &self.pyramid, &self.pose);
+    }
+
+    /// The view that [`Keyframe::prepare_view`] made.
+    pub fn view(&self) -> Option<&GroundView> {
+        self.view.get()
     }
 
     /// Keeps only the given corners, with where they were seen.
@@ -124,8 +159,8 @@ impl Keyframe {
 
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(self) -> KeyframeRecord {
-        let Self { pyramid, pose, covariance, places, .. } = self;
-        KeyframeRecord { pyramid, pose, covariance, places }
+        let Self { pyramid, pose, covariance, places, view, .. } = self;
+        KeyframeRecord { pyramid, pose, covariance, places, view, reachable: true }
     }
 }
 
@@ -136,6 +171,9 @@ pub struct KeyframeRecord {
     pose: GroundPose,
     covariance: Matrix6<f64>,
     places: Vec<(usize, usize)>,
+    view: View,
+    /// Whether its pose is connected with the present one by measurement.
+    reachable: bool,
 }
 
 /// The last keyframes, to be taken up again when the camera comes back to them.
@@ -175,6 +213,54 @@ impl KeyframeMemory {
     /// Puts a keyframe back that was taken out in vain.
     pub fn put_back(&mut self, keyframe: Keyframe) {
         self.remember(keyframe.retire());
+    }
+
+    /// Takes out the keyframe with that index.
+    pub fn take(&mut self, index: usize, camera: &Camera) -> Option<Keyframe> {
+        self.records.remove(index).map(|record| Keyframe::prepare(record, camera))
+    }
+
+    /// Puts a keyframe back where [`KeyframeMemory::take`] took it from.
+    pub fn put_back_at(&mut self, index: usize, keyframe: Keyframe) {
+        self.records.insert(index.min(self.records.len()), keyframe.retire());
+    }
+
+    /// A new segment begins: what is remembered is no longer connected with the present by measurement.
+    pub fn close_segment(&mut self) {
+        self.records.iter_mut().for_each(|record| record.reachable = false);
+    }
+
+    /// How many keyframes are connected with the present by measurement.
+    pub fn reachable(&self) -> usize {
+        self.records.iter().filter(|record| record.reachable).count()
+    }
+
+    /// The indices of those keyframes, the newest first.
+    pub fn newest(&self) -> Vec<usize> {
+        (0..self.records.len()).rev().filter(|&index| self.records[index].reachable).collect()
+    }
+
+    /// The indices of those keyframes, the nearest to a pose first.
+    pub fn nearest(&self, pose: &GroundPose) -> Vec<usize> {
+        let away = |index: usize| {
+            let other = &self.records[index].pose;
+            (other.x_m - pose.x_m).hypot(other.y_m - pose.y_m)
+        };
+        let mut indices = self.newest();
+        indices.sort_by(|&a, &b| away(a).total_cmp(&away(b)));
+        indices
+    }
+
+    /// Makes the view of a keyframe for coarse registration, where there is none yet.
+    pub fn prepare_view(&mut self, index: usize, registration: &CoarseRegistration) {
+        if let Some(record) = self.records.get_mut(index) {
+            record.view.prepare(registration, &record.pyramid, &record.pose);
+        }
+    }
+
+    /// The view that [`KeyframeMemory::prepare_view`] made.
+    pub fn view(&self, index: usize) -> Option<&GroundView> {
+        self.records.get(index)?.view.get()
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod follow;
 mod keyframe;
+mod recovery;
 
 use crate::camera::{Camera, Rig};
 use crate::detection::DetectionConfig;
@@ -19,6 +20,7 @@ use crate::trajectory::{FrameEstimate, LossReason, PoseEstimate, TrackStatus};
 use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
 use nalgebra::Matrix6;
+use recovery::{Lost, Recovery};
 use serde::{Deserialize, Serialize};
 
 /// Every parameter of the pipeline, by stage.
@@ -76,6 +78,9 @@ pub struct Odometry {
     filter: Option<ConstantAcceleration>,
     /// A start of a new segment that has not proved itself yet.
     candidate: Option<Candidate>,
+    recovery: Recovery,
+    /// So many frames before this one were lost.
+    lost_frames: usize,
     frames: u64,
     keyframes: u64,
     segment: usize,
@@ -93,10 +98,17 @@ struct Candidate {
 /// So many frames in a row must agree with a candidate before it is believed: a hand passes, the floor stays.
 const CONFIRMATIONS: usize = 3;
 
+/// After so many it is believed even though not every remembered keyframe has been looked for.
+const MOST_CONFIRMATIONS: usize = 8;
+
+/// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
+const DOUBTFUL_PRESENCE: f64 = 0.35;
+
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         Ok(Self {
+            recovery: Recovery::new(&camera),
             camera,
             config,
             first_pose: rig.validated()?.first_pose(),
@@ -105,6 +117,7 @@ impl Odometry {
             last: None,
             filter: None,
             candidate: None,
+            lost_frames: 0,
             frames: 0,
             keyframes: 0,
             segment: 0,
@@ -150,8 +163,18 @@ impl Odometry {
         Ok(())
     }
 
-    /// The pose of a frame against what is known of the ground, tried from several predictions.
+    /// The pose of a frame against what is known of the ground: near where it is expected, otherwise anywhere.
     fn measure(&mut self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
+        let near = self.measure_near(pyramid, time_s);
+        let measured = match near {
+            Ok(measurement) if !self.is_doubtful(&measurement) => Ok(measurement),
+            near => self.recover(pyramid, time_s, near),
+        };
+        measured.map(|measurement| self.confirm(pyramid, measurement))
+    }
+
+    /// The pose of a frame near where it is expected, tried from several predictions.
+    fn measure_near(&self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
         let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else {
             return Err(LossReason::Bare);
         };
@@ -165,30 +188,61 @@ impl Odometry {
         for prediction in [extrapolated, last.pose] {
             outcome =
                 follow::measure(keyframe, pyramid, &self.camera, &prediction, &self.config, &mut random);
-            if let Ok(measurement) = outcome {
-                let builds_on_it = measurement.support < self.config.keyframe.support;
-                return Ok(if builds_on_it {
-                    let camera = &self.camera;
-                    follow::confirm(
-                        keyframe,
-                        pyramid,
-                        camera,
-                        &prediction,
-                        measurement,
-                        &self.config,
-                        &mut random,
-                    )
-                } else {
-                    measurement
-                });
+            if outcome.is_ok() {
+                break;
             }
         }
         outcome
     }
 
+    /// Whether a measurement may have followed something beside the ground, as a shadow that moves along.
+    fn is_doubtful(&self, measurement: &Measurement) -> bool {
+        let well_supported = measurement.support >= self.config.keyframe.support;
+        !well_supported
+            && self.keyframe.as_ref().is_some_and(|keyframe| {
+                follow::presence(keyframe, &self.camera, &measurement.estimate) < DOUBTFUL_PRESENCE
+            })
+    }
+
+    /// The pose of a frame anywhere over known ground. Takes up the keyframe in which it was found.
+    fn recover(
+        &mut self,
+        pyramid: &Pyramid,
+        time_s: f64,
+        near: std::result::Result<Measurement, LossReason>,
+    ) -> std::result::Result<Measurement, LossReason> {
+        let (Some(keyframe), Some(last)) = (&mut self.keyframe, &self.last) else {
+            return near;
+        };
+        if self.config.motion.model == MotionModel::Mean || follow::is_bare(pyramid) {
+            return near;
+        }
+        let reason = near.as_ref().err().copied().unwrap_or(LossReason::Disagreement);
+        let (expected, frames) = (last.extrapolated(time_s), self.lost_frames);
+        let lost = Lost { pyramid, last, expected, frames, doubtful: near.ok() };
+        let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
+        let found = self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &mut random);
+        let found = found.ok_or(reason)?;
+        if let Some(old) = found.remembered.and_then(|index| self.memory.take(index, camera)) {
+            self.memory.remember(std::mem::replace(keyframe, old).retire());
+        }
+        Ok(found.measurement)
+    }
+
+    /// Checks the tracks of a frame on which others may be built.
+    fn confirm(&self, pyramid: &Pyramid, measurement: Measurement) -> Measurement {
+        match &self.keyframe {
+            Some(keyframe) if measurement.support < self.config.keyframe.support => {
+                let mut random = Random::new(self.frames);
+                follow::confirm(keyframe, pyramid, &self.camera, measurement, &self.config, &mut random)
+            }
+            _ => measurement,
+        }
+    }
+
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
-        let Measurement { estimate, found, support } = measurement;
+        let Measurement { estimate, found, support, .. } = measurement;
         let covariance = self.carried_covariance(&estimate.pose) + estimate.covariance;
         let inliers = estimate.inlier_count();
         self.tracks = found
@@ -197,6 +251,10 @@ impl Odometry {
             .map(|(found, &inlier)| TrackView { pixel: found.warp.position, inlier })
             .collect();
         self.candidate = None;
+        self.recovery.reset();
+        if std::mem::take(&mut self.lost_frames) > 0 {
+            self.filter = None; // how the camera moved meanwhile is not known
+        }
         self.last = Some(match self.last.take() {
             Some(last) => last.moved(time_s, estimate.pose, covariance),
             None => LastPose::still(time_s, estimate.pose, covariance),
@@ -229,6 +287,7 @@ impl Odometry {
             return self.begin(pyramid, time_s);
         }
         self.tracks.clear();
+        self.lost_frames += 1;
         let reason = if bare { LossReason::Bare } else { reason };
         if let Some(found) = self.find_candidate(&pyramid) {
             return self.begin_segment(pyramid, time_s, found);
@@ -301,7 +360,9 @@ impl Odometry {
             Ok(measurement) => {
                 candidate.pose = measurement.estimate.pose;
                 candidate.confirmations += 1;
-                (candidate.confirmations >= CONFIRMATIONS).then_some(measurement)
+                // To come back to known ground is better than to begin anew.
+                let needed = if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
+                (candidate.confirmations >= needed).then_some(measurement)
             }
             Err(_) => {
                 self.candidate = None;
@@ -318,6 +379,7 @@ impl Odometry {
             }
             self.keyframes += 1;
         }
+        self.memory.close_segment();
         // The very first ground is not a new segment.
         self.segment += usize::from(self.last.is_some());
         self.last = None;

@@ -45,7 +45,7 @@ pub(super) fn value_noise(seed: u32, x: f64, y: f64) -> f32 {
 /// only alias are left out.
 #[inline]
 pub(super) fn visibility(spacing_m: f64, footprint_m: f64) -> f32 {
-    smooth_step((spacing_m / footprint_m - 1.4) / 2.2) as f32
+    smooth_step((spacing_m / footprint_m - 1.1) / 1.7) as f32
 }
 
 /// 0 below 0, 1 above 1, and a cubic with zero slope at both ends between.

@@ -76,6 +76,8 @@ pub struct Path {
     segments: Vec<Segment>,
     duration_s: f64,
     length_m: f64,
+    /// Whether places are in the world already, not in the frame of the carrier at the start.
+    in_world: bool,
 }
 
 /// A piece of the path with its own law of progress.
@@ -167,12 +169,14 @@ impl Path {
             }
         }
         let duration_s = path.end_s;
-        if !(duration_s < 86_400.0) {
+        if duration_s.is_nan() || duration_s > 86_400.0 {
             return Err(Error::usage(format!(
                 "the path would take {duration_s:.0} s; make it shorter or faster, a day is the limit"
             )));
         }
-        let mut path = Self { segments: path.segments, duration_s, length_m: 0.0 };
+        // A pivot is given in the world; all other shapes run along the carrier's forward.
+        let in_world = matches!(kind, PathKind::Pivot { .. });
+        let mut path = Self { segments: path.segments, duration_s, length_m: 0.0, in_world };
         path.length_m = path.measured_length_m();
         Ok(path)
     }
@@ -193,7 +197,8 @@ impl Path {
     pub fn pose(&self, time_s: f64, rig: &Rig) -> GroundPose {
         let place = self.place(time_s);
         // The world's x is where the image's top points, which the mount yaw turns away from the carrier's forward.
-        let (sin, cos) = (-rig.yaw_rad).sin_cos();
+        let forward_rad = if self.in_world { 0.0 } else { -rig.yaw_rad };
+        let (sin, cos) = forward_rad.sin_cos();
         GroundPose {
             x_m: cos * place.x_m - sin * place.y_m,
             y_m: sin * place.x_m + cos * place.y_m,

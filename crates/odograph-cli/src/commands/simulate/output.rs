@@ -151,7 +151,7 @@ impl Output {
             let failed = |error: std::io::Error| Error::output(format!("sim.y4m cannot be written: {error}"));
             let mut file = BufWriter::new(file);
             file.write_all(&y4m::header(size, fraction(config.fps)?, config.colored)).map_err(failed)?;
-            let encode = |frame: &RenderedFrame| Ok(y4m::frame(frame));
+            let encode = |frame: &RenderedFrame| Ok(y4m::frame(&frame.image, frame.color.as_ref()));
             self.render(simulation, encode, |_, bytes| file.write_all(&bytes).map_err(failed))?;
             file.into_inner().map_err(|error| failed(error.into_error()))
         })

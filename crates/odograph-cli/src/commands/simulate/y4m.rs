@@ -1,7 +1,6 @@
 //! Frames of a Y4M stream (uncompressed video of the mjpegtools), in full range.
 
 use odograph::image::{GrayImage, RgbImage};
-use odograph::simulation::RenderedFrame;
 
 /// The line that a stream begins with; the frame rate is a fraction.
 pub fn header(size: (usize, usize), (numerator, denominator): (u64, u64), colored: bool) -> Vec<u8> {
@@ -11,12 +10,12 @@ pub fn header(size: (usize, usize), (numerator, denominator): (u64, u64), colore
         .into_bytes()
 }
 
-/// One frame with its own line.
-pub fn frame(frame: &RenderedFrame) -> Vec<u8> {
+/// One frame with its own line: its luminance, and its colour where there is some.
+pub fn frame(luma: &GrayImage, color: Option<&RgbImage>) -> Vec<u8> {
     let mut bytes = b"FRAME\n".to_vec();
-    bytes.extend_from_slice(frame.image.samples());
-    if let Some(color) = &frame.color {
-        add_chroma(&frame.image, color, &mut bytes);
+    bytes.extend_from_slice(luma.samples());
+    if let Some(color) = color {
+        add_chroma(luma, color, &mut bytes);
     }
     bytes
 }

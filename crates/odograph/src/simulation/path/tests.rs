@@ -108,7 +108,7 @@ fn lanes_are_parallel_and_as_far_apart_as_asked() {
 
 #[test]
 fn a_pivot_keeps_its_ground_point_where_it_is_in_the_image() {
-    let rig = Rig { height_m: 0.8, roll_rad: 0.03, pitch_rad: -0.06, yaw_rad: 0.0 };
+    let rig = Rig { height_m: 0.8, roll_rad: 0.03, pitch_rad: -0.06, yaw_rad: 0.5 };
     let corner = Ray::new(-0.62, -0.47);
     let about = rig.first_pose().ground_from_ray(corner).unwrap();
     let path = Path::new(PathKind::Pivot { about, turn_rad: TAU }, 0.5, 0.8, true).unwrap();

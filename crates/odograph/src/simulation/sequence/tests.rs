@@ -123,7 +123,7 @@ fn registered(
 }
 
 #[test]
-fn dense_registration_recovers_the_truth_to_a_few_thousandths_of_a_pixel() {
+fn dense_registration_recovers_the_truth_to_three_thousandths_of_a_pixel() {
     let camera = camera();
     let renderer = Renderer::new(&camera);
     // Tilted as well as distorted; sub-pixel shifts, and one with a turn.
@@ -147,7 +147,7 @@ fn dense_registration_recovers_the_truth_to_a_few_thousandths_of_a_pixel() {
             let found = registered(&view(&from), &view(&to), &camera, &from, start);
             let off_px = (found.x_m - to.x_m).hypot(found.y_m - to.y_m) / pixel_m;
             let turned_px = (found.heading_rad - to.heading_rad).abs() * 100.0; // at the image's corner
-            assert!(off_px < 0.005 && turned_px < 0.005, "{texture:?}: {off_px:.4} px, {turned_px:.4} px");
+            assert!(off_px < 0.003 && turned_px < 0.003, "{texture:?}: {off_px:.4} px, {turned_px:.4} px");
         }
     }
 }

@@ -1,0 +1,155 @@
+//! `odograph undistort`: a recording without what the lens has bent.
+
+mod output;
+mod pipeline;
+
+use crate::{Outcome, files};
+use odograph::correction::{FieldOfViewKept, ImageCorrection};
+use odograph::error::{Error, Result};
+use odograph::formats::camera_file;
+use odograph_video::SourceOptions;
+use output::Output;
+use std::path::PathBuf;
+
+/// Straighten what the lens has bent: writes the frames as a pinhole would have taken them, and the pinhole's camera file.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct UndistortArguments {
+    /// A video, a folder of pictures, or `-` for Y4M on standard input.
+    #[arg(value_name = "SOURCE")]
+    source: String,
+    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
+    #[arg(long, value_name = "FILE")]
+    camera: PathBuf,
+    /// Folder for the results.
+    #[arg(short, long, value_name = "FOLDER")]
+    output: PathBuf,
+    /// How much of what the lens sees is kept.
+    #[arg(long, value_name = "WHICH", default_value = "same")]
+    field_of_view_kept: Kept,
+    /// png: a folder of pictures; y4m: uncompressed video.
+    #[arg(long, value_name = "FORMAT", default_value = "png")]
+    format: Format,
+    /// Gray frames, also where the source has colour.
+    #[arg(long)]
+    gray: bool,
+    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
+    #[arg(long, value_name = "FILE")]
+    timestamps: Option<PathBuf>,
+    /// Frames a second, where the source does not say.
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    fps: Option<f64>,
+    /// Begin so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    start: Option<f64>,
+    /// End so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    end: Option<f64>,
+    /// Take every n-th frame.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    every: u64,
+    /// Take at most so many frames.
+    #[arg(long, value_name = "N")]
+    max_frames: Option<u64>,
+    /// Overwrite results that are already there.
+    #[arg(long)]
+    force: bool,
+    /// Threads to use; the results are the same for any number. [default: as many as the machine has]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph undistort clip.mp4 --camera camera.yaml -o clean/
+  odograph run clean/frames --timestamps clean/frames.txt --camera clean/camera.yaml --height 1.20 -o drive/";
+
+/// How much is kept, by the names on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Kept {
+    /// Focal length and principal point stay as they are.
+    Same,
+    /// As much as fits without an empty pixel.
+    Valid,
+    /// Everything; what the lens does not see is black.
+    All,
+}
+
+impl From<Kept> for FieldOfViewKept {
+    fn from(kept: Kept) -> Self {
+        match kept {
+            Kept::Same => Self::SameFocalLength,
+            Kept::Valid => Self::ValidPixels,
+            Kept::All => Self::AllPixels,
+        }
+    }
+}
+
+/// What the frames are written as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Format {
+    Png,
+    Y4m,
+}
+
+/// Runs the command.
+pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
+    let camera_text = files::read_text(&arguments.camera)?;
+    let options = SourceOptions {
+        timestamps: arguments.timestamps.clone(),
+        fps: arguments.fps,
+        start_s: arguments.start,
+        end_s: arguments.end,
+        every: arguments.every,
+        max_frames: arguments.max_frames,
+        color: !arguments.gray,
+    };
+    let source = odograph_video::open(&arguments.source, &options)?;
+    let (width, height) = (source.info().width, source.info().height);
+    let in_file = |error: Error| error.at(arguments.camera.display());
+    let camera = camera_file::parse(&camera_text, Some((width, height))).map_err(in_file)?;
+    if (camera.width(), camera.height()) != (width, height) {
+        return Err(Error::input(format!(
+            "the frames of {} are {width}x{height} but the camera is calibrated for {}x{}; calibrate at the recording's size",
+            arguments.source,
+            camera.width(),
+            camera.height(),
+        )));
+    }
+    let correction = ImageCorrection::new(&camera, arguments.field_of_view_kept.into()).map_err(in_file)?;
+    let mut output = Output::new(&arguments.output, arguments.format, arguments.force)?;
+    let corrected = pipeline::correct(source, &correction, &arguments, &mut output)?;
+    let Some(before_after) = &corrected.before_after else {
+        return Err(corrected.failure.unwrap_or_else(|| {
+            Error::input(format!("{} has no frame in the chosen range", arguments.source))
+        }));
+    };
+    output.finish(correction.camera(), before_after)?;
+    if !arguments.quiet {
+        tell(&arguments, &correction, &corrected);
+    }
+    // What ended the recording early is told after all before it has been written.
+    corrected.failure.map_or(Ok(Outcome::Done), Err)
+}
+
+#[allow(clippy::print_stdout, clippy::print_stderr)] // results are what standard output is for
+fn tell(arguments: &UndistortArguments, correction: &ImageCorrection, corrected: &pipeline::Corrected) {
+    let camera = correction.camera();
+    let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
+    println!(
+        "{} frames of {}x{}, focal lengths {:.1} and {:.1} px, {:.1} % of each without a source",
+        corrected.frames,
+        camera.width(),
+        camera.height(),
+        camera.focal_px().0,
+        camera.focal_px().1,
+        100.0 * empty,
+    );
+    println!("Look at {}", arguments.output.join("before-after.png").display());
+    for warning in &corrected.warnings {
+        eprintln!("odograph: warning: {warning}");
+    }
+}

@@ -1,0 +1,246 @@
+//! The folder of corrected frames: half of it is never seen under its own name.
+
+use super::Format;
+use crate::files;
+use odograph::camera::Camera;
+use odograph::error::{Error, Result};
+use odograph::formats::camera_file;
+use odograph::image::RgbImage;
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Seek, Write};
+use std::path::{Path, PathBuf};
+
+const PICTURES: &str = "frames";
+const STREAM: &str = "undistorted.y4m";
+/// Every file or folder that some run may write.
+const OURS: [&str; 5] = [PICTURES, STREAM, "frames.txt", "camera.yaml", "before-after.png"];
+
+/// The folder while it is being filled.
+pub struct Output {
+    folder: PathBuf,
+    /// Whether the folder was made for this.
+    made: bool,
+    frames: Frames,
+    /// The frames' names and times, as `frames.txt` will tell them.
+    list: String,
+    times_s: Vec<f64>,
+    whole: bool,
+}
+
+enum Frames {
+    Pictures,
+    Stream { file: BufWriter<File>, begun: Option<StreamKind> },
+}
+
+/// What the frames of a stream are, one like the other.
+#[derive(Debug, Clone, Copy)]
+struct StreamKind {
+    size: (usize, usize),
+    colored: bool,
+}
+
+/// Stands at the beginning of a stream until the rate is known.
+const UNKNOWN_RATE: f64 = 30.0;
+
+/// A corrected frame, ready to be written.
+pub struct Encoded {
+    /// The frame's place in the source.
+    pub number: u64,
+    pub time_s: f64,
+    /// Width and height in pixels.
+    pub size: (usize, usize),
+    pub colored: bool,
+    /// A PNG file, or a frame of a Y4M stream.
+    pub bytes: Vec<u8>,
+}
+
+impl Drop for Output {
+    /// What was not finished leaves nothing behind.
+    fn drop(&mut self) {
+        if !self.whole {
+            let _ = match self.frames {
+                Frames::Pictures => fs::remove_dir_all(self.part()),
+                Frames::Stream { .. } => fs::remove_file(self.part()),
+            };
+            if self.made {
+                let _ = fs::remove_dir(&self.folder); // only where it is empty
+            }
+        }
+    }
+}
+
+impl Output {
+    /// Makes the folder ready. Fails where results are already there and `force` does not allow to replace them, or where it cannot
+    /// be written.
+    pub fn new(folder: &Path, format: Format, force: bool) -> Result<Self> {
+        if folder.exists() && !folder.is_dir() {
+            return Err(Error::usage(format!("{} is a file; the results need a folder", folder.display())));
+        }
+        if let Some(there) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists() && !force) {
+            return Err(Error::usage(format!(
+                "{} is already there; choose another folder, or --force to overwrite it",
+                there.display()
+            )));
+        }
+        let made = !folder.exists();
+        fs::create_dir_all(folder)
+            .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
+        let begin = || -> io::Result<Frames> {
+            Ok(match format {
+                Format::Png => {
+                    let part = files::beside(&folder.join(PICTURES));
+                    // What a killed run has left.
+                    if part.exists() {
+                        fs::remove_dir_all(&part)?;
+                    }
+                    fs::create_dir(&part)?;
+                    Frames::Pictures
+                }
+                Format::Y4m => {
+                    let file = File::create(files::beside(&folder.join(STREAM)))?;
+                    Frames::Stream { file: BufWriter::new(file), begun: None }
+                }
+            })
+        };
+        let frames = begin().map_err(|error| {
+            if made {
+                let _ = fs::remove_dir(folder);
+            }
+            Error::output(format!("{} cannot be written: {error}", folder.display()))
+        })?;
+        let list = match format {
+            Format::Png => "# time_s name\n",
+            Format::Y4m => "# time_s\n",
+        };
+        Ok(Self {
+            folder: folder.to_owned(),
+            made,
+            frames,
+            list: list.to_owned(),
+            times_s: Vec::new(),
+            whole: false,
+        })
+    }
+
+    fn place(&self) -> PathBuf {
+        self.folder.join(match self.frames {
+            Frames::Pictures => PICTURES,
+            Frames::Stream { .. } => STREAM,
+        })
+    }
+
+    fn part(&self) -> PathBuf {
+        files::beside(&self.place())
+    }
+
+    fn failed(&self) -> impl Fn(io::Error) -> Error + use<> {
+        let place = self.place();
+        move |error| Error::output(format!("{} cannot be written: {error}", place.display()))
+    }
+
+    /// Writes the next frame.
+    pub fn add(&mut self, frame: &Encoded) -> Result<()> {
+        let (failed, part) = (self.failed(), self.part());
+        let written = match &mut self.frames {
+            Frames::Pictures => {
+                let name = format!("{:06}.png", frame.number);
+                let _ = writeln!(self.list, "{:.9} {PICTURES}/{name}", frame.time_s);
+                fs::write(part.join(name), &frame.bytes)
+            }
+            Frames::Stream { file, begun } => {
+                let _ = writeln!(self.list, "{:.9}", frame.time_s);
+                let header = match begun {
+                    Some(_) => String::new(),
+                    None => {
+                        let kind = StreamKind { size: frame.size, colored: frame.colored };
+                        *begun = Some(kind);
+                        stream_header(kind, UNKNOWN_RATE)
+                    }
+                };
+                file.write_all(header.as_bytes()).and_then(|()| file.write_all(&frame.bytes))
+            }
+        };
+        self.times_s.push(frame.time_s);
+        written.map_err(failed)
+    }
+
+    /// Brings the frames to their place and writes what belongs to them.
+    pub fn finish(&mut self, camera: &Camera, before_after: &RgbImage) -> Result<()> {
+        let (failed, part, place) = (self.failed(), self.part(), self.place());
+        let rate = match self.times_s[..] {
+            [first, .., last] => Some((self.times_s.len() as f64 - 1.0) / (last - first)),
+            _ => None,
+        };
+        let placed = match &mut self.frames {
+            Frames::Pictures => place_pictures(&part, &place),
+            Frames::Stream { file, begun } => {
+                finish_stream(file, *begun, rate).and_then(|()| fs::rename(&part, &place))
+            }
+        };
+        placed.map_err(&failed)?;
+        self.whole = true;
+        self.remove_other_format().map_err(&failed)?;
+        files::write(&self.folder.join("frames.txt"), self.list.as_bytes())?;
+        files::write(&self.folder.join("camera.yaml"), camera_file::write(camera).as_bytes())?;
+        files::write(&self.folder.join("before-after.png"), &files::png_from_rgb(before_after)?)
+    }
+
+    /// Removes an earlier run's frames in the other format: they would not belong to the new times and camera.
+    fn remove_other_format(&self) -> io::Result<()> {
+        let (stream, pictures) = (self.folder.join(STREAM), self.folder.join(PICTURES));
+        match self.frames {
+            Frames::Pictures if stream.is_file() => fs::remove_file(stream),
+            Frames::Stream { .. } if pictures.is_dir() => {
+                remove_own_pictures(&pictures)?;
+                // Fails, and may fail, where somebody's own files are in it.
+                let _ = fs::remove_dir(&pictures);
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Brings finished pictures from `part` to `place`, instead of those of an earlier run; other files there stay.
+fn place_pictures(part: &Path, place: &Path) -> io::Result<()> {
+    if !place.exists() {
+        return fs::rename(part, place);
+    }
+    remove_own_pictures(place)?;
+    for entry in fs::read_dir(part)? {
+        let entry = entry?;
+        fs::rename(entry.path(), place.join(entry.file_name()))?;
+    }
+    fs::remove_dir(part)
+}
+
+fn remove_own_pictures(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let stem = name.to_str().and_then(|name| name.strip_suffix(".png"));
+        if stem.is_some_and(|stem| stem.len() >= 6 && stem.bytes().all(|b| b.is_ascii_digit())) {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// The line that a stream begins with. Its length does not depend on the frame rate, which is known only at the end.
+fn stream_header(kind: StreamKind, frames_per_second: f64) -> String {
+    let StreamKind { size: (width, height), colored } = kind;
+    let millionths = (frames_per_second * 1e6).round().clamp(1.0, 4e9) as u64;
+    let colors = if colored { "C420jpeg" } else { "Cmono" };
+    format!("YUV4MPEG2 W{width} H{height} F{millionths:010}:0001000000 Ip A1:1 {colors} XCOLORRANGE=FULL\n")
+}
+
+/// Puts the frame rate into the line the stream begins with.
+fn finish_stream(file: &mut BufWriter<File>, begun: Option<StreamKind>, rate: Option<f64>) -> io::Result<()> {
+    if let (Some(kind), Some(rate)) = (begun, rate.filter(|rate| rate.is_finite())) {
+        file.rewind()?;
+        file.write_all(stream_header(kind, rate).as_bytes())?;
+    }
+    file.flush()?;
+    file.get_mut().sync_data()
+}

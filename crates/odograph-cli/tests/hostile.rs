@@ -1,0 +1,517 @@
+//! `odograph run` on what it was not made for: one sentence, the right exit code, no panic, nothing half-written.
+
+#[path = "hostile/recording.rs"]
+mod recording;
+
+use recording::{CAMERA, Picture, names, picture_folder, y4m};
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Every file of a whole run.
+const FILES: [&str; 9] = [
+    "map.png",
+    "map.svg",
+    "mosaic.pgw",
+    "mosaic.png",
+    "report.html",
+    "run.toml",
+    "stats.json",
+    "trajectory.csv",
+    "trajectory.tum",
+];
+
+/// A place with a camera file and a folder for results that does not exist yet.
+struct Place {
+    temporary: TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        let temporary = tempfile::tempdir().unwrap();
+        fs::write(temporary.path().join("camera.yaml"), CAMERA).unwrap();
+        Self { temporary }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.temporary.path().join(name)
+    }
+
+    /// `odograph run` in this place, without the rest of what is told.
+    fn run(&self, arguments: &str) -> Output {
+        self.command(arguments).output().unwrap()
+    }
+
+    fn command(&self, arguments: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        command.current_dir(self.temporary.path()).env("ODOGRAPH_FFMPEG", "");
+        command.arg("run").args(arguments.split_whitespace()).stdin(Stdio::null());
+        command
+    }
+
+    /// [`Place::run`] with the camera, a height and the output folder `out`.
+    fn run_usual(&self, source: &str) -> Output {
+        self.run(&format!("{source} --camera camera.yaml --height 1.0 -o out"))
+    }
+
+    /// A run that must be refused: with `code`, one sentence that holds `words`, and nothing left behind.
+    fn refused(&self, arguments: &str, code: i32, words: &str) {
+        let before = names(self.temporary.path());
+        let done = self.run(arguments);
+        assert_told(&done, code, words, arguments);
+        assert_eq!(names(self.temporary.path()), before, "`{arguments}` left something behind");
+    }
+
+    fn refused_usual(&self, source: &str, code: i32, words: &str) {
+        self.refused(&format!("{source} --camera camera.yaml --height 1.0 -o out"), code, words);
+    }
+
+    /// The file of an earlier run, as bytes.
+    fn result(&self, folder: &str, name: &str) -> Vec<u8> {
+        fs::read(self.path(folder).join(name)).unwrap()
+    }
+}
+
+/// One sentence on standard error, none of it the text of a panic.
+fn assert_told(done: &Output, code: i32, words: &str, what: &str) {
+    let told = String::from_utf8(done.stderr.clone()).unwrap();
+    assert_eq!(done.status.code(), Some(code), "`{what}` told: {told}");
+    assert!(!told.contains("panicked") && !told.contains("RUST_BACKTRACE"), "`{what}` told: {told}");
+    assert!(told.contains(words), "`{what}` did not tell \"{words}\" but: {told}");
+    assert_eq!(told.lines().count(), 1, "`{what}` told: {told}");
+    assert!(done.stdout.is_empty(), "`{what}` printed {:?}", String::from_utf8_lossy(&done.stdout));
+}
+
+/// Nothing has the name of a file that is still being written.
+fn assert_whole(folder: &Path) {
+    assert_eq!(names(folder), FILES, "in {}", folder.display());
+}
+
+#[test]
+fn sources_that_are_none() {
+    let place = Place::new();
+    place.refused_usual("none.mp4", 3, "none.mp4: there is no such file");
+    fs::create_dir(place.path("empty")).unwrap();
+    place.refused_usual("empty", 3, "empty");
+    fs::create_dir(place.path("texts")).unwrap();
+    for name in ["a.txt", "b.txt", "notes.md"] {
+        fs::write(place.path("texts").join(name), "not a picture").unwrap();
+    }
+    place.refused_usual("texts", 3, "texts");
+    fs::write(place.path("empty.mp4"), "").unwrap();
+    place.refused_usual("empty.mp4", 3, "empty.mp4");
+    let mut state = 1u32;
+    let noise: Vec<u8> = (0..100_000)
+        .map(|_| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as u8
+        })
+        .collect();
+    fs::write(place.path("random.mp4"), noise).unwrap();
+    place.refused_usual("random.mp4", 3, "random.mp4");
+    fs::write(place.path("text.png"), "not a picture").unwrap();
+    place.refused_usual("text.png", 3, "text.png");
+    fs::create_dir(place.path("broken")).unwrap();
+    fs::write(place.path("broken/0.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
+    fs::write(place.path("broken/1.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
+    place.refused_usual("broken", 3, "0.png");
+}
+
+#[test]
+fn too_few_frames() {
+    let place = Place::new();
+    picture_folder(&place.path("one"), 1, Picture::gray8);
+    place.refused_usual("one", 3, "only one frame");
+    place.refused_usual("one/000000.png", 3, "only one frame");
+    fs::write(place.path("none.y4m"), y4m(0)).unwrap();
+    place.refused_usual("none.y4m", 3, "there is no frame in it");
+    fs::write(place.path("one.y4m"), y4m(1)).unwrap();
+    place.refused_usual("one.y4m", 3, "only one frame");
+    fs::write(place.path("some.y4m"), y4m(4)).unwrap();
+    place.refused("some.y4m --camera camera.yaml --height 1 -o out --start 90", 3, "no frame");
+    place.refused("some.y4m --camera camera.yaml --height 1 -o out --max-frames 1", 3, "only one frame");
+    place.refused("some.y4m --camera camera.yaml --height 1 -o out --max-frames 0", 3, "no frame");
+}
+
+#[test]
+fn frames_of_different_sizes() {
+    let place = Place::new();
+    picture_folder(&place.path("mixed"), 6, |number| {
+        let picture = Picture::gray8(number);
+        if number == 3 { picture.without_last_rows(20) } else { picture }
+    });
+    let done = place.run_usual("mixed");
+    assert_told(&done, 3, "all frames must have the same size", "mixed");
+    // What was measured before is not thrown away.
+    if place.path("out").exists() {
+        assert_whole(&place.path("out"));
+    }
+}
+
+#[test]
+fn videos_that_are_cut_off_or_hold_nothing() {
+    let place = Place::new();
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+    let clip = fs::read(demo.join("drive.mp4")).unwrap();
+    let boxed = |kind: &[u8; 4], body: &[u8]| {
+        let mut whole = (body.len() as u32 + 8).to_be_bytes().to_vec();
+        whole.extend_from_slice(kind);
+        whole.extend_from_slice(body);
+        whole
+    };
+    let ftyp = boxed(b"ftyp", b"isom\0\0\x02\0isomiso2avc1mp41");
+    fs::write(place.path("bare.mp4"), &ftyp).unwrap();
+    place.refused_usual("bare.mp4", 3, "bare.mp4");
+    fs::write(place.path("empty.mp4"), [ftyp.clone(), boxed(b"moov", b""), boxed(b"mdat", b"")].concat())
+        .unwrap();
+    place.refused_usual("empty.mp4", 3, "empty.mp4");
+    fs::write(place.path("head.mp4"), &clip[..1000]).unwrap();
+    place.refused_usual("head.mp4", 3, "head.mp4");
+    let data = clip.windows(4).position(|kind| kind == b"mdat").unwrap() + 4;
+    fs::write(place.path("nothing.mp4"), &clip[..data]).unwrap();
+    place.refused_usual("nothing.mp4", 3, "nothing.mp4");
+
+    fs::write(place.path("cut.mp4"), &clip[..data + 150_000]).unwrap();
+    let done =
+        place.run(&format!("cut.mp4 --camera {0}/camera.yaml --rig {0}/rig.toml -o out", demo.display()));
+    let told = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(0), "{told}");
+    assert!(told.lines().count() == 1 && told.starts_with("odograph: warning: cut.mp4: "), "{told}");
+    assert_whole(&place.path("out"));
+    let lines = place.result("out", "trajectory.csv").iter().filter(|&&b| b == b'\n').count();
+    assert!((20..400).contains(&lines), "{lines} lines for the frames up to the cut");
+}
+
+#[test]
+fn pictures_of_16_bits_and_with_opacity_are_usual() {
+    let place = Place::new();
+    for (name, picture) in [
+        ("gray8", Picture::gray8 as fn(usize) -> Picture),
+        ("gray16", Picture::gray16),
+        ("gray_alpha", Picture::gray_alpha),
+        ("rgba16", Picture::rgba16),
+    ] {
+        picture_folder(&place.path(name), 8, picture);
+        let out = format!("{name}-out");
+        let done = place.run(&format!("{name} --fps 30 --camera camera.yaml --height 1 -o {out}"));
+        assert_eq!(done.status.code(), Some(0), "{name}: {}", String::from_utf8_lossy(&done.stderr));
+        assert_whole(&place.path(&out));
+        // The same floor, so the same path.
+        assert_eq!(
+            place.result(&out, "trajectory.tum"),
+            place.result("gray8-out", "trajectory.tum"),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn cameras_that_cannot_be() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let with = |name: &str, text: &str, words: &str| {
+        fs::write(place.path(name), text).unwrap();
+        place.refused(&format!("drive.y4m --camera {name} --height 1 -o out"), 3, words);
+    };
+    with("nan.yaml", &CAMERA.replace("150.0, 0.0, 79.5", ".nan, 0.0, 79.5"), "nan.yaml: ");
+    with("infinite.yaml", &CAMERA.replace("150.0, 0.0, 79.5", ".inf, 0.0, 79.5"), "infinite.yaml: ");
+    with("negative.yaml", &CAMERA.replace("150.0, 0.0, 79.5", "-150.0, 0.0, 79.5"), "negative.yaml: ");
+    with("other.yaml", &CAMERA.replace("image_width: 160", "image_width: 320"), "calibrated for 320x120");
+    with("empty.yaml", "", "empty.yaml: the camera file is empty");
+    with("text.yaml", "this is no camera", "text.yaml: ");
+    with("broken.yaml", "{[", "broken.yaml: ");
+    fs::write(place.path("bytes.yaml"), [0xff, 0xfe, 0, 1]).unwrap();
+    place.refused("drive.y4m --camera bytes.yaml --height 1 -o out", 3, "bytes.yaml");
+    place.refused("drive.y4m --camera none.yaml --height 1 -o out", 3, "none.yaml cannot be read");
+    place.refused("drive.y4m --camera . --height 1 -o out", 3, ". cannot be read");
+    fs::write(place.path("rig.toml"), "height_m = nan").unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --rig rig.toml -o out");
+    assert!(matches!(done.status.code(), Some(2 | 3)) && !place.path("out").exists(), "{done:?}");
+    fs::write(place.path("garbage.toml"), "\0\u{1}").unwrap();
+    place.refused("drive.y4m --camera camera.yaml --rig garbage.toml -o out", 3, "garbage.toml");
+}
+
+#[test]
+fn usage_that_cannot_be() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let usual = "drive.y4m --camera camera.yaml -o out";
+    place.refused(&format!("{usual} --height -1"), 2, "the height is -1 m");
+    place.refused(&format!("{usual} --height 0"), 2, "the height is 0 m");
+    place.refused(&format!("{usual} --height nan"), 2, "the height is NaN m");
+    place.refused(&format!("{usual} --height inf"), 2, "the height is inf m");
+    place.refused(usual, 2, "--height");
+    place.refused("drive.y4m --height 1 -o out", 2, "--camera");
+    place.refused(&format!("{usual} --height 1 --every 0"), 2, "every 0th frame");
+    place.refused(&format!("{usual} --height 1 --fps 0"), 2, "frames a second");
+    place.refused(&format!("{usual} --height 1 --start -1"), 2, "start and end");
+    place.refused(&format!("{usual} --height 1 --start 2 --end 1"), 2, "before the start");
+    // The parser of options tells usage in its own words, in more lines.
+    for wrong in
+        ["--height x", "--height 1 --nonsense", "--height 1 --every -1", "--height 1 --threads 0", "--height"]
+    {
+        let done = place.run(&format!("{usual} {wrong}"));
+        assert_eq!(done.status.code(), Some(2), "{wrong}");
+        assert!(!place.path("out").exists(), "{wrong}");
+    }
+    let done = place.run("drive.y4m --field-of-view 0x1 -o out");
+    assert!(done.status.code() == Some(2) && !place.path("out").exists());
+}
+
+#[test]
+fn outputs_that_cannot_be() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    fs::write(place.path("file"), "mine").unwrap();
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o file", 2, "file is a file");
+    // Below a file, and where even root may not write.
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o file/out", 3, "file/out cannot be made");
+    if Path::new("/proc/self").exists() {
+        place.refused(
+            "drive.y4m --camera camera.yaml --height 1 -o /proc/odograph",
+            3,
+            "/proc/odograph cannot be made",
+        );
+    }
+    assert_eq!(fs::read(place.path("file")).unwrap(), b"mine");
+    // Folders that were made on the way go too.
+    place.refused("none.mp4 --camera camera.yaml --height 1 -o a/b/c", 3, "none.mp4");
+    // Results that are there stay as they are.
+    assert!(place.run_usual("drive.y4m").status.success());
+    let before = place.result("out", "stats.json");
+    place.refused_usual("drive.y4m", 2, "is already there; choose another folder, or --force");
+    place.refused("none.mp4 --camera camera.yaml --height 1 -o out --force", 3, "none.mp4");
+    assert_eq!(place.result("out", "stats.json"), before);
+    assert_whole(&place.path("out"));
+    let again = place.run("drive.y4m --camera camera.yaml --height 1 -o out --force");
+    assert!(again.status.success(), "{again:?}");
+    assert_whole(&place.path("out"));
+}
+
+/// A device that is always full stands in for each of the files in turn.
+#[test]
+#[cfg(unix)]
+fn a_full_disk() {
+    if !Path::new("/dev/full").exists() {
+        println!("skipped: there is no /dev/full");
+        return;
+    }
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    for name in FILES {
+        let out = place.path("out");
+        fs::create_dir(&out).unwrap();
+        std::os::unix::fs::symlink("/dev/full", out.join(format!("{name}.part"))).unwrap();
+        assert_told(&place.run_usual("drive.y4m"), 3, "No space left on device", name);
+        assert!(!out.join(name).exists(), "{name}");
+        let left = names(&out);
+        let halves: Vec<&String> = left.iter().filter(|left| left.ends_with(".part")).collect();
+        assert!(halves.is_empty(), "{name}: {halves:?}");
+        fs::remove_dir_all(&out).unwrap();
+    }
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut told = place.command("drive.y4m --camera camera.yaml --height 1 -o told --json");
+    assert_told(
+        &told.stdout(full).output().unwrap(),
+        3,
+        "standard output cannot be written",
+        "--json > /dev/full",
+    );
+    assert_whole(&place.path("told"));
+}
+
+/// A small file system that really runs full.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_file_system() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    let mounted = place.path("small");
+    fs::create_dir(&mounted).unwrap();
+    let mount = Command::new("mount")
+        .args(["-t", "tmpfs", "-o", "size=16k", "tmpfs"])
+        .arg(&mounted)
+        .stderr(Stdio::null())
+        .status();
+    if !mount.is_ok_and(|status| status.success()) {
+        println!("skipped: a small file system cannot be mounted here");
+        return;
+    }
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o small/out");
+    let left = if mounted.join("out").exists() { names(&mounted.join("out")) } else { Vec::new() };
+    assert!(Command::new("umount").arg(&mounted).status().unwrap().success());
+    assert_told(&done, 3, "cannot be written", "a file system of 16 KiB");
+    assert!(left.iter().all(|name| !name.ends_with(".part")), "{left:?}");
+}
+
+#[test]
+fn plans_that_are_garbage() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    for (name, text) in [
+        ("run.toml", "this is = = no plan"),
+        ("empty.toml", ""),
+        ("bytes.toml", "\0\0\0"),
+        ("other.toml", "[package]\nname = \"odograph\"\n"),
+    ] {
+        fs::write(place.path(name), text).unwrap();
+        place.refused(&format!("{name} -o out"), 3, name);
+    }
+    place.refused("none.toml -o out", 3, "none.toml cannot be read");
+    assert!(place.run_usual("drive.y4m").status.success());
+    let plan = String::from_utf8(place.result("out", "run.toml")).unwrap();
+    fs::create_dir(place.path("plans")).unwrap();
+    let mut number = 0;
+    // Every number of a plan, one after the other, as what it cannot be.
+    for (line_number, line) in plan.lines().enumerate() {
+        let Some((key, value)) = line.split_once(" = ") else { continue };
+        if value.parse::<f64>().is_err() {
+            continue;
+        }
+        for wrong in ["nan", "-1e300", "-1", "0", "18446744073709551615", "\"text\""] {
+            let changed: Vec<String> = plan
+                .lines()
+                .enumerate()
+                .map(|(n, line)| if n == line_number { format!("{key} = {wrong}") } else { line.to_owned() })
+                .collect();
+            number += 1;
+            let name = format!("plans/{number}.toml");
+            fs::write(place.path(&name), changed.join("\n")).unwrap();
+            let done = place.run(&format!("{name} -q -o again --force"));
+            let told = String::from_utf8(done.stderr).unwrap();
+            let what = format!("{key} = {wrong}");
+            assert!(matches!(done.status.code(), Some(0 | 2 | 3 | 4)), "{what}: {:?} {told}", done.status);
+            assert!(!told.contains("panicked") && told.lines().count() <= 1, "{what}: {told}");
+        }
+    }
+    assert!(number > 30, "{number} plans tried");
+}
+
+#[test]
+fn options_beside_a_plan_are_not_overheard() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    assert!(place.run_usual("drive.y4m").status.success());
+    for more in
+        ["--every 2", "--start 1", "--end 1", "--fps 5", "--max-frames 3", "--timestamps t", "--height 2"]
+    {
+        place.refused(&format!("out/run.toml -o again {more}"), 2, "already says");
+    }
+}
+
+#[test]
+fn a_plan_run_again_and_any_number_of_threads_give_the_same_bytes() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    assert!(place.run_usual("drive.y4m").status.success());
+    assert!(place.run("out/run.toml -o again").status.success());
+    for threads in ["1", "2", "3"] {
+        let done = place.run(&format!(
+            "drive.y4m --camera camera.yaml --height 1.0 -o threads{threads} --threads {threads}"
+        ));
+        assert!(done.status.success(), "{done:?}");
+    }
+    assert!(String::from_utf8_lossy(&place.result("out", "trajectory.csv")).contains("tracked"));
+    for folder in ["again", "threads1", "threads2", "threads3"] {
+        assert_whole(&place.path(folder));
+        for name in FILES.iter().filter(|&&name| name != "stats.json") {
+            assert!(place.result(folder, name) == place.result("out", name), "{folder}/{name} differs");
+        }
+    }
+}
+
+#[test]
+fn a_recording_that_shows_nothing() {
+    let place = Place::new();
+    let mut blank = y4m(0);
+    for _ in 0..10 {
+        blank.extend_from_slice(b"FRAME\n");
+        blank.extend(vec![90; 160 * 120]);
+    }
+    fs::write(place.path("blank.y4m"), blank).unwrap();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let done = place.run_usual("blank.y4m");
+    let told = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(4), "{told}");
+    assert!(told.contains("could not be measured in") && told.lines().count() == 1, "{told}");
+    // There is no mosaic of nothing; everything else is there.
+    let written = names(&place.path("out"));
+    let wanted: Vec<&str> = FILES
+        .into_iter()
+        .filter(|name| !name.starts_with("mosaic") || written.len() == FILES.len())
+        .collect();
+    assert_eq!(written, wanted);
+    // And nothing of an earlier drive stays among it.
+    assert!(place.run("drive.y4m --camera camera.yaml --height 1 -o over").status.success());
+    assert_eq!(place.run("blank.y4m --camera camera.yaml --height 1 -o over --force").status.code(), Some(4));
+    assert_eq!(names(&place.path("over")), wanted);
+}
+
+/// A run over standard input, with 40 frames given and waited for, so that a group of them is on disk.
+fn begun(place: &Place, arguments: &str) -> Child {
+    let mut command = place.command(&format!("- --camera camera.yaml --height 1 -o out {arguments}"));
+    let mut child =
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    child.stdin.as_mut().unwrap().write_all(&y4m(40)).unwrap();
+    let part = place.path("out/trajectory.csv.part");
+    let patience = Instant::now() + Duration::from_secs(120);
+    while fs::metadata(&part).map_or(0, |metadata| metadata.len()) == 0 {
+        assert!(Instant::now() < patience, "nothing on disk after two minutes");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupt_ends_the_run_and_writes_everything() {
+    for threads in ["1", "3"] {
+        let place = Place::new();
+        let mut child = begun(&place, &format!("--threads {threads}"));
+        let sent = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
+        assert!(sent.success());
+        // The run looks at what it was asked between frames; the stream stays open until it has ended.
+        let mut stream = child.stdin.take().unwrap();
+        let header = y4m(0).len();
+        let frames = &y4m(2)[header..];
+        while child.try_wait().unwrap().is_none() && stream.write_all(frames).is_ok() {}
+        drop(stream);
+        let done = child.wait_with_output().unwrap();
+        assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+        assert_whole(&place.path("out"));
+        assert!(
+            String::from_utf8(place.result("out", "stats.json")).unwrap().contains("\"interrupted\": true")
+        );
+    }
+}
+
+#[test]
+fn a_killed_run_leaves_the_frames_so_far() {
+    let place = Place::new();
+    let mut child = begun(&place, "");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(names(&place.path("out")), ["trajectory.csv.part"]);
+    let text = fs::read_to_string(place.path("out/trajectory.csv.part")).unwrap();
+    assert!(text.lines().count() > 30 && text.ends_with('\n'), "{text}");
+    // And the folder is as good as new.
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    assert!(place.run_usual("drive.y4m").status.success());
+    assert_whole(&place.path("out"));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_reader_that_has_gone_is_no_failure() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let done =
+        place.command("drive.y4m --camera camera.yaml --height 1 -o out").stdout(writer).output().unwrap();
+    assert!(done.status.success() && done.stderr.is_empty(), "{done:?}");
+    assert_whole(&place.path("out"));
+}

@@ -1,0 +1,257 @@
+//! The rules of the house, held by reading the source: a module imports only modules listed above it in `lib.rs`, `unsafe`
+//! stays in the room of the image kernels, and the libraries print nothing, read no clock and open no connection.
+
+#[path = "house/source_text.rs"]
+mod source_text;
+
+use source_text::{Word, code, words};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A place where a rule is broken.
+#[derive(Debug, PartialEq, Eq)]
+struct Breach {
+    file: String,
+    line: usize,
+    what: String,
+}
+
+fn crates_folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// The modules that a `lib.rs` lists, in its order.
+fn listed_modules(lib: &str) -> Vec<String> {
+    let code = code(lib);
+    let words: Vec<Word<'_>> = words(&code).collect();
+    let listed = words.windows(3).filter(|three| three[0].text == "mod" && three[2].text == ";");
+    listed.map(|three| three[1].text.to_owned()).collect()
+}
+
+/// Where the code of `file`, which is the module `path` (outermost first), names a module of the crate's root that is listed
+/// below its own: as `crate::name`, as one of `crate::{name, …}`, or by enough `super::`.
+fn imports_from_below(modules: &[String], path: &[&str], file: &str, text: &str) -> Vec<Breach> {
+    let Some(own) = modules.iter().position(|module| path.first() == Some(&module.as_str())) else {
+        return Vec::new(); // lib.rs itself
+    };
+    let code = code(text);
+    let words: Vec<Word<'_>> = words(&code).collect();
+    let is = |at: usize, text: &str| words.get(at).is_some_and(|word: &Word<'_>| word.text == text);
+    let mut breaches = Vec::new();
+    let mut at = 0;
+    while at < words.len() {
+        // Where a path that begins here has reached the root of the crate, and what follows is one of its modules.
+        let root = if is(at, "crate") && is(at + 1, "::") {
+            Some(at + 2)
+        } else {
+            let climbed = (0..).take_while(|n| is(at + 2 * n, "super") && is(at + 2 * n + 1, "::")).count();
+            (climbed >= path.len()).then_some(at + 2 * climbed)
+        };
+        let Some(root) = root else {
+            at += 1;
+            continue;
+        };
+        for named in first_names(&words, root) {
+            if let Some(module) = modules.iter().position(|module| module == named.text)
+                && module > own
+            {
+                breaches.push(Breach {
+                    file: file.to_owned(),
+                    line: named.line,
+                    what: format!(
+                        "`{}` imports `{}`, which lib.rs lists below it",
+                        modules[own], modules[module]
+                    ),
+                });
+            }
+        }
+        at = root;
+    }
+    breaches
+}
+
+/// The names that a path goes on with: one, or the first ones of every branch of a `{…}`.
+fn first_names<'a, 'b>(words: &'b [Word<'a>], at: usize) -> Vec<&'b Word<'a>> {
+    if words.get(at).is_none_or(|word| word.text != "{") {
+        return words.get(at).into_iter().collect();
+    }
+    let (mut names, mut depth) = (Vec::new(), 0);
+    for (index, word) in words.iter().enumerate().skip(at) {
+        match word.text {
+            "{" => depth += 1,
+            "}" => depth -= 1,
+            _ if depth == 1 && matches!(words[index - 1].text, "{" | ",") => names.push(word),
+            _ => {}
+        }
+        if depth == 0 {
+            break;
+        }
+    }
+    names
+}
+
+/// What a library must not do, wherever it is written.
+const NOT_IN_A_LIBRARY: [(&[&str], &str); 11] = [
+    (&["println", "!"], "a library prints nothing"),
+    (&["eprintln", "!"], "a library prints nothing"),
+    (&["print", "!"], "a library prints nothing"),
+    (&["eprint", "!"], "a library prints nothing"),
+    (&["dbg", "!"], "a library prints nothing"),
+    (&["Instant"], "a library reads no clock"),
+    (&["SystemTime"], "a library reads no clock"),
+    (&["std", "::", "net"], "a library opens no connection"),
+    (&["TcpStream"], "a library opens no connection"),
+    (&["TcpListener"], "a library opens no connection"),
+    (&["UdpSocket"], "a library opens no connection"),
+];
+
+fn forbidden_words(rules: &[(&[&str], &str)], file: &str, text: &str) -> Vec<Breach> {
+    let code = code(text);
+    let words: Vec<Word<'_>> = words(&code).collect();
+    let mut breaches = Vec::new();
+    for (pattern, why) in rules {
+        for found in words.windows(pattern.len()) {
+            if found.iter().zip(*pattern).all(|(word, wanted)| word.text == *wanted) {
+                let what = format!("`{}`: {why}", pattern.concat());
+                breaches.push(Breach { file: file.to_owned(), line: found[0].line, what });
+            }
+        }
+    }
+    breaches
+}
+
+/// Every source file below `folder`, in a fixed order, without those that hold only tests.
+fn source_files(folder: &Path) -> Vec<PathBuf> {
+    let mut entries: Vec<PathBuf> =
+        fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    entries.sort();
+    let mut files = Vec::new();
+    for path in entries {
+        if path.is_dir() {
+            files.extend(source_files(&path));
+        } else if path.extension().is_some_and(|e| e == "rs") && path.file_name().unwrap() != "tests.rs" {
+            files.push(path);
+        }
+    }
+    files
+}
+
+/// The module that a file below `src` is, outermost first: `flow/track.rs` is `[flow, track]`, `flow/mod.rs` is `[flow]`.
+fn module_path(below_src: &Path) -> Vec<String> {
+    let without_ending = below_src.with_extension("");
+    let names = without_ending.iter().map(|name| name.to_string_lossy().into_owned());
+    names.filter(|name| name != "mod" && name != "lib").collect()
+}
+
+/// Runs a check over every source file of a crate and fails with all that it found.
+fn check_crate(name: &str, check: impl Fn(&Path, &str, &str) -> Vec<Breach>) {
+    let src = crates_folder().join(name).join("src");
+    let files = source_files(&src);
+    assert!(!files.is_empty(), "no source files in {}", src.display());
+    let mut told = String::new();
+    for path in files {
+        let below_src = path.strip_prefix(&src).unwrap();
+        let shown = format!("crates/{name}/src/{}", below_src.display());
+        for breach in check(below_src, &shown, &fs::read_to_string(&path).unwrap()) {
+            told += &format!("\n{}:{}: {}", breach.file, breach.line, breach.what);
+        }
+    }
+    assert!(told.is_empty(), "{told}\n");
+}
+
+#[test]
+fn a_module_imports_only_modules_listed_above_it() {
+    let lib = fs::read_to_string(crates_folder().join("odograph/src/lib.rs")).unwrap();
+    let modules = listed_modules(&lib);
+    assert!(modules.len() > 10 && modules[0] == "error", "{modules:?}");
+    check_crate("odograph", |below_src, shown, text| {
+        let path = module_path(below_src);
+        let path: Vec<&str> = path.iter().map(String::as_str).collect();
+        assert!(
+            path.first().is_none_or(|first| modules.iter().any(|module| module == first)),
+            "{shown} belongs to no module that lib.rs lists"
+        );
+        imports_from_below(&modules, &path, shown, text)
+    });
+}
+
+#[test]
+fn unsafe_code_stays_with_the_image_kernels() {
+    let rule: [(&[&str], &str); 1] = [(&["unsafe"], "unsafe code belongs into crates/odograph/src/image")];
+    for name in ["odograph", "odograph-video", "odograph-cli"] {
+        check_crate(name, |below_src, shown, text| {
+            let kernels = name == "odograph" && below_src.starts_with("image");
+            if kernels { Vec::new() } else { forbidden_words(&rule, shown, text) }
+        });
+    }
+}
+
+#[test]
+fn libraries_print_nothing_read_no_clock_and_open_no_connection() {
+    for name in ["odograph", "odograph-video"] {
+        check_crate(name, |_, shown, text| forbidden_words(&NOT_IN_A_LIBRARY, shown, text));
+    }
+}
+
+/// A small library that breaks the rules, and seems to break them where it does not.
+const WRONG: &str = r##"
+//! Not an import: crate::slam.
+use crate::error::Error; // nor this: crate::slam
+use crate::{geometry::{Ray, slam}, flow, slam::Map as M};
+/* nor /* this: */ crate::slam */
+const TEXT: &str = "crate::slam \" crate::slam";
+const RAW: &str = r#"crate::slam " crate::slam"#;
+const QUOTE: char = '"';
+fn f<'a>(x: &'a crate::slam::Map) { unsafe { println!("{x:?}") } }
+mod inner;
+use super::slam;
+use super::super::slam as far;
+#[cfg(test)]
+mod tests {
+    use crate::slam::Map;
+    fn f() { println!("}"); }
+}
+use crate::slam::Map;
+#[cfg(test)]
+use crate::slam::OnlyInTests;
+fn g() -> std::time::Instant { std::net::lookup() }
+"##;
+
+#[test]
+fn the_check_of_imports_finds_what_is_wrong_and_nothing_else() {
+    let modules =
+        listed_modules("//! mod no;\npub mod error;\nmod geometry;\npub mod flow;\npub mod slam;\n");
+    assert_eq!(modules, ["error", "geometry", "flow", "slam"]);
+    let lines = |path: &[&str]| -> Vec<usize> {
+        imports_from_below(&modules, path, "x.rs", WRONG).iter().map(|breach| breach.line).collect()
+    };
+    assert_eq!(lines(&["flow"]), [4, 9, 11, 12, 18]);
+    // One level further in, a single `super` stays inside `flow`.
+    assert_eq!(lines(&["flow", "track"]), [4, 9, 12, 18]);
+    assert_eq!(lines(&["geometry"]), [4, 4, 9, 11, 12, 18]);
+    assert!(lines(&["slam"]).is_empty());
+    assert!(lines(&[]).is_empty());
+    let first = &imports_from_below(&modules, &["flow"], "x.rs", WRONG)[0];
+    assert_eq!(first.what, "`flow` imports `slam`, which lib.rs lists below it");
+}
+
+#[test]
+fn the_check_of_words_finds_what_is_wrong_and_nothing_else() {
+    let found: Vec<(usize, String)> = forbidden_words(&NOT_IN_A_LIBRARY, "x.rs", WRONG)
+        .into_iter()
+        .map(|breach| (breach.line, breach.what))
+        .collect();
+    assert_eq!(found.len(), 3, "{found:?}");
+    assert!(found[0].0 == 9 && found[0].1.starts_with("`println!`"));
+    assert!(found[1].0 == 21 && found[1].1.starts_with("`Instant`"));
+    assert!(found[2].0 == 21 && found[2].1.starts_with("`std::net`"));
+    assert_eq!(forbidden_words(&[(&["unsafe"], "")], "x.rs", WRONG)[0].line, 9);
+}
+
+#[test]
+fn files_know_which_module_they_are() {
+    assert_eq!(module_path(Path::new("flow/track.rs")), ["flow", "track"]);
+    assert_eq!(module_path(Path::new("flow/mod.rs")), ["flow"]);
+    assert_eq!(module_path(Path::new("camera.rs")), ["camera"]);
+    assert!(module_path(Path::new("lib.rs")).is_empty());
+}
