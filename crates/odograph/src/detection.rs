@@ -237,7 +237,7 @@ impl TakenCorners {
             (column.saturating_sub(1)..(column + 2).min(self.columns)).all(|c| {
                 self.cells[r * self.columns + c]
                     .iter()
-                    .all(|&(tx, ty)| (tx - x).hypot(ty - y) >= self.minimum_distance_px)
+                    .all(|&(tx, ty)| (tx - x).powi(2) + (ty - y).powi(2) >= self.minimum_distance_px.powi(2))
             })
         })
     }

@@ -28,7 +28,8 @@ pub enum TrackFailure {
     Unlike,
 }
 
-/// Searches a template in an image, coarse to fine, from where `prediction` expects it; the shape of the warp stays as predicted,
+/// Searches a template in an image, coarse to fine, from where `prediction` expects it to within `off_px` (pixels of the full image;
+/// infinite where nothing is known: the more is known, the fewer coarse levels are searched); the shape of the warp stays as predicted,
 /// its position is found. Whether what was found is still the same is for the caller to judge by its dissimilarity.
 ///
 /// With the gradients of the template orthogonal to constants and to the template itself, the normal equations of Lucas–Kanade with
@@ -38,14 +39,16 @@ pub fn track(
     template: &Template,
     image: &Pyramid,
     prediction: &Warp,
+    off_px: f64,
     config: &FlowConfig,
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
     let mut found = None;
-    let levels = template.levels().len().min(image.levels().len());
+    let levels = levels_for(off_px).min(template.levels().len()).min(image.levels().len());
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
-        let step_px = config.step_px * scale;
+        // A coarse level has only to come near enough for the next.
+        let step_px = if level == 0 { config.step_px } else { config.step_px.max(COARSE_STEP_PX) * scale };
         let patch = &template.levels()[level];
         let result =
             search(patch, level, template.centre(), image, prediction, shift, config.iterations, step_px);
@@ -65,6 +68,23 @@ pub fn track(
     let dissimilarity = found.ok_or(TrackFailure::Outside)?;
     let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
     Ok(Track { position, dissimilarity })
+}
+
+/// A step shorter than this ends a level other than the full image, pixels of the level.
+const COARSE_STEP_PX: f64 = 0.05;
+
+/// What a level finds even where the ground's texture is fine, pixels of the level.
+const REACH_PX: f64 = 1.0;
+
+/// How many levels find what may be `off_px` away.
+fn levels_for(off_px: f64) -> usize {
+    let mut levels = 1;
+    let mut reach_px = REACH_PX;
+    while reach_px < off_px && reach_px.is_finite() {
+        levels += 1;
+        reach_px *= 2.0;
+    }
+    levels
 }
 
 /// One level of [`track`] for a template about the keyframe point `centre`: the improved shift (pixels of the full image) and the

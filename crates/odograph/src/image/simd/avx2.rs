@@ -1,6 +1,6 @@
-//! Sampling by hand, eight samples at a time.
+//! Sampling and halving by hand, eight samples at a time.
 
-use super::scalar::{row_start, total};
+use super::scalar::{self, row_start, total};
 use super::{Appearance, Grid, PATCH_SIDE, Patch};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
@@ -137,4 +137,35 @@ fn store(values: __m256, to: &mut [f32]) {
     let to: &mut [f32; LANES] = to.first_chunk_mut().expect("eight samples");
     // SAFETY: eight samples can be written there.
     unsafe { _mm256_storeu_ps(to.as_mut_ptr(), values) }
+}
+
+/// See [`super::blur_and_halve`].
+#[target_feature(enable = "avx2")]
+pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
+    let pair = |first: i16, second: i16| _mm256_set1_epi32(i32::from(first) | (i32::from(second) << 16));
+    let weights = [pair(1, 4), pair(6, 4), pair(1, 0)];
+    let half = _mm256_set1_epi32(128);
+    let mut done = 0;
+    for eight in out.chunks_exact_mut(LANES) {
+        // The last load reaches one sum beyond the last that counts.
+        let Some(from) = sums.get(2 * done..2 * done + 2 * LANES + 4) else { break };
+        let mut total = half;
+        for (i, weight) in weights.into_iter().enumerate() {
+            // Sums are at most 16 · 255, so that they are the same with a sign.
+            total = _mm256_add_epi32(total, _mm256_madd_epi16(load_sums(&from[2 * i..]), weight));
+        }
+        let gray = _mm256_srli_epi32::<8>(total);
+        let words = _mm_packus_epi32(_mm256_castsi256_si128(gray), _mm256_extracti128_si256::<1>(gray));
+        let bytes = _mm_cvtsi128_si64(_mm_packus_epi16(words, words));
+        eight.copy_from_slice(&bytes.to_le_bytes());
+        done += LANES;
+    }
+    scalar::blur_and_halve(&sums[2 * done..], &mut out[done..]);
+}
+
+#[target_feature(enable = "avx2")]
+fn load_sums(from: &[u16]) -> __m256i {
+    let from: &[u16; 2 * LANES] = from.first_chunk().expect("sixteen sums");
+    // SAFETY: sixteen sums of 16 bits can be read there.
+    unsafe { _mm256_loadu_si256(from.as_ptr().cast()) }
 }

@@ -4,8 +4,9 @@
 //!
 //! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
 //!   reorders or fuses operations on floating-point numbers;
-//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, is written by hand in [`avx2`]
-//!   and held equal to its reference by tests. It uses no fused multiply-add and the reference's order of additions.
+//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, and the halving of rows are written by
+//!   hand in [`avx2`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
+//!   reference's.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -135,10 +136,15 @@ widened! {
     blur_rows(a: &[u8], b: &[u8], c: &[u8], d: &[u8], e: &[u8], sums: &mut [u16])
 }
 
-widened! {
-    /// The binomial 1 4 6 4 1 along a row of [`blur_rows`], of every second place, rounded to gray levels: output x is about input 2 x + 2.
-    /// Panics unless there are at least `2 · out.len() + 3` sums.
-    blur_and_halve(sums: &[u16], out: &mut [u8])
+/// The binomial 1 4 6 4 1 along a row of [`blur_rows`], of every second place, rounded to gray levels: output x is about input 2 x + 2.
+/// Panics unless there are at least `2 · out.len() + 3` sums.
+pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::blur_and_halve(sums, out) };
+    }
+    scalar::blur_and_halve(sums, out);
 }
 
 widened! {
