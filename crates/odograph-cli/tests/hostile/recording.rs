@@ -3,13 +3,13 @@
 use std::fs;
 use std::path::Path;
 
-/// A pinhole for frames of 160x120.
-pub const CAMERA: &str = "%YAML:1.0\n---\nimage_width: 160\nimage_height: 120\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   \
-data: [ 150.0, 0.0, 79.5, 0.0, 150.0, 59.5, 0.0, 0.0, 1.0 ]\n\
+/// A pinhole for frames of 320x240.
+pub const CAMERA: &str = "%YAML:1.0\n---\nimage_width: 320\nimage_height: 240\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   \
+data: [ 300.0, 0.0, 159.5, 0.0, 300.0, 119.5, 0.0, 0.0, 1.0 ]\n\
 distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 0.0, 0.0, 0.0, 0.0, 0.0 ]\n";
 
-const WIDTH: usize = 160;
-const HEIGHT: usize = 120;
+const WIDTH: usize = 320;
+const HEIGHT: usize = 240;
 
 /// A pixel of the floor: spots of several sizes, a number for each place.
 fn floor(x: usize, y: usize) -> u8 {
@@ -31,15 +31,15 @@ fn floor(x: usize, y: usize) -> u8 {
     level as u8
 }
 
-/// What the camera sees at a frame: two pixels further each time.
+/// What the camera sees at a frame: four pixels further each time.
 fn view(number: usize) -> Vec<u8> {
-    let place = |at: usize| floor(at % WIDTH + 2 * number, at / WIDTH + 1000);
+    let place = |at: usize| floor(at % WIDTH + 4 * number, at / WIDTH + 1000);
     (0..WIDTH * HEIGHT).map(place).collect()
 }
 
 /// A gray stream of so many frames at 30 Hz.
 pub fn y4m(frames: usize) -> Vec<u8> {
-    let mut stream = b"YUV4MPEG2 W160 H120 F30:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n".to_vec();
+    let mut stream = b"YUV4MPEG2 W320 H240 F30:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n".to_vec();
     for number in 0..frames {
         stream.extend_from_slice(b"FRAME\n");
         stream.extend(view(number));

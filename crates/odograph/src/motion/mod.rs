@@ -10,10 +10,12 @@ mod mean;
 mod planar_pose;
 mod random;
 mod ransac;
+mod rig_prior;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use mean::mean_displacement;
 pub use random::Random;
+pub use rig_prior::{RigPrior, RigWander};
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
@@ -24,6 +26,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionModel {
+    /// x, y and heading; height and tilt as far as the recording shows that they change.
+    Auto,
     /// The mean vector of the paper: x and y only, heading never. Kept for comparison and teaching.
     Mean,
     /// x, y and heading; height and tilt are those of the rig.
@@ -37,6 +41,7 @@ pub enum MotionModel {
 impl std::fmt::Display for MotionModel {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
+            Self::Auto => "auto",
             Self::Mean => "mean",
             Self::Rigid => "rigid",
             Self::Similarity => "similarity",
@@ -52,7 +57,7 @@ impl MotionModel {
             Self::Mean => 2,
             Self::Rigid => 3,
             Self::Similarity => 4,
-            Self::Free => 6,
+            Self::Auto | Self::Free => 6,
         }
     }
 }
@@ -78,7 +83,7 @@ pub struct MotionConfig {
 impl Default for MotionConfig {
     fn default() -> Self {
         Self {
-            model: MotionModel::Rigid,
+            model: MotionModel::Auto,
             inlier_px: 2.0,
             minimum_inliers: 12,
             minimum_inlier_fraction: 0.35,
@@ -108,6 +113,9 @@ pub struct MotionEstimate {
     pub inliers: Vec<bool>,
     /// Root mean square distance of the inliers from their re-projections, pixels.
     pub residual_px: f64,
+    /// Height, roll and pitch as the tracks alone have them, without the prior, and the variance of each; only where all three were
+    /// unknown.
+    pub rig_evidence: Option<[(f64, f64); 3]>,
 }
 
 impl MotionEstimate {
@@ -117,18 +125,19 @@ impl MotionEstimate {
     }
 }
 
-/// The pose of the camera from `observations`, near `prediction`, whose height and tilt are also the prior's mean (and, in what the
-/// model holds fixed, the truth). `None` where too few observations agree on any movement.
+/// The pose of the camera from `observations`, near `prediction`, whose height and tilt are the truth in what the model holds fixed; of the
+/// rest, `prior` says what is known. `None` where too few observations agree on any movement.
 ///
 /// `random` draws the samples of RANSAC: the same state gives the same result.
 pub fn estimate(
     camera: &Camera,
     observations: &[Observation],
     prediction: &GroundPose,
+    prior: &RigPrior,
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<MotionEstimate> {
-    let (start, agreeing) = ransac::consensus(camera, observations, prediction, config, random)?;
+    let (start, agreeing) = ransac::consensus(camera, observations, prediction, prior, config, random)?;
     let enough = |inliers: usize| {
         inliers >= config.minimum_inliers
             && inliers as f64 >= config.minimum_inlier_fraction * observations.len() as f64
@@ -136,7 +145,7 @@ pub fn estimate(
     if !enough(agreeing.iter().filter(|&&agrees| agrees).count()) {
         return None;
     }
-    let estimate = planar_pose::refine(camera, observations, &start, &agreeing, prediction, config)?;
+    let estimate = planar_pose::refine(camera, observations, &start, &agreeing, prediction, prior, config)?;
     enough(estimate.inlier_count()).then_some(estimate)
 }
 

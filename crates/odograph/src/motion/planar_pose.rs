@@ -1,6 +1,6 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
-use super::{MotionConfig, MotionEstimate, MotionModel, Observation};
+use super::{MotionConfig, MotionEstimate, MotionModel, Observation, RigPrior};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
@@ -17,12 +17,17 @@ impl Unknowns {
     }
 }
 
-/// A Gaussian prior on height, roll and pitch.
+/// A prior with its weight in units of one over the squared pixel noise.
 #[derive(Debug, Clone, Copy)]
-pub struct Prior {
+pub struct Pull {
     mean: [f64; 3],
-    /// Inverse variances, in units of one over the squared pixel noise.
     weight: [f64; 3],
+}
+
+impl Pull {
+    fn new(prior: &RigPrior, scale_px: f64) -> Self {
+        Self { mean: prior.mean, weight: prior.sigma.map(|sigma| (scale_px / sigma).powi(2)) }
+    }
 }
 
 /// Where an observation's ground point is seen from `pose`, less where it was seen (pixels), and the derivative of that by the six
@@ -76,16 +81,25 @@ impl Axes {
     }
 }
 
-/// One step of weighted Gauss–Newton: the improved pose and the information matrix of the unknowns (in units of one over the squared pixel
-/// noise). `None` where the observations do not determine the unknowns.
+/// What a step of Gauss–Newton gives.
+pub struct Step {
+    /// The improved pose.
+    pub pose: GroundPose,
+    /// Information matrix of the unknowns, in units of one over the squared pixel noise.
+    information: Matrix6<f64>,
+    /// The same without the prior.
+    tracks_alone: Matrix6<f64>,
+}
+
+/// One step of weighted Gauss–Newton. `None` where the observations do not determine the unknowns.
 pub fn gauss_newton_step(
     camera: &Camera,
     observations: &[Observation],
     weights: &[f64],
     pose: &GroundPose,
     unknowns: &Unknowns,
-    prior: Option<&Prior>,
-) -> Option<(GroundPose, Matrix6<f64>)> {
+    pull: Option<&Pull>,
+) -> Option<Step> {
     let axes = Axes::new(pose);
     let mut information = Matrix6::zeros();
     let mut slope = Vector6::zeros();
@@ -98,7 +112,8 @@ pub fn gauss_newton_step(
             slope += weight * jacobian.transpose() * error;
         }
     }
-    if let Some(prior) = prior {
+    let tracks_alone = information;
+    if let Some(prior) = pull {
         let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
         for i in 0..3 {
             information[(3 + i, 3 + i)] += prior.weight[i];
@@ -121,7 +136,7 @@ pub fn gauss_newton_step(
         && next.roll_rad.abs() < 1.4
         && next.pitch_rad.abs() < 1.4
         && next.x_m.is_finite();
-    sound.then_some((next, information))
+    sound.then_some(Step { pose: next, information, tracks_alone })
 }
 
 /// The best pose near `start` on the observations that agree with it, and its covariance.
@@ -134,9 +149,11 @@ pub fn refine(
     start: &GroundPose,
     agreeing: &[bool],
     prediction: &GroundPose,
+    prior: &RigPrior,
     config: &MotionConfig,
 ) -> Option<MotionEstimate> {
     let unknowns = Unknowns::new(config.model);
+    let mut prior = *prior;
     let mut pose = GroundPose {
         // Whole turns are kept: RANSAC's heading is in (−π, π].
         heading_rad: prediction.heading_rad + wrap_angle(start.heading_rad - prediction.heading_rad),
@@ -146,17 +163,25 @@ pub fn refine(
     let mut scale_px = config.inlier_px;
     let mut information = Matrix6::identity();
     let mut errors = Vec::new();
+    let mut rig_evidence = None;
     for round in 0..ROUNDS {
-        let prior = prior(prediction, config, scale_px);
+        let pull = Pull::new(&prior, scale_px);
         let before = pose;
-        (pose, information) =
-            gauss_newton_step(camera, observations, &weights, &pose, &unknowns, Some(&prior))?;
+        let step = gauss_newton_step(camera, observations, &weights, &pose, &unknowns, Some(&pull))?;
+        (pose, information) = (step.pose, step.information);
         errors = reprojection_errors(camera, observations, &pose);
         scale_px = robust_scale(&errors, config.inlier_px);
         let reach = (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
         weights = errors.iter().map(|&e| biweight(e / reach)).collect();
         let moved = (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m) / pose.height_m
             + (pose.heading_rad - before.heading_rad).abs();
+        if round >= 2 && config.model == MotionModel::Auto {
+            let evidence = evidence(camera, &step.tracks_alone, &pose, &pull, scale_px)?;
+            if widen(&mut prior, &evidence) {
+                continue;
+            }
+            rig_evidence = Some(evidence);
+        }
         // A ten-millionth of the height is a hundred-thousandth of a pixel.
         if round >= 3 && moved < 1e-8 {
             break;
@@ -176,7 +201,51 @@ pub fn refine(
             + shared_errors(camera, &pose, &unknowns),
         inliers,
         residual_px: (squares / count as f64).sqrt(),
+        rig_evidence,
     })
+}
+
+/// Height, roll and pitch without the prior's pull, and their variances. At the end of the iteration the tracks pull with the same force as the
+/// prior, the other way: from there it is one step to where they alone would be.
+fn evidence(
+    camera: &Camera,
+    tracks_alone: &Matrix6<f64>,
+    pose: &GroundPose,
+    pull: &Pull,
+    scale_px: f64,
+) -> Option<[(f64, f64); 3]> {
+    let covariance = tracks_alone.cholesky()?.inverse();
+    let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
+    let mut force = Vector6::zeros();
+    for i in 0..3 {
+        force[3 + i] = pull.weight[i] * (here[i] - pull.mean[i]);
+    }
+    let step = covariance * force;
+    let shared = shared_errors(camera, pose, &Unknowns { count: 6 });
+    Some([0, 1, 2].map(|i| {
+        let at = 3 + i;
+        (
+            here[i] + step[at],
+            covariance[(at, at)] * scale_px * scale_px + EVIDENCE_ALLOWANCE * shared[(at, at)],
+        )
+    }))
+}
+
+/// Neighbouring tracks share more of their errors in the modes of tilt than in a common shift: variances of [`shared_errors`] to allow.
+const EVIDENCE_ALLOWANCE: f64 = 9.0;
+
+/// Opens the prior where the evidence lies more than four of its standard deviations off: a kerb, a push, a hand that lifts the camera. Says whether
+/// it did.
+fn widen(prior: &mut RigPrior, evidence: &[(f64, f64); 3]) -> bool {
+    let mut widened = false;
+    for (i, (value, variance)) in evidence.iter().enumerate() {
+        let off = (value - prior.mean[i]).abs();
+        if off > 4.0 * (variance + prior.sigma[i] * prior.sigma[i]).sqrt() {
+            prior.sigma[i] = off;
+            widened = true;
+        }
+    }
+    widened
 }
 
 /// The robust fit settles within this many steps or not at all.
@@ -184,16 +253,6 @@ const ROUNDS: usize = 12;
 
 /// Pixel noise below this is not believed: tracks of neighbouring corners share their errors.
 const SMALLEST_SCALE_PX: f64 = 0.01;
-
-fn prior(prediction: &GroundPose, config: &MotionConfig, scale_px: f64) -> Prior {
-    let weight = |sigma: f64| (scale_px / sigma).powi(2);
-    let height = weight(config.height_prior * prediction.height_m);
-    let tilt = weight(config.tilt_prior_rad);
-    Prior {
-        mean: [prediction.height_m, prediction.roll_rad, prediction.pitch_rad],
-        weight: [height, tilt, tilt],
-    }
-}
 
 fn covariance(information: &Matrix6<f64>, unknowns: &Unknowns, variance_px2: f64) -> Option<Matrix6<f64>> {
     let n = unknowns.count;

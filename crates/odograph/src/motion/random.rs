@@ -23,6 +23,6 @@ impl Random {
 
     /// A number below `bound`, which must be positive and at most 2³².
     pub fn below(&mut self, bound: usize) -> usize {
-        ((self.bits() >> 32) * bound as u64 >> 32) as usize
+        (((self.bits() >> 32) * bound as u64) >> 32) as usize
     }
 }

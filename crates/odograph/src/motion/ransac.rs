@@ -1,7 +1,7 @@
 //! The movement that most tracks agree on.
 
 use super::planar_pose::{Unknowns, gauss_newton_step};
-use super::{MotionConfig, MotionModel, Observation, Random};
+use super::{MotionConfig, MotionModel, Observation, Random, RigPrior};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
 
@@ -18,12 +18,14 @@ pub fn consensus(
     camera: &Camera,
     observations: &[Observation],
     prediction: &GroundPose,
+    prior: &RigPrior,
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<(GroundPose, Vec<bool>)> {
+    let model = sampled_model(prior, config.model);
     let rays: Vec<Option<Ray>> = observations.iter().map(|o| camera.ray_from_pixel(o.pixel)).collect();
     let usable: Vec<usize> = (0..rays.len()).filter(|&i| rays[i].is_some()).collect();
-    let sample_size = if config.model == MotionModel::Free { 4 } else { 2 };
+    let sample_size = if model == MotionModel::Free { 4 } else { 2 };
     if usable.len() < config.minimum_inliers.max(sample_size) {
         return None;
     }
@@ -47,7 +49,9 @@ pub fn consensus(
             })
             .collect()
     };
-    let limit = config.inlier_px * config.inlier_px;
+    // The refinement takes height and tilt along; until then they may be a little off.
+    let limit =
+        if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
     let mut best: Option<(f64, GroundPose, Vec<f64>)> = None;
     let mut judge = |pose: GroundPose| -> usize {
         let errors = squared_errors(&pose);
@@ -63,11 +67,21 @@ pub fn consensus(
     while drawn < samples_needed(inliers as f64 / usable.len() as f64, sample_size) {
         drawn += 1;
         let sample: Vec<usize> = (0..sample_size).map(|_| usable[random.below(usable.len())]).collect();
-        if let Some(pose) = hypothesis(camera, observations, &rays, &sample, prediction, config.model) {
+        if let Some(pose) = hypothesis(camera, observations, &rays, &sample, prediction, model) {
             inliers = judge(pose);
         }
     }
     best.map(|(_, pose, errors)| (pose, errors.iter().map(|e| *e < limit).collect()))
+}
+
+/// Which hypotheses are drawn: `auto` frees what the prior says may differ much from the frame before.
+fn sampled_model(prior: &RigPrior, model: MotionModel) -> MotionModel {
+    match model {
+        MotionModel::Auto if prior.sigma[1].max(prior.sigma[2]) > 0.02 => MotionModel::Free,
+        MotionModel::Auto if prior.sigma[0] > 0.01 * prior.mean[0] => MotionModel::Similarity,
+        MotionModel::Auto => MotionModel::Rigid,
+        other => other,
+    }
 }
 
 /// How many samples are needed so that one without outliers is among them with probability 1 − [`MISS`].
@@ -108,8 +122,7 @@ fn hypothesis(
     let few: Vec<Observation> = sample.iter().map(|&i| observations[i]).collect();
     let mut pose = pose;
     for _ in 0..5 {
-        let (step, _) = gauss_newton_step(camera, &few, &[1.0; 4], &pose, &Unknowns::new(model), None)?;
-        pose = step;
+        pose = gauss_newton_step(camera, &few, &[1.0; 4], &pose, &Unknowns::new(model), None)?.pose;
     }
     let plausible = pose.height_m > 0.2 * prediction.height_m && pose.height_m < 5.0 * prediction.height_m;
     plausible.then_some(pose)

@@ -35,6 +35,17 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
     seen
 }
 
+/// The estimate with the prior that a recording begins with.
+fn from(
+    seen: &[Observation],
+    prediction: &GroundPose,
+    config: &MotionConfig,
+    seed: u64,
+) -> Option<MotionEstimate> {
+    let prior = RigWander::new(prediction).prior(prediction, config);
+    estimate(&camera(), seen, prediction, &prior, config, &mut Random::new(seed))
+}
+
 fn numbers(pose: &GroundPose) -> [f64; 6] {
     [pose.x_m, pose.y_m, pose.heading_rad, pose.height_m, pose.roll_rad, pose.pitch_rad]
 }
@@ -57,7 +68,7 @@ proptest! {
             };
             let seen = observations(&truth, 0.0, 0.3, 7);
             let config = MotionConfig { model, ..Default::default() };
-            let found = estimate(&camera(), &seen, &rig.first_pose(), &config, &mut Random::new(3)).expect("a pose");
+            let found = from(&seen, &rig.first_pose(), &config, 3).expect("a pose");
             for (a, b) in numbers(&found.pose).iter().zip(numbers(&truth)) {
                 // The prior pulls by less than a millionth.
                 prop_assert!((a - b).abs() < 1e-5, "{model:?} {:?} {truth:?}", found.pose);
@@ -78,8 +89,7 @@ fn the_covariance_is_that_of_the_errors() {
             // Noise large enough that the allowance for shared errors is nothing beside it.
             let seen = observations(&truth, 0.5, 0.0, seed);
             let prediction = GroundPose::level(1.0);
-            let found =
-                estimate(&camera(), &seen, &prediction, &config, &mut Random::new(seed)).expect("a pose");
+            let found = from(&seen, &prediction, &config, seed).expect("a pose");
             let error =
                 nalgebra::DVector::from_fn(unknowns, |i, _| numbers(&found.pose)[i] - numbers(&truth)[i]);
             let covariance = nalgebra::DMatrix::from_fn(unknowns, unknowns, |i, j| found.covariance[(i, j)]);
@@ -95,14 +105,8 @@ fn the_covariance_is_that_of_the_errors() {
 #[test]
 fn nonsense_is_no_movement() {
     let seen = observations(&GroundPose::level(1.0), 0.0, 1.0, 5);
-    assert!(
-        estimate(&camera(), &seen, &GroundPose::level(1.0), &MotionConfig::default(), &mut Random::new(1))
-            .is_none()
-    );
-    assert!(
-        estimate(&camera(), &[], &GroundPose::level(1.0), &MotionConfig::default(), &mut Random::new(1))
-            .is_none()
-    );
+    assert!(from(&seen, &GroundPose::level(1.0), &MotionConfig::default(), 1).is_none());
+    assert!(from(&[], &GroundPose::level(1.0), &MotionConfig::default(), 1).is_none());
 }
 
 #[test]
@@ -110,7 +114,36 @@ fn the_number_of_turns_is_kept() {
     let truth = GroundPose { heading_rad: 13.0, ..GroundPose::level(1.0) };
     let prediction = GroundPose { heading_rad: 12.9, ..truth };
     let seen = observations(&truth, 0.1, 0.2, 2);
-    let found =
-        estimate(&camera(), &seen, &prediction, &MotionConfig::default(), &mut Random::new(1)).unwrap();
+    let found = from(&seen, &prediction, &MotionConfig::default(), 1).unwrap();
     assert!((found.pose.heading_rad - 13.0).abs() < 1e-3);
+}
+
+#[test]
+fn auto_is_rigid_on_a_steady_mount_and_free_where_the_mount_moves() {
+    let mount = GroundPose::level(1.0);
+    let steady = GroundPose { x_m: 0.1, y_m: -0.05, heading_rad: 0.2, ..mount };
+    let config = |model| MotionConfig { model, ..Default::default() };
+    let mut wander = RigWander::new(&mount);
+    for seed in 0..40 {
+        let seen = observations(&steady, 0.2, 0.1, seed);
+        let prior = wander.prior(&mount, &config(MotionModel::Auto));
+        let auto =
+            estimate(&camera(), &seen, &mount, &prior, &config(MotionModel::Auto), &mut Random::new(seed))
+                .unwrap();
+        let rigid = from(&seen, &mount, &config(MotionModel::Rigid), seed).unwrap();
+        wander.learn(&auto);
+        // What is left of the freedom is worth a fraction of the noise of the rigid model's own position (0.3 mm here).
+        assert!((auto.pose.x_m - rigid.pose.x_m).abs() < 2e-4, "{:?} {:?}", auto.pose, rigid.pose);
+        assert!(auto.pose.roll_rad.abs() < 5e-4 && (auto.pose.height_m - 1.0).abs() < 5e-4);
+    }
+    let pushed = GroundPose { roll_rad: 0.012, height_m: 1.006, ..steady };
+    let seen = observations(&pushed, 0.2, 0.1, 99);
+    let prior = wander.prior(&mount, &config(MotionModel::Auto));
+    let found =
+        estimate(&camera(), &seen, &mount, &prior, &config(MotionModel::Auto), &mut Random::new(1)).unwrap();
+    assert!(
+        (found.pose.roll_rad - 0.012).abs() < 5e-4 && (found.pose.x_m - 0.1).abs() < 1e-3,
+        "{:?}",
+        found.pose
+    );
 }

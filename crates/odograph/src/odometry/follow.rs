@@ -6,7 +6,9 @@ use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
-use crate::motion::{MotionEstimate, MotionModel, Observation, Random, estimate, mean_displacement};
+use crate::motion::{
+    MotionEstimate, MotionModel, Observation, Random, RigWander, estimate, mean_displacement,
+};
 use crate::trajectory::LossReason;
 use nalgebra::Matrix6;
 
@@ -37,6 +39,7 @@ pub fn measure(
     camera: &Camera,
     prediction: &GroundPose,
     config: &OdometryConfig,
+    wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, random)
@@ -57,7 +60,7 @@ pub fn measure_near(
     } else {
         follow(keyframe, pyramid, camera, prediction, off_px, config)
     };
-    judge(keyframe, found, camera, prediction, config, random)
+    judge(keyframe, found, camera, prediction, config, wander, random)
 }
 
 /// Drops what does not come back to its corner when it is followed backward, and measures again: done where others will be built on
@@ -68,6 +71,7 @@ pub fn confirm(
     camera: &Camera,
     measurement: Measurement,
     config: &OdometryConfig,
+    wander: &RigWander,
     random: &mut Random,
 ) -> Measurement {
     let comes_back = |found: &&Found| {
@@ -76,7 +80,7 @@ pub fn confirm(
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
     let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
-    judge(keyframe, found, camera, &measurement.prediction, config, random).unwrap_or(measurement)
+    judge(keyframe, found, camera, &measurement.prediction, config, wander, random).unwrap_or(measurement)
 }
 
 /// The part of a keyframe's corners which a camera at the measured pose should see that agrees with it, 0 to 1: low where only something
@@ -139,6 +143,7 @@ fn judge(
     camera: &Camera,
     prediction: &GroundPose,
     config: &OdometryConfig,
+    wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     if found.len() < config.motion.minimum_inliers {
@@ -150,7 +155,8 @@ fn judge(
         let observe =
             |f: &Found| Observation { ground: keyframe.corners[f.corner].ground, pixel: f.warp.position };
         let observations: Vec<Observation> = found.iter().map(observe).collect();
-        estimate(camera, &observations, prediction, &config.motion, random)
+        let prior = wander.prior(prediction, &config.motion);
+        estimate(camera, &observations, prediction, &prior, &config.motion, random)
     };
     let estimate = estimate.ok_or(LossReason::Disagreement)?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
@@ -185,6 +191,7 @@ fn mean(
         covariance,
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
+        rig_evidence: None,
     })
 }
 

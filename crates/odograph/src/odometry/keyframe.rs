@@ -110,7 +110,10 @@ impl Keyframe {
         detection: &DetectionConfig,
     ) -> Self {
         let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
-        Self::prepare(KeyframeRecord { pyramid, pose, covariance, places, view: View::NotMade, reachable: true }, camera)
+        Self::prepare(
+            KeyframeRecord { pyramid, pose, covariance, places, view: View::NotMade, reachable: true },
+            camera,
+        )
     }
 
     fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {

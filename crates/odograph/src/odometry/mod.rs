@@ -6,6 +6,7 @@
 
 mod follow;
 mod keyframe;
+mod limits;
 mod recovery;
 
 use crate::camera::{Camera, Rig};
@@ -15,7 +16,7 @@ use crate::filter::{ConstantAcceleration, FilterConfig};
 use crate::flow::FlowConfig;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
-use crate::motion::{MotionConfig, MotionEstimate, MotionModel, Random};
+use crate::motion::{MotionConfig, MotionEstimate, MotionModel, Random, RigWander};
 use crate::trajectory::{FrameEstimate, LossReason, PoseEstimate, TrackStatus};
 use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
@@ -75,6 +76,8 @@ pub struct Odometry {
     keyframe: Option<Keyframe>,
     memory: KeyframeMemory,
     last: Option<LastPose>,
+    /// How much height and tilt are seen to move.
+    wander: RigWander,
     filter: Option<ConstantAcceleration>,
     /// A start of a new segment that has not proved itself yet.
     candidate: Option<Candidate>,
@@ -107,15 +110,17 @@ const MOST_CONFIRMATIONS: usize = 8;
 const DOUBTFUL_PRESENCE: f64 = 0.35;
 
 impl Odometry {
-    /// A pipeline for one recording. Fails where the rig cannot be.
+    /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
+        let first_pose = rig.validated()?.first_pose();
         Ok(Self {
             recovery: Recovery::new(&camera),
             camera,
             config,
-            first_pose: rig.validated()?.first_pose(),
+            first_pose,
+            wander: RigWander::new(&first_pose),
             keyframe: None,
-            memory: KeyframeMemory::new(config.keyframe.remembered),
+            memory: KeyframeMemory::new(config.validated()?.keyframe.remembered),
             last: None,
             filter: None,
             candidate: None,
@@ -205,8 +210,15 @@ impl Odometry {
             }
         }
         for prediction in [extrapolated, last.pose] {
-            outcome =
-                follow::measure(keyframe, pyramid, &self.camera, &prediction, &self.config, &mut random);
+            outcome = follow::measure(
+                keyframe,
+                pyramid,
+                &self.camera,
+                &prediction,
+                &self.config,
+                &self.wander,
+                &mut random,
+            );
             if outcome.is_ok() {
                 break;
             }
@@ -250,7 +262,8 @@ impl Odometry {
         let (expected, frames) = (last.extrapolated(time_s), self.lost_frames);
         let lost = Lost { pyramid, last, expected, frames, doubtful: near.ok() };
         let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
-        let found = self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &mut random);
+        let found =
+            self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.wander, &mut random);
         let found = found.ok_or(reason)?;
         if let Some(old) = found.remembered.and_then(|index| self.memory.take(index, camera)) {
             self.memory.remember(std::mem::replace(keyframe, old).retire());
@@ -263,7 +276,15 @@ impl Odometry {
         match &self.keyframe {
             Some(keyframe) if measurement.support < self.config.keyframe.support => {
                 let mut random = Random::new(self.frames);
-                follow::confirm(keyframe, pyramid, &self.camera, measurement, &self.config, &mut random)
+                follow::confirm(
+                    keyframe,
+                    pyramid,
+                    &self.camera,
+                    measurement,
+                    &self.config,
+                    &self.wander,
+                    &mut random,
+                )
             }
             _ => measurement,
         }
@@ -279,6 +300,7 @@ impl Odometry {
             .zip(&estimate.inliers)
             .map(|(found, &inlier)| TrackView { pixel: found.warp.position, inlier })
             .collect();
+        self.wander.learn(&estimate);
         self.candidate = None;
         self.recovery.reset();
         if std::mem::take(&mut self.lost_frames) > 0 {
@@ -385,6 +407,7 @@ impl Odometry {
             &self.camera,
             &candidate.pose,
             &self.config,
+            &self.wander,
             &mut random,
         );
         match measured {
@@ -450,7 +473,8 @@ impl Odometry {
             return Err(pyramid);
         };
         let mut random = Random::new(self.frames);
-        let measured = follow::measure(&old, &pyramid, &self.camera, pose, &self.config, &mut random);
+        let measured =
+            follow::measure(&old, &pyramid, &self.camera, pose, &self.config, &self.wander, &mut random);
         let agreed = measured.ok().filter(|m| {
             let found = &m.estimate.pose;
             let pixel_m = pose.height_m / self.camera.focal_px().0;

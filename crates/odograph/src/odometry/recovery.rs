@@ -10,7 +10,7 @@ use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
 use crate::image::Pyramid;
-use crate::motion::{CoarseOptions, CoarseRegistration, Hypothesis, MotionModel, Random};
+use crate::motion::{CoarseOptions, CoarseRegistration, Hypothesis, MotionModel, Random, RigWander};
 
 /// So many remembered keyframes are compared with a frame, beside the present one.
 const REMEMBERED_PER_FRAME: usize = 2;
@@ -77,6 +77,7 @@ impl Recovery {
         memory: &mut KeyframeMemory,
         camera: &Camera,
         config: &OdometryConfig,
+        wander: &RigWander,
         random: &mut Random,
     ) -> Option<Found> {
         let Lost { pyramid, last, expected, frames, doubtful } = lost;
@@ -103,7 +104,7 @@ impl Recovery {
                 continue;
             }
             let check = |keyframe: &Keyframe, random: &mut Random| {
-                confirm(keyframe, pyramid, &hypotheses, last, camera, config, random)
+                confirm(keyframe, pyramid, &hypotheses, last, camera, config, wander, random)
             };
             let found = match place {
                 None => check(keyframe, random),
@@ -151,6 +152,7 @@ fn confirm(
     last: &LastPose,
     camera: &Camera,
     config: &OdometryConfig,
+    wander: &RigWander,
     random: &mut Random,
 ) -> Confirmed {
     let mut measurements: Vec<Measurement> = Vec::new();
@@ -162,11 +164,12 @@ fn confirm(
         // Whole turns are kept.
         let heading_rad = last.pose.heading_rad + wrap_angle(pose.heading_rad - last.pose.heading_rad);
         let prediction = GroundPose { heading_rad, ..pose };
-        let Ok(first) = follow::measure(keyframe, pyramid, camera, &prediction, config, random) else {
+        let Ok(first) = follow::measure(keyframe, pyramid, camera, &prediction, config, wander, random)
+        else {
             continue;
         };
         // Once more from where it was found: corners that were out of reach are now within.
-        let again = follow::measure(keyframe, pyramid, camera, &first.estimate.pose, config, random);
+        let again = follow::measure(keyframe, pyramid, camera, &first.estimate.pose, config, wander, random);
         let measurement = match again {
             Ok(again) if again.support >= first.support => again,
             _ => first,
@@ -191,7 +194,8 @@ fn decide(mut confirmed: Vec<Found>, expected: &GroundPose) -> Option<Found> {
     confirmed.sort_by_key(|found| std::cmp::Reverse(inliers(found)));
     let best = confirmed.first()?;
     let best_pose = best.measurement.estimate.pose;
-    let elsewhere = |found: &&Found| distance_m(&found.measurement.estimate.pose, &best_pose) > 0.02 * best_pose.height_m;
+    let elsewhere =
+        |found: &&Found| distance_m(&found.measurement.estimate.pose, &best_pose) > 0.02 * best_pose.height_m;
     let enough = RIVAL * inliers(best) as f64;
     let away = |found: &Found| distance_m(&found.measurement.estimate.pose, expected);
     let rival = confirmed

@@ -29,20 +29,26 @@ pub struct OutputFolder {
     /// The trajectory as it grows; becomes `trajectory.csv` at the end.
     growing: File,
     pending: Vec<FrameEstimate>,
+    /// Whether the header and some frames are on disk.
     started: bool,
-    /// Whether the folder was made for this run.
-    made: bool,
+    /// Folders that were made for this run, the innermost first.
+    made: Vec<PathBuf>,
 }
 
 impl Drop for OutputFolder {
-    /// A run that ended before its first frame leaves nothing behind.
+    /// A run that ended without a frame on disk leaves nothing behind.
     fn drop(&mut self) {
         if !self.started {
             let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
-            if self.made {
-                let _ = fs::remove_dir(&self.path); // only where it is empty
-            }
+            remove_folders(&self.made);
         }
+    }
+}
+
+/// Removes folders where they are empty, the innermost first.
+fn remove_folders(folders: &[PathBuf]) {
+    for folder in folders {
+        let _ = fs::remove_dir(folder);
     }
 }
 
@@ -61,12 +67,17 @@ impl OutputFolder {
                 there.display()
             )));
         }
-        let made = !path.exists();
+        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+        let made: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
+        let undone = |error| {
+            remove_folders(&made);
+            error
+        };
         fs::create_dir_all(path)
-            .map_err(|error| Error::output(format!("{} cannot be made: {error}", path.display())))?;
+            .map_err(|error| undone(Error::output(format!("{} cannot be made: {error}", path.display()))))?;
         let growing_path = files::beside(&path.join("trajectory.csv"));
         let growing = File::create(&growing_path).map_err(|error| {
-            Error::output(format!("{} cannot be written: {error}", growing_path.display()))
+            undone(Error::output(format!("{} cannot be written: {error}", growing_path.display())))
         })?;
         Ok(Self { path: path.to_owned(), growing, pending: Vec::new(), started: false, made })
     }
@@ -86,14 +97,26 @@ impl OutputFolder {
         let text = trajectory_file::csv_from_frames(&self.pending);
         // The header stands once.
         let body = if self.started { text.split_once('\n').map_or("", |(_, body)| body) } else { &text };
-        self.started = true;
         self.pending.clear();
         self.growing.write_all(body.as_bytes()).map_err(|error| {
             Error::output(format!(
                 "{} cannot be written: {error}",
                 self.path.join("trajectory.csv").display()
             ))
-        })
+        })?;
+        self.started = true;
+        Ok(())
+    }
+
+    /// Takes away a file of an earlier run that this run has nothing for.
+    pub fn remove(&mut self, name: &str) -> Result<()> {
+        let path = self.path.join(name);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(Error::output(format!("{} cannot be removed: {error}", path.display())))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Writes one file.
@@ -101,17 +124,18 @@ impl OutputFolder {
         files::write(&self.path.join(name), bytes)
     }
 
-    /// Writes the trajectories, the parameters and the statistics, and takes away what was only there in case of a crash.
-    pub fn finish(
-        &mut self,
-        frames: &[FrameEstimate],
-        statistics: &Statistics,
-        run_toml: &str,
-    ) -> Result<()> {
+    /// Writes the trajectories and the parameters: what cannot be had again without the recording comes before any picture. Takes
+    /// away what was only there in case of a crash.
+    pub fn write_trajectories(&mut self, frames: &[FrameEstimate], run_toml: &str) -> Result<()> {
+        let csv = trajectory_file::csv_from_frames(frames);
+        self.write("trajectory.csv", csv.as_bytes())?;
         self.started = true;
         self.write("trajectory.tum", trajectory_file::tum_from_frames(frames).as_bytes())?;
-        self.write("trajectory.csv", trajectory_file::csv_from_frames(frames).as_bytes())?;
-        self.write("run.toml", run_toml.as_bytes())?;
+        self.write("run.toml", run_toml.as_bytes())
+    }
+
+    /// Writes the statistics, last of all: where they are, everything is.
+    pub fn finish(&mut self, statistics: &Statistics) -> Result<()> {
         self.write("stats.json", (statistics.json()? + "\n").as_bytes())
     }
 }

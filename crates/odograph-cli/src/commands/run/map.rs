@@ -16,6 +16,10 @@ pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut 
         let png = files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba)?;
         folder.write("mosaic.png", &png)?;
         folder.write("mosaic.pgw", mosaic.placement.world_file().as_bytes())?;
+    } else {
+        // One of an earlier drive would show other ground.
+        folder.remove("mosaic.png")?;
+        folder.remove("mosaic.pgw")?;
     }
     let small = tracked.mosaic.picture_within(LONGEST_SIDE_PX);
     let small_png = small.as_ref().map(|m| files::png_from_rgba(m.width, m.height, &m.rgba)).transpose()?;

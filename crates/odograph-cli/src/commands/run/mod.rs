@@ -6,13 +6,13 @@ mod pipeline;
 mod plan;
 mod statistics;
 
-use crate::Outcome;
+use crate::{Outcome, console};
 use folder::OutputFolder;
 use odograph::error::{Error, Result};
 use odograph::motion::MotionModel;
 pub use plan::RunPlan;
 pub use statistics::Statistics;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Follow a recorded drive: writes the trajectory, the map, a mosaic of the ground and a report.
@@ -35,7 +35,7 @@ pub struct RunArguments {
     #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
     /// What may change between frames.
-    #[arg(long, value_name = "MODEL", default_value = "rigid")]
+    #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(long, value_name = "FILE")]
@@ -106,6 +106,8 @@ fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
 /// The motion models by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Motion {
+    /// x, y and heading; height and tilt as far as the recording shows that they change.
+    Auto,
     /// The paper's mean vector: x and y only, for comparison.
     Mean,
     /// Fixed height and tilt.
@@ -119,6 +121,7 @@ pub enum Motion {
 impl From<Motion> for MotionModel {
     fn from(motion: Motion) -> Self {
         match motion {
+            Motion::Auto => Self::Auto,
             Motion::Mean => Self::Mean,
             Motion::Rigid => Self::Rigid,
             Motion::Similarity => Self::Similarity,
@@ -136,7 +139,7 @@ impl RunArguments {
             height: None,
             rig: None,
             field_of_view: None,
-            motion: Motion::Rigid,
+            motion: Motion::Auto,
             timestamps: None,
             fps: None,
             start: None,
@@ -187,8 +190,9 @@ pub fn follow(
     let failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
     let statistics = Statistics::new(&tracked, started.elapsed());
+    folder.write_trajectories(&tracked.frames, &plan.text()?)?;
     map::write(plan, &description, &tracked, &mut folder)?;
-    folder.finish(&tracked.frames, &statistics, &plan.text()?)?;
+    folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),
         None => Ok(RunReport { statistics, warnings: tracked.warnings, folder: folder.path().to_owned() }),
@@ -206,30 +210,25 @@ impl RunReport {
     }
 
     /// Tells the result and where to look.
-    #[allow(clippy::print_stdout, clippy::print_stderr)] // results are what standard output is for
     pub fn tell(&self, arguments: &OutputArguments) -> Result<()> {
         if arguments.json {
-            println!("{}", self.statistics.json()?);
+            console::print(&format!("{}\n", self.statistics.json()?))?;
         } else if !arguments.quiet {
-            print!("{}", self.statistics.summary());
-            println!("Look at {}", shown(&self.folder.join("report.html")));
+            let page = self.folder.join("report.html");
+            console::print(&format!("{}Look at {}\n", self.statistics.summary(), page.display()))?;
         }
         if !arguments.quiet {
             for warning in &self.warnings {
-                eprintln!("odograph: warning: {warning}");
+                console::warn(warning);
             }
         }
         if self.outcome() == Outcome::TrackingFailed && !arguments.quiet {
-            eprintln!(
-                "odograph: the movement could not be measured in {} of {} frames; the report says where and why",
+            console::complain(&format!(
+                "the movement could not be measured in {} of {} frames; the report says where and why",
                 self.statistics.frames - self.statistics.frames_with_pose,
                 self.statistics.frames
-            );
+            ));
         }
         Ok(())
     }
-}
-
-fn shown(path: &Path) -> String {
-    path.display().to_string()
 }

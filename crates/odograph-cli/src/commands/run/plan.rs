@@ -118,20 +118,36 @@ impl RunPlan {
 
     fn read(arguments: &RunArguments) -> Result<Self> {
         let path = PathBuf::from(&arguments.source);
-        let decides = arguments.camera.is_some()
-            || arguments.field_of_view.is_some()
-            || arguments.rig.is_some()
-            || arguments.height.is_some();
-        if decides {
+        let unasked = RunArguments::over(arguments.output.clone());
+        let given = [
+            ("--camera", arguments.camera.is_some()),
+            ("--field-of-view", arguments.field_of_view.is_some()),
+            ("--rig", arguments.rig.is_some()),
+            ("--height", arguments.height.is_some()),
+            ("--motion", arguments.motion != unasked.motion),
+            ("--timestamps", arguments.timestamps.is_some()),
+            ("--fps", arguments.fps.is_some()),
+            ("--start", arguments.start.is_some()),
+            ("--end", arguments.end.is_some()),
+            ("--every", arguments.every != unasked.every),
+            ("--max-frames", arguments.max_frames.is_some()),
+        ];
+        if let Some((option, _)) = given.iter().find(|(_, given)| *given) {
             return Err(Error::usage(format!(
-                "{} already says which camera and rig are used; leave --camera, --field-of-view, --rig and --height away",
+                "{} already says everything about the run; leave {option} away, or change the file",
                 path.display()
             )));
         }
         let text = files::read_text(&path)?;
-        toml::from_str(&text).map_err(|error| {
-            Error::input(format!("{} is not the run.toml of a run: {}", path.display(), error.message()))
-        })
+        let plan: Self = toml::from_str(&text).map_err(|error| {
+            let why = error.message().replace('\n', ", ");
+            Error::input(format!("{} is not the run.toml of a run: {why}", path.display()))
+        })?;
+        // The file is at fault, not who gave it.
+        let at_fault = |error| Error::input(format!("{}: {error}", path.display()));
+        plan.rig.validated().map_err(at_fault)?;
+        plan.odometry.validated().map_err(at_fault)?;
+        Ok(plan)
     }
 
     /// The plan as the text of `run.toml`.

@@ -175,7 +175,8 @@ fn refine(
     }
     let mut found: Vec<(Placement, Hypothesis)> = Vec::new();
     for start in starts {
-        let Some((placement, agreement)) = refinement::improve(keyframe, now, start, options.scale_free) else {
+        let Some((placement, agreement)) = refinement::improve(keyframe, now, start, options.scale_free)
+        else {
             continue;
         };
         let score = agreement.correlation * (agreement.samples as f64).sqrt() / noise;

@@ -1,8 +1,8 @@
 //! A placement of one view on another, improved between the steps of the search.
 
+use super::Hypothesis;
 use super::correlation::Peak;
 use super::view::GroundView;
-use super::Hypothesis;
 use crate::geometry::wrap_angle;
 
 /// Where the view of a frame lies on that of a keyframe. Shifts are in samples of the keyframe's view, right and down.
@@ -91,7 +91,9 @@ pub(super) fn improve(
         for axis in 0..axes {
             for by in [step, -step] {
                 let next = best.0.moved(axis, by);
-                if let Some(found) = agreement(keyframe, now, &next).filter(|f| f.quality() > best.1.quality()) {
+                if let Some(found) =
+                    agreement(keyframe, now, &next).filter(|f| f.quality() > best.1.quality())
+                {
                     best = (next, found);
                     improved = true;
                     break;
@@ -169,7 +171,8 @@ impl GroundView {
         let at = line * self.width + column;
         let between = |values: &[f32]| {
             let upper = values[at] + fx * (values[at + 1] - values[at]);
-            let lower = values[at + self.width] + fx * (values[at + self.width + 1] - values[at + self.width]);
+            let lower =
+                values[at + self.width] + fx * (values[at + self.width + 1] - values[at + self.width]);
             upper + fy * (lower - upper)
         };
         Some((between(&self.samples), between(&self.seen) > 0.99))

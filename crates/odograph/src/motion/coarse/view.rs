@@ -87,7 +87,8 @@ impl ViewGeometry {
             if point.z <= 1e-6 {
                 return None;
             }
-            let pixel = camera.pixel_from_ray(crate::geometry::Ray::new(point.x / point.z, point.y / point.z))?;
+            let pixel =
+                camera.pixel_from_ray(crate::geometry::Ray::new(point.x / point.z, point.y / point.z))?;
             bilinear(image, pixel.x / scale, pixel.y / scale)
         };
         let mut values = vec![0.0f32; width * height];
