@@ -42,7 +42,7 @@ pub fn measure(
     wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
-    measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, random)
+    measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, wander, random)
 }
 
 /// Measures the pose of a frame against a keyframe where the prediction is off by no more than `off_px` in the image.
@@ -53,6 +53,7 @@ pub fn measure_near(
     prediction: &GroundPose,
     off_px: f64,
     config: &OdometryConfig,
+    wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     let found = if config.motion.model == MotionModel::Mean {

@@ -201,9 +201,17 @@ impl Odometry {
         };
         if let Some(off_px) = self.prediction_off_px(last, time_s) {
             let mut random = Random::new(self.frames);
-            let (camera, config) = (&self.camera, &self.config);
-            let near =
-                follow::measure_near(keyframe, pyramid, camera, &extrapolated, off_px, config, &mut random);
+            let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
+            let near = follow::measure_near(
+                keyframe,
+                pyramid,
+                camera,
+                &extrapolated,
+                off_px,
+                config,
+                wander,
+                &mut random,
+            );
             // What others will be built on is searched in full.
             if near.as_ref().is_ok_and(|near| near.support >= config.keyframe.support) {
                 return near;

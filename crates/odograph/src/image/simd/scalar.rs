@@ -128,6 +128,12 @@ pub fn blur_rows(a: &[u8], b: &[u8], c: &[u8], d: &[u8], e: &[u8], sums: &mut [u
 
 #[inline(always)]
 pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
+    if out.is_empty() {
+        return;
+    }
+    if out.is_empty() {
+        return;
+    }
     // The largest total, 16 · 16 · 255 + 128, just fits into 16 bits.
     let n = out.len();
     let sums = &sums[..2 * n + 3];
