@@ -137,7 +137,21 @@ def kylehart(data, work):
     return [frames, "--fps", "1"]
 
 
-RECORDINGS = {"planar_checker_a": planar_checker, "static_euroc_v101": static_euroc, "kylehart_ground": kylehart}
+def nadir_caliterra(data, work):
+    """75 drone stills of a field, 2 to 4 s apart. The camera is not calibrated and the height over ground is not known: a pinhole of 4.5 mm
+    over a 6.17 mm wide sensor and 1 m stand for both, so only the shape of the path can be compared (alignment Sim(3))."""
+    folder = data / "nadir_caliterra"
+    rows = [line.split(",") for line in (folder / "gps.csv").read_text().splitlines()[1:]]
+    identity = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    poses = [(float(i), [float(row[4]), float(row[5]), float(row[3])], matmul(identity, NADIR)) for i, row in enumerate(rows)]
+    (work / "truth.tum").write_text(tum(poses))
+    (work / "frames.txt").write_text("".join(f"{i} {row[0]}\n" for i, row in enumerate(rows)))
+    (work / "rig.toml").write_text("height_m = 1.0\n")
+    (work / "camera.yaml").write_text(camera_file((1000, 750), 729.3, 729.3, 499.5, 374.5, [0, 0, 0, 0]))
+    return [folder / "images", "--timestamps", work / "frames.txt", "--motion", "free"]
+
+
+RECORDINGS = {"planar_checker_a": planar_checker, "static_euroc_v101": static_euroc, "kylehart_ground": kylehart, "nadir_caliterra": nadir_caliterra}
 
 
 def main():

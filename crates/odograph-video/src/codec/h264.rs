@@ -351,6 +351,11 @@ pub(crate) fn narrow_little_endian(samples: &[u8], shift: u8) -> Vec<u8> {
     samples.chunks_exact(2).map(|b| narrow(u16::from_le_bytes([b[0], b[1]]), shift)).collect()
 }
 
+/// A 16-bit sample whose full scale is 65 535 as 8 bits whose full scale is 255, rounded: pictures, not video.
+pub(crate) fn narrow_full_scale(sample: u16) -> u8 {
+    ((u32::from(sample) + 128) / 257) as u8
+}
+
 /// A sample of `8 + shift` bits as 8 bits, rounded.
 pub(crate) fn narrow(sample: u16, shift: u8) -> u8 {
     let half = (1u32 << shift) >> 1;

@@ -9,7 +9,7 @@ pub(crate) mod jpeg;
 pub(crate) mod nal;
 mod vp9;
 
-pub(crate) use h264::{narrow, narrow_little_endian};
+pub(crate) use h264::{narrow, narrow_full_scale, narrow_little_endian};
 
 use crate::container::{Codec, Track};
 use crate::frame::Picture;

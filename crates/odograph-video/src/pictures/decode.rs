@@ -1,7 +1,7 @@
 //! One picture file → one picture.
 
 use super::{exif_data, portable};
-use crate::codec::narrow;
+use crate::codec::narrow_full_scale;
 use crate::frame::{Picture, picture_from_rgb};
 use crate::guard::guarded;
 use crate::limits;
@@ -81,7 +81,8 @@ fn png(bytes: &[u8], color: bool) -> Result<Picture> {
     let info = reader.next_frame(&mut samples).map_err(damaged)?;
     samples.truncate(info.buffer_size());
     if info.bit_depth == png::BitDepth::Sixteen {
-        samples = samples.chunks_exact(2).map(|s| narrow(u16::from_be_bytes([s[0], s[1]]), 8)).collect();
+        samples =
+            samples.chunks_exact(2).map(|s| narrow_full_scale(u16::from_be_bytes([s[0], s[1]]))).collect();
     }
     assemble(width, height, info.color_type.samples(), samples, color)
 }
@@ -110,7 +111,7 @@ fn tiff(bytes: &[u8], color: bool) -> Result<Picture> {
     };
     let samples = match decoder.read_image().map_err(damaged)? {
         DecodingResult::U8(samples) => samples,
-        DecodingResult::U16(samples) => samples.into_iter().map(|s| narrow(s, 8)).collect(),
+        DecodingResult::U16(samples) => samples.into_iter().map(narrow_full_scale).collect(),
         _ => return Err(Error::input("a TIFF picture with signed or fractional samples is not taken")),
     };
     assemble(width, height, channels, samples, color)

@@ -1,6 +1,6 @@
 //! PGM and PPM, plain and raw (netpbm's formats P2, P3, P5, P6).
 
-use crate::codec::narrow;
+use crate::codec::narrow_full_scale;
 use crate::frame::{Picture, picture_from_rgb};
 use crate::limits;
 use odograph::error::{Error, Result};
@@ -26,7 +26,7 @@ pub(super) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     }
     let scaled = |value: usize| match most {
         255 => value.min(255) as u8,
-        65_535 => narrow(value.min(65_535) as u16, 8),
+        65_535 => narrow_full_scale(value.min(65_535) as u16),
         _ => ((value.min(most) * 255 + most / 2) / most) as u8,
     };
     let narrowed: Vec<u8> = if plain {

@@ -27,30 +27,8 @@ pub struct Keyframe {
     pub corners_at_first: usize,
     /// Where the corners are, enough to prepare the keyframe again.
     places: Vec<(usize, usize)>,
-    view: View,
-}
-
-/// The ground as the keyframe saw it, for coarse registration: made when it is first needed.
-#[derive(Debug, Default)]
-enum View {
-    #[default]
-    NotMade,
-    Made(Option<GroundView>),
-}
-
-impl View {
-    fn prepare(&mut self, registration: &CoarseRegistration, pyramid: &Pyramid, pose: &GroundPose) {
-        if let Self::NotMade = self {
-            *self = Self::Made(registration.view(pyramid, pose));
-        }
-    }
-
-    fn get(&self) -> Option<&GroundView> {
-        match self {
-            Self::NotMade => None,
-            Self::Made(view) => view.as_ref(),
-        }
-    }
+    /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
+    view: Option<GroundView>,
 }
 
 /// A corner of a keyframe.
@@ -111,7 +89,7 @@ impl Keyframe {
     ) -> Self {
         let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
         Self::prepare(
-            KeyframeRecord { pyramid, pose, covariance, places, view: View::NotMade, reachable: true },
+            KeyframeRecord { pyramid, pose, covariance, places, view: None, reachable: true },
             camera,
         )
     }
@@ -137,12 +115,14 @@ impl Keyframe {
 
     /// Makes the view for coarse registration, where there is none yet.
     pub fn prepare_view(&mut self, registration: &CoarseRegistration) {
-        self.view.prepare(registration, &self.pyramid, &self.pose);
+        if self.view.is_none() {
+            self.view = registration.view(&self.pyramid, &self.pose);
+        }
     }
 
-    /// The view that [`Keyframe::prepare_view`] made.
+    /// The view that [`Keyframe::prepare_view`] made; none where it could not be made.
     pub fn view(&self) -> Option<&GroundView> {
-        self.view.get()
+        self.view.as_ref()
     }
 
     /// Keeps only the given corners, with where they were seen.
@@ -174,7 +154,7 @@ pub struct KeyframeRecord {
     pose: GroundPose,
     covariance: Matrix6<f64>,
     places: Vec<(usize, usize)>,
-    view: View,
+    view: Option<GroundView>,
     /// Whether its pose is connected with the present one by measurement.
     reachable: bool,
 }
@@ -252,18 +232,6 @@ impl KeyframeMemory {
         let mut indices = self.newest();
         indices.sort_by(|&a, &b| away(a).total_cmp(&away(b)));
         indices
-    }
-
-    /// Makes the view of a keyframe for coarse registration, where there is none yet.
-    pub fn prepare_view(&mut self, index: usize, registration: &CoarseRegistration) {
-        if let Some(record) = self.records.get_mut(index) {
-            record.view.prepare(registration, &record.pyramid, &record.pose);
-        }
-    }
-
-    /// The view that [`KeyframeMemory::prepare_view`] made.
-    pub fn view(&self, index: usize) -> Option<&GroundView> {
-        self.records.get(index)?.view.get()
     }
 }
 

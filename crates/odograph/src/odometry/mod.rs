@@ -84,6 +84,8 @@ pub struct Odometry {
     recovery: Recovery,
     /// So many frames before this one were lost.
     lost_frames: usize,
+    /// The part of the corners in view that agreed in the last frames: below 1 where not everything in view is ground.
+    usual_presence: f64,
     frames: u64,
     keyframes: u64,
     segment: usize,
@@ -107,7 +109,16 @@ const CONFIRMATIONS: usize = 3;
 const MOST_CONFIRMATIONS: usize = 8;
 
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
-const DOUBTFUL_PRESENCE: f64 = 0.35;
+const DOUBTFUL_PRESENCE: f64 = 0.55;
+
+/// Weight of the newest frame in the usual presence: about the last five count.
+const PRESENCE_RATE: f64 = 0.2;
+
+/// A measurement further than this from where it was expected is a surprise, pixels: a joint of the floor may have been taken for its neighbour.
+const SURPRISE_PX: f64 = 12.0;
+
+/// Where a smaller part of the corners in view agrees with a surprise, it may be something else.
+const SURPRISING_PRESENCE: f64 = 0.7;
 
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
@@ -125,6 +136,7 @@ impl Odometry {
             filter: None,
             candidate: None,
             lost_frames: 0,
+            usual_presence: 1.0,
             frames: 0,
             keyframes: 0,
             segment: 0,
@@ -244,12 +256,17 @@ impl Odometry {
             .then_some(off_px)
     }
 
-    /// Whether a measurement may have followed something beside the ground, as a shadow that moves along.
+    /// Whether a measurement may have followed something beside the ground, as a shadow that moves along, or another part of the ground that
+    /// looks alike: few of the corners in view agree with it, or not most of them although it is not where it was expected.
     fn is_doubtful(&self, measurement: &Measurement) -> bool {
-        let well_supported = measurement.support >= self.config.keyframe.support;
-        !well_supported
+        let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
+        let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
+        let surprising = off_m * self.camera.focal_px().0 > SURPRISE_PX * found.height_m;
+        let wanted = self.usual_presence * if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
+        // The support counts corners out of view too: the presence is never below it.
+        measurement.support < wanted
             && self.keyframe.as_ref().is_some_and(|keyframe| {
-                follow::presence(keyframe, &self.camera, &measurement.estimate) < DOUBTFUL_PRESENCE
+                follow::presence(keyframe, &self.camera, &measurement.estimate) < wanted
             })
     }
 
@@ -309,6 +326,10 @@ impl Odometry {
             .map(|(found, &inlier)| TrackView { pixel: found.warp.position, inlier })
             .collect();
         self.wander.learn(&estimate);
+        if let Some(keyframe) = &self.keyframe {
+            let presence = follow::presence(keyframe, &self.camera, &estimate);
+            self.usual_presence += PRESENCE_RATE * (presence - self.usual_presence);
+        }
         self.candidate = None;
         self.recovery.reset();
         if std::mem::take(&mut self.lost_frames) > 0 {

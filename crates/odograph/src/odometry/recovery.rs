@@ -10,7 +10,9 @@ use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
 use crate::image::Pyramid;
-use crate::motion::{CoarseOptions, CoarseRegistration, Hypothesis, MotionModel, Random, RigWander};
+use crate::motion::{
+    CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random, RigWander,
+};
 
 /// So many remembered keyframes are compared with a frame, beside the present one.
 const REMEMBERED_PER_FRAME: usize = 2;
@@ -18,11 +20,13 @@ const REMEMBERED_PER_FRAME: usize = 2;
 /// Hypotheses that stand out less than this are not worth following.
 const LEAST_SCORE: f64 = 4.5;
 
-/// A hypothesis that stands out so many times as far as the next, and is confirmed by most corners, needs no rivals.
+/// A hypothesis that stands out so many times as far as the next, and is confirmed by this part of the corners, is the truth.
 const OUTSTANDING: f64 = 1.4;
+const CLEAR_PRESENCE: f64 = 0.6;
 
-/// The part of the corners that should be in view which must be found again.
-const LEAST_PRESENCE: f64 = 0.3;
+/// The part of the corners in view which must be found again; less will do where no other hypothesis comes near.
+const LEAST_PRESENCE: f64 = 0.5;
+const LEAST_CLEAR_PRESENCE: f64 = 0.3;
 
 /// A rival with at least this part of the best one's inliers leaves the choice to the prediction.
 const RIVAL: f64 = 0.75;
@@ -80,112 +84,120 @@ impl Recovery {
         wander: &RigWander,
         random: &mut Random,
     ) -> Option<Found> {
-        let Lost { pyramid, last, expected, frames, doubtful } = lost;
-        let now = self.registration.view(pyramid, &last.pose)?;
-        let remembered = self.choose(memory, &expected, frames);
-        let registration = &self.registration;
-        keyframe.prepare_view(registration);
-        remembered.iter().for_each(|&index| memory.prepare_view(index, registration));
-        let views: Vec<_> = std::iter::once((None, keyframe.view()))
-            .chain(remembered.iter().map(|&index| (Some(index), memory.view(index))))
-            .filter_map(|(place, view)| Some((place, view?)))
+        let now = self.registration.view(lost.pyramid, &lost.last.pose)?;
+        let search = Search { lost: &lost, now, registration: &self.registration, camera, config, wander };
+        let here = search.look(keyframe, random);
+        let mut decided = here.decided;
+        let mut confirmed: Vec<Found> = here
+            .measurements
+            .into_iter()
+            .map(|measurement| Found { measurement, remembered: None })
             .collect();
-        let options = CoarseOptions {
-            scale_free: matches!(config.motion.model, MotionModel::Similarity | MotionModel::Free),
-            ..Default::default()
-        };
-        let only_views: Vec<_> = views.iter().map(|(_, view)| *view).collect();
-        let hypotheses = registration.register(&only_views, &now, &options);
-        let places: Vec<Option<usize>> = views.iter().map(|(place, _)| *place).collect();
-        let mut confirmed: Vec<Found> =
-            doubtful.into_iter().map(|measurement| Found { measurement, remembered: None }).collect();
-        for (place, hypotheses) in places.into_iter().zip(hypotheses) {
-            if hypotheses.iter().all(|hypothesis| hypothesis.score < LEAST_SCORE) {
-                continue;
-            }
-            let check = |keyframe: &Keyframe, random: &mut Random| {
-                confirm(keyframe, pyramid, &hypotheses, last, camera, config, wander, random)
-            };
-            let found = match place {
-                None => check(keyframe, random),
-                Some(index) => {
-                    let Some(old) = memory.take(index, camera) else { continue };
-                    let found = check(&old, random);
-                    memory.put_back_at(index, old);
-                    found
-                }
-            };
-            let decided = found.decided;
-            let found = found.measurements.into_iter();
-            confirmed.extend(found.map(|measurement| Found { measurement, remembered: place }));
+        for index in choose(memory, &lost.expected, lost.frames, &mut self.tried) {
             if decided {
                 break;
             }
+            let Some(mut old) = memory.take(index, camera) else { continue };
+            let there = search.look(&mut old, random);
+            memory.put_back_at(index, old);
+            decided = there.decided;
+            let found = there.measurements.into_iter();
+            confirmed.extend(found.map(|measurement| Found { measurement, remembered: Some(index) }));
         }
-        decide(confirmed, &expected)
+        if !decided {
+            confirmed.extend(lost.doubtful.map(|measurement| Found { measurement, remembered: None }));
+        }
+        decide(confirmed, &lost.expected)
     }
+}
 
-    /// The remembered keyframes to try: after a jump the nearest to where the camera should be, after a loss one after the other.
-    fn choose(&mut self, memory: &KeyframeMemory, expected: &GroundPose, lost_frames: usize) -> Vec<usize> {
-        let order = if lost_frames == 0 { memory.nearest(expected) } else { memory.newest() };
-        if order.is_empty() {
-            return order;
-        }
-        let count = REMEMBERED_PER_FRAME.min(order.len());
-        let first = if lost_frames == 0 { 0 } else { self.tried };
-        self.tried += if lost_frames == 0 { 0 } else { count };
-        (first..first + count).map(|i| order[i % order.len()]).collect()
+/// The remembered keyframes to try: after a jump the nearest to where the camera should be, after a loss one after the other.
+fn choose(
+    memory: &KeyframeMemory,
+    expected: &GroundPose,
+    lost_frames: usize,
+    tried: &mut usize,
+) -> Vec<usize> {
+    let jumped = lost_frames == 0;
+    let order = if jumped { memory.nearest(expected) } else { memory.newest() };
+    let count = REMEMBERED_PER_FRAME.min(order.len());
+    let first = if jumped { 0 } else { *tried };
+    if !jumped {
+        *tried += count;
     }
+    (first..first + count).map(|i| order[i % order.len()]).collect()
+}
+
+/// A lost frame and what it is looked for with.
+struct Search<'a> {
+    lost: &'a Lost<'a>,
+    now: GroundView,
+    registration: &'a CoarseRegistration,
+    camera: &'a Camera,
+    config: &'a OdometryConfig,
+    wander: &'a RigWander,
 }
 
 /// What the fine tracker makes of the hypotheses about one keyframe.
 struct Confirmed {
     measurements: Vec<Measurement>,
-    /// Whether the first is so clearly right that nothing else need be tried.
+    /// Whether the last is so clearly right that nothing else need be tried.
     decided: bool,
 }
 
-fn confirm(
-    keyframe: &Keyframe,
-    pyramid: &Pyramid,
-    hypotheses: &[Hypothesis],
-    last: &LastPose,
-    camera: &Camera,
-    config: &OdometryConfig,
-    wander: &RigWander,
-    random: &mut Random,
-) -> Confirmed {
-    let mut measurements: Vec<Measurement> = Vec::new();
-    for (rank, hypothesis) in hypotheses.iter().enumerate() {
-        if hypothesis.score < LEAST_SCORE {
-            break;
-        }
-        let pose = hypothesis.pose(&keyframe.pose, &last.pose);
-        // Whole turns are kept.
-        let heading_rad = last.pose.heading_rad + wrap_angle(pose.heading_rad - last.pose.heading_rad);
-        let prediction = GroundPose { heading_rad, ..pose };
-        let Ok(first) = follow::measure(keyframe, pyramid, camera, &prediction, config, wander, random)
-        else {
-            continue;
+impl Search<'_> {
+    /// Looks for the frame in a keyframe.
+    fn look(&self, keyframe: &mut Keyframe, random: &mut Random) -> Confirmed {
+        keyframe.prepare_view(self.registration);
+        let model = self.config.motion.model;
+        let options = CoarseOptions {
+            scale_free: matches!(model, MotionModel::Similarity | MotionModel::Free),
+            ..Default::default()
         };
-        // Once more from where it was found: corners that were out of reach are now within.
-        let again = follow::measure(keyframe, pyramid, camera, &first.estimate.pose, config, wander, random);
-        let measurement = match again {
-            Ok(again) if again.support >= first.support => again,
-            _ => first,
+        let hypotheses = match keyframe.view() {
+            Some(view) => self.registration.register(view, &self.now, &options),
+            None => Vec::new(),
         };
-        let presence = follow::presence(keyframe, camera, &measurement.estimate);
-        if presence < LEAST_PRESENCE {
-            continue;
+        let mut measurements = Vec::new();
+        for (rank, hypothesis) in hypotheses.iter().enumerate() {
+            if hypothesis.score < LEAST_SCORE {
+                break;
+            }
+            let Some((measurement, presence)) = self.confirm(keyframe, hypothesis, random) else { continue };
+            let next = hypotheses.get(rank + 1).map_or(0.0, |next| next.score);
+            let outstanding = rank == 0 && hypothesis.score > OUTSTANDING * next;
+            if presence < if outstanding { LEAST_CLEAR_PRESENCE } else { LEAST_PRESENCE } {
+                continue;
+            }
+            measurements.push(measurement);
+            if presence > CLEAR_PRESENCE && outstanding {
+                return Confirmed { measurements, decided: true };
+            }
         }
-        let next = hypotheses.get(rank + 1).map_or(0.0, |next| next.score);
-        let decided = presence > 2.0 * LEAST_PRESENCE && hypothesis.score > OUTSTANDING * next;
-        measurements.push(measurement);
-        if decided {
-            return Confirmed { measurements, decided };
-        }
+        Confirmed { measurements, decided: false }
     }
-    Confirmed { measurements, decided: false }
+
+    /// The measurement from where a hypothesis puts the camera, and the part of the corners in view that agrees.
+    fn confirm(
+        &self,
+        keyframe: &Keyframe,
+        hypothesis: &Hypothesis,
+        random: &mut Random,
+    ) -> Option<(Measurement, f64)> {
+        let (last, pyramid) = (&self.lost.last.pose, self.lost.pyramid);
+        let pose = hypothesis.pose(&keyframe.pose, last);
+        // Whole turns are kept.
+        let heading_rad = last.heading_rad + wrap_angle(pose.heading_rad - last.heading_rad);
+        let mut measure = |from: &GroundPose| {
+            follow::measure(keyframe, pyramid, self.camera, from, self.config, self.wander, random).ok()
+        };
+        let first = measure(&GroundPose { heading_rad, ..pose })?;
+        // Once more from where it was found: corners that were out of reach are now within.
+        let again = measure(&first.estimate.pose).filter(|again| again.support >= first.support);
+        let measurement = again.unwrap_or(first);
+        let presence = follow::presence(keyframe, self.camera, &measurement.estimate);
+        Some((measurement, presence))
+    }
 }
 
 /// The measurement that most corners speak for; where another place has nearly as many, the one clearly nearer to the expected place.
@@ -219,4 +231,44 @@ fn decide(mut confirmed: Vec<Found>, expected: &GroundPose) -> Option<Found> {
 fn distance_m(a: &GroundPose, b: &GroundPose) -> f64 {
     let turn = wrap_angle(a.heading_rad - b.heading_rad);
     (a.x_m - b.x_m).hypot(a.y_m - b.y_m) + 0.5 * a.height_m * turn.abs()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::MotionEstimate;
+    use nalgebra::Matrix6;
+
+    fn found(x_m: f64, inliers: usize) -> Found {
+        let pose = GroundPose { x_m, ..GroundPose::level(1.0) };
+        let estimate = MotionEstimate {
+            pose,
+            covariance: Matrix6::identity(),
+            inliers: vec![true; inliers],
+            residual_px: 0.1,
+            rig_evidence: None,
+        };
+        Found {
+            measurement: Measurement { estimate, prediction: pose, found: vec![], support: 0.5 },
+            remembered: None,
+        }
+    }
+
+    /// Where the decision falls among places that so many corners speak for, expected at 0.
+    fn place(confirmed: Vec<Found>) -> Option<f64> {
+        decide(confirmed, &GroundPose::level(1.0)).map(|found| found.measurement.estimate.pose.x_m)
+    }
+
+    #[test]
+    fn most_corners_decide_and_then_the_nearest_place() {
+        assert_eq!(place(vec![]), None);
+        assert_eq!(place(vec![found(0.1, 100), found(0.5, 200)]), Some(0.5));
+        // One place twice is no rival.
+        assert_eq!(place(vec![found(0.5, 200), found(0.501, 190)]), Some(0.5));
+        // A floor that repeats every 0.2 m: the clearly nearest copy.
+        assert_eq!(place(vec![found(0.25, 200), found(0.05, 190)]), Some(0.05));
+        assert_eq!(place(vec![found(0.05, 200), found(-0.15, 195), found(0.25, 199)]), Some(0.05));
+        // Half way between two copies nothing can be said.
+        assert_eq!(place(vec![found(0.10, 200), found(-0.11, 198)]), None);
+    }
 }

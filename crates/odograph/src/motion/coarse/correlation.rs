@@ -9,12 +9,12 @@ use std::sync::Arc;
 const SIDE: usize = 192;
 
 /// Peaks that are kept of every rotation.
-const PEAKS_PER_ROTATION: usize = 3;
+const PEAKS_PER_ROTATION: usize = 8;
 
 /// Shifts that leave less than this part of the views in common are not looked at.
 const LEAST_OVERLAP: f64 = 0.18;
 
-type Spectrum = Vec<Complex<f32>>;
+pub(super) type Spectrum = Vec<Complex<f32>>;
 
 /// A place where one rotation of a view fits another view well. Shifts are in samples of the keyframe's view.
 #[derive(Debug, Clone, Copy)]
@@ -27,13 +27,6 @@ pub(super) struct Peak {
     pub shift: (f64, f64),
     /// Root mean square of the values over all shifts of this rotation.
     pub spread: f64,
-}
-
-/// The spectrum of a view under two headings: of one in its real, of the other in its imaginary part.
-pub(super) struct Turned {
-    headings: [f64; 2],
-    pub zoom: f64,
-    spectrum: Spectrum,
 }
 
 /// The Fourier transforms of one size.
@@ -63,24 +56,26 @@ impl Correlator {
         field
     }
 
-    /// A view turned by each of two headings and enlarged by `zoom`.
-    pub fn turned(&self, view: &GroundView, headings: [f64; 2], zoom: f64) -> Turned {
-        let mut spectrum = turned_pair(view, headings, zoom);
-        self.transform(&mut spectrum, &self.forward);
-        Turned { headings, zoom, spectrum }
-    }
-
-    /// The best shifts of both turned views. `weights` are [`overlap_weights`].
-    pub fn peaks(&self, keyframe: &Spectrum, turned: &Turned, weights: &[f32]) -> Vec<Peak> {
-        let mut product: Spectrum = turned.spectrum.iter().zip(keyframe).map(|(a, b)| a * b).collect();
+    /// The best shifts of a view turned by each of two headings and enlarged by `zoom`. `weights` are [`overlap_weights`].
+    pub fn peaks(
+        &self,
+        keyframe: &Spectrum,
+        now: &GroundView,
+        headings: [f64; 2],
+        zoom: f64,
+        weights: &[f32],
+    ) -> Vec<Peak> {
+        let mut product = turned_pair(now, headings, zoom);
+        self.transform(&mut product, &self.forward);
+        product.iter_mut().zip(keyframe).for_each(|(value, conjugate)| *value *= conjugate);
         self.transform(&mut product, &self.inverse);
         let used = weights.iter().filter(|&&w| w > 0.0).count().max(1) as f64;
         let mut found = Vec::new();
-        for (part, heading_rad) in turned.headings.into_iter().enumerate() {
+        for (part, heading_rad) in headings.into_iter().enumerate() {
             let value = |value: &Complex<f32>| if part == 0 { value.re } else { value.im };
             let surface: Vec<f32> = product.iter().zip(weights).map(|(v, w)| value(v) * w).collect();
             let spread = (surface.iter().map(|v| f64::from(v * v)).sum::<f64>() / used).sqrt();
-            let peak = |(value, x, y)| Peak { value, heading_rad, zoom: turned.zoom, shift: (x, y), spread };
+            let peak = |(value, x, y)| Peak { value, heading_rad, zoom, shift: (x, y), spread };
             found.extend(highest(&surface).into_iter().map(peak));
         }
         found

@@ -20,7 +20,7 @@ pub use view::GroundView;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
-use correlation::{Correlator, Peak, Turned, overlap_weights};
+use correlation::{Correlator, Peak, Spectrum, overlap_weights};
 use refinement::Placement;
 use view::ViewGeometry;
 
@@ -57,7 +57,7 @@ pub struct Hypothesis {
     /// Overlap as a part of the keyframe's view, 0 to 1.
     pub overlap: f64,
     /// How far the correlation stands above that of unrelated places, in their standard deviations. Among all the places that are
-    /// tried, chance reaches about five.
+    /// tried, chance reaches five to eight.
     pub score: f64,
 }
 
@@ -92,7 +92,13 @@ const SCALE_STEP: f64 = 1.13;
 /// So many scales on either side of one: 0.61 to 1.63.
 const SCALE_STEPS: i32 = 4;
 
-/// Peaks of the correlation that are refined, for every hypothesis that is asked for.
+/// Chance does not reach this score.
+const CERTAIN_SCORE: f64 = 12.0;
+
+/// So many peaks of the correlation are judged by what the views have in common there.
+const PEAKS_JUDGED: usize = 100;
+
+/// Peaks that are refined, for every hypothesis that is asked for.
 const PEAKS_PER_HYPOTHESIS: usize = 4;
 
 impl CoarseRegistration {
@@ -106,36 +112,44 @@ impl CoarseRegistration {
         self.geometry.view(&self.camera, pyramid, pose)
     }
 
-    /// Where `now` may lie against each of `keyframes`: a list a keyframe, the best hypothesis first; empty where nothing was found.
+    /// Where `now` may lie against `keyframe`: the best hypothesis first, none where nothing was found.
     pub fn register(
         &self,
-        keyframes: &[&GroundView],
+        keyframe: &GroundView,
         now: &GroundView,
         options: &CoarseOptions,
-    ) -> Vec<Vec<Hypothesis>> {
-        let spectra: Vec<_> = keyframes.iter().map(|keyframe| self.correlator.spectrum(keyframe)).collect();
-        let mut peaks: Vec<Vec<Peak>> = vec![Vec::new(); keyframes.len()];
-        for scale in scales(options.scale_free) {
-            let zoom = |keyframe: &GroundView| scale * now.pixel_m / keyframe.pixel_m;
-            let weights: Vec<_> = keyframes
-                .iter()
-                .map(|keyframe| overlap_weights(keyframe.area.min(now.area) as f64 * zoom(keyframe).min(1.0)))
-                .collect();
-            // Two rotations at a time: one is the real, the other the imaginary part.
-            for pair in rotations(options).chunks(2) {
-                let headings = [pair[0], pair[pair.len() - 1]];
-                let mut turned: Option<Turned> = None;
-                for (k, keyframe) in keyframes.iter().enumerate() {
-                    let zoom = zoom(keyframe);
-                    let again = turned.take().filter(|turned| turned.zoom == zoom);
-                    let turned =
-                        turned.insert(again.unwrap_or_else(|| self.correlator.turned(now, headings, zoom)));
-                    peaks[k].extend(self.correlator.peaks(&spectra[k], turned, &weights[k]));
-                }
+    ) -> Vec<Hypothesis> {
+        let spectrum = self.correlator.spectrum(keyframe);
+        let mut peaks = Vec::new();
+        let mut found = Vec::new();
+        // Heights seldom change much: nearby scales are tried first.
+        for round in scales(options.scale_free) {
+            peaks.extend(round.into_iter().flat_map(|scale| {
+                let zoom = scale * now.pixel_m / keyframe.pixel_m;
+                self.search(&spectrum, keyframe, now, zoom, options)
+            }));
+            found = refine(keyframe, now, &mut peaks, options);
+            if found.first().is_some_and(|best| best.score > CERTAIN_SCORE) {
+                break;
             }
         }
-        let refined = |(keyframe, peaks): (&&GroundView, Vec<Peak>)| refine(keyframe, now, peaks, options);
-        keyframes.iter().zip(peaks).map(refined).collect()
+        found
+    }
+
+    /// The best shifts at every heading, at one scale.
+    fn search(
+        &self,
+        spectrum: &Spectrum,
+        keyframe: &GroundView,
+        now: &GroundView,
+        zoom: f64,
+        options: &CoarseOptions,
+    ) -> Vec<Peak> {
+        let weights = overlap_weights(keyframe.area.min(now.area) as f64 * zoom.min(1.0));
+        let rotations = rotations(options);
+        // Two rotations at a time: one is the real, the other the imaginary part.
+        let pairs = rotations.chunks(2).map(|pair| [pair[0], pair[pair.len() - 1]]);
+        pairs.flat_map(|pair| self.correlator.peaks(spectrum, now, pair, zoom, &weights)).collect()
     }
 }
 
@@ -149,37 +163,43 @@ fn rotations(options: &CoarseOptions) -> Vec<f64> {
     (-steps..=steps).map(|i| expected + f64::from(i) * ROTATION_STEP_RAD).collect()
 }
 
-fn scales(free: bool) -> Vec<f64> {
-    let steps = if free { SCALE_STEPS } else { 0 };
-    (-steps..=steps).map(|i| SCALE_STEP.powi(i)).collect()
+/// The scales to be tried, in rounds.
+fn scales(free: bool) -> Vec<Vec<f64>> {
+    if !free {
+        return vec![vec![1.0]];
+    }
+    let (near, far): (Vec<i32>, Vec<i32>) = (-SCALE_STEPS..=SCALE_STEPS).partition(|steps| steps.abs() <= 1);
+    [near, far].map(|steps| steps.into_iter().map(|steps| SCALE_STEP.powi(steps)).collect()).into()
 }
 
 /// The best peaks between the steps, each once.
 fn refine(
     keyframe: &GroundView,
     now: &GroundView,
-    mut peaks: Vec<Peak>,
+    peaks: &mut [Peak],
     options: &CoarseOptions,
 ) -> Vec<Hypothesis> {
-    let noise = correlation::noise(&peaks);
+    let noise = correlation::noise(peaks);
     peaks.sort_by(|a, b| b.value.total_cmp(&a.value));
-    let mut starts: Vec<Placement> = Vec::new();
-    for peak in &peaks {
-        if starts.len() >= PEAKS_PER_HYPOTHESIS * options.hypotheses {
+    let mut starts: Vec<(f64, Placement)> = Vec::new();
+    for start in peaks.iter().map(Placement::of) {
+        if starts.len() >= PEAKS_JUDGED {
             break;
         }
-        let start = Placement::of(peak);
-        if !starts.iter().any(|other| other.near(&start, 2.0 * ROTATION_STEP_RAD)) {
-            starts.push(start);
+        if !starts.iter().any(|(_, other)| other.near(&start, 2.0 * ROTATION_STEP_RAD)) {
+            let quality = refinement::agreement(keyframe, now, &start).map_or(0.0, |found| found.quality());
+            starts.push((quality, start));
         }
     }
+    starts.sort_by(|a, b| b.0.total_cmp(&a.0));
+    starts.truncate(PEAKS_PER_HYPOTHESIS * options.hypotheses);
     let mut found: Vec<(Placement, Hypothesis)> = Vec::new();
-    for start in starts {
+    for (_, start) in starts {
         let Some((placement, agreement)) = refinement::improve(keyframe, now, start, options.scale_free)
         else {
             continue;
         };
-        let score = agreement.correlation * (agreement.samples as f64).sqrt() / noise;
+        let score = agreement.quality() / noise;
         let twin = found.iter_mut().find(|(other, _)| other.near(&placement, 0.5 * ROTATION_STEP_RAD));
         let hypothesis = placement.hypothesis(keyframe, now, &agreement, score);
         match twin {

@@ -108,14 +108,16 @@ pub(super) fn improve(
 }
 
 impl Agreement {
-    /// Grows with the overlap: a small piece fits by chance.
-    fn quality(&self) -> f64 {
-        self.correlation * (self.samples as f64).sqrt()
+    /// The root of twice the logarithm of how much likelier these samples are when related than when not: the correlation times the root of
+    /// the overlap where it is small; a good fit of half a view beats a fair one of all of it.
+    pub fn quality(&self) -> f64 {
+        let correlation = self.correlation.clamp(0.0, 0.9999);
+        (-(self.samples as f64) * (1.0 - correlation * correlation).ln()).sqrt()
     }
 }
 
-/// Normalised correlation over what both views show.
-fn agreement(keyframe: &GroundView, now: &GroundView, placement: &Placement) -> Option<Agreement> {
+/// Normalised correlation over what both views show; `None` where that is hardly anything.
+pub(super) fn agreement(keyframe: &GroundView, now: &GroundView, placement: &Placement) -> Option<Agreement> {
     let (sin, cos) = placement.heading_rad.sin_cos();
     let (sin, cos) = ((sin / placement.zoom) as f32, (cos / placement.zoom) as f32);
     let from = (
