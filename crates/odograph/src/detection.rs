@@ -2,6 +2,7 @@
 //! the smaller eigenvalue of the gradient matrix over a window.
 
 use crate::image::GrayImage;
+use crate::image::simd::{add_weighted, mark_local_maxima, roll_gradient_products, smaller_eigenvalues};
 use serde::{Deserialize, Serialize};
 
 /// Over which window the gradient matrix is summed.
@@ -58,92 +59,105 @@ pub struct Corner {
 /// "Spread" means: the image is divided into cells of equal area and cells take turns, each giving its best corner that
 /// keeps the minimum distance, until N are found. A texture that is strong in one place does not draw all corners there.
 pub fn detect(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
-    let strengths = StrengthMap::new(image, config);
-    let candidates = strengths.local_maxima(margin_px);
+    let candidates = local_maxima(image, config, margin_px);
     spread(&candidates, (image.width(), image.height()), config)
 }
 
 /// Gradients weaker than this (gray levels per pixel, squared) are 8-bit rounding, not texture.
 const SMALLEST_STRENGTH: f32 = 0.02;
 
-/// The strength of every pixel of an image.
-struct StrengthMap {
-    width: usize,
-    height: usize,
-    strengths: Vec<f32>,
+/// Gives the strengths of all pixels, row by row from the top. Pixels whose window does not fit into the image have none: 0.
+fn for_each_row_of_strengths(
+    image: &GrayImage,
+    config: &DetectionConfig,
+    mut visit: impl FnMut(usize, &[f32]),
+) {
+    let (width, height) = (image.width(), image.height());
+    let radius = config.window_radius_px;
+    let rows = 2 * radius + 1;
+    let mut strengths = vec![0.0; width];
+    let (first, beyond) = (radius + 1, height.saturating_sub(radius + 1));
+    if width < rows + 2 || first >= beyond {
+        return (0..height).for_each(|y| visit(y, &strengths));
+    }
+    let weights = window_weights(config);
+    // A ring of the products of the last 2 r + 1 rows, and their sums along the columns: whole numbers, which can be kept up by adding
+    // the row that comes and taking off the one that goes, for as long as 32 bits hold them.
+    let rolls = config.window == Window::Rectangular && rows <= 128;
+    let mut ring = vec![[vec![0i32; width], vec![0i32; width], vec![0i32; width]]; rows];
+    let mut totals = [vec![0i32; width], vec![0i32; width], vec![0i32; width]];
+    let mut columns = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
+    (0..first).for_each(|y| visit(y, &strengths));
+    for y in 1..height - 1 {
+        let slot = &mut ring[y % rows];
+        roll_products(image, y, slot, &mut totals);
+        if y < rows {
+            continue;
+        }
+        let centre = y - radius;
+        for (i, column) in columns.iter_mut().enumerate() {
+            column.fill(0.0);
+            if rolls {
+                add_weighted(&totals[i], weights[0] * PER_PRODUCT, column);
+            } else {
+                for (k, weight) in weights.iter().enumerate() {
+                    // Row centre − radius + k.
+                    add_weighted(&ring[(centre + k - radius) % rows][i], weight * PER_PRODUCT, column);
+                }
+            }
+        }
+        let [xx, xy, yy] = &columns;
+        let inner = &mut strengths[first..width - first];
+        smaller_eigenvalues(&xx[1..], &xy[1..], &yy[1..], &weights, inner);
+        visit(centre, &strengths);
+    }
+    strengths.fill(0.0);
+    (beyond..height).for_each(|y| visit(y, &strengths));
 }
 
-impl StrengthMap {
-    fn new(image: &GrayImage, config: &DetectionConfig) -> Self {
-        let (width, height) = (image.width(), image.height());
-        let weights = window_weights(config);
-        let radius = config.window_radius_px;
-        let mut strengths = vec![0.0; width * height];
-        if width < 2 * radius + 3 || height < 2 * radius + 3 {
-            return Self { width, height, strengths };
-        }
-        // A ring of the last 2 r + 1 rows of products, each already summed along x, so that no full-size plane is kept.
-        let rows = 2 * radius + 1;
-        let mut ring = vec![[vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]]; rows];
-        let mut products = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
-        for y in 1..height - 1 {
-            gradient_products(image, y, &mut products);
-            for (sums, products) in ring[y % rows].iter_mut().zip(&products) {
-                sum_along_row(products, &weights, sums);
-            }
-            if y < rows {
+/// A product of two Scharr gradients in (gray levels per pixel)².
+const PER_PRODUCT: f32 = 1.0 / (32.0 * 32.0);
+
+fn roll_products(image: &GrayImage, y: usize, slot: &mut [Vec<i32>; 3], totals: &mut [Vec<i32>; 3]) {
+    let [slot_xx, slot_xy, slot_yy] = slot;
+    let [xx, xy, yy] = totals;
+    let (above, here, below) = (image.row(y - 1), image.row(y), image.row(y + 1));
+    roll_gradient_products(above, here, below, slot_xx, slot_xy, slot_yy, xx, xy, yy);
+}
+
+/// Pixels that are stronger than their eight neighbours and strong enough beside the strongest of them, strongest first.
+fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
+    let (width, height) = (image.width(), image.height());
+    let margin = margin_px.max(1);
+    let mut maxima = Vec::new();
+    if width <= 2 * margin || height <= 2 * margin {
+        return maxima;
+    }
+    let mut last = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
+    let mut marks = vec![0u8; width];
+    for_each_row_of_strengths(image, config, |read, strengths| {
+        last.rotate_left(1);
+        last[2].copy_from_slice(strengths);
+        let Some(y) = read.checked_sub(1).filter(|y| (margin..height - margin).contains(y)) else {
+            return;
+        };
+        let [above, here, below] = &last;
+        // Ties go to the first in reading order.
+        mark_local_maxima(above, here, below, SMALLEST_STRENGTH, &mut marks);
+        for (block, marks) in marks.chunks(16).enumerate() {
+            if marks.iter().fold(0, |any, mark| any | mark) == 0 {
                 continue;
             }
-            let centre = y - radius;
-            let out = &mut strengths[centre * width..][..width];
-            let mut totals = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
-            for (i, weight) in weights.iter().enumerate() {
-                // Row centre − radius + i.
-                let row = &ring[(centre + i - radius) % rows];
-                for (total, sums) in totals.iter_mut().zip(row) {
-                    total.iter_mut().zip(sums).for_each(|(t, s)| *t += weight * s);
-                }
-            }
-            let [xx, xy, yy] = &totals;
-            for x in radius + 1..width - radius - 1 {
-                let half_trace = 0.5 * (xx[x] + yy[x]);
-                let half_difference = 0.5 * (xx[x] - yy[x]);
-                out[x] = half_trace - (half_difference * half_difference + xy[x] * xy[x]).sqrt();
-            }
+            let xs = (block * 16..)
+                .zip(marks)
+                .filter(|(x, mark)| **mark != 0 && (margin..width - margin).contains(x));
+            maxima.extend(xs.map(|(x, _)| Corner { x, y, strength: here[x] }));
         }
-        Self { width, height, strengths }
-    }
-
-    /// Pixels that are stronger than their eight neighbours, strongest first.
-    fn local_maxima(&self, margin_px: usize) -> Vec<Corner> {
-        let margin = margin_px.max(1);
-        let mut maxima = Vec::new();
-        if self.width <= 2 * margin || self.height <= 2 * margin {
-            return maxima;
-        }
-        for y in margin..self.height - margin {
-            let row = |y: usize| &self.strengths[y * self.width..][..self.width];
-            let (above, here, below) = (row(y - 1), row(y), row(y + 1));
-            for x in margin..self.width - margin {
-                let s = here[x];
-                // Ties go to the first in reading order: strictly above what was read before, not below what comes after.
-                let highest = s >= SMALLEST_STRENGTH
-                    && s > above[x - 1]
-                    && s > above[x]
-                    && s > above[x + 1]
-                    && s > here[x - 1]
-                    && s >= here[x + 1]
-                    && s >= below[x - 1]
-                    && s >= below[x]
-                    && s >= below[x + 1];
-                if highest {
-                    maxima.push(Corner { x, y, strength: s });
-                }
-            }
-        }
-        maxima.sort_by(|a, b| b.strength.total_cmp(&a.strength).then((a.y, a.x).cmp(&(b.y, b.x))));
-        maxima
-    }
+    });
+    let strongest = maxima.iter().map(|c| c.strength).fold(0.0, f32::max);
+    maxima.retain(|c| c.strength >= config.quality * strongest);
+    maxima.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength).then((a.y, a.x).cmp(&(b.y, b.x))));
+    maxima
 }
 
 fn window_weights(config: &DetectionConfig) -> Vec<f32> {
@@ -158,46 +172,17 @@ fn window_weights(config: &DetectionConfig) -> Vec<f32> {
     weights.iter().map(|w| w / total).collect()
 }
 
-/// The products gx², gx gy, gy² of Scharr gradients (gray levels per pixel) along row `y`, which must not be the first or last.
-fn gradient_products(image: &GrayImage, y: usize, products: &mut [Vec<f32>; 3]) {
-    let width = image.width();
-    let (above, here, below) = (image.row(y - 1), image.row(y), image.row(y + 1));
-    let [xx, xy, yy] = products;
-    let v = |row: &[u8], x: usize| i32::from(row[x]);
-    for x in 1..width - 1 {
-        let dx = 3 * (v(above, x + 1) - v(above, x - 1) + v(below, x + 1) - v(below, x - 1))
-            + 10 * (v(here, x + 1) - v(here, x - 1));
-        let dy = 3 * (v(below, x - 1) - v(above, x - 1) + v(below, x + 1) - v(above, x + 1))
-            + 10 * (v(below, x) - v(above, x));
-        let (gx, gy) = (dx as f32 * (1.0 / 32.0), dy as f32 * (1.0 / 32.0));
-        xx[x] = gx * gx;
-        xy[x] = gx * gy;
-        yy[x] = gy * gy;
-    }
-}
-
-fn sum_along_row(values: &[f32], weights: &[f32], sums: &mut [f32]) {
-    let radius = weights.len() / 2;
-    let inner = &mut sums[radius..values.len() - radius];
-    inner.fill(0.0);
-    for (i, weight) in weights.iter().enumerate() {
-        inner.iter_mut().zip(&values[i..]).for_each(|(s, v)| *s += weight * v);
-    }
-}
-
 /// Takes the best candidates cell by cell; see [`detect`].
 fn spread(candidates: &[Corner], size: (usize, usize), config: &DetectionConfig) -> Vec<Corner> {
-    let Some(strongest) = candidates.first() else {
+    if candidates.is_empty() {
         return Vec::new();
-    };
-    let weakest = config.quality * strongest.strength;
-    let strong = &candidates[..candidates.partition_point(|c| c.strength >= weakest)];
+    }
     // About four corners a cell: fine enough to spread, coarse enough to choose.
     let cell_px = ((size.0 * size.1) as f64 * 4.0 / config.corners.max(1) as f64).sqrt().max(1.0);
     let columns = (size.0 as f64 / cell_px).ceil() as usize;
     let rows = (size.1 as f64 / cell_px).ceil() as usize;
     let mut cells: Vec<Vec<Corner>> = vec![Vec::new(); columns * rows];
-    for &corner in strong {
+    for &corner in candidates {
         let column = ((corner.x as f64 / cell_px) as usize).min(columns - 1);
         let row = ((corner.y as f64 / cell_px) as usize).min(rows - 1);
         cells[row * columns + column].push(corner);
@@ -252,7 +237,7 @@ impl TakenCorners {
             (column.saturating_sub(1)..(column + 2).min(self.columns)).all(|c| {
                 self.cells[r * self.columns + c]
                     .iter()
-                    .all(|&(tx, ty)| (tx - x).hypot(ty - y) >= self.minimum_distance_px)
+                    .all(|&(tx, ty)| (tx - x).powi(2) + (ty - y).powi(2) >= self.minimum_distance_px.powi(2))
             })
         })
     }
@@ -307,7 +292,8 @@ mod tests {
             .collect();
         let image = GrayImage::from_samples(40, 40, samples).unwrap();
         let config = DetectionConfig::default();
-        let map = StrengthMap::new(&image, &config);
+        let mut strengths = Vec::new();
+        for_each_row_of_strengths(&image, &config, |_, row| strengths.extend_from_slice(row));
         for (cx, cy) in [(10usize, 12usize), (20, 5), (33, 30)] {
             let mut m = nalgebra::Matrix2::<f64>::zeros();
             for y in cy - 2..=cy + 2 {
@@ -323,7 +309,7 @@ mod tests {
                 }
             }
             let expected = m.symmetric_eigenvalues().min();
-            let found = f64::from(map.strengths[cy * 40 + cx]);
+            let found = f64::from(strengths[cy * 40 + cx]);
             assert!((found - expected).abs() < 1e-3 * expected.abs().max(1.0), "{found} {expected}");
         }
     }

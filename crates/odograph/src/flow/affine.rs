@@ -1,11 +1,12 @@
 //! The dissimilarity of Shi and Tomasi: is this still what was first seen, up to an affine change?
 
 use super::patch::{AREA, SIDE, Samples, TO_CENTRE, sample};
-use super::template::{LevelTemplate, Template, dot};
+use super::template::{LevelTemplate, Template};
 use super::track::unexplained;
 use super::{Track, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
+use crate::image::simd::{dot, mean_and_energy};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// Steps of the affine search; it starts within a pixel of the answer.
@@ -25,14 +26,14 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
         if !sample(image.base(), Vector2::new(warp.position.x, warp.position.y), &warp.linear, &mut samples) {
             return None;
         }
-        let gain = dot(&patch.contrast, &samples) / patch.contrast_energy;
+        let gain = dot(&patch.appearance.contrast, &samples) / patch.contrast_energy;
         if gain < 0.05 {
             return None;
         }
-        let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / AREA as f64;
+        let (mean, _) = mean_and_energy(&samples);
         let mut slope = SVector::<f64, 6>::zeros();
         for (at, &value) in samples.iter().enumerate() {
-            let residual = (f64::from(value) - mean) / gain - f64::from(patch.contrast[at]);
+            let residual = (f64::from(value) - mean) / gain - f64::from(patch.appearance.contrast[at]);
             slope += steepest_descent(patch, at) * residual;
         }
         let step = inverse_hessian * slope;
@@ -55,7 +56,7 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
 
 /// How sample `at` changes with a shift (x, y) and with the four affine terms (xx, xy, yx, yy).
 fn steepest_descent(patch: &LevelTemplate, at: usize) -> SVector<f64, 6> {
-    let (gx, gy) = (f64::from(patch.gradient_x[at]), f64::from(patch.gradient_y[at]));
+    let (gx, gy) = (f64::from(patch.appearance.gradient_x[at]), f64::from(patch.appearance.gradient_y[at]));
     let (x, y) = ((at % SIDE) as f64 - TO_CENTRE, (at / SIDE) as f64 - TO_CENTRE);
     SVector::from([gx, gy, gx * x, gx * y, gy * x, gy * y])
 }

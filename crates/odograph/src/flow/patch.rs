@@ -1,10 +1,10 @@
 //! Square patches of samples: the window of Lucas–Kanade.
 
 use crate::image::GrayImage;
+use crate::image::simd::{Appearance, Grid, sample_and_multiply, sample_patch};
 use nalgebra::{Matrix2, Vector2};
 
-/// Side of a patch in samples. Even, so that a row fills whole SIMD registers; its centre lies between the middle samples.
-pub const SIDE: usize = 16;
+pub use crate::image::simd::{PATCH_SIDE as SIDE, Patch as Samples};
 
 /// Samples of a patch.
 pub const AREA: usize = SIDE * SIDE;
@@ -12,39 +12,45 @@ pub const AREA: usize = SIDE * SIDE;
 /// From the first sample of a row or column to the centre of the patch.
 pub const TO_CENTRE: f64 = (SIDE as f64 - 1.0) / 2.0;
 
-/// The samples of a patch, row by row, in gray levels.
-pub type Samples = [f32; AREA];
-
 /// Samples `image` bilinearly on a grid of [`SIDE`]² points around `centre` whose steps along its rows and columns are the columns
-/// of `linear`. `false`, with `samples` unspecified, unless the whole grid lies inside the image.
+/// of `linear`. `false`, with `samples` as they were, unless the whole grid lies inside the image.
 pub fn sample(image: &GrayImage, centre: Vector2<f64>, linear: &Matrix2<f64>, samples: &mut Samples) -> bool {
+    grid_inside(image, centre, linear).map(|grid| sample_patch(image, &grid, samples)).is_some()
+}
+
+/// [`sample`], and the products of the samples with contrast and gradients; `None` unless the whole grid lies inside the image.
+pub fn sample_products(
+    image: &GrayImage,
+    centre: Vector2<f64>,
+    linear: &Matrix2<f64>,
+    appearance: &Appearance,
+    samples: &mut Samples,
+) -> Option<Products> {
+    let grid = grid_inside(image, centre, linear)?;
+    let [contrast, x, y] = sample_and_multiply(image, &grid, appearance, samples);
+    Some(Products { contrast, gradient: Vector2::new(x, y) })
+}
+
+/// Products of samples with a template's contrast and gradients.
+pub struct Products {
+    pub contrast: f64,
+    pub gradient: Vector2<f64>,
+}
+
+fn grid_inside(image: &GrayImage, centre: Vector2<f64>, linear: &Matrix2<f64>) -> Option<Grid> {
     let extent = TO_CENTRE * Vector2::new(linear.row(0).abs().sum(), linear.row(1).abs().sum());
     let (width, height) = (image.width(), image.height());
+    // Not so either where the centre is not a number.
     let inside = centre.x - extent.x >= 0.0
         && centre.y - extent.y >= 0.0
         && centre.x + extent.x < width as f64 - 1.0
         && centre.y + extent.y < height as f64 - 1.0;
-    if !inside {
-        return false; // also where the centre is not a number
-    }
     let first = centre - linear * Vector2::new(TO_CENTRE, TO_CENTRE);
-    let all = image.samples();
-    for (j, row) in samples.chunks_exact_mut(SIDE).enumerate() {
-        let start = first + linear.column(1) * j as f64;
-        let (x0, y0) = (start.x as f32, start.y as f32);
-        let (dx, dy) = (linear[(0, 0)] as f32, linear[(1, 0)] as f32);
-        for (i, sample) in row.iter_mut().enumerate() {
-            let (x, y) = (x0 + dx * i as f32, y0 + dy * i as f32);
-            let (column, line) = (x as usize, y as usize);
-            let (fx, fy) = (x - column as f32, y - line as f32);
-            let at = (line * width + column).min(all.len() - width - 2);
-            let upper = f32::from(all[at]) + fx * (f32::from(all[at + 1]) - f32::from(all[at]));
-            let lower = f32::from(all[at + width])
-                + fx * (f32::from(all[at + width + 1]) - f32::from(all[at + width]));
-            *sample = upper + fy * (lower - upper);
-        }
-    }
-    true
+    inside.then(|| Grid {
+        first: first.into(),
+        along_row: linear.column(0).into_owned().into(),
+        along_column: linear.column(1).into_owned().into(),
+    })
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! The first appearance of a corner, prepared for being found again.
 
-use super::patch::{AREA, SIDE, Samples, TO_CENTRE};
+use super::patch::{AREA, SIDE, TO_CENTRE};
 use crate::geometry::Pixel;
+use crate::image::simd::{Appearance, copy_appearance, dot, remove_mean, remove_share};
 use crate::image::{GrayImage, Pyramid};
 use nalgebra::{Matrix2, Vector2};
 
@@ -48,13 +49,9 @@ impl Template {
 pub(super) struct LevelTemplate {
     /// Centre of the patch in pixels of its level; integer plus one half, so that the samples are the image's own.
     pub centre: Vector2<f64>,
-    /// Samples less their mean.
-    pub contrast: Box<Samples>,
-    /// Gradient along x, made orthogonal to constants and to the contrast: its product with an image that differs only by
-    /// gain and offset is zero.
-    pub gradient_x: Box<Samples>,
-    /// The same along y.
-    pub gradient_y: Box<Samples>,
+    /// Contrast: samples less their mean. Gradients along x and y, made orthogonal to constants and to the contrast: their product
+    /// with an image that differs only by gain and offset is zero.
+    pub appearance: Box<Appearance>,
     /// Inverse of the matrix of products of the two gradients.
     pub inverse_hessian: Matrix2<f64>,
     /// Sum of the squared contrast.
@@ -73,33 +70,20 @@ impl LevelTemplate {
             return None;
         }
         let (left, top) = (left as usize, top as usize);
-        let mut contrast = Box::new([0.0f32; AREA]);
-        let mut gradient_x = Box::new([0.0f32; AREA]);
-        let mut gradient_y = Box::new([0.0f32; AREA]);
-        for j in 0..SIDE {
-            let above = &image.row(top + j - 1)[left - 1..left + SIDE + 1];
-            let here = &image.row(top + j)[left - 1..left + SIDE + 1];
-            let below = &image.row(top + j + 1)[left - 1..left + SIDE + 1];
-            for i in 0..SIDE {
-                let at = j * SIDE + i;
-                contrast[at] = f32::from(here[i + 1]);
-                gradient_x[at] = 0.5 * (f32::from(here[i + 2]) - f32::from(here[i]));
-                gradient_y[at] = 0.5 * (f32::from(below[i + 1]) - f32::from(above[i + 1]));
-            }
-        }
-        remove_mean(&mut contrast);
-        let contrast_energy = dot(&contrast, &contrast);
+        let mut appearance = Appearance::zero();
+        copy_appearance(image, left, top, &mut appearance);
+        let Appearance { contrast, gradient_x, gradient_y } = &mut *appearance;
+        remove_mean(contrast);
+        let contrast_energy = dot(contrast, contrast);
         if contrast_energy < AREA as f64 * 0.25 {
             return None; // half a gray level of contrast is rounding
         }
-        for gradient in [&mut gradient_x, &mut gradient_y] {
+        for gradient in [&mut *gradient_x, &mut *gradient_y] {
             remove_mean(gradient);
-            let share = (dot(gradient, &contrast) / contrast_energy) as f32;
-            gradient.iter_mut().zip(contrast.iter()).for_each(|(g, c)| *g -= share * c);
+            remove_share(gradient, (dot(gradient, contrast) / contrast_energy) as f32, contrast);
         }
-        let cross = dot(&gradient_x, &gradient_y);
-        let hessian =
-            Matrix2::new(dot(&gradient_x, &gradient_x), cross, cross, dot(&gradient_y, &gradient_y));
+        let cross = dot(gradient_x, gradient_y);
+        let hessian = Matrix2::new(dot(gradient_x, gradient_x), cross, cross, dot(gradient_y, gradient_y));
         // A direction with less than this mean squared gradient cannot be held.
         let weakest = hessian.symmetric_eigenvalues().min();
         if weakest < AREA as f64 * 0.01 {
@@ -108,26 +92,8 @@ impl LevelTemplate {
         Some(Self {
             centre: Vector2::new(left as f64 + TO_CENTRE, top as f64 + TO_CENTRE),
             inverse_hessian: hessian.try_inverse()?,
-            contrast,
-            gradient_x,
-            gradient_y,
+            appearance,
             contrast_energy,
         })
     }
-}
-
-fn remove_mean(samples: &mut Samples) {
-    let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / AREA as f64;
-    samples.iter_mut().for_each(|s| *s -= mean as f32);
-}
-
-/// The sum of products. Eight running sums, so that the order of additions is the same whatever the compiler makes of it.
-pub(super) fn dot(a: &Samples, b: &Samples) -> f64 {
-    let mut sums = [0.0f32; 8];
-    for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
-        for i in 0..8 {
-            sums[i] += a[i] * b[i];
-        }
-    }
-    sums.iter().map(|&s| f64::from(s)).sum()
 }

@@ -65,7 +65,7 @@ proptest! {
         let truth = Warp { position: Pixel::new(centre.x + dx, centre.y + dy), linear };
         let image = Pyramid::new(rendered(centre, &truth, gain, offset), 4);
         let prediction = Warp { position: centre, linear };
-        let found = track(&template, &image, &prediction, &FlowConfig::default()).expect("found");
+        let found = track(&template, &image, &prediction, f64::INFINITY, &FlowConfig::default()).expect("found");
         // Rounding to gray levels allows about 0.29 / (gradient · √256) px; bilinear interpolation of this pattern a little more.
         prop_assert!(found.position.distance(truth.position) < 0.03, "{found:?} {truth:?}");
         prop_assert!(found.dissimilarity < 0.1);
@@ -96,7 +96,7 @@ fn another_surface_is_dissimilar() {
         .collect();
     let image = Pyramid::new(GrayImage::from_samples(200, 200, noise).unwrap(), 4);
     let prediction = Warp::translation(template.centre());
-    let found = track(&template, &image, &prediction, &FlowConfig::default());
+    let found = track(&template, &image, &prediction, f64::INFINITY, &FlowConfig::default());
     assert!(found.is_err() || found.is_ok_and(|found| found.dissimilarity > 0.8));
     let judged = dissimilarity(&template, &image, &prediction);
     assert!(judged.is_none_or(|(_, found)| found.dissimilarity > 0.8));
@@ -106,7 +106,10 @@ fn another_surface_is_dissimilar() {
 fn a_patch_outside_the_image_is_said_to_be_outside() {
     let (pyramid, template) = keyframe();
     let gone = Warp::translation(Pixel::new(-20.0, 50.0));
-    assert_eq!(track(&template, &pyramid, &gone, &FlowConfig::default()), Err(TrackFailure::Outside));
+    assert_eq!(
+        track(&template, &pyramid, &gone, f64::INFINITY, &FlowConfig::default()),
+        Err(TrackFailure::Outside)
+    );
 }
 
 #[test]

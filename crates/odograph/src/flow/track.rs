@@ -1,10 +1,11 @@
 //! Finding a template again: pyramidal Lucas–Kanade, inverse compositional, indifferent to gain and offset.
 
-use super::patch::{AREA, Samples, sample};
-use super::template::{LevelTemplate, Template, dot};
+use super::patch::{AREA, Samples, sample_products};
+use super::template::{LevelTemplate, Template};
 use super::{FlowConfig, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
+use crate::image::simd::{dot, mean_and_energy};
 use nalgebra::Vector2;
 
 /// A template found again.
@@ -27,7 +28,8 @@ pub enum TrackFailure {
     Unlike,
 }
 
-/// Searches a template in an image, coarse to fine, from where `prediction` expects it; the shape of the warp stays as predicted,
+/// Searches a template in an image, coarse to fine, from where `prediction` expects it to within `off_px` (pixels of the full image;
+/// infinite where nothing is known: the more is known, the fewer coarse levels are searched); the shape of the warp stays as predicted,
 /// its position is found. Whether what was found is still the same is for the caller to judge by its dissimilarity.
 ///
 /// With the gradients of the template orthogonal to constants and to the template itself, the normal equations of Lucas–Kanade with
@@ -37,14 +39,16 @@ pub fn track(
     template: &Template,
     image: &Pyramid,
     prediction: &Warp,
+    off_px: f64,
     config: &FlowConfig,
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
     let mut found = None;
-    let levels = template.levels().len().min(image.levels().len());
+    let levels = levels_for(off_px).min(template.levels().len()).min(image.levels().len());
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
-        let step_px = config.step_px * scale;
+        // A coarse level has only to come near enough for the next.
+        let step_px = if level == 0 { config.step_px } else { config.step_px.max(COARSE_STEP_PX) * scale };
         let patch = &template.levels()[level];
         let result =
             search(patch, level, template.centre(), image, prediction, shift, config.iterations, step_px);
@@ -64,6 +68,23 @@ pub fn track(
     let dissimilarity = found.ok_or(TrackFailure::Outside)?;
     let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
     Ok(Track { position, dissimilarity })
+}
+
+/// A step shorter than this ends a level other than the full image, pixels of the level.
+const COARSE_STEP_PX: f64 = 0.05;
+
+/// What a level finds even where the ground's texture is fine, pixels of the level.
+const REACH_PX: f64 = 1.0;
+
+/// How many levels find what may be `off_px` away.
+fn levels_for(off_px: f64) -> usize {
+    let mut levels = 1;
+    let mut reach_px = REACH_PX;
+    while reach_px < off_px && reach_px.is_finite() {
+        levels += 1;
+        reach_px *= 2.0;
+    }
+    levels
 }
 
 /// One level of [`track`] for a template about the keyframe point `centre`: the improved shift (pixels of the full image) and the
@@ -86,15 +107,14 @@ fn search(
     let mut last_step = f64::INFINITY;
     for _ in 0..iterations {
         let centre = (expected + shift) / scale;
-        if !sample(&image.levels()[level], centre, &prediction.linear, &mut samples) {
-            return Err(TrackFailure::Outside);
-        }
-        let gain = dot(&patch.contrast, &samples) / patch.contrast_energy;
+        let image = &image.levels()[level];
+        let products = sample_products(image, centre, &prediction.linear, &patch.appearance, &mut samples)
+            .ok_or(TrackFailure::Outside)?;
+        let gain = products.contrast / patch.contrast_energy;
         if gain < 0.05 {
             return Err(TrackFailure::Unlike); // darkness, or a negative
         }
-        let slope = Vector2::new(dot(&patch.gradient_x, &samples), dot(&patch.gradient_y, &samples)) / gain;
-        let step = prediction.linear * (patch.inverse_hessian * slope) * scale;
+        let step = prediction.linear * (patch.inverse_hessian * (products.gradient / gain)) * scale;
         shift -= step;
         last_step = step.norm();
         if last_step > 8.0 * scale {
@@ -112,9 +132,8 @@ fn search(
 
 /// The part of the contrast of `samples` that gain and offset of the template leave unexplained: √(1 − ρ²), ρ the correlation.
 pub(super) fn unexplained(patch: &LevelTemplate, samples: &Samples) -> f64 {
-    let mean = samples.iter().map(|&s| f64::from(s)).sum::<f64>() / AREA as f64;
-    let energy = samples.iter().map(|&s| (f64::from(s) - mean).powi(2)).sum::<f64>();
-    let product = dot(&patch.contrast, samples);
+    let (_, energy) = mean_and_energy(samples);
+    let product = dot(&patch.appearance.contrast, samples);
     if energy < 1e-6 || product <= 0.0 {
         return 1.0;
     }

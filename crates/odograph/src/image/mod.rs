@@ -3,6 +3,7 @@
 //! Pixel centres are at integer coordinates: pixel (0, 0) is the centre of the top-left pixel; `x` runs right, `y` down.
 
 mod pyramid;
+pub(crate) mod simd;
 
 pub use pyramid::Pyramid;
 

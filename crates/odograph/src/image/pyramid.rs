@@ -1,6 +1,7 @@
 //! The Gaussian pyramid: each level half the size of the one below, sample (x, y) of level l over sample (2x, 2y) of level l − 1.
 
 use super::GrayImage;
+use super::simd::{blur_and_halve, blur_rows};
 
 /// An image with its smaller copies. Level 0 is the image itself.
 ///
@@ -77,25 +78,12 @@ fn halve(below: &GrayImage, above: &mut GrayImage, sums: &mut Vec<u16>) {
     let above_width = above.width();
     for (y, out) in above.samples_mut().chunks_exact_mut(above_width).enumerate() {
         let row = |dy: isize| &below.row(mirrored(2 * y as isize + dy, height))[..width];
-        let (a, b, c, d, e) = (row(-2), row(-1), row(0), row(1), row(2));
-        for (x, sum) in sums[2..2 + width].iter_mut().enumerate() {
-            let outer = u16::from(a[x]) + u16::from(e[x]);
-            let inner = u16::from(b[x]) + u16::from(d[x]);
-            *sum = outer + 4 * inner + 6 * u16::from(c[x]);
-        }
+        blur_rows(row(-2), row(-1), row(0), row(1), row(2), &mut sums[2..2 + width]);
         sums[1] = sums[2 + mirrored(-1, width)];
         sums[0] = sums[2 + mirrored(-2, width)];
         sums[width + 2] = sums[2 + mirrored(width as isize, width)];
         sums[width + 3] = sums[2 + mirrored(width as isize + 1, width)];
-        let sums = &sums[..width + 4];
-        for (x, sample) in out.iter_mut().enumerate() {
-            let s = &sums[2 * x..2 * x + 5];
-            let total = u32::from(s[0])
-                + u32::from(s[4])
-                + 4 * (u32::from(s[1]) + u32::from(s[3]))
-                + 6 * u32::from(s[2]);
-            *sample = ((total + 128) >> 8) as u8;
-        }
+        blur_and_halve(sums, out);
     }
 }
 

@@ -32,7 +32,7 @@ pub struct Found {
     pub warp: Warp,
 }
 
-/// Measures the pose of a frame against a keyframe, near `prediction`.
+/// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
 pub fn measure(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -42,10 +42,24 @@ pub fn measure(
     wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
+    measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, wander, random)
+}
+
+/// Measures the pose of a frame against a keyframe where the prediction is off by no more than `off_px` in the image.
+pub fn measure_near(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    prediction: &GroundPose,
+    off_px: f64,
+    config: &OdometryConfig,
+    wander: &RigWander,
+    random: &mut Random,
+) -> Result<Measurement, LossReason> {
     let found = if config.motion.model == MotionModel::Mean {
-        follow_by_eye(keyframe, pyramid, config)
+        follow_by_eye(keyframe, pyramid, off_px, config)
     } else {
-        follow(keyframe, pyramid, camera, prediction, config)
+        follow(keyframe, pyramid, camera, prediction, off_px, config)
     };
     judge(keyframe, found, camera, prediction, config, wander, random)
 }
@@ -90,12 +104,13 @@ fn follow(
     pyramid: &Pyramid,
     camera: &Camera,
     prediction: &GroundPose,
+    off_px: f64,
     config: &OdometryConfig,
 ) -> Vec<Found> {
     let pose = Pose::new(*prediction);
     let search = |(index, corner): (usize, &super::keyframe::KeyCorner)| {
         let warp = corner.warp(camera, &pose)?;
-        let tracked = match track(&corner.template, pyramid, &warp, &config.flow) {
+        let tracked = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
             Ok(Track { position, dissimilarity }) if dissimilarity <= config.flow.dissimilarity => {
                 Warp { position, ..warp }
             }
@@ -113,9 +128,10 @@ fn follow(
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
 /// a model of the camera's rotation.
-fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, config: &OdometryConfig) -> Vec<Found> {
+fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, off_px: f64, config: &OdometryConfig) -> Vec<Found> {
     let search = |(index, corner): (usize, &super::keyframe::KeyCorner)| {
-        let Track { position, .. } = track(&corner.template, pyramid, &corner.seen, &config.flow).ok()?;
+        let Track { position, .. } =
+            track(&corner.template, pyramid, &corner.seen, off_px, &config.flow).ok()?;
         let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
         (judged.dissimilarity <= config.flow.dissimilarity).then_some(Found { corner: index, warp })
     };

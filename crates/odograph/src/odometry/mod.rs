@@ -90,6 +90,8 @@ pub struct Odometry {
     keyframes: u64,
     segment: usize,
     tracks: Vec<TrackView>,
+    /// The pyramid of an earlier frame, whose memory the next one takes over.
+    spare: Option<Pyramid>,
 }
 
 /// A keyframe made of a frame that could not be measured, and how often later frames were measured against it.
@@ -142,13 +144,20 @@ impl Odometry {
             keyframes: 0,
             segment: 0,
             tracks: Vec::new(),
+            spare: None,
         })
     }
 
     /// Takes the next frame. Fails where the image has not the size the camera is calibrated for, or its time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
-        let pyramid = Pyramid::new(image, self.config.flow.levels);
+        let pyramid = match self.spare.take() {
+            Some(mut pyramid) => {
+                pyramid.replace(image);
+                pyramid
+            }
+            None => Pyramid::new(image, self.config.flow.levels),
+        };
         let frame = match self.measure(&pyramid, time_s) {
             Ok(measurement) => self.accept(pyramid, time_s, measurement),
             Err(reason) => self.lose(pyramid, time_s, reason),
@@ -205,6 +214,24 @@ impl Odometry {
             MotionModel::Mean => last.pose,
             _ => last.extrapolated(time_s),
         };
+        if let Some(off_px) = self.prediction_off_px(last, time_s) {
+            let mut random = Random::new(self.frames);
+            let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
+            let near = follow::measure_near(
+                keyframe,
+                pyramid,
+                camera,
+                &extrapolated,
+                off_px,
+                config,
+                wander,
+                &mut random,
+            );
+            // What others will be built on is searched in full.
+            if near.as_ref().is_ok_and(|near| near.support >= config.keyframe.support) {
+                return near;
+            }
+        }
         for prediction in [extrapolated, last.pose] {
             outcome = follow::measure(
                 keyframe,
@@ -220,6 +247,16 @@ impl Odometry {
             }
         }
         outcome
+    }
+
+    /// How far off the extrapolated pose may be in the image; nothing where that is so much that the search is a full one anyway, or is
+    /// not known.
+    fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
+        const FULL_SEARCH_PX: f64 = 4.0;
+        let usual_step = time_s - last.time_s <= 1.5 * last.step_s;
+        let off_px = 0.5 + 2.0 * last.off_by * self.camera.focal_px().0;
+        (self.config.motion.model != MotionModel::Mean && usual_step && off_px < FULL_SEARCH_PX)
+            .then_some(off_px)
     }
 
     /// Whether a measurement may have followed something beside the ground, as a shadow that moves along, or another part of the ground that
@@ -320,6 +357,8 @@ impl Odometry {
         let keyframe = support < self.config.keyframe.support;
         if keyframe {
             self.change_keyframe(pyramid, estimate.pose, covariance);
+        } else {
+            self.spare = Some(pyramid);
         }
         FrameEstimate {
             frame: self.frames,
@@ -553,11 +592,15 @@ struct LastPose {
     covariance: Matrix6<f64>,
     /// Change per second of x, y and heading.
     rates: [f64; 3],
+    /// The time from the measured pose before.
+    step_s: f64,
+    /// How far off the extrapolations to the last poses were, seen from the camera: lengths over the height, and radians.
+    off_by: f64,
 }
 
 impl LastPose {
     fn still(time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
-        Self { time_s, pose, covariance, rates: [0.0; 3] }
+        Self { time_s, pose, covariance, rates: [0.0; 3], step_s: 0.0, off_by: f64::INFINITY }
     }
 
     fn moved(self, time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
@@ -569,7 +612,11 @@ impl LastPose {
         } else {
             self.rates
         };
-        Self { time_s: time_s.max(self.time_s), pose, covariance, rates }
+        let off_by = seen_apart(&self.extrapolated(time_s), &pose);
+        // After `still` the rates are a guess; a large surprise is remembered for a few frames.
+        let remembered = if self.step_s > 0.0 { 0.7 * self.off_by } else { 0.0 };
+        let off_by = if step_s > 0.0 { off_by.max(remembered) } else { f64::INFINITY };
+        Self { time_s: time_s.max(self.time_s), pose, covariance, rates, step_s, off_by }
     }
 
     /// The pose at `time_s` had the camera gone on as it went; height and tilt stay.
@@ -595,6 +642,13 @@ impl LastPose {
         covariance[(2, 2)] = variance(self.rates[2]);
         covariance
     }
+}
+
+/// How far apart the same ground is seen from two poses, at most and roughly: lengths over the height, and radians.
+fn seen_apart(a: &GroundPose, b: &GroundPose) -> f64 {
+    let moved_m = (a.x_m - b.x_m).hypot(a.y_m - b.y_m) + (a.height_m - b.height_m).abs();
+    let turns = [a.heading_rad - b.heading_rad, a.roll_rad - b.roll_rad, a.pitch_rad - b.pitch_rad];
+    moved_m / b.height_m + turns.map(f64::abs).iter().sum::<f64>()
 }
 
 #[cfg(test)]

@@ -1,0 +1,175 @@
+//! The kernels that run on every sample, made wide. The only room of the library where `unsafe` may stand.
+//!
+//! Each kernel has one meaning, its scalar reference in [`scalar`], and gives the same bits on every machine:
+//!
+//! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
+//!   reorders or fuses operations on floating-point numbers;
+//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, and the halving of rows are written by
+//!   hand in [`avx2`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
+//!   reference's.
+#![allow(unsafe_code)]
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+mod scalar;
+#[cfg(test)]
+mod tests;
+
+use super::GrayImage;
+
+/// Side of a patch in samples. Even, so that a row fills whole SIMD registers; its centre lies between the middle samples.
+pub const PATCH_SIDE: usize = 16;
+
+/// The samples of a patch, row by row, in gray levels.
+pub type Patch = [f32; PATCH_SIDE * PATCH_SIDE];
+
+/// Where the samples of a patch lie in an image: sample (i, j) is at `first + i · along_row + j · along_column`, (x, y) in pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Grid {
+    pub first: [f64; 2],
+    pub along_row: [f64; 2],
+    pub along_column: [f64; 2],
+}
+
+/// The appearance of a patch, in what Lucas–Kanade multiplies with an image: contrast and gradients along x and y.
+#[derive(Debug, Clone)]
+#[repr(align(32))]
+pub struct Appearance {
+    pub contrast: Patch,
+    pub gradient_x: Patch,
+    pub gradient_y: Patch,
+}
+
+impl Appearance {
+    /// All zero.
+    pub fn zero() -> Box<Self> {
+        let zero = [0.0; PATCH_SIDE * PATCH_SIDE];
+        Box::new(Self { contrast: zero, gradient_x: zero, gradient_y: zero })
+    }
+}
+
+/// What the hand-written sampling needs: the processor's AVX2, and an image whose offsets fit into 32 bits.
+#[cfg(target_arch = "x86_64")]
+fn samples_wide(image: &GrayImage) -> bool {
+    is_x86_feature_detected!("avx2") && i32::try_from(image.samples().len()).is_ok()
+}
+
+/// Samples an image bilinearly on a grid.
+///
+/// The grid must lie inside the image: 0 ≤ x ≤ width − 1 and 0 ≤ y ≤ height − 1 up to rounding. Elsewhere the values mean nothing (nothing
+/// outside the image is read). Panics where the image is smaller than 2x2.
+pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
+    assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
+    #[cfg(target_arch = "x86_64")]
+    if samples_wide(image) {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::sample_patch(image, grid, samples) };
+    }
+    scalar::sample_patch(image, grid, samples);
+}
+
+/// [`sample_patch`], and the products of the samples with contrast, gradient along x and gradient along y (see [`dot`]).
+pub fn sample_and_multiply(
+    image: &GrayImage,
+    grid: &Grid,
+    appearance: &Appearance,
+    samples: &mut Patch,
+) -> [f64; 3] {
+    assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
+    #[cfg(target_arch = "x86_64")]
+    if samples_wide(image) {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::sample_and_multiply(image, grid, appearance, samples) };
+    }
+    scalar::sample_and_multiply(image, grid, appearance, samples)
+}
+
+/// Makes of a scalar reference a kernel that uses AVX2 where the processor has it.
+macro_rules! widened {
+    ($(#[$doc:meta])* $name:ident($($argument:ident: $kind:ty),* $(,)?) $(-> $result:ty)?) => {
+        $(#[$doc])*
+        pub fn $name($($argument: $kind),*) $(-> $result)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn wide($($argument: $kind),*) $(-> $result)? {
+                    scalar::$name($($argument),*)
+                }
+                if is_x86_feature_detected!("avx2") {
+                    // SAFETY: the processor has AVX2, which is all that `wide` asks for.
+                    return unsafe { wide($($argument),*) };
+                }
+            }
+            scalar::$name($($argument),*)
+        }
+    };
+}
+
+widened! {
+    /// The sum of products of two patches. Eight running sums, one for every eighth sample, added in the end.
+    dot(a: &Patch, b: &Patch) -> f64
+}
+
+widened! {
+    /// The mean of a patch and the sum of the squared differences from it.
+    mean_and_energy(samples: &Patch) -> (f64, f64)
+}
+
+widened! {
+    /// Copies the patch whose first sample is (`left`, `top`) from an image, with its central differences (gray levels per pixel). One
+    /// sample around the patch is read; panics where that is outside.
+    copy_appearance(image: &GrayImage, left: usize, top: usize, appearance: &mut Appearance)
+}
+
+widened! {
+    /// Takes the mean off every sample.
+    remove_mean(samples: &mut Patch)
+}
+
+widened! {
+    /// Takes `share` times `other` off `samples`.
+    remove_share(samples: &mut Patch, share: f32, other: &Patch)
+}
+
+widened! {
+    /// The binomial 1 4 6 4 1 across five rows, `sums` as long as each of them.
+    blur_rows(a: &[u8], b: &[u8], c: &[u8], d: &[u8], e: &[u8], sums: &mut [u16])
+}
+
+/// The binomial 1 4 6 4 1 along a row of [`blur_rows`], of every second place, rounded to gray levels: output x is about input 2 x + 2.
+/// Panics unless there are at least `2 · out.len() + 3` sums.
+pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::blur_and_halve(sums, out) };
+    }
+    scalar::blur_and_halve(sums, out);
+}
+
+widened! {
+    /// The products of Scharr gradients of a row that `slots` held before are replaced by those of the middle one of three rows, and
+    /// `totals` keeps the sum over all rows' slots. Gradients are in 1/32 gray levels per pixel; the first and last of a row stay.
+    roll_gradient_products(
+        above: &[u8], here: &[u8], below: &[u8],
+        slot_xx: &mut [i32], slot_xy: &mut [i32], slot_yy: &mut [i32],
+        total_xx: &mut [i32], total_xy: &mut [i32], total_yy: &mut [i32],
+    )
+}
+
+widened! {
+    /// `to += weight · from`.
+    add_weighted(from: &[i32], weight: f32, to: &mut [f32])
+}
+
+widened! {
+    /// The smaller eigenvalue of the gradient matrix at each place of a row: its three entries are the sums of the columns
+    /// `x .. x + weights.len()`, weighted. Panics unless there are as many columns as `out` and the window need.
+    smaller_eigenvalues(xx: &[f32], xy: &[f32], yy: &[f32], weights: &[f32], out: &mut [f32])
+}
+
+widened! {
+    /// Marks with 1 the places of the middle row that are at least `least`, above the neighbours read before them and not below those
+    /// read after; with 0 the others, and the ends.
+    mark_local_maxima(above: &[f32], here: &[f32], below: &[f32], least: f32, marks: &mut [u8])
+}

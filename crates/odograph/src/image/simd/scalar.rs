@@ -1,0 +1,239 @@
+//! What each kernel means. Also what runs where the processor has nothing wider.
+//!
+//! `inline(always)`, so that the copies for wider registers are compiled with these bodies inside.
+
+use super::{Appearance, Grid, PATCH_SIDE, Patch};
+use crate::image::GrayImage;
+
+/// Running sums of a product. Their number is part of the meaning: it fixes the order of additions.
+const SUMS: usize = 8;
+
+#[inline(always)]
+pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
+    let (all, width) = (image.samples(), image.width());
+    let last = all.len() - width - 2;
+    let (dx, dy) = (grid.along_row[0] as f32, grid.along_row[1] as f32);
+    for (j, row) in samples.chunks_exact_mut(PATCH_SIDE).enumerate() {
+        let (x0, y0) = row_start(grid, j);
+        for (i, sample) in row.iter_mut().enumerate() {
+            let (x, y) = (x0 + dx * i as f32, y0 + dy * i as f32);
+            let (column, line) = (x as usize, y as usize);
+            let (fx, fy) = (x - column as f32, y - line as f32);
+            let at = (line.saturating_mul(width).saturating_add(column)).min(last);
+            let between = |left: u8, right: u8| f32::from(left) + fx * (f32::from(right) - f32::from(left));
+            let upper = between(all[at], all[at + 1]);
+            let lower = between(all[at + width], all[at + width + 1]);
+            *sample = upper + fy * (lower - upper);
+        }
+    }
+}
+
+/// Where row `j` of a grid begins.
+#[inline(always)]
+pub fn row_start(grid: &Grid, j: usize) -> (f32, f32) {
+    let at = |axis: usize| (grid.first[axis] + grid.along_column[axis] * j as f64) as f32;
+    (at(0), at(1))
+}
+
+#[inline(always)]
+pub fn sample_and_multiply(
+    image: &GrayImage,
+    grid: &Grid,
+    appearance: &Appearance,
+    samples: &mut Patch,
+) -> [f64; 3] {
+    sample_patch(image, grid, samples);
+    [&appearance.contrast, &appearance.gradient_x, &appearance.gradient_y].map(|a| dot(a, samples))
+}
+
+/// The sum of running sums.
+#[inline(always)]
+pub fn total(sums: [f32; SUMS]) -> f64 {
+    sums.iter().map(|&s| f64::from(s)).sum()
+}
+
+#[inline(always)]
+pub fn dot(a: &Patch, b: &Patch) -> f64 {
+    let mut sums = [0.0f32; SUMS];
+    for (a, b) in a.chunks_exact(SUMS).zip(b.chunks_exact(SUMS)) {
+        for i in 0..SUMS {
+            sums[i] += a[i] * b[i];
+        }
+    }
+    total(sums)
+}
+
+#[inline(always)]
+fn mean(samples: &Patch) -> f64 {
+    let mut sums = [0.0f32; SUMS];
+    for eight in samples.chunks_exact(SUMS) {
+        for i in 0..SUMS {
+            sums[i] += eight[i];
+        }
+    }
+    total(sums) / samples.len() as f64
+}
+
+#[inline(always)]
+pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
+    let mean = mean(samples);
+    let middle = mean as f32;
+    let mut sums = [0.0f32; SUMS];
+    for eight in samples.chunks_exact(SUMS) {
+        for i in 0..SUMS {
+            let difference = eight[i] - middle;
+            sums[i] += difference * difference;
+        }
+    }
+    (mean, total(sums))
+}
+
+#[inline(always)]
+pub fn copy_appearance(image: &GrayImage, left: usize, top: usize, appearance: &mut Appearance) {
+    for j in 0..PATCH_SIDE {
+        let row = |y: usize| &image.row(y)[left - 1..][..PATCH_SIDE + 2];
+        let (above, here, below) = (row(top + j - 1), row(top + j), row(top + j + 1));
+        let contrast = &mut appearance.contrast[j * PATCH_SIDE..][..PATCH_SIDE];
+        let gradient_x = &mut appearance.gradient_x[j * PATCH_SIDE..][..PATCH_SIDE];
+        let gradient_y = &mut appearance.gradient_y[j * PATCH_SIDE..][..PATCH_SIDE];
+        for i in 0..PATCH_SIDE {
+            contrast[i] = f32::from(here[i + 1]);
+            gradient_x[i] = 0.5 * (f32::from(here[i + 2]) - f32::from(here[i]));
+            gradient_y[i] = 0.5 * (f32::from(below[i + 1]) - f32::from(above[i + 1]));
+        }
+    }
+}
+
+#[inline(always)]
+pub fn remove_mean(samples: &mut Patch) {
+    let mean = mean(samples) as f32;
+    samples.iter_mut().for_each(|s| *s -= mean);
+}
+
+#[inline(always)]
+pub fn remove_share(samples: &mut Patch, share: f32, other: &Patch) {
+    samples.iter_mut().zip(other).for_each(|(s, o)| *s -= share * o);
+}
+
+#[inline(always)]
+pub fn blur_rows(a: &[u8], b: &[u8], c: &[u8], d: &[u8], e: &[u8], sums: &mut [u16]) {
+    let n = sums.len();
+    let (a, b, c, d, e) = (&a[..n], &b[..n], &c[..n], &d[..n], &e[..n]);
+    for x in 0..n {
+        let outer = u16::from(a[x]) + u16::from(e[x]);
+        let inner = u16::from(b[x]) + u16::from(d[x]);
+        sums[x] = outer + 4 * inner + 6 * u16::from(c[x]);
+    }
+}
+
+#[inline(always)]
+pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
+    if out.is_empty() {
+        return;
+    }
+    if out.is_empty() {
+        return;
+    }
+    // The largest total, 16 · 16 · 255 + 128, just fits into 16 bits.
+    let n = out.len();
+    let sums = &sums[..2 * n + 3];
+    let pairs = |from: usize| sums[from..][..2 * n].chunks_exact(2);
+    for ((sample, first), (second, third)) in
+        out.iter_mut().zip(pairs(0)).zip(pairs(2).zip(sums[4..].iter().step_by(2)))
+    {
+        let total = first[0] + third + 4 * (first[1] + second[1]) + 6 * second[0];
+        *sample = ((total + 128) >> 8) as u8;
+    }
+}
+
+#[inline(always)]
+pub fn roll_gradient_products(
+    above: &[u8],
+    here: &[u8],
+    below: &[u8],
+    slot_xx: &mut [i32],
+    slot_xy: &mut [i32],
+    slot_yy: &mut [i32],
+    total_xx: &mut [i32],
+    total_xy: &mut [i32],
+    total_yy: &mut [i32],
+) {
+    let n = here.len() - 2;
+    let [(a0, a1, a2), (h0, _, h2), (b0, b1, b2)] =
+        [above, here, below].map(|row| (&row[..n], &row[1..][..n], &row[2..][..n]));
+    let [slot_xx, slot_xy, slot_yy] = [slot_xx, slot_xy, slot_yy].map(|row| &mut row[1..][..n]);
+    let [total_xx, total_xy, total_yy] = [total_xx, total_xy, total_yy].map(|row| &mut row[1..][..n]);
+    for x in 0..n {
+        let v = |row: &[u8]| i32::from(row[x]);
+        let dx = 3 * (v(a2) - v(a0) + v(b2) - v(b0)) + 10 * (v(h2) - v(h0));
+        let dy = 3 * (v(b0) - v(a0) + v(b2) - v(a2)) + 10 * (v(b1) - v(a1));
+        let (xx, xy, yy) = (dx * dx, dx * dy, dy * dy);
+        total_xx[x] += xx - slot_xx[x];
+        total_xy[x] += xy - slot_xy[x];
+        total_yy[x] += yy - slot_yy[x];
+        slot_xx[x] = xx;
+        slot_xy[x] = xy;
+        slot_yy[x] = yy;
+    }
+}
+
+#[inline(always)]
+pub fn add_weighted(from: &[i32], weight: f32, to: &mut [f32]) {
+    to.iter_mut().zip(from).for_each(|(to, &from)| *to += weight * from as f32);
+}
+
+#[inline(always)]
+pub fn smaller_eigenvalues(xx: &[f32], xy: &[f32], yy: &[f32], weights: &[f32], out: &mut [f32]) {
+    const BLOCK: usize = 16; // so many places at a time keep their sums in registers
+    let whole = out.len() / BLOCK * BLOCK;
+    let (blocks, rest) = out.split_at_mut(whole);
+    for (block, out) in blocks.chunks_exact_mut(BLOCK).enumerate() {
+        let mut sums = [[0.0f32; BLOCK]; 3];
+        for (sums, row) in sums.iter_mut().zip([xx, xy, yy]) {
+            for (i, &weight) in weights.iter().enumerate() {
+                let row = &row[block * BLOCK + i..][..BLOCK];
+                for x in 0..BLOCK {
+                    sums[x] += weight * row[x];
+                }
+            }
+        }
+        for x in 0..BLOCK {
+            out[x] = smaller_eigenvalue(sums[0][x], sums[1][x], sums[2][x]);
+        }
+    }
+    for (x, out) in rest.iter_mut().enumerate() {
+        let sum = |row: &[f32]| {
+            let row = &row[whole + x..][..weights.len()];
+            weights.iter().zip(row).fold(0.0f32, |sum, (weight, value)| sum + weight * value)
+        };
+        *out = smaller_eigenvalue(sum(xx), sum(xy), sum(yy));
+    }
+}
+
+/// Of the symmetric matrix (xx xy; xy yy).
+#[inline(always)]
+fn smaller_eigenvalue(xx: f32, xy: f32, yy: f32) -> f32 {
+    let half_trace = 0.5 * (xx + yy);
+    let half_difference = 0.5 * (xx - yy);
+    half_trace - (half_difference * half_difference + xy * xy).sqrt()
+}
+
+#[inline(always)]
+pub fn mark_local_maxima(above: &[f32], here: &[f32], below: &[f32], least: f32, marks: &mut [u8]) {
+    marks.fill(0);
+    if marks.len() < 3 {
+        return;
+    }
+    let n = marks.len() - 2;
+    let (a0, a1, a2) = (&above[..n], &above[1..][..n], &above[2..][..n]);
+    let (h0, h1, h2) = (&here[..n], &here[1..][..n], &here[2..][..n]);
+    let (b0, b1, b2) = (&below[..n], &below[1..][..n], &below[2..][..n]);
+    let marks = &mut marks[1..][..n];
+    for x in 0..n {
+        let s = h1[x];
+        // `&` and not `&&`: no branches, so that many places are judged at once.
+        let before = (s > a0[x]) & (s > a1[x]) & (s > a2[x]) & (s > h0[x]);
+        let after = (s >= h2[x]) & (s >= b0[x]) & (s >= b1[x]) & (s >= b2[x]);
+        marks[x] = u8::from((s >= least) & before & after);
+    }
+}

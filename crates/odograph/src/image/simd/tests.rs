@@ -1,0 +1,148 @@
+//! The kernels against their scalar references: the same bits. On a processor without AVX2 these compare the references with themselves.
+
+use super::*;
+use proptest::prelude::*;
+
+fn random(seed: u32) -> impl Iterator<Item = u8> {
+    let mut state = seed;
+    std::iter::repeat_with(move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    })
+}
+
+fn random_image(width: usize, height: usize, seed: u32) -> GrayImage {
+    GrayImage::from_samples(width, height, random(seed).take(width * height).collect()).unwrap()
+}
+
+fn random_patch(seed: u32) -> Patch {
+    let mut values = random(seed);
+    [(); 256].map(|()| f32::from(values.next().unwrap_or(0)) * 0.37 - 40.0)
+}
+
+/// A grid of any direction that fits into the image, pushed against the border it is nearest to where `touching`.
+fn grid(width: usize, height: usize, linear: [f64; 4], place: [f64; 2], touching: bool) -> Option<Grid> {
+    let [xx, xy, yx, yy] = linear;
+    let reach = [7.5 * (xx.abs() + xy.abs()), 7.5 * (yx.abs() + yy.abs())];
+    let mut first = [0.0; 2];
+    for (axis, size) in [width, height].into_iter().enumerate() {
+        let room = size as f64 - 1.0 - 2.0 * reach[axis];
+        if room <= 0.01 {
+            return None;
+        }
+        // The largest value below `room` keeps the last sample inside.
+        let part = if touching { place[axis].round() * 0.999_999 } else { place[axis] };
+        first[axis] = reach[axis] + part * room;
+    }
+    Some(Grid {
+        first: [first[0] - 7.5 * (xx + xy), first[1] - 7.5 * (yx + yy)],
+        along_row: [xx, yx],
+        along_column: [xy, yy],
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn patches_are_sampled_as_the_reference_samples_them(
+        width in 17usize..70, height in 17usize..70, seed in any::<u32>(),
+        linear in prop::array::uniform4(-1.5..1.5f64), place in prop::array::uniform2(0.0..1.0f64), touching in any::<bool>(),
+    ) {
+        let Some(grid) = grid(width, height, linear, place, touching) else { return Ok(()) };
+        let image = random_image(width, height, seed);
+        let appearance = Appearance {
+            contrast: random_patch(seed ^ 1),
+            gradient_x: random_patch(seed ^ 2),
+            gradient_y: random_patch(seed ^ 3),
+        };
+        let (mut expected, mut found, mut sampled) = ([0.0; 256], [0.0; 256], [0.0; 256]);
+        let products = scalar::sample_and_multiply(&image, &grid, &appearance, &mut expected);
+        prop_assert_eq!(sample_and_multiply(&image, &grid, &appearance, &mut found), products);
+        sample_patch(&image, &grid, &mut sampled);
+        prop_assert_eq!(found, expected);
+        prop_assert_eq!(sampled, expected);
+    }
+
+    #[test]
+    fn sums_over_patches_are_those_of_the_reference(seed in any::<u32>(), share in -1.0..1.0f32) {
+        let (a, b) = (random_patch(seed), random_patch(seed ^ 1));
+        prop_assert_eq!(dot(&a, &b), scalar::dot(&a, &b));
+        prop_assert_eq!(mean_and_energy(&a), scalar::mean_and_energy(&a));
+        let (mut found, mut expected) = (a, a);
+        remove_mean(&mut found);
+        scalar::remove_mean(&mut expected);
+        prop_assert_eq!(found, expected);
+        remove_share(&mut found, share, &b);
+        scalar::remove_share(&mut expected, share, &b);
+        prop_assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn rows_are_blurred_as_the_reference_blurs_them(half in 1usize..80, spare in 0usize..3, seed in any::<u32>()) {
+        let width = 2 * half + 3 + spare;
+        let rows: Vec<Vec<u8>> = (0..5).map(|i| random(seed ^ i).take(width).collect()).collect();
+        let (mut found, mut expected) = (vec![0; width], vec![0; width]);
+        blur_rows(&rows[0], &rows[1], &rows[2], &rows[3], &rows[4], &mut found);
+        scalar::blur_rows(&rows[0], &rows[1], &rows[2], &rows[3], &rows[4], &mut expected);
+        prop_assert_eq!(&found, &expected);
+        let (mut halved, mut expected) = (vec![0; half], vec![0; half]);
+        blur_and_halve(&found, &mut halved);
+        scalar::blur_and_halve(&found, &mut expected);
+        prop_assert_eq!(halved, expected);
+    }
+
+    #[test]
+    fn corner_strengths_are_those_of_the_reference(width in 7usize..90, radius in 1usize..3, seed in any::<u32>()) {
+        let rows: Vec<Vec<u8>> = (0..3).map(|i| random(seed ^ i).take(width).collect()).collect();
+        let mut found: Vec<Vec<i32>> = (0..6).map(|i| vec![i; width]).collect();
+        let mut expected = found.clone();
+        let roll = |to: &mut Vec<Vec<i32>>, wide: bool| {
+            let [a, b, c, d, e, f] = to.as_mut_slice() else { return };
+            if wide {
+                roll_gradient_products(&rows[0], &rows[1], &rows[2], a, b, c, d, e, f);
+            } else {
+                scalar::roll_gradient_products(&rows[0], &rows[1], &rows[2], a, b, c, d, e, f);
+            }
+        };
+        roll(&mut found, true);
+        roll(&mut expected, false);
+        prop_assert_eq!(&found, &expected);
+        let columns: Vec<Vec<f32>> = found[..3].iter().map(|row| {
+            let mut column = vec![0.5; width];
+            add_weighted(row, 0.01, &mut column);
+            column
+        }).collect();
+        let weights = vec![0.2; 2 * radius + 1];
+        let (mut strengths, mut expected) = (vec![0.0; width - 2 * radius], vec![0.0; width - 2 * radius]);
+        smaller_eigenvalues(&columns[0], &columns[1], &columns[2], &weights, &mut strengths);
+        scalar::smaller_eigenvalues(&columns[0], &columns[1], &columns[2], &weights, &mut expected);
+        prop_assert_eq!(&strengths, &expected);
+        let (mut marks, mut expected) = (vec![9; strengths.len()], vec![9; strengths.len()]);
+        let shifted: Vec<f32> = strengths.iter().rev().copied().collect();
+        mark_local_maxima(&shifted, &strengths, &shifted, 0.02, &mut marks);
+        scalar::mark_local_maxima(&shifted, &strengths, &shifted, 0.02, &mut expected);
+        prop_assert_eq!(marks, expected);
+    }
+
+    #[test]
+    fn appearances_are_those_of_the_reference(left in 1usize..10, top in 1usize..10, seed in any::<u32>()) {
+        let image = random_image(28, 28, seed);
+        let (mut found, mut expected) = (Appearance::zero(), Appearance::zero());
+        copy_appearance(&image, left, top, &mut found);
+        scalar::copy_appearance(&image, left, top, &mut expected);
+        prop_assert_eq!(found.contrast, expected.contrast);
+        prop_assert_eq!(found.gradient_x, expected.gradient_x);
+        prop_assert_eq!(found.gradient_y, expected.gradient_y);
+    }
+}
+
+#[test]
+fn a_place_that_is_not_one_is_read_nowhere() {
+    let image = random_image(40, 30, 3);
+    let mut samples = [0.0; 256];
+    for value in [f64::NAN, f64::INFINITY, -1e30, 1e30, -5.0, 1e9] {
+        let grid = Grid { first: [value, 5.0], along_row: [1.0, value], along_column: [0.0, 1.0] };
+        sample_patch(&image, &grid, &mut samples);
+    }
+}
