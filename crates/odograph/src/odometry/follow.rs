@@ -42,8 +42,20 @@ pub fn measure(
     wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
-    measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, wander, random)
+    let first = measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, wander, random)?;
+    if config.motion.model == MotionModel::Mean {
+        return Ok(first);
+    }
+    // Once more from where it was found: corners that were out of reach are now within.
+    let found = first.estimate.pose;
+    Ok(match measure_near(keyframe, pyramid, camera, &found, FOUND_WITHIN_PX, config, wander, random) {
+        Ok(again) if again.support >= first.support => Measurement { prediction: first.prediction, ..again },
+        _ => first,
+    })
 }
+
+/// A pose that was found from few corners is still right to about this much in the image, pixels.
+const FOUND_WITHIN_PX: f64 = 2.0;
 
 /// Measures the pose of a frame against a keyframe where the prediction is off by no more than `off_px` in the image.
 pub fn measure_near(

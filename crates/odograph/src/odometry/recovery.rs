@@ -188,13 +188,9 @@ impl Search<'_> {
         let pose = hypothesis.pose(&keyframe.pose, last);
         // Whole turns are kept.
         let heading_rad = last.heading_rad + wrap_angle(pose.heading_rad - last.heading_rad);
-        let mut measure = |from: &GroundPose| {
-            follow::measure(keyframe, pyramid, self.camera, from, self.config, self.wander, random).ok()
-        };
-        let first = measure(&GroundPose { heading_rad, ..pose })?;
-        // Once more from where it was found: corners that were out of reach are now within.
-        let again = measure(&first.estimate.pose).filter(|again| again.support >= first.support);
-        let measurement = again.unwrap_or(first);
+        let from = GroundPose { heading_rad, ..pose };
+        let measurement =
+            follow::measure(keyframe, pyramid, self.camera, &from, self.config, self.wander, random).ok()?;
         let presence = follow::presence(keyframe, self.camera, &measurement.estimate);
         Some((measurement, presence))
     }

@@ -148,6 +148,27 @@ fn unknown_ground_after_a_loss_is_a_new_segment() {
 }
 
 #[test]
+fn a_moving_camera_is_expected_where_it_would_be_after_darkness() {
+    // Two seconds of darkness at a steady pace, further than one image: nothing that is seen afterwards was seen before.
+    let world = World::new("asphalt");
+    let step_m = 0.03;
+    let place = |i: usize| at(step_m * i as f64, 0.0, 0.0);
+    let mut poses: Vec<_> = (0..12).map(place).collect();
+    poses.extend((0..60).map(|_| None));
+    poses.extend((72..86).map(place));
+    let frames = world.run(&mut world.odometry(), &poses);
+    assert!(frames[12..72].iter().all(|frame| frame.estimate.is_none()), "darkness was measured");
+    let anew: Vec<_> =
+        frames[72..].iter().zip(&poses[72..]).filter(|(frame, _)| frame.estimate.is_some()).collect();
+    assert!(anew.len() >= 5, "{:?}", frames[70..].iter().map(|f| (f.status, f.tracks)).collect::<Vec<_>>());
+    for (frame, truth) in anew {
+        assert_eq!(frame.segment, 1);
+        // The pace was known to a hundredth; over 1.8 m that is 18 mm.
+        assert!(errors(frame, truth).0 < 30.0, "{frame:?}");
+    }
+}
+
+#[test]
 fn a_jump_over_tiles_is_right_or_said_to_be_lost() {
     let world = World::new("tiles");
     // Two and a half tiles, one tile, and a quarter turn about a crossing of joints.
