@@ -1,6 +1,8 @@
 //! The program on real recordings with known truth. They are not part of the project: the tests look for them in the folder that
 //! `ODOGRAPH_DATA` names, or in `../shared/data` beside the checkout, and say so where they are absent.
 
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking, and says why it skips
+
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
 use odograph::formats::trajectory_file::{StampedPose, Trajectory, parse_tum};
@@ -58,7 +60,8 @@ fn checkerboard_truth(folder: &Path) -> Trajectory {
         let [wx, wy, wz, tx, ty, tz] = v[..] else { return None };
         let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::new(Vector3::new(wx, wy, wz)));
         let world_from_camera = Isometry3::from_parts(Translation3::new(tx, ty, tz), rotation).inverse();
-        let upright = if world_from_camera.translation.z < 0.0 { flip * world_from_camera } else { world_from_camera };
+        let upright =
+            if world_from_camera.translation.z < 0.0 { flip * world_from_camera } else { world_from_camera };
         Some(StampedPose { time_s: number as f64 / 30.0, world_from_camera: upright })
     });
     Trajectory { poses: poses.collect() }
@@ -72,7 +75,10 @@ fn a_hand_held_camera_over_a_checkerboard_is_followed_from_its_first_frame_to_it
     let camera = camera_file((752, 480), (419.97, 419.31), (353.93, 250.78), [-0.31418, 0.10884, 0.0, 0.0]);
     fs::write(work.path().join("camera.yaml"), camera).unwrap();
     let first = GroundPose::from_world_from_camera(&truth.poses[0].world_from_camera);
-    let rig = format!("height_m = {}\nroll_rad = {}\npitch_rad = {}\n", first.height_m, first.roll_rad, first.pitch_rad);
+    let rig = format!(
+        "height_m = {}\nroll_rad = {}\npitch_rad = {}\n",
+        first.height_m, first.roll_rad, first.pitch_rad
+    );
     fs::write(work.path().join("rig.toml"), rig).unwrap();
     for model in ["free", "auto"] {
         let found = run(&folder.join("images"), work.path(), &["--fps", "30", "--motion", model, "--force"]);

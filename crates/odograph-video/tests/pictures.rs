@@ -184,7 +184,7 @@ fn deep_transparent_and_colored_pictures() {
         let options = SourceOptions { color, ..SourceOptions::default() };
         read(&folder.path().join("one.png"), &options).unwrap().0.remove(0)
     };
-    let deep = one(png(ColorType::Grayscale, BitDepth::Sixteen, 2, 1, &[0x12, 0x7f, 0x12, 0x80]), false);
+    let deep = one(png(ColorType::Grayscale, BitDepth::Sixteen, 2, 1, &[0x12, 0x92, 0x12, 0x93]), false);
     assert_eq!(deep.gray.samples(), [0x12, 0x13]);
     let gray_alpha =
         one(png(ColorType::GrayscaleAlpha, BitDepth::Eight, 3, 1, &[200, 255, 200, 0, 200, 51]), false);
@@ -203,7 +203,7 @@ fn tiff_pictures() {
     let mut bytes = std::io::Cursor::new(Vec::new());
     tiff::encoder::TiffEncoder::new(&mut bytes)
         .unwrap()
-        .write_image::<tiff::encoder::colortype::Gray16>(2, 1, &[0x1280, 0xffff])
+        .write_image::<tiff::encoder::colortype::Gray16>(2, 1, &[0x1293, 0xffff])
         .unwrap();
     let folder = folder(&[("a.tif", bytes.into_inner())]);
     assert_eq!(read(folder.path(), &SourceOptions::default()).unwrap().0[0].gray.samples(), [0x13, 255]);

@@ -68,7 +68,8 @@ impl MotionModel {
 pub struct MotionConfig {
     /// What may change between frames.
     pub model: MotionModel,
-    /// A track further than this from where a movement puts it speaks against that movement, pixels.
+    /// A track further than this from where a movement puts it speaks against that movement, pixels of an image 640 wide; the
+    /// pipeline takes more for wider ones, in proportion.
     pub inlier_px: f64,
     /// Fewer agreeing tracks than this are no measurement.
     pub minimum_inliers: usize,

@@ -127,6 +127,9 @@ impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         let first_pose = rig.validated()?.first_pose();
+        let mut config = config.validated()?;
+        // Blur, rolling shutters and what stands a little above the ground grow with the image.
+        config.motion.inlier_px *= (camera.width() as f64 / 640.0).max(1.0);
         Ok(Self {
             recovery: Recovery::new(&camera),
             camera,
@@ -134,7 +137,7 @@ impl Odometry {
             first_pose,
             wander: RigWander::new(&first_pose),
             keyframe: None,
-            memory: KeyframeMemory::new(config.validated()?.keyframe.remembered),
+            memory: KeyframeMemory::new(config.keyframe.remembered),
             last: None,
             filter: None,
             candidate: None,
