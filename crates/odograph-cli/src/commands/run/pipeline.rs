@@ -53,19 +53,19 @@ pub fn track(
         folder,
     };
     let mut decoding = Decoding { source, times: Vec::new() };
-    let mut laying =
-        Laying { camera: plan.camera.clone(), mosaic: Mosaic::new(Default::default()), times: Vec::new() };
+    let mut laying = Laying::new(plan.camera.clone());
     let outcome = match arguments.threads.map_or(3, usize::from) {
         1 => one_by_one(&mut decoding, &mut tracking, &mut laying),
         threads => side_by_side(&mut decoding, &mut tracking, &mut laying, threads),
     };
     tracking.progress.finish_and_clear();
+    let (mosaic, map_times) = laying.finished();
     Ok(Tracked {
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
-        mosaic: laying.mosaic,
+        mosaic,
         warnings: decoding.source.take_warnings(),
-        times: StageTimes { decode: decoding.times, track: tracking.times, map: laying.times },
+        times: StageTimes { decode: decoding.times, track: tracking.times, map: map_times },
         interrupted: interrupt::asked(),
         failure: outcome.err(),
     })
@@ -75,7 +75,7 @@ pub fn track(
 fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, laying: &mut Laying) -> Result<()> {
     while let Some(frame) = decoding.next()? {
         if let Some(posed) = tracking.next(frame)? {
-            laying.next(&posed);
+            laying.next(posed);
         }
     }
     Ok(())
@@ -101,7 +101,7 @@ fn side_by_side(
         });
         let mut here = None;
         let mapper = if threads > 2 {
-            Some(scope.spawn(move || posed_out.iter().for_each(|posed| laying.next(&posed))))
+            Some(scope.spawn(move || posed_out.iter().for_each(|posed| laying.next(posed))))
         } else {
             drop(posed_out);
             here = Some(laying);
@@ -110,7 +110,7 @@ fn side_by_side(
         let outcome = frames_out.iter().try_for_each(|frame| -> Result<()> {
             if let Some(posed) = tracking.next(frame)? {
                 match &mut here {
-                    Some(laying) => laying.next(&posed),
+                    Some(laying) => laying.next(posed),
                     None => drop(posed_in.send(posed)),
                 }
             }
@@ -160,6 +160,7 @@ struct Tracking<'a> {
 struct Posed {
     frame: Frame,
     pose: GroundPose,
+    segment: usize,
 }
 
 impl Tracking<'_> {
@@ -171,8 +172,9 @@ impl Tracking<'_> {
         self.folder.record(&estimate)?;
         self.progress.inc(1);
         let pose = estimate.estimate.as_ref().map(|known| known.pose);
+        let segment = estimate.segment;
         self.frames.push(estimate);
-        Ok(pose.map(|pose| Posed { frame, pose }))
+        Ok(pose.map(|pose| Posed { frame, pose, segment }))
     }
 }
 
@@ -181,19 +183,42 @@ struct Laying {
     camera: Camera,
     mosaic: Mosaic,
     times: Vec<Duration>,
+    /// The frame before, where it was not laid: laid after all when it turns out to be the last of its stretch.
+    before: Option<Posed>,
 }
 
 impl Laying {
-    fn next(&mut self, posed: &Posed) {
+    fn new(camera: Camera) -> Self {
+        Self { camera, mosaic: Mosaic::new(Default::default()), times: Vec::new(), before: None }
+    }
+
+    fn next(&mut self, posed: Posed) {
         let started = Instant::now();
+        if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
+            self.lay(&before);
+        }
         if self.mosaic.wants(&self.camera, &posed.pose) {
-            if posed.frame.has_color() {
-                self.mosaic.add(&posed.frame.rgb(), &self.camera, &posed.pose);
-            } else {
-                self.mosaic.add(&posed.frame.gray, &self.camera, &posed.pose);
-            }
+            self.lay(&posed);
+        } else {
+            self.before = Some(posed);
         }
         self.times.push(started.elapsed());
+    }
+
+    fn lay(&mut self, posed: &Posed) {
+        if posed.frame.has_color() {
+            self.mosaic.add(&posed.frame.rgb(), &self.camera, &posed.pose);
+        } else {
+            self.mosaic.add(&posed.frame.gray, &self.camera, &posed.pose);
+        }
+    }
+
+    /// The mosaic with the last frame on it.
+    fn finished(mut self) -> (Mosaic, Vec<Duration>) {
+        if let Some(before) = self.before.take() {
+            self.lay(&before);
+        }
+        (self.mosaic, self.times)
     }
 }
 
