@@ -3,7 +3,7 @@
 use super::charts::over_time;
 use super::figures::{Figures, in_words, sigmas, weakest};
 use odograph::camera::{Camera, Distortion, Rig};
-use odograph::mapping::drawing::scale::{duration_text, length_text};
+use odograph::mapping::drawing::scale::{duration_text, label, length_text};
 use odograph::mapping::drawing::svg::{data_uri, escape};
 use odograph::mapping::{MapDrawing, Placement};
 use odograph::trajectory::FrameEstimate;
@@ -199,8 +199,9 @@ fn position_text(x_m: f64, y_m: f64) -> String {
     format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
 }
 
+/// A number with so many decimals; one that rounds to zero has no sign.
 fn number(value: f64, decimals: usize) -> String {
-    format!("{value:.decimals$}").replace('-', "−")
+    label(value, 10f64.powi(-(decimals as i32)))
 }
 
 fn ground(input: &ReportInput<'_>, page: &mut String) {

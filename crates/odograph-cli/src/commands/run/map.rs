@@ -12,7 +12,10 @@ use odograph::mapping::{Backdrop, MapDrawing};
 pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut OutputFolder) -> Result<()> {
     let name = plan.source.path.trim_end_matches(['/', '\\']);
     let title = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    if let Some(mosaic) = tracked.mosaic.picture() {
+    let mosaic = tracked.mosaic.picture();
+    // The page tells of the picture in the folder, though it shows a smaller one.
+    let placement = mosaic.as_ref().map(|mosaic| mosaic.placement);
+    if let Some(mosaic) = mosaic {
         let png = files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba)?;
         folder.write("mosaic.png", &png)?;
         folder.write("mosaic.pgw", mosaic.placement.world_file().as_bytes())?;
@@ -46,7 +49,7 @@ pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut 
             png,
             width_px: mosaic.width,
             height_px: mosaic.height,
-            placement: mosaic.placement,
+            placement: placement.unwrap_or(mosaic.placement),
             file_name: "mosaic.png",
         }),
         run_toml: &plan.text()?,
