@@ -1,7 +1,7 @@
 //! `odograph demo`: the bundled drive, end to end.
 
 use super::run::{self, OutputArguments, RunArguments};
-use crate::{Outcome, files};
+use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
 use odograph::evaluation::{self, Alignment, EvaluationOptions};
 use odograph::formats::trajectory_file;
@@ -33,7 +33,6 @@ pub struct DemoArguments {
 }
 
 /// Runs the command.
-#[allow(clippy::print_stdout)] // results are what standard output is for
 pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     let folder = &arguments.output;
     let unpacked = folder.join("input");
@@ -50,16 +49,14 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     let truth = unpack("truth.tum", TRUTH.as_bytes())?;
     let told = !arguments.quiet && !arguments.json;
     if told {
-        println!(
-            "A drive of half a minute over photographed floors; this is what you would type for a recording of your own:\n"
-        );
-        println!(
-            "  odograph run {} --camera {} --rig {} -o {}\n",
+        console::print(&format!(
+            "A drive of half a minute over photographed floors; this is what you would type for a recording of your own:\n\n  \
+             odograph run {} --camera {} --rig {} -o {}\n\n",
             clip.display(),
             camera.display(),
             rig.display(),
             folder.display()
-        );
+        ))?;
     }
     let outcome = run::run(RunArguments {
         source: clip.display().to_string(),
@@ -80,17 +77,16 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
 }
 
 /// Tells how far the path is from the truth.
-#[allow(clippy::print_stdout)]
 fn compare(folder: &Path, truth: &Path) -> Result<()> {
     let estimate = trajectory_file::parse_tum(&files::read_text(&folder.join("trajectory.tum"))?)?;
     let options = EvaluationOptions { alignment: Alignment::Origin, ..Default::default() };
     let found = evaluation::evaluate(&estimate, &trajectory_file::parse_tum(TRUTH)?, &options)?;
-    println!(
-        "Against the truth: {:.1} mm off on average, {:.1} mm at the end of {:.1} m.",
+    console::print(&format!(
+        "Against the truth: {:.1} mm off on average, {:.1} mm at the end of {:.1} m.\n  odograph evaluate {} {}\n",
         1e3 * found.absolute.translation.mean,
         1e3 * found.final_position_error_m,
-        found.truth_length_m
-    );
-    println!("  odograph evaluate {} {}", folder.join("trajectory.tum").display(), truth.display());
-    Ok(())
+        found.truth_length_m,
+        folder.join("trajectory.tum").display(),
+        truth.display()
+    ))
 }

@@ -254,18 +254,17 @@ pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
     let output = Output::prepared(&arguments, &simulation)?;
     output.write(&simulation, &parameters)?;
     if !arguments.quiet {
-        tell(&arguments, &simulation);
+        tell(&arguments, &simulation)?;
     }
     Ok(Outcome::Done)
 }
 
-#[allow(clippy::print_stdout)] // the result of the command
-fn tell(arguments: &SimulateArguments, simulation: &Simulation) {
+fn tell(arguments: &SimulateArguments, simulation: &Simulation) -> Result<()> {
     let last_s = simulation.times_s().last().copied().unwrap_or(0.0);
-    println!(
-        "{}: {} frames, {last_s:.2} s, {:.2} m of path; truth.tum, camera.yaml and rig.toml lie beside them",
+    crate::console::print(&format!(
+        "{}: {} frames, {last_s:.2} s, {:.2} m of path; truth.tum, camera.yaml and rig.toml lie beside them\n",
         arguments.output.display(),
         simulation.len(),
         simulation.config().path.length_m(),
-    );
+    ))
 }
