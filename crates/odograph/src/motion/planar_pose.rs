@@ -187,10 +187,6 @@ pub fn refine(
             break;
         }
     }
-    // Tracks that scatter over the whole inlier distance agree by chance.
-    if scale_px > 0.6 * config.inlier_px {
-        return None;
-    }
     let inliers: Vec<bool> = weights.iter().map(|&w| w > 0.0).collect();
     let count = inliers.iter().filter(|&&i| i).count();
     if count <= unknowns.count {
