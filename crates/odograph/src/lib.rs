@@ -12,6 +12,7 @@ pub mod error;
 pub mod geometry;
 pub mod image;
 pub mod camera;
+pub mod calibration;
 pub mod correction;
 pub mod detection;
 pub mod flow;
