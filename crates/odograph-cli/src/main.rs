@@ -26,6 +26,7 @@ enum Command {
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
     Undistort(commands::undistort::UndistortArguments),
+    Camera(commands::camera::CameraArguments),
 }
 
 /// How a command that did not fail ended.
@@ -47,6 +48,7 @@ fn main() -> ExitCode {
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
         Command::Undistort(arguments) => commands::undistort::undistort(arguments),
+        Command::Camera(arguments) => commands::camera::camera(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
