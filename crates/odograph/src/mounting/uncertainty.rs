@@ -123,6 +123,11 @@ fn coefficient<'a>(distortion: &'a mut Distortion, name: &str) -> Option<&'a mut
             ];
             all.into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
         }
+        Distortion::DoubleSphere { xi, alpha } => match name {
+            "xi" => Some(xi),
+            "alpha" => Some(alpha),
+            _ => None,
+        },
         Distortion::KannalaBrandt { k1, k2, k3, k4 } => {
             let all = [("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4)];
             all.into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
