@@ -5,5 +5,7 @@
 
 mod board;
 mod dictionary;
+mod drawing;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
+pub use drawing::{Drawing, Rectangle, Shape};
