@@ -4,5 +4,6 @@
 //! were seen, and at which pixels.
 
 mod board;
+mod finder;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
