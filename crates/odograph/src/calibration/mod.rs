@@ -6,4 +6,5 @@
 mod board;
 mod finder;
 
+pub use finder::{BoardFinder, NotFound};
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
