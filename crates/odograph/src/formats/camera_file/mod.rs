@@ -11,6 +11,7 @@ mod writing;
 mod yaml;
 
 pub use writing::{CameraFormat, write_as};
+pub(super) use writing::number;
 
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
