@@ -27,6 +27,7 @@ enum Command {
     Evaluate(commands::evaluate::EvaluateArguments),
     Undistort(commands::undistort::UndistortArguments),
     Camera(commands::camera::CameraArguments),
+    Ground(commands::ground::GroundArguments),
 }
 
 /// How a command that did not fail ended.
@@ -49,6 +50,7 @@ fn main() -> ExitCode {
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
         Command::Undistort(arguments) => commands::undistort::undistort(arguments),
         Command::Camera(arguments) => commands::camera::camera(arguments),
+        Command::Ground(arguments) => commands::ground::ground(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -6,10 +6,12 @@
 //! Principal points follow OpenCV: pixel centres at integers. COLMAP's are half a pixel larger and are brought over.
 
 mod colmap;
+mod uncertainty;
 mod value;
 mod writing;
 mod yaml;
 
+pub use uncertainty::parse_uncertainty;
 pub use writing::{CameraFormat, write_as};
 pub(super) use writing::number;
 

@@ -169,7 +169,7 @@ pub(super) fn numbers(values: &[f64]) -> String {
 
 /// The shortest digits that read back as the same number, always with a point, and with a sign in the exponent: without either, YAML
 /// 1.1 (Python's reader, and so Kalibr's and ROS's) takes `1e-5` for a word.
-pub(super) fn number(value: f64) -> String {
+pub(in crate::formats) fn number(value: f64) -> String {
     let shortest = format!("{value:?}");
     let Some((mantissa, exponent)) = shortest.split_once('e') else {
         return shortest;
