@@ -186,8 +186,10 @@ fn measure(row: &Row, seed: u64) -> Result<Figures> {
     let (mut estimate, mut truth) = (Trajectory::default(), Trajectory::default());
     let (mut squares, mut compared) = (0.0, 0usize);
     for frame in (0..simulation.len()).map_while(|number| simulation.frame(number)) {
-        let stamped =
-            |pose: GroundPose| StampedPose { time_s: frame.time_s, world_from_camera: pose.world_from_camera() };
+        let stamped = |pose: GroundPose| StampedPose {
+            time_s: frame.time_s,
+            world_from_camera: pose.world_from_camera(),
+        };
         truth.poses.push(stamped(frame.truth));
         let tracked = odometry.process(frame.image, frame.time_s)?;
         let Some(known) = tracked.estimate else { continue };
@@ -245,7 +247,8 @@ fn main() -> Result<()> {
             words.is_empty() || words.iter().any(|word| all.contains(word.as_str()))
         })
         .collect();
-    let jobs: Vec<(usize, u64)> = (0..rows.len()).flat_map(|row| (0..seeds).map(move |seed| (row, seed))).collect();
+    let jobs: Vec<(usize, u64)> =
+        (0..rows.len()).flat_map(|row| (0..seeds).map(move |seed| (row, seed))).collect();
     let results = Mutex::new(vec![Vec::new(); rows.len()]);
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
