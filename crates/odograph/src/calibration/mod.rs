@@ -4,5 +4,8 @@
 //! were seen, and at which pixels.
 
 mod board;
+mod dictionary;
+mod drawing;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
+pub use drawing::{Drawing, Rectangle, Shape};
