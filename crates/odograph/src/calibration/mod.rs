@@ -4,7 +4,10 @@
 //! were seen, and at which pixels.
 
 mod board;
+mod dictionary;
+mod drawing;
 mod finder;
 
-pub use finder::{BoardFinder, NotFound};
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
+pub use drawing::{Drawing, Rectangle, Shape};
+pub use finder::{BoardFinder, NotFound};
