@@ -6,6 +6,8 @@
 mod board;
 mod dictionary;
 mod drawing;
+mod finder;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
 pub use drawing::{Drawing, Rectangle, Shape};
+pub use finder::{BoardFinder, NotFound};
