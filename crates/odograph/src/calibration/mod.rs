@@ -5,5 +5,7 @@
 
 mod board;
 mod dictionary;
+mod finder;
 
+pub use finder::{BoardFinder, NotFound};
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
