@@ -5,7 +5,9 @@
 
 mod board;
 mod dictionary;
+mod drawing;
 mod finder;
 
 pub use finder::{BoardFinder, NotFound};
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
+pub use drawing::{Drawing, Rectangle, Shape};
