@@ -174,10 +174,17 @@ fn figures(measured: &Measured) -> String {
         deviation.map_or(otherwise.to_owned(), |value| format!("± {:.3}{name}", value * unit))
     };
     let degrees = |angle: f64, deviation: Option<f64>| {
-        format!("{:.3}° {}", angle.to_degrees(), within(deviation, 180.0 / std::f64::consts::PI, "°", "(given)"))
+        format!(
+            "{:.3}° {}",
+            angle.to_degrees(),
+            within(deviation, 180.0 / std::f64::consts::PI, "°", "(given)")
+        )
     };
     let yaw = if measured.forward_known {
-        format!("{}, from forward to the top of the image, counter-clockwise", degrees(rig.yaw_rad, deviations.yaw_rad))
+        format!(
+            "{}, from forward to the top of the image, counter-clockwise",
+            degrees(rig.yaw_rad, deviations.yaw_rad)
+        )
     } else {
         "not measured: the top of the image is taken as forward".to_owned()
     };

@@ -34,9 +34,10 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<Measured> {
         FloorBoard { board, thickness_m: arguments.thickness.unwrap_or(0.0), forward: arguments.forward };
     let found = look(arguments, &board)?;
     let Some(frame) = found.first else {
-        let why = found.without.first().map_or("there is no picture".to_owned(), |(name, why)| {
-            format!("{why} in {name}")
-        });
+        let why = found
+            .without
+            .first()
+            .map_or("there is no picture".to_owned(), |(name, why)| format!("{why} in {name}"));
         return Err(Error::input(format!(
             "no {board} lies on the floor in any of the {} pictures: {why}",
             found.frames

@@ -6,9 +6,7 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
 use odograph::image::RgbImage;
-use odograph::mounting::{
-    DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement,
-};
+use odograph::mounting::{DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement};
 use odograph::odometry::{Odometry, OdometryConfig};
 
 /// One pass over the recording.
@@ -25,10 +23,14 @@ const AGAIN_DEG: f64 = 0.1;
 
 pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     let [path] = arguments.sources.as_slice() else {
-        return Err(Error::usage("give one recording of driving, or --board BOARD for pictures of a board on the floor"));
+        return Err(Error::usage(
+            "give one recording of driving, or --board BOARD for pictures of a board on the floor",
+        ));
     };
     if path == "-" {
-        return Err(Error::usage("a recording of driving is read twice and cannot come from standard input; give a file"));
+        return Err(Error::usage(
+            "a recording of driving is read twice and cannot come from standard input; give a file",
+        ));
     }
     let given_m = match (arguments.height, arguments.distance) {
         (Some(height_m), _) => height_m,
@@ -79,7 +81,12 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     }
     Ok(Measured {
         rig: MeasuredRig {
-            rig: Rig { height_m, roll_rad: found.roll_rad, pitch_rad: found.pitch_rad, yaw_rad: begin.yaw_rad },
+            rig: Rig {
+                height_m,
+                roll_rad: found.roll_rad,
+                pitch_rad: found.pitch_rad,
+                yaw_rad: begin.yaw_rad,
+            },
             deviations: RigDeviations {
                 height_m: height_deviation_m,
                 roll_rad: Some(found.covariance[(0, 0)].sqrt()),

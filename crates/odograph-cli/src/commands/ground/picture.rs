@@ -35,7 +35,9 @@ pub fn drawn(camera: &Camera, measured: &Measured) -> Result<Vec<u8>> {
         };
         let ring: Vec<Option<Pixel>> = (0..=180).map(|step| seen(camera, &pose, at(step))).collect();
         line(&mut svg, &ring, "#ffd54a", 0.8 * unit);
-        if let Some(label) = ring.iter().flatten().find(|pixel| camera.contains(**pixel, 12.0 * unit)) {
+        // Labels stand behind the plumb point, away from the arrows.
+        let behind = ring.iter().cycle().skip(110).take(ring.len()).flatten();
+        if let Some(label) = behind.into_iter().find(|pixel| camera.contains(**pixel, 16.0 * unit)) {
             text(&mut svg, *label, &format!("{degrees:.0}°"), "#ffd54a");
         }
     }
@@ -80,7 +82,10 @@ fn line(svg: &mut String, points: &[Option<Pixel>], color: &str, width: f64) {
         before = point.is_some();
     }
     if !path.is_empty() {
-        let _ = writeln!(svg, "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width:.2}\"/>");
+        let _ = writeln!(
+            svg,
+            "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width:.2}\"/>"
+        );
     }
 }
 
@@ -122,9 +127,14 @@ fn base64(bytes: &[u8]) -> String {
 mod tests {
     #[test]
     fn base64_is_that_of_the_standard() {
-        for (bytes, text) in
-            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")]
-        {
+        for (bytes, text) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("fooba", "Zm9vYmE="),
+        ] {
             assert_eq!(super::base64(bytes.as_bytes()), text);
         }
     }
