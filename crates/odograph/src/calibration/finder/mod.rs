@@ -5,6 +5,7 @@ mod charuco;
 mod chessboard;
 mod lattice;
 mod markers;
+mod pattern_fit;
 mod plane_map;
 mod points;
 mod response;

@@ -7,8 +7,8 @@
 use super::NotFound;
 use super::markers::{self, Codes, Layout, Marker};
 use super::plane_map::{Pair, PlaneMap, least_width};
-use super::points::{PointLook, look_at};
-use crate::calibration::{BoardPoint, BoardView, SeenPoint};
+use super::points::{Expected, PointLook, look_at};
+use crate::calibration::{BoardPoint, BoardView, Drawing, SeenPoint};
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use std::collections::VecDeque;
@@ -31,6 +31,7 @@ pub(super) struct TaggedBoard {
     /// Whether a point's upper left and lower right are black (then the other two are white).
     pub(super) black_upper_left: Vec<bool>,
     pub(super) codes: Codes,
+    pub(super) drawing: Drawing,
     /// How far from a point the four squares around it are plain, metres.
     pub(super) plain_m: f64,
     /// The unit of distance for predictions, metres, and how many points away in the grid help to predict.
@@ -60,7 +61,11 @@ struct View<'a> {
     /// Where markers were read, and whether they have been checked bit by bit.
     marker_corners: Vec<Option<[Pixel; 4]>>,
     agrees: Vec<bool>,
+    /// Whether the markers are drawn as the board's drawing has them.
+    is_as_drawn: bool,
+    /// The blur that the points seen first speak for, each.
     blurs: Vec<f64>,
+    blur_px: f64,
 }
 
 impl TaggedBoard {
@@ -84,7 +89,9 @@ impl TaggedBoard {
             seen: vec![None; self.points.len()],
             marker_corners: vec![None; self.cell_of_marker.len()],
             agrees: vec![false; self.cell_of_marker.len()],
+            is_as_drawn: 2 * agreeing.iter().filter(|marker| marker.layout == 0).count() > agreeing.len(),
             blurs: Vec::new(),
+            blur_px: BLURS_PX[1],
         };
         for marker in &agreeing {
             view.marker_corners[marker.id] = Some(marker.corners);
@@ -92,6 +99,7 @@ impl TaggedBoard {
         }
         view.grow();
         view.drop_outliers();
+        view.refine();
         view.into_board_view(agreeing.len())
     }
 
@@ -186,7 +194,6 @@ impl View<'_> {
             tries[point] += 1;
             let Some(look) = self.try_point(point) else { continue };
             self.seen[point] = Some(look.pixel);
-            self.blurs.push(look.blur_px);
             let (columns, rows) = board.grid;
             let (column, row) = (point % columns, point / columns);
             for y in row.saturating_sub(2)..(row + 3).min(rows) {
@@ -250,15 +257,7 @@ impl View<'_> {
         let place = (board.points[point].x_m, board.points[point].y_m);
         let (column, row) = (point % board.grid.0, point / board.grid.0);
         let map = self.map_around(place, column, row, None)?;
-        let predicted = map.pixel(place)?;
-        let steps = map.steps(place, 1.0)?;
-        let width = least_width(steps) * board.spacing_m;
-        if !(LEAST_SPACING_PX..1e4).contains(&width) {
-            return None;
-        }
-        let most_off = OFF_PX + OFF_SPACINGS * width;
-        let black_upper_left = board.black_upper_left[point];
-        let look = look_at(self.image, predicted, steps, board.plain_m, black_upper_left, most_off)?;
+        let look = self.look(point, &map)?;
         // One of its markers at least must be there, as far as the new point makes it known where.
         let is_marked = board.markers_of_point[point].iter().any(|&marker| self.agrees[marker])
             || board.markers_of_point[point].clone().into_iter().any(|marker| {
@@ -269,6 +268,38 @@ impl View<'_> {
                 agrees
             });
         is_marked.then_some(look)
+    }
+
+    /// Looks for a point where a map has it.
+    fn look(&mut self, point: usize, map: &PlaneMap) -> Option<PointLook> {
+        let board = self.board;
+        let place = (board.points[point].x_m, board.points[point].y_m);
+        let width = least_width(map.steps(place, 1.0)?) * board.spacing_m;
+        if !(LEAST_SPACING_PX..1e4).contains(&width) {
+            return None;
+        }
+        let look = |blur_px: f64| {
+            let expected = Expected {
+                map,
+                place,
+                plain_m: board.plain_m,
+                spacing_m: board.spacing_m,
+                black_upper_left: board.black_upper_left[point],
+                most_off_px: OFF_PX + OFF_SPACINGS * width,
+                drawing: self.is_as_drawn.then_some((&board.drawing, blur_px)),
+            };
+            look_at(self.image, &expected)
+        };
+        if !self.is_as_drawn || self.blurs.len() >= POINTS_FOR_BLUR {
+            return look(self.blur_px);
+        }
+        // The first points tell how blurred the image is: the blur that explains them best.
+        let tried = BLURS_PX.into_iter().filter_map(|blur_px| Some((blur_px, look(blur_px)?)));
+        let (blur_px, best) = tried.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual))?;
+        self.blurs.push(blur_px);
+        self.blurs.sort_by(f64::total_cmp);
+        self.blur_px = self.blurs[self.blurs.len() / 2];
+        Some(best)
     }
 
     /// Whether a marker's bits are where the points around it tell.
@@ -317,7 +348,21 @@ impl View<'_> {
         }
     }
 
-    fn into_board_view(mut self, markers: usize) -> Result<BoardView, NotFound> {
+    /// Finds all points anew, now that the map around each is known from all sides; those that are not found again are forgotten.
+    fn refine(&mut self) {
+        let board = self.board;
+        let before = self.seen.clone();
+        let mut after = vec![None; before.len()];
+        for point in (0..before.len()).filter(|&point| before[point].is_some()) {
+            let place = (board.points[point].x_m, board.points[point].y_m);
+            let (column, row) = (point % board.grid.0, point / board.grid.0);
+            let Some(map) = self.map_around(place, column, row, None) else { continue };
+            after[point] = self.look(point, &map).map(|look| look.pixel);
+        }
+        self.seen = after;
+    }
+
+    fn into_board_view(self, markers: usize) -> Result<BoardView, NotFound> {
         let points: Vec<SeenPoint> = self
             .seen
             .iter()
@@ -334,7 +379,6 @@ impl View<'_> {
             !spans(&|i| i % columns) || !spans(&|i| i / columns)
         };
         if points.len() < LEAST_POINTS || in_a_line {
-            self.blurs.sort_by(f64::total_cmp);
             return Err(if points.len() * 2 < markers {
                 NotFound::Blurred
             } else {
@@ -345,6 +389,9 @@ impl View<'_> {
     }
 }
 
+/// The blurs that are tried, standard deviations in pixels, and how many points choose.
+const BLURS_PX: [f64; 6] = [0.35, 0.6, 0.85, 1.1, 1.4, 1.8];
+const POINTS_FOR_BLUR: usize = 5;
 /// How often a point is looked for; each time more is known around it.
 const MOST_TRIES: u8 = 4;
 /// Weight of a marker's corner against that of a point.

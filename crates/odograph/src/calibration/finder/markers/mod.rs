@@ -43,6 +43,8 @@ pub(super) struct Marker {
     pub id: usize,
     /// Its corners, from its top left clockwise as printed.
     pub corners: [Pixel; 4],
+    /// Which of [`Codes::layouts`] it was read by.
+    pub layout: usize,
 }
 
 /// What was read in an image.
@@ -149,12 +151,13 @@ pub(super) fn find(image: &GrayImage, codes: &Codes) -> Markers {
 }
 
 /// Reads a quadrangle and notes the marker it is, if any.
-fn identify(image: &GrayImage, codes: &Codes, corners: [Pixel; 4], markers: &mut Markers) {
+fn identify(image: &GrayImage, codes: &Codes, outline: [Pixel; 4], markers: &mut Markers) {
+    let Some(corners) = quadrangles::moved_to_edges(image, &outline) else { return };
     const SQUARE: [(f64, f64); 4] = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
     let pairs = [0, 1, 2, 3].map(|i| (SQUARE[i], corners[i], 1e6));
     let Some(map) = PlaneMap::fit(&pairs, (0.5, 0.5), 1.0) else { return };
     let Some(width) = map.steps((0.5, 0.5), 1.0).map(least_width) else { return };
-    for &layout in &codes.layouts {
+    for (drawn, &layout) in codes.layouts.iter().enumerate() {
         let bit_px = width / layout.side() as f64;
         let Some(reading) = read(image, layout, codes.quiet, bit_px, &|x, y| map.pixel((x, y))) else {
             continue;
@@ -165,13 +168,14 @@ fn identify(image: &GrayImage, codes: &Codes, corners: [Pixel; 4], markers: &mut
         if let Some((id, turn)) = known {
             // Turned clockwise once, the marker's top left corner is the quadrangle's second.
             let corners = [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]);
-            markers.read.push(Marker { id, corners });
+            markers.read.push(Marker { id, corners, layout: drawn });
             return;
         }
         if let Some((id, turn)) = codes.look_up(in_mirror(reading.bits, layout.bits)) {
             // Seen in a mirror, the corners run the other way round, from the second.
             let corners = [1, 0, 3, 2].map(|i| corners[i]);
-            markers.mirrored.push(Marker { id, corners: [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]) });
+            let corners = [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]);
+            markers.mirrored.push(Marker { id, corners, layout: drawn });
             return;
         }
     }
