@@ -63,5 +63,6 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         spacing_m,
         reach: 3,
         least_markers: 1,
+        is_chessboard: false,
     })
 }

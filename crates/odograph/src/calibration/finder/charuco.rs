@@ -64,5 +64,6 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         spacing_m,
         reach: 2,
         least_markers: 2,
+        is_chessboard: true,
     })
 }

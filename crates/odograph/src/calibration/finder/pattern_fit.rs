@@ -160,13 +160,19 @@ impl Pattern {
         let inverse = cholesky.inverse();
         let (xx, xy, yy) = (inverse[(2, 2)], inverse[(2, 3)], inverse[(3, 3)]);
         let worse = 0.5 * (xx + yy) + (0.25 * (xx - yy).powi(2) + xy * xy).sqrt();
-        let fit =
-            PatternFit { pixel: at, residual, contrast, deviation_px: residual * worse.sqrt() / contrast };
+        let fit = PatternFit {
+            pixel: at,
+            residual,
+            contrast,
+            deviation_px: residual * (WEIGHING * worse).sqrt() / contrast,
+        };
         // Moved by (x, y), the pattern changes by −x and −y times its derivatives.
         Some(((-solution[2] / contrast, -solution[3] / contrast), fit))
     }
 }
 
+/// Squared weights over weights: what a round window that falls to nothing makes of the inverse of its normal equations.
+const WEIGHING: f64 = 0.7;
 /// The least contrast, gray levels.
 const LEAST_CONTRAST: f64 = 8.0;
 /// The fit starts within a pixel or so of where it ends.

@@ -72,6 +72,14 @@ pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<Poin
         }
         _ => {
             let saddle = subpixel::fit(image, start, window)?;
+            // Along each edge as many samples as the window is wide, across it as many as the blur is; each as sure as the slope is steep.
+            let blur_px = saddle.blur_px.max(0.5);
+            let deviation_px =
+                2.5 * blur_px * saddle.residual / saddle.contrast / (2.0 * window * blur_px).sqrt();
+            // Not `>`: a NaN is no point either.
+            if !(deviation_px <= MOST_DEVIATION_PX) {
+                return None;
+            }
             PointLook { pixel: saddle.pixel, residual: saddle.residual / saddle.contrast }
         }
     };
