@@ -4,5 +4,6 @@
 //! were seen, and at which pixels.
 
 mod board;
+pub mod selection;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
