@@ -3,11 +3,12 @@
 mod charts;
 mod figures;
 mod page;
+mod parts;
 mod plot;
 mod raster;
 
 pub use page::{ReportInput, ReportMosaic, html};
-pub use raster::{MAP_WIDTH_PX, map_png};
+pub use raster::{MAP_WIDTH_PX, drawing_png};
 
 #[cfg(test)]
 mod tests;
