@@ -1,5 +1,6 @@
-//! What a person looks at after a run: the map as a picture and the report page.
+//! What a person looks at afterwards: pictures and report pages, of runs and of calibrations.
 
+pub mod calibration;
 mod charts;
 mod figures;
 mod page;

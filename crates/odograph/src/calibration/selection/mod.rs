@@ -98,6 +98,11 @@ impl ViewSelector {
         self.sightings
     }
 
+    /// How many different views were seen, as far as they are remembered.
+    pub fn distinct(&self) -> usize {
+        self.with_last().kept.len()
+    }
+
     /// The chosen sightings, in the order they came.
     pub fn chosen(&self) -> Vec<&Sighting> {
         let whole = self.with_last();

@@ -1,0 +1,84 @@
+//! What is said on the terminal: the verdict first, then what to look at and what to do next.
+
+use super::output::Output;
+use super::search::Search;
+use super::Calibrated;
+use crate::report::calibration::{lens_name, pixels_text};
+use odograph::calibration::{Board, BoardKind, Verdict};
+use odograph::error::Error;
+use odograph::mapping::drawing::scale::label;
+use std::fmt::Write;
+
+/// Why there is nothing to calibrate with, and what to do.
+pub fn nothing_found(search: &Search, board: &Board) -> Error {
+    let looked_at = match search.found.looked_at {
+        0 => return Error::input("it has no frame in the chosen range"),
+        1 => "the one picture".to_owned(),
+        n => format!("any of {n} frames"),
+    };
+    let why = search.found.reasons.first().map_or_else(String::new, |(reason, count)| {
+        if *count == search.found.looked_at { format!(" ({reason})") } else { format!(" (mostly: {reason})") }
+    });
+    let check = match board.kind() {
+        BoardKind::Chessboard => "count its inner corners, one less than squares, and keep the whole board in the image",
+        BoardKind::Circles | BoardKind::AsymmetricCircles => "count its discs again and keep the whole board in the image",
+        BoardKind::Charuco { .. } => "count its squares again and check the dictionary of its markers",
+        _ => "count its tags again and check that they are of the family 36h11",
+    };
+    Error::input(format!("the board {board} was not found in {looked_at}{why}; {check}"))
+}
+
+/// The summary of a calibration.
+pub fn text(calibrated: &Calibrated, output: &Output) -> String {
+    let calibration = &calibrated.calibration;
+    let verdict = match calibration.verdict {
+        Verdict::Good => "Good",
+        Verdict::Usable => "Usable",
+        Verdict::DoItAgain => "Do it again",
+    };
+    let found = &calibrated.search.found;
+    let mut text = format!(
+        "{verdict}: {} from {} views ({} on views held out), board found in {} of {} {}\n",
+        pixels_text(calibration.rms_px),
+        calibration.views_used(),
+        pixels_text(calibration.hold_out_rms_px),
+        found.with_board,
+        found.looked_at,
+        if calibrated.search.pictures.is_empty() { "frames" } else { "pictures" },
+    );
+    for reason in calibration.reasons.iter().take(3) {
+        let _ = writeln!(text, "  · {reason}");
+    }
+    let known: Vec<String> = calibration
+        .parameters
+        .iter()
+        .take_while(|p| ["f", "fx", "fy", "cx", "cy"].contains(&p.name))
+        .map(|p| {
+            let step = if p.deviation < 0.05 { 0.01 } else { 0.1 };
+            format!("{} {} ± {}", p.name, label(p.value, step), label(p.deviation, step))
+        })
+        .collect();
+    let _ = writeln!(text, "{}; {}", known.join(", "), lens_name(calibration.model));
+    // Most important first; the report has them all.
+    if calibration.verdict != Verdict::Good {
+        let hints: Vec<String> = calibrated.guidance.missing.iter().take(3).map(ToString::to_string).collect();
+        if !hints.is_empty() {
+            let _ = writeln!(text, "Next time: {}", hints.join("; "));
+        }
+    }
+    let _ = writeln!(text, "Look at {}", output.report_page().display());
+    let camera = output.camera_file().display();
+    match calibration.verdict {
+        Verdict::DoItAgain => {
+            let _ = writeln!(text, "{camera} has been written all the same");
+        }
+        _ => {
+            let _ = writeln!(
+                text,
+                "Next: odograph ground floor.jpg --board {} --camera {camera} -o rig.toml\n      odograph run drive.mp4 --camera {camera} --rig rig.toml -o drive/",
+                calibrated.board
+            );
+        }
+    }
+    text
+}
