@@ -259,10 +259,10 @@ fn parameters(input: &ReportInput<'_>, page: &mut String) {
     let lens = match camera.distortion() {
         Distortion::None => "none (a pinhole)".into(),
         other => {
-            let name = if matches!(other, Distortion::KannalaBrandt { .. }) {
-                "Kannala–Brandt fisheye"
-            } else {
-                "Brown–Conrady"
+            let name = match other {
+                Distortion::KannalaBrandt { .. } => "Kannala–Brandt fisheye",
+                Distortion::DoubleSphere { .. } => "double sphere",
+                _ => "Brown–Conrady",
             };
             let values: Vec<String> =
                 other.coefficients().iter().map(|c| format!("{c}").replace('-', "−")).collect();

@@ -35,7 +35,8 @@ pub fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera
 
 /// The text of an OpenCV FileStorage YAML file that describes the camera; [`parse`] returns the identical camera.
 ///
-/// `distortion_model` names the lens model as ROS does (`none`, `plumb_bob`, `rational_polynomial`, `equidistant`).
+/// `distortion_model` names the lens model as ROS does (`none`, `plumb_bob`, `rational_polynomial`, `equidistant`) or,
+/// for the double sphere (ξ, α), `double_sphere`.
 pub fn write(camera: &Camera) -> String {
     let (fx, fy) = camera.focal_px();
     let (cx, cy) = camera.principal_px();
@@ -46,6 +47,7 @@ pub fn write(camera: &Camera) -> String {
         }
         Distortion::BrownConrady { .. } => ("rational_polynomial", camera.distortion().coefficients()),
         Distortion::KannalaBrandt { .. } => ("equidistant", camera.distortion().coefficients()),
+        Distortion::DoubleSphere { .. } => ("double_sphere", camera.distortion().coefficients()),
     };
     let mut text =
         format!("%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\n", camera.width(), camera.height());

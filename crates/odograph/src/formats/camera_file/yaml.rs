@@ -170,6 +170,7 @@ enum LensFamily {
     None,
     BrownConrady,
     KannalaBrandt,
+    DoubleSphere,
 }
 
 fn distortion(map: &Value, prefix: &str) -> Result<Distortion> {
@@ -197,6 +198,13 @@ fn distortion(map: &Value, prefix: &str) -> Result<Distortion> {
             &[k1, k2, k3, k4] => Ok(Distortion::KannalaBrandt { k1, k2, k3, k4 }),
             other => Err(Error::input(format!(
                 "{place} has {} numbers; the equidistant fisheye model has 4",
+                other.len()
+            ))),
+        },
+        Some(LensFamily::DoubleSphere) => match numbers.as_slice() {
+            &[xi, alpha] => Ok(Distortion::DoubleSphere { xi, alpha }),
+            other => Err(Error::input(format!(
+                "{place} has {} numbers; the double sphere model has 2, xi and alpha",
                 other.len()
             ))),
         },
@@ -247,6 +255,7 @@ fn lens_family(map: &Value, prefix: &str) -> Result<Option<LensFamily>> {
             | "standard"
             | "rational_polynomial"
             | "rational" => LensFamily::BrownConrady,
+            "double_sphere" => LensFamily::DoubleSphere,
             "equidistant" | "fisheye" | "kannala_brandt" | "kannalabrandt8" | "kannalabrandt"
             | "opencv_fisheye" | "equi" | "kb4" => LensFamily::KannalaBrandt,
             _ => {
