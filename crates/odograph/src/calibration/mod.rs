@@ -13,3 +13,6 @@ pub use solver::{
     BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, Candidate, LensModel, Parameter,
     Verdict, board_pose, calibrate,
 };
+mod dictionary;
+mod drawing;
+pub use drawing::{Drawing, Rectangle, Shape};
