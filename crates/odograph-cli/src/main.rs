@@ -27,6 +27,7 @@ enum Command {
     Evaluate(commands::evaluate::EvaluateArguments),
     Undistort(commands::undistort::UndistortArguments),
     Calibrate(commands::calibrate::CalibrateArguments),
+    Camera(commands::camera::CameraArguments),
 }
 
 /// How a command that did not fail ended.
@@ -51,6 +52,7 @@ fn main() -> ExitCode {
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
         Command::Undistort(arguments) => commands::undistort::undistort(arguments),
         Command::Calibrate(arguments) => commands::calibrate::calibrate(arguments),
+        Command::Camera(arguments) => commands::camera::camera(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
