@@ -7,6 +7,7 @@
 mod board;
 pub mod selection;
 mod solver;
+mod finder;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
 pub use solver::{
