@@ -124,11 +124,13 @@ fn description(camera: &Camera) -> String {
         Distortion::None => &[],
         Distortion::BrownConrady { .. } => &["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"],
         Distortion::KannalaBrandt { .. } => &["k1", "k2", "k3", "k4"],
+        Distortion::DoubleSphere { .. } => &["xi", "alpha"],
     };
     let lens = match camera.distortion() {
         Distortion::None => "a pinhole",
         Distortion::BrownConrady { .. } => "Brown–Conrady",
         Distortion::KannalaBrandt { .. } => "Kannala–Brandt fisheye",
+        Distortion::DoubleSphere { .. } => "double sphere",
     };
     let _ = write!(text, "lens             {lens}");
     for (name, value) in names.iter().zip(camera.distortion().coefficients()) {

@@ -5,15 +5,15 @@
 //! front of a known camera.
 
 mod board;
+mod dictionary;
+mod drawing;
+pub mod finder;
 pub mod selection;
 mod solver;
-mod finder;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
+pub use drawing::{Drawing, Rectangle, Shape};
 pub use solver::{
     BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, Candidate, LensModel, Parameter,
     Verdict, board_pose, calibrate,
 };
-mod dictionary;
-mod drawing;
-pub use drawing::{Drawing, Rectangle, Shape};

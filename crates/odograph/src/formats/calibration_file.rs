@@ -34,7 +34,8 @@ pub fn write(calibration: &Calibration, board: &Board) -> String {
     let deviations: Vec<f64> = parameters.iter().map(|parameter| parameter.deviation).collect();
     matrix(&mut text, "parameter_deviations", 1, &deviations);
     let covariance = &calibration.covariance;
-    let by_rows: Vec<f64> = covariance.row_iter().flat_map(|row| row.iter().copied().collect::<Vec<_>>()).collect();
+    let by_rows: Vec<f64> =
+        covariance.row_iter().flat_map(|row| row.iter().copied().collect::<Vec<_>>()).collect();
     matrix(&mut text, "parameter_covariance", covariance.nrows(), &by_rows);
     text
 }
@@ -45,8 +46,7 @@ fn real(value: f64) -> String {
         v if v.is_nan() => ".Nan".into(),
         v if v == f64::INFINITY => ".Inf".into(),
         v if v == f64::NEG_INFINITY => "-.Inf".into(),
-        // The shortest digits that read back as the same number, always with a point or an exponent.
-        v => format!("{v:?}"),
+        v => camera_file::number(v),
     }
 }
 

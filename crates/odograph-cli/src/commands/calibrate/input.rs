@@ -46,11 +46,7 @@ impl Input {
         }
         let source = odograph_video::open(&first, options)?;
         let (info, single) = (source.info(), waiting.is_empty());
-        let description = if single {
-            first.clone()
-        } else {
-            format!("{first} and {} more", waiting.len())
-        };
+        let description = if single { first.clone() } else { format!("{first} and {} more", waiting.len()) };
         Ok(Self {
             size: (info.width, info.height),
             // Of several sources each is likely to be one picture.

@@ -136,11 +136,14 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
         ..SourceOptions::default()
     };
     let mut input = Input::open(&arguments.sources, &options)?;
-    let selection = SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
+    let selection =
+        SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
     let mut search = search::search(&mut input, &board, selection, arguments.threads, arguments.quiet)?;
     let (guidance, chosen) = choose(&search, selection.most_views, &board, &input.description)?;
-    let (names, views): (Vec<_>, Vec<_>) =
-        chosen.into_iter().map(|sighting| (search.names[&sighting.number].clone(), sighting.view.clone())).unzip();
+    let (names, views): (Vec<_>, Vec<_>) = chosen
+        .into_iter()
+        .map(|sighting| (search.names[&sighting.number].clone(), sighting.view.clone()))
+        .unzip();
     let config = CalibrationConfig {
         model: arguments.model.lens(),
         square_pixels: arguments.square_pixels,
@@ -150,7 +153,9 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     let calibration = odograph::calibration::calibrate(&board, &views, &config)
         .map_err(|error| error.at(&input.description))?;
     if interrupt::asked() {
-        search.warnings.push(format!("interrupted: only the first {} frames were looked at", search.found.looked_at));
+        search
+            .warnings
+            .push(format!("interrupted: only the first {} frames were looked at", search.found.looked_at));
     }
     let description = input.description;
     let calibrated = Calibrated { board, search, names, views, guidance, calibration, description };

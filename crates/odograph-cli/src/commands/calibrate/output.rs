@@ -66,10 +66,9 @@ impl Output {
         let size = (calibration.camera.width(), calibration.camera.height());
         let expected_error = ExpectedError::new(size, |pixel| calibration.expected_error_px(pixel));
         let name = self.camera_file.file_name().unwrap_or_default().to_string_lossy();
-        let title = Path::new(&calibrated.description).file_name().map_or_else(
-            || calibrated.description.clone(),
-            |name| name.to_string_lossy().into_owned(),
-        );
+        let title = Path::new(&calibrated.description)
+            .file_name()
+            .map_or_else(|| calibrated.description.clone(), |name| name.to_string_lossy().into_owned());
         let report = CalibrationReport {
             title: &format!("Calibration with {title}"),
             source: &calibrated.search.kind,
@@ -115,8 +114,7 @@ fn shown_views(calibrated: &Calibrated) -> Vec<ShownView> {
                 })
                 .collect(),
             rms_px: view.rms_px,
-            why_not: (!view.used)
-                .then(|| view.why_not.clone().unwrap_or_else(|| "not used".to_owned())),
+            why_not: (!view.used).then(|| view.why_not.clone().unwrap_or_else(|| "not used".to_owned())),
         })
         .collect()
 }

@@ -4,7 +4,7 @@ use super::input::{Input, Look};
 use crate::interrupt;
 use crate::report::calibration::Found;
 use indicatif::{ProgressBar, ProgressStyle};
-use odograph::calibration::finder::BoardFinder;
+use odograph::calibration::finder::{BoardFinder, NotFound};
 use odograph::calibration::selection::{SelectionConfig, Sighting, ViewSelector, blur_px};
 use odograph::calibration::{Board, BoardView};
 use odograph::error::{Error, Result};
@@ -31,12 +31,12 @@ struct Looked {
     time_s: Option<f64>,
     picture: bool,
     /// The board and how blurred it is, or why it was not found.
-    outcome: std::result::Result<(BoardView, Option<f64>), String>,
+    outcome: std::result::Result<(BoardView, Option<f64>), NotFound>,
 }
 
 /// So many pictures without the board are named.
 const MOST_NAMED: usize = 100;
-/// So many different reasons are counted: they hold numbers, and could be as many as there are frames.
+/// So many different reasons are counted: boards of other sizes could be as many as there are frames.
 const MOST_REASONS: usize = 8;
 
 /// Looks for the board in every frame.
@@ -132,13 +132,10 @@ fn next(input: &mut Input) -> Result<Option<Look>> {
 }
 
 fn look(finder: &BoardFinder, frame: Look) -> Looked {
-    let outcome = match finder.find(&frame.image) {
-        Ok(view) => {
-            let blur_px = blur_px(&frame.image, &view);
-            Ok((view, blur_px))
-        }
-        Err(not_found) => Err(not_found.to_string()),
-    };
+    let outcome = finder.find(&frame.image).map(|view| {
+        let blur_px = blur_px(&frame.image, &view);
+        (view, blur_px)
+    });
     Looked { name: frame.name, time_s: frame.time_s, picture: frame.picture, outcome }
 }
 
@@ -146,7 +143,8 @@ fn look(finder: &BoardFinder, frame: Look) -> Looked {
 struct Gathering {
     search: Search,
     most_views: usize,
-    reasons: Vec<(String, u64)>,
+    /// The first of each kind, and how often it came.
+    reasons: Vec<(NotFound, u64)>,
     only_pictures: bool,
     progress: ProgressBar,
 }
@@ -172,10 +170,10 @@ impl Gathering {
             }
             Err(why) => {
                 if looked.picture && search.found.pictures_without.len() < MOST_NAMED {
-                    search.found.pictures_without.push((looked.name, why.clone()));
+                    search.found.pictures_without.push((looked.name, why.to_string()));
                 }
-                match self.reasons.iter_mut().find(|(reason, _)| *reason == why) {
-                    Some((_, count)) => *count += 1,
+                match self.reasons.iter().position(|(reason, _)| alike(reason, &why)) {
+                    Some(at) => self.reasons[at].1 += 1,
                     None if self.reasons.len() < MOST_REASONS => self.reasons.push((why, 1)),
                     None => {}
                 }
@@ -204,11 +202,20 @@ impl Gathering {
     fn finished(mut self) -> Search {
         // The most frequent first; of equals the first.
         self.reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
-        self.search.found.reasons = self.reasons;
+        self.search.found.reasons =
+            self.reasons.into_iter().map(|(why, count)| (why.to_string(), count)).collect();
         if !self.only_pictures {
             self.search.pictures.clear();
         }
         self.search
+    }
+}
+
+/// Whether two reasons are one to a person. A board of another size is one each time it is seen whole.
+fn alike(one: &NotFound, other: &NotFound) -> bool {
+    match one {
+        NotFound::OtherSize { .. } => one == other,
+        _ => std::mem::discriminant(one) == std::mem::discriminant(other),
     }
 }
 

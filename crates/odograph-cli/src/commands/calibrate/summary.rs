@@ -1,8 +1,8 @@
 //! What is said on the terminal: the verdict first, then what to look at and what to do next.
 
+use super::Calibrated;
 use super::output::Output;
 use super::search::Search;
-use super::Calibrated;
 use crate::report::calibration::{lens_name, pixels_text};
 use odograph::calibration::{Board, BoardKind, Verdict};
 use odograph::error::Error;
@@ -20,8 +20,12 @@ pub fn nothing_found(search: &Search, board: &Board) -> Error {
         if *count == search.found.looked_at { format!(" ({reason})") } else { format!(" (mostly: {reason})") }
     });
     let check = match board.kind() {
-        BoardKind::Chessboard => "count its inner corners, one less than squares, and keep the whole board in the image",
-        BoardKind::Circles | BoardKind::AsymmetricCircles => "count its discs again and keep the whole board in the image",
+        BoardKind::Chessboard => {
+            "count its inner corners, one less than squares, and keep the whole board in the image"
+        }
+        BoardKind::Circles | BoardKind::AsymmetricCircles => {
+            "count its discs again and keep the whole board in the image"
+        }
         BoardKind::Charuco { .. } => "count its squares again and check the dictionary of its markers",
         _ => "count its tags again and check that they are of the family 36h11",
     };
@@ -61,7 +65,8 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
     let _ = writeln!(text, "{}; {}", known.join(", "), lens_name(calibration.model));
     // Most important first; the report has them all.
     if calibration.verdict != Verdict::Good {
-        let hints: Vec<String> = calibrated.guidance.missing.iter().take(3).map(ToString::to_string).collect();
+        let hints: Vec<String> =
+            calibrated.guidance.missing.iter().take(3).map(ToString::to_string).collect();
         if !hints.is_empty() {
             let _ = writeln!(text, "Next time: {}", hints.join("; "));
         }

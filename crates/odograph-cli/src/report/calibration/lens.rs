@@ -28,7 +28,13 @@ pub fn distortion(camera: &Camera) -> Drawing {
                 match pixel.filter(|pixel| camera.contains(*pixel, -0.5)) {
                     Some(pixel) => {
                         let (x, y) = frame.at(pixel);
-                        let _ = write!(d, "{}{} {}", if pen_down { 'L' } else { 'M' }, coordinate(x), coordinate(y));
+                        let _ = write!(
+                            d,
+                            "{}{} {}",
+                            if pen_down { 'L' } else { 'M' },
+                            coordinate(x),
+                            coordinate(y)
+                        );
                         pen_down = true;
                     }
                     None => pen_down = false,
@@ -153,7 +159,8 @@ impl ExpectedError {
         let (width, height) = ((right - left) / self.columns as f64, (bottom - top) / self.rows as f64);
         let mut content = String::new();
         for (cell, error) in self.errors_px.iter().enumerate() {
-            let (x, y) = ((cell % self.columns) as f64 * width + left, (cell / self.columns) as f64 * height + top);
+            let (x, y) =
+                ((cell % self.columns) as f64 * width + left, (cell / self.columns) as f64 * height + top);
             let fill = error.map_or_else(|| "#8a8f98".to_owned(), |error| heat(share(error)));
             // A little larger than the cell, so that no seam shines through.
             let _ = writeln!(

@@ -84,7 +84,10 @@ impl CalibrationReport<'_> {
         let drawings = self.drawings();
         let mut files = vec![("report.html", self.html(&drawings).into_bytes())];
         for named in &drawings {
-            files.push((named.file, drawing_png(&named.drawing.file(named.title, &named.says), PICTURE_WIDTH_PX)?));
+            files.push((
+                named.file,
+                drawing_png(&named.drawing.file(named.title, &named.says), PICTURE_WIDTH_PX)?,
+            ));
         }
         Ok(files)
     }
@@ -107,7 +110,9 @@ impl CalibrationReport<'_> {
             Named {
                 file: "expected-error.png",
                 title: "Expected error",
-                says: "How far a ray through each place of the image is likely to be off, from the covariance.".into(),
+                says:
+                    "How far a ray through each place of the image is likely to be off, from the covariance."
+                        .into(),
                 drawing: self.expected_error.drawing(),
             },
             Named {
@@ -132,7 +137,9 @@ impl CalibrationReport<'_> {
             Named {
                 file: "distortion.png",
                 title: "Distortion",
-                says: format!("Straight lines through this lens (blue) and through a pinhole (dashed).{moved}"),
+                says: format!(
+                    "Straight lines through this lens (blue) and through a pinhole (dashed).{moved}"
+                ),
                 drawing: lens::distortion(self.camera),
             },
             Named {
@@ -162,13 +169,19 @@ impl CalibrationReport<'_> {
             );
         };
         page.push_str("<h2>Why it can be trusted, or not</h2>\n<div class=\"plots\">\n");
-        drawings.iter().filter(|named| named.file != "views.png").for_each(|named| figure(named, false, &mut page));
+        drawings
+            .iter()
+            .filter(|named| named.file != "views.png")
+            .for_each(|named| figure(named, false, &mut page));
         page.push_str("</div>\n");
         self.how_to_read(&mut page);
         self.parameters(&mut page);
         self.candidates(&mut page);
         page.push_str("<h2>The views</h2>\n");
-        drawings.iter().filter(|named| named.file == "views.png").for_each(|named| figure(named, true, &mut page));
+        drawings
+            .iter()
+            .filter(|named| named.file == "views.png")
+            .for_each(|named| figure(named, true, &mut page));
         self.left_out(&mut page);
         let _ = write!(
             page,
@@ -201,7 +214,8 @@ impl CalibrationReport<'_> {
         let kind = if self.pictures { "picture" } else { "frame" };
         page.push_str("<div class=\"cards\">\n");
         let (focal, found) = (self.camera.focal_px(), self.found);
-        let deviation = self.parameters.iter().find(|p| p.name.starts_with('f')).map_or(f64::NAN, |p| p.deviation);
+        let deviation =
+            self.parameters.iter().find(|p| p.name.starts_with('f')).map_or(f64::NAN, |p| p.deviation);
         card(
             "Error of the corners",
             &pixels_text(self.rms_px),
@@ -222,7 +236,10 @@ impl CalibrationReport<'_> {
         card(
             "Views",
             &format!("{}", self.used()),
-            &format!("Used, out of {} {of} with the board in {} {of} looked at.", found.with_board, found.looked_at),
+            &format!(
+                "Used, out of {} {of} with the board in {} {of} looked at.",
+                found.with_board, found.looked_at
+            ),
             page,
         );
         card(
@@ -235,11 +252,20 @@ impl CalibrationReport<'_> {
             card(
                 "Field of view",
                 &format!("{}° × {}°", number(across.to_degrees(), 1), number(down.to_degrees(), 1)),
-                &format!("Across and down an image of {}×{} pixels.", self.camera.width(), self.camera.height()),
+                &format!(
+                    "Across and down an image of {}×{} pixels.",
+                    self.camera.width(),
+                    self.camera.height()
+                ),
                 page,
             );
         }
-        card("Lens model", short_name(self.model), &format!("{}; chosen as told below.", lens_name(self.model)), page);
+        card(
+            "Lens model",
+            short_name(self.model),
+            &format!("{}; chosen as told below.", lens_name(self.model)),
+            page,
+        );
         card("Board", &escape(&self.board), &format!("Looked for in every {kind}."), page);
         page.push_str("</div>\n");
     }
@@ -321,13 +347,19 @@ impl CalibrationReport<'_> {
 
     /// Views that were found and not used, and pictures in which nothing was found.
     fn left_out(&self, page: &mut String) {
-        let removed = self.views.iter().filter_map(|view| Some((view.name.as_str(), view.why_not.as_deref()?)));
+        let removed =
+            self.views.iter().filter_map(|view| Some((view.name.as_str(), view.why_not.as_deref()?)));
         let without = self.found.pictures_without.iter().map(|(name, why)| (name.as_str(), why.as_str()));
         let rows: Vec<(&str, &str)> = removed.chain(without).collect();
         if !rows.is_empty() {
             page.push_str("<p>Left out:</p>\n<div class=\"box scroll\"><table>\n");
             for (name, why) in rows {
-                let _ = writeln!(page, "<tr><td class=\"wrap\">{}</td><td>{}</td></tr>", escape(name), escape(why));
+                let _ = writeln!(
+                    page,
+                    "<tr><td class=\"wrap\">{}</td><td>{}</td></tr>",
+                    escape(name),
+                    escape(why)
+                );
             }
             page.push_str("</table></div>\n");
         }

@@ -50,7 +50,8 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
         parameter("p1", 0.00122, 0.00014),
         parameter("p2", -0.00014, 0.00016),
     ];
-    let candidate = |model, hold_out_rms_px, rms_px| Candidate { model, hold_out_rms_px, rms_px, expected_error_px: 0.1 };
+    let candidate =
+        |model, hold_out_rms_px, rms_px| Candidate { model, hold_out_rms_px, rms_px, expected_error_px: 0.1 };
     let candidates = [
         candidate(LensModel::Pinhole, 2.31, 2.2),
         candidate(LensModel::BrownConrady4, 0.217, 0.196),
@@ -104,12 +105,21 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
 /// With `ODOGRAPH_REPORT_OUT` set to a folder, everything is written there to be looked at.
 #[test]
 fn the_report_stands_alone_and_is_the_same_twice() {
-    for (name, verdict) in [("good", Verdict::Good), ("usable", Verdict::Usable), ("again", Verdict::DoItAgain)] {
+    for (name, verdict) in
+        [("good", Verdict::Good), ("usable", Verdict::Usable), ("again", Verdict::DoItAgain)]
+    {
         let files = with_report(verdict, |report| report.files().unwrap());
         let names: Vec<&str> = files.iter().map(|(name, _)| *name).collect();
         assert_eq!(
             names,
-            ["report.html", "expected-error.png", "residuals.png", "coverage.png", "distortion.png", "views.png"]
+            [
+                "report.html",
+                "expected-error.png",
+                "residuals.png",
+                "coverage.png",
+                "distortion.png",
+                "views.png"
+            ]
         );
         let html = String::from_utf8(files[0].1.clone()).unwrap();
         assert!(html.contains("left &lt;pictures&gt;") && html.contains("left&lt;10&gt;.jpg"));
@@ -129,7 +139,8 @@ fn the_report_stands_alone_and_is_the_same_twice() {
 
 #[test]
 fn no_drawing_minds_numbers_that_are_none() {
-    let nowhere = Residual { seen: Pixel::new(f64::NAN, f64::INFINITY), dx_px: f64::NAN, dy_px: f64::INFINITY };
+    let nowhere =
+        Residual { seen: Pixel::new(f64::NAN, f64::INFINITY), dx_px: f64::NAN, dy_px: f64::INFINITY };
     let views = [
         ShownView { name: String::new(), residuals: vec![nowhere; 20], rms_px: f64::NAN, why_not: None },
         ShownView { name: "x".into(), residuals: vec![], rms_px: f64::INFINITY, why_not: Some("?".into()) },
@@ -151,9 +162,14 @@ fn no_drawing_minds_numbers_that_are_none() {
 
 #[test]
 fn errors_are_told_with_two_digits() {
-    for (pixels, text) in
-        [(0.00234, "0.0023 px"), (0.0346, "0.035 px"), (0.2, "0.20 px"), (1.26, "1.3 px"), (46.2, "46 px"), (f64::NAN, "?")]
-    {
+    for (pixels, text) in [
+        (0.00234, "0.0023 px"),
+        (0.0346, "0.035 px"),
+        (0.2, "0.20 px"),
+        (1.26, "1.3 px"),
+        (46.2, "46 px"),
+        (f64::NAN, "?"),
+    ] {
         assert_eq!(pixels_text(pixels), text);
     }
 }

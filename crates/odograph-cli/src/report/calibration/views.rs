@@ -30,7 +30,9 @@ pub struct ShownView {
 const MOST_MARKS: usize = 5000;
 
 fn marks<'a>(views: &'a [ShownView], used: bool) -> impl Iterator<Item = &'a Residual> + Clone {
-    let of = move || views.iter().filter(move |view| view.why_not.is_none() == used).flat_map(|view| &view.residuals);
+    let of = move || {
+        views.iter().filter(move |view| view.why_not.is_none() == used).flat_map(|view| &view.residuals)
+    };
     let every = of().count().div_ceil(MOST_MARKS).max(1);
     views
         .iter()
@@ -73,7 +75,8 @@ pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) 
 pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f64) {
     let frame = ImageFrame::new(size);
     let lengths = |of: &[(f64, f64)]| {
-        let mut lengths: Vec<f64> = of.iter().map(|(dx, dy)| dx.hypot(*dy)).filter(|l| l.is_finite()).collect();
+        let mut lengths: Vec<f64> =
+            of.iter().map(|(dx, dy)| dx.hypot(*dy)).filter(|l| l.is_finite()).collect();
         lengths.sort_by(f64::total_cmp);
         lengths
     };
@@ -106,7 +109,12 @@ pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f6
         let reach = mean_times * frame.scale();
         let (dx, dy) = limited(dx_px * reach, dy_px * reach, 2.0 * LONG);
         let _ = write!(d, "M{} {}l{} {}", coordinate(x), coordinate(y), coordinate(dx), coordinate(dy));
-        let _ = write!(dots, "<circle class=\"tips\" cx=\"{}\" cy=\"{}\" r=\"2.6\"/>", coordinate(x), coordinate(y));
+        let _ = write!(
+            dots,
+            "<circle class=\"tips\" cx=\"{}\" cy=\"{}\" r=\"2.6\"/>",
+            coordinate(x),
+            coordinate(y)
+        );
     }
     let _ = writeln!(content, "<path class=\"means\" d=\"{d}\"/>{dots}");
     (frame.drawing(&content, 0.0), times, mean_times)

@@ -10,6 +10,7 @@ mod value;
 mod writing;
 mod yaml;
 
+pub(super) use writing::number;
 pub use writing::{CameraFormat, write_as};
 
 use crate::camera::{Camera, Distortion};
@@ -44,15 +45,6 @@ pub fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera
 pub fn write(camera: &Camera) -> String {
     let (fx, fy) = camera.focal_px();
     let (cx, cy) = camera.principal_px();
-    let (model, coefficients) = match *camera.distortion() {
-        Distortion::None => ("none", vec![0.0; 5]),
-        Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } if [k4, k5, k6] == [0.0; 3] => {
-            ("plumb_bob", vec![k1, k2, p1, p2, k3])
-        }
-        Distortion::BrownConrady { .. } => ("rational_polynomial", camera.distortion().coefficients()),
-        Distortion::KannalaBrandt { .. } => ("equidistant", camera.distortion().coefficients()),
-        Distortion::DoubleSphere { .. } => ("double_sphere", camera.distortion().coefficients()),
-    };
     let (model, coefficients) = model_and_coefficients(camera);
     let mut text =
         format!("%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\n", camera.width(), camera.height());

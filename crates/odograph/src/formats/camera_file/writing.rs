@@ -85,6 +85,7 @@ pub(super) fn model_and_coefficients(camera: &Camera) -> (&'static str, Vec<f64>
         }
         Distortion::BrownConrady { .. } => ("rational_polynomial", all),
         Distortion::KannalaBrandt { .. } => ("equidistant", all),
+        Distortion::DoubleSphere { .. } => ("double_sphere", all),
     }
 }
 
@@ -123,6 +124,7 @@ fn kalibr(camera: &Camera) -> Result<String> {
         Distortion::KannalaBrandt { k1, k2, k3, k4 } => {
             ("pinhole", vec![fx, fy, cx, cy], "equidistant", vec![k1, k2, k3, k4])
         }
+        Distortion::DoubleSphere { xi, alpha } => ("ds", vec![xi, alpha, fx, fy, cx, cy], "none", vec![]),
     };
     Ok(format!(
         "cam0:\n  camera_model: {camera_model}\n  intrinsics: [{}]\n  distortion_model: {model}\n  distortion_coeffs: [{}]\n\
@@ -152,7 +154,7 @@ pub(super) fn numbers(values: &[f64]) -> String {
 
 /// The shortest digits that read back as the same number, always with a point, and with a sign in the exponent: without either, YAML
 /// 1.1 (Python's reader, and so Kalibr's and ROS's) takes `1e-5` for a word.
-pub(super) fn number(value: f64) -> String {
+pub(in crate::formats) fn number(value: f64) -> String {
     let shortest = format!("{value:?}");
     let Some((mantissa, exponent)) = shortest.split_once('e') else {
         return shortest;
