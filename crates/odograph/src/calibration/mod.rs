@@ -11,6 +11,7 @@ pub mod finder;
 pub mod selection;
 mod solver;
 
+pub use finder::{BoardFinder, NotFound};
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
 pub use drawing::{Drawing, Rectangle, Shape};
 pub use solver::{
