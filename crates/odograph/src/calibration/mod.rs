@@ -7,13 +7,13 @@
 mod board;
 mod dictionary;
 mod drawing;
-pub mod finder;
+mod finder;
 pub mod selection;
 mod solver;
 
-pub use finder::{BoardFinder, NotFound};
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
 pub use drawing::{Drawing, Rectangle, Shape};
+pub use finder::{BoardFinder, NotFound};
 pub use solver::{
     BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, Candidate, LensModel, Parameter,
     Verdict, board_pose, calibrate,

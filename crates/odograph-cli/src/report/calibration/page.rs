@@ -102,7 +102,7 @@ impl CalibrationReport<'_> {
 
     fn drawings(&self) -> Vec<Named> {
         let (residuals, times, mean_times) = views::residuals(self.size(), self.views);
-        let round = |times: f64| label(times, 10f64.powf(times.max(1.0).log10().floor()));
+        let round = |times: f64| label(times, times.min(1.0));
         let moved = lens::greatest_displacement_px(self.camera).map_or_else(String::new, |moved| {
             format!(" At the border it moves a point by up to {}.", pixels_text(moved))
         });
@@ -129,7 +129,7 @@ impl CalibrationReport<'_> {
                 file: "coverage.png",
                 title: "Coverage",
                 says: format!(
-                    "Every corner seen in the views; {:.0} % of the image's cells have seen one.",
+                    "Every corner seen in the views (orange: left out); {:.0} % of the image's cells have seen one.",
                     100.0 * self.guidance.coverage.share()
                 ),
                 drawing: views::coverage(self.size(), self.views, &self.guidance.coverage),
@@ -284,7 +284,7 @@ impl CalibrationReport<'_> {
 
     fn how_to_read(&self, page: &mut String) {
         page.push_str(
-            "<p>The <b>expected error</b> tells how sure the camera is where: dark is good, and yellow corners mean that the board was \
+            "<p class=\"read\">The <b>expected error</b> tells how sure the camera is where: dark is good, and yellow corners mean that the board was \
              not seen there. <b>Residuals</b> that point in all directions are the noise of finding corners; orange arrows that line up \
              over a region mean that the lens model does not fit there, or that the board is not flat. Where the <b>coverage</b> has \
              holes, the calibration is a guess.</p>\n",
@@ -325,7 +325,7 @@ impl CalibrationReport<'_> {
             "<h2>Lens models that were tried</h2>\n<p>Each was fitted to part of the views and judged by the others, which it had not \
              seen. More coefficients always fit better; only what foretells new views is worth having.</p>\n\
              <div class=\"box scroll\"><table class=\"figures\"><tr><th>Model</th><th class=\"number\">held-out views</th>\
-             <th class=\"number\">fitted views</th><th class=\"number\">expected error</th><th></th></tr>\n",
+             <th class=\"number\">fitted views</th><th class=\"number\">expected error</th></tr>\n",
         );
         for candidate in self.candidates {
             let chosen = candidate.model == self.model;
@@ -333,13 +333,13 @@ impl CalibrationReport<'_> {
             let pixels = |value: f64| if value.is_finite() { pixels_text(value) } else { "failed".into() };
             let _ = writeln!(
                 page,
-                "<tr><td class=\"name{class}\">{}</td><td class=\"number{class}\">{}</td><td class=\"number\">{}</td>\
-                 <td class=\"number\">{}</td><td class=\"{class}\">{}</td></tr>",
+                "<tr><td class=\"name{class}\">{}{}</td><td class=\"number{class}\">{}</td><td class=\"number\">{}</td>\
+                 <td class=\"number\">{}</td></tr>",
+                if chosen { "→ " } else { "" },
                 lens_name(candidate.model),
                 pixels(candidate.hold_out_rms_px),
                 pixels(candidate.rms_px),
                 pixels(candidate.expected_error_px),
-                if chosen { "chosen" } else { "" }
             );
         }
         page.push_str("</table></div>\n");
