@@ -1,7 +1,7 @@
 //! COLMAP's `cameras.txt`: one camera a line, `CAMERA_ID MODEL WIDTH HEIGHT PARAMS…`.
 
 use super::checked_camera;
-use super::writing::number;
+use super::writing::{number, refuse_double_sphere};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
 
@@ -72,10 +72,11 @@ pub(super) fn parse(text: &str) -> Result<Camera> {
 
 /// The text of a `cameras.txt` with this camera as its camera 1.
 pub(super) fn write(camera: &Camera) -> Result<String> {
+    refuse_double_sphere(camera, "COLMAP")?;
     let (fx, fy) = camera.focal_px();
     let (cx, cy) = camera.principal_px();
     let (model, coefficients) = match *camera.distortion() {
-        Distortion::None => ("PINHOLE", vec![]),
+        Distortion::None | Distortion::DoubleSphere { .. } => ("PINHOLE", vec![]),
         Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } if [k3, k4, k5, k6] == [0.0; 4] => {
             ("OPENCV", vec![k1, k2, p1, p2])
         }

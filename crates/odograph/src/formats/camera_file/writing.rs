@@ -68,7 +68,10 @@ impl FromStr for CameraFormat {
 /// OpenCV, ROS and COLMAP know no double-sphere lens.
 pub fn write_as(camera: &Camera, format: CameraFormat) -> Result<String> {
     match format {
-        CameraFormat::OpenCv => Ok(super::write(camera)),
+        CameraFormat::OpenCv => {
+            refuse_double_sphere(camera, "OpenCV")?;
+            Ok(super::write(camera))
+        }
         CameraFormat::Ros => ros(camera),
         CameraFormat::Kalibr => kalibr(camera),
         CameraFormat::Colmap => colmap::write(camera),
@@ -90,6 +93,7 @@ pub(super) fn model_and_coefficients(camera: &Camera) -> (&'static str, Vec<f64>
 }
 
 fn ros(camera: &Camera) -> Result<String> {
+    refuse_double_sphere(camera, "ROS")?;
     let (fx, fy) = camera.focal_px();
     let (cx, cy) = camera.principal_px();
     let (model, coefficients) = model_and_coefficients(camera);
@@ -124,6 +128,7 @@ fn kalibr(camera: &Camera) -> Result<String> {
         Distortion::KannalaBrandt { k1, k2, k3, k4 } => {
             ("pinhole", vec![fx, fy, cx, cy], "equidistant", vec![k1, k2, k3, k4])
         }
+        // Kalibr's double sphere carries its two numbers before the focal lengths.
         Distortion::DoubleSphere { xi, alpha } => ("ds", vec![xi, alpha, fx, fy, cx, cy], "none", vec![]),
     };
     Ok(format!(
@@ -141,9 +146,19 @@ fn refuse_any(model: &str, coefficients: &[(&str, f64)]) -> Result<()> {
     match coefficients.iter().find(|(_, value)| *value != 0.0) {
         None => Ok(()),
         Some((name, value)) => Err(Error::usage(format!(
-            "{model} has only k1, k2, p1 and p2, but the camera's {name} is {value}; calibrate with the lens model of four \
-             coefficients, or write another format"
+            "{model} has only k1, k2, p1 and p2, but the camera's {name} is {value}; calibrate with the lens model \
+             brown-conrady4, or write another format"
         ))),
+    }
+}
+
+/// Fails for a double-sphere lens, which of these programs only Kalibr knows.
+pub(super) fn refuse_double_sphere(camera: &Camera, program: &str) -> Result<()> {
+    match camera.distortion() {
+        Distortion::DoubleSphere { .. } => Err(Error::usage(format!(
+            "{program} knows no double-sphere lens; write Kalibr's format, or calibrate with the lens model kannala-brandt4"
+        ))),
+        _ => Ok(()),
     }
 }
 

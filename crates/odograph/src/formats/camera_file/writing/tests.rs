@@ -20,6 +20,7 @@ fn lenses() -> Vec<(Distortion, Vec<CameraFormat>)> {
         (brown(&[-0.28, 0.07, 2e-4, -3e-5]), vec![OpenCv, Ros, Kalibr, Colmap]),
         (brown(&[-0.28, 0.07, 2e-4, -3e-5, 0.16]), vec![OpenCv, Ros, Colmap]),
         (brown(&[0.4, 0.1, 1e-7, 0.0, 0.01, 0.7, 0.2, 0.02]), vec![OpenCv, Ros, Colmap]),
+        (Distortion::DoubleSphere { xi: -0.18, alpha: 0.59 }, vec![Kalibr]),
         (FISHEYE, vec![OpenCv, Ros, Kalibr, Colmap]),
     ]
 }
@@ -55,6 +56,19 @@ fn what_a_format_cannot_express_is_refused_by_name() {
             let written = write_as(&camera(lens), format);
             assert_eq!(written.is_ok(), formats.contains(&format), "{lens:?} {format}");
         }
+    }
+    let sphere = camera(Distortion::DoubleSphere { xi: -0.18, alpha: 0.59 });
+    assert!(write_as(&sphere, CameraFormat::Ros).unwrap_err().to_string().contains("no double-sphere lens"));
+    // Our own file is OpenCV's form with one more lens.
+    assert_eq!(parse(&write(&sphere), None).unwrap(), sphere);
+    let kalibr = write_as(&sphere, CameraFormat::Kalibr).unwrap();
+    for (from, to, part) in [
+        ("-0.18, ", "", "has 5 numbers; a double sphere's are"),
+        ("camera_model: ds", "camera_model: pinhole", "only the camera model `ds`"),
+    ] {
+        assert!(kalibr.contains(from));
+        let error = parse(&kalibr.replace(from, to), None).unwrap_err().to_string();
+        assert!(error.contains(part), "{error}");
     }
     let error = write_as(&camera(brown(&[0.1, 0.0, 0.0, 0.0, 0.25])), CameraFormat::Kalibr).unwrap_err();
     assert!(error.to_string().contains("the camera's k3 is 0.25"), "{error}");
