@@ -14,6 +14,7 @@ use odograph_video::SourceOptions;
 use output::Output;
 use search::Search;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 /// Calibrate a camera: from a video of a board that is waved before it, or from pictures of one.
 #[derive(Debug, clap::Args)]
@@ -65,6 +66,9 @@ pub struct CalibrateArguments {
     /// Say nothing but errors and warnings.
     #[arg(short, long)]
     quiet: bool,
+    /// Print the figures as JSON to standard output instead of a summary.
+    #[arg(long)]
+    json: bool,
 }
 
 const EXAMPLES: &str = "\
@@ -123,6 +127,8 @@ struct Calibrated {
     calibration: Calibration,
     /// For people: what was read.
     description: String,
+    /// How long finding the board and calibrating took.
+    times: [Duration; 2],
 }
 
 /// Runs the command.
@@ -135,10 +141,12 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
         every: arguments.every,
         ..SourceOptions::default()
     };
+    let started = Instant::now();
     let mut input = Input::open(&arguments.sources, &options)?;
     let selection =
         SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
     let mut search = search::search(&mut input, &board, selection, arguments.threads, arguments.quiet)?;
+    let searched = Instant::now();
     let (guidance, chosen) = choose(&search, selection.most_views, &board, &input.description)?;
     let (names, views): (Vec<_>, Vec<_>) = chosen
         .into_iter()
@@ -152,16 +160,19 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     };
     let calibration = odograph::calibration::calibrate(&board, &views, &config)
         .map_err(|error| error.at(&input.description))?;
+    let times = [searched - started, searched.elapsed()];
     if interrupt::asked() {
         search
             .warnings
             .push(format!("interrupted: only the first {} frames were looked at", search.found.looked_at));
     }
     let description = input.description;
-    let calibrated = Calibrated { board, search, names, views, guidance, calibration, description };
+    let calibrated = Calibrated { board, search, names, views, guidance, calibration, description, times };
     output.write(&calibrated)?;
     calibrated.search.warnings.iter().for_each(|warning| console::warn(warning));
-    if !arguments.quiet {
+    if arguments.json {
+        console::print(&summary::json(&calibrated))?;
+    } else if !arguments.quiet {
         console::print(&summary::text(&calibrated, &output))?;
     }
     Ok(match calibrated.calibration.verdict {

@@ -87,3 +87,38 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
     }
     text
 }
+
+/// The figures of a calibration for other programs, on one line.
+pub fn json(calibrated: &Calibrated) -> String {
+    let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
+    let parameters: serde_json::Map<String, serde_json::Value> = calibration
+        .parameters
+        .iter()
+        .map(|p| (p.name.to_owned(), serde_json::json!({ "value": p.value, "deviation": p.deviation })))
+        .collect();
+    let left_out: Vec<_> = calibration
+        .views
+        .iter()
+        .zip(&calibrated.names)
+        .filter(|(view, _)| !view.used)
+        .map(|(view, name)| serde_json::json!({ "view": name, "why": view.why_not }))
+        .collect();
+    let [find, solve] = calibrated.times.map(|time| time.as_secs_f64());
+    let figures = serde_json::json!({
+        "verdict": calibration.verdict.to_string(),
+        "reasons": calibration.reasons,
+        "model": calibration.model.name(),
+        "looked_at": found.looked_at,
+        "with_board": found.with_board,
+        "views_given": calibration.views.len(),
+        "views_used": calibration.views_used(),
+        "left_out": left_out,
+        "rms_px": calibration.rms_px,
+        "hold_out_rms_px": calibration.hold_out_rms_px,
+        "expected_error_px": calibration.expected_error_over_image_px(),
+        "parameters": parameters,
+        "missing": calibrated.guidance.missing.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "seconds": { "find": find, "solve": solve },
+    });
+    format!("{figures}\n")
+}

@@ -82,9 +82,6 @@ pub(super) fn write(camera: &Camera) -> Result<String> {
         }
         Distortion::BrownConrady { .. } => ("FULL_OPENCV", camera.distortion().coefficients()),
         Distortion::KannalaBrandt { .. } => ("OPENCV_FISHEYE", camera.distortion().coefficients()),
-        Distortion::DoubleSphere { .. } => {
-            return Err(Error::usage("COLMAP has no double sphere lens; write Kalibr's or OpenCV's form instead"));
-        }
     };
     let mut parameters = vec![fx, fy, cx + PIXEL_CENTRE, cy + PIXEL_CENTRE];
     parameters.extend(coefficients);
