@@ -1,6 +1,9 @@
 //! Finding a board in an image.
 
+mod blobs;
 mod chessboard;
+mod circles;
+mod disc;
 mod lattice;
 mod response;
 pub(crate) mod ring;
@@ -107,6 +110,7 @@ impl BoardFinder {
     pub fn find(&self, image: &GrayImage) -> Result<BoardView, NotFound> {
         match self.board.kind() {
             BoardKind::Chessboard => chessboard::find(image, &self.board),
+            BoardKind::Circles | BoardKind::AsymmetricCircles => circles::find(image, &self.board),
             _ => Err(NotFound::NoMarkers),
         }
     }
