@@ -57,9 +57,10 @@ impl Drawing {
 fn light_style() -> String {
     let sheets = [STYLE, super::STYLE];
     let lines = || sheets.iter().flat_map(|sheet| sheet.lines());
-    let light = lines().take_while(|line| !line.starts_with("@media"));
+    // What a sheet says before its first condition holds in light colours.
+    let light = sheets.iter().flat_map(|sheet| sheet.split("@media").next());
     let values: Vec<(&str, &str)> = light
-        .flat_map(|line| line.trim().split(';'))
+        .flat_map(|part| part.split([';', '{', '}']))
         .filter_map(|declaration| declaration.trim().split_once(": "))
         .filter(|(name, _)| name.starts_with("--"))
         .collect();

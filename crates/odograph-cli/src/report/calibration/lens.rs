@@ -151,9 +151,10 @@ impl ExpectedError {
     pub fn drawing(&self) -> Drawing {
         let frame = ImageFrame::new(self.size);
         let known = self.known();
-        // Tenths and more apart are all the eye can tell; a lens that is known alike everywhere is one colour.
-        let low = known.first().copied().unwrap_or(0.01).max(1e-4);
-        let high = known.last().copied().unwrap_or(1.0).max(2.0 * low);
+        // A few cells at the rim of what the lens sees may be a thousand times worse: they do not make all others one colour.
+        let quantile = |hundredths: usize| known.get(known.len() * hundredths / 100).copied();
+        let low = quantile(1).unwrap_or(0.01).max(1e-4);
+        let high = quantile(98).unwrap_or(1.0).max(2.0 * low);
         let share = |error: f64| ((error.max(low) / low).ln() / (high / low).ln()).clamp(0.0, 1.0);
         let (left, right, top, bottom) = frame.sides();
         let (width, height) = ((right - left) / self.columns as f64, (bottom - top) / self.rows as f64);

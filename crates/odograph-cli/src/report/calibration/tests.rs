@@ -156,6 +156,7 @@ fn no_drawing_minds_numbers_that_are_none() {
     ] {
         let svg = drawing.file("<&>", "\u{1}");
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        assert!(!svg.contains("var("), "a picture of its own has its own colours");
         crate::report::drawing_png(&svg, 200).unwrap();
     }
 }

@@ -183,11 +183,11 @@ pub fn errors(views: &[ShownView], rms_px: f64) -> Drawing {
         let beyond = if view.rms_px > high { "→ " } else { "" };
         let _ = writeln!(
             content,
-            "<text text-anchor=\"end\" x=\"{}\" y=\"{}\">{}</text><rect class=\"bar{out}\" x=\"{NAMES}\" y=\"{}\" width=\"{}\" \
-             height=\"{}\"/><text x=\"{}\" y=\"{2}\">{beyond}{}</text>",
+            "<text text-anchor=\"end\" x=\"{}\" y=\"{2}\">{1}</text><rect class=\"bar{out}\" x=\"{NAMES}\" y=\"{3}\" \
+             width=\"{4}\" height=\"{5}\"/><text x=\"{6}\" y=\"{2}\">{beyond}{7}</text>",
             NAMES - 8.0,
-            coordinate(y + 16.0),
             escape(&fitted(&view.name, 14.0, NAMES - 16.0)),
+            coordinate(y + 16.0),
             coordinate(y + 3.0),
             coordinate((end - NAMES).max(1.0)),
             ROW - 6.0,

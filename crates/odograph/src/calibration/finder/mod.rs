@@ -1,13 +1,19 @@
 //! Finding a board in an image.
 
+mod aprilgrid;
 mod blobs;
+mod charuco;
 mod chessboard;
 mod circles;
 mod disc;
 mod lattice;
+mod markers;
+mod plane_map;
+mod points;
 mod response;
 pub(crate) mod ring;
 pub(crate) mod subpixel;
+mod tagged;
 #[cfg(test)]
 mod tests;
 
@@ -87,12 +93,19 @@ impl fmt::Display for NotFound {
 #[derive(Debug, Clone)]
 pub struct BoardFinder {
     board: Board,
+    /// The markers laid out, for boards that have them.
+    tagged: Option<tagged::TaggedBoard>,
 }
 
 impl BoardFinder {
     /// A finder for a board.
     pub fn new(board: &Board) -> Self {
-        Self { board: *board }
+        let tagged = match board.kind() {
+            BoardKind::Charuco { .. } => charuco::prepare(board),
+            BoardKind::AprilGrid { .. } => aprilgrid::prepare(board),
+            _ => None,
+        };
+        Self { board: *board, tagged }
     }
 
     /// The board that is looked for.
@@ -111,7 +124,7 @@ impl BoardFinder {
         match self.board.kind() {
             BoardKind::Chessboard => chessboard::find(image, &self.board),
             BoardKind::Circles | BoardKind::AsymmetricCircles => circles::find(image, &self.board),
-            _ => Err(NotFound::NoMarkers),
+            _ => self.tagged.as_ref().ok_or(NotFound::NoMarkers)?.find(image),
         }
     }
 }
