@@ -64,7 +64,9 @@ impl Input {
 
     /// What kind of recording it is, in words: codec, container, size.
     pub fn kind(&self) -> String {
-        self.open.as_ref().map_or_else(String::new, |(source, _)| source.info().description.clone())
+        let kind = self.open.as_ref().map_or("", |(source, _)| &source.info().description);
+        let several = self.waiting.len() + 1;
+        if self.single { kind.to_owned() } else { format!("{several} sources, the first: {kind}") }
     }
 
     /// The next frame; `None` at the end.

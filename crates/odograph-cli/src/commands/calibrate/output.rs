@@ -1,6 +1,6 @@
 //! The camera file and the folder of its report.
 
-use super::Calibrated;
+use super::{Calibrated, summary};
 use crate::files;
 use crate::report::calibration::{CalibrationReport, ExpectedError, Residual, ShownView};
 use odograph::error::{Error, Result};
@@ -77,6 +77,7 @@ impl Output {
             found: &calibrated.search.found,
             camera: &calibration.camera,
             model: calibration.model,
+            focal_px: summary::focal_px(calibration),
             parameters: &calibration.parameters,
             rms_px: calibration.rms_px,
             hold_out_rms_px: calibration.hold_out_rms_px,

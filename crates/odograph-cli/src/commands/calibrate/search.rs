@@ -57,6 +57,7 @@ pub fn search(
             kind: input.kind(),
         },
         most_views: selection.most_views,
+        photographs: input.frame_count.is_some_and(|count| count <= selection.most_views as u64),
         reasons: Vec::new(),
         only_pictures: true,
         progress: progress(input.frame_count, quiet),
@@ -142,6 +143,8 @@ fn look(finder: &BoardFinder, frame: Look) -> Looked {
 struct Gathering {
     search: Search,
     most_views: usize,
+    /// Whether pictures are so few that they were taken one by one, and their times say nothing about how the board moved.
+    photographs: bool,
     /// The first of each kind, and how often it came.
     reasons: Vec<(NotFound, u64)>,
     only_pictures: bool,
@@ -158,7 +161,8 @@ impl Gathering {
         match looked.outcome {
             Ok((view, blur_px)) => {
                 search.found.with_board += 1;
-                let sighting = Sighting { number, time_s: looked.time_s, view, blur_px };
+                let time_s = looked.time_s.filter(|_| !(self.photographs && looked.picture));
+                let sighting = Sighting { number, time_s, view, blur_px };
                 search.names.insert(number, looked.name);
                 // One more than can be used tells that there are too many.
                 if looked.picture && search.pictures.len() <= self.most_views {

@@ -4,7 +4,7 @@ use super::Calibrated;
 use super::output::Output;
 use super::search::Search;
 use crate::report::calibration::{lens_name, pixels_text};
-use odograph::calibration::{Board, BoardKind, Verdict};
+use odograph::calibration::{Board, BoardKind, Calibration, Verdict};
 use odograph::error::Error;
 use odograph::mapping::drawing::scale::label;
 use std::fmt::Write;
@@ -53,16 +53,25 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
     for reason in calibration.reasons.iter().take(3) {
         let _ = writeln!(text, "  · {reason}");
     }
-    let known: Vec<String> = calibration
-        .parameters
-        .iter()
-        .take_while(|p| ["f", "fx", "fy", "cx", "cy"].contains(&p.name))
-        .map(|p| {
-            let step = if p.deviation < 0.05 { 0.01 } else { 0.1 };
-            format!("{} {} ± {}", p.name, label(p.value, step), label(p.deviation, step))
-        })
-        .collect();
-    let _ = writeln!(text, "{}; {}", known.join(", "), lens_name(calibration.model));
+    let (camera, (focal_px, deviation_px)) = (&calibration.camera, focal_px(calibration));
+    let (fx, fy) = camera.focal_px();
+    let deviation_of =
+        |name: &str| calibration.parameters.iter().find(|p| p.name == name).map_or(0.0, |p| p.deviation);
+    let step = |deviation: f64| if deviation < 0.05 { 0.01 } else { 0.1 };
+    let middle_deviation_px = deviation_of("cx").max(deviation_of("cy"));
+    let (focal_step, middle_step) = (step(deviation_px), step(middle_deviation_px));
+    let down =
+        if fx == fy { String::new() } else { format!(" and {}", label(focal_px * fy / fx, focal_step)) };
+    let _ = writeln!(
+        text,
+        "focal length {}{down} ± {} px, principal point {}, {} ± {} px; {}",
+        label(focal_px, focal_step),
+        label(deviation_px, focal_step),
+        label(camera.principal_px().0, middle_step),
+        label(camera.principal_px().1, middle_step),
+        label(middle_deviation_px, middle_step),
+        lens_name(calibration.model)
+    );
     // Most important first; the report has them all.
     if calibration.verdict != Verdict::Good {
         let hints: Vec<String> =
@@ -86,6 +95,23 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
         }
     }
     text
+}
+
+/// Pixels per tangent on the axis across the image, and their standard deviation: what people mean by the focal length.
+///
+/// The double sphere's own focal length is `1 + ξ` times as large, and hardly known by itself (V. Usenko et al., 2018, section 3.5).
+pub fn focal_px(calibration: &Calibration) -> (f64, f64) {
+    let place = |names: &[&str]| calibration.parameters.iter().position(|p| names.contains(&p.name));
+    let Some(focal) = place(&["fx", "f"]) else { return (calibration.camera.focal_px().0, 0.0) };
+    let (parameters, covariance) = (&calibration.parameters, &calibration.covariance);
+    let value = parameters[focal].value;
+    let Some(xi) = place(&["xi"]) else { return (value, parameters[focal].deviation) };
+    let scale = 1.0 / (1.0 + parameters[xi].value);
+    let (by_focal, by_xi) = (scale, -value * scale * scale);
+    let variance = by_focal * by_focal * covariance[(focal, focal)]
+        + 2.0 * by_focal * by_xi * covariance[(focal, xi)]
+        + by_xi * by_xi * covariance[(xi, xi)];
+    (value * scale, variance.max(0.0).sqrt())
 }
 
 /// The figures of a calibration for other programs, on one line.

@@ -42,6 +42,8 @@ pub struct CalibrationReport<'a> {
     pub found: &'a Found,
     pub camera: &'a Camera,
     pub model: LensModel,
+    /// Pixels per tangent on the axis across the image and their standard deviation: what people mean by the focal length.
+    pub focal_px: (f64, f64),
     pub parameters: &'a [Parameter],
     pub rms_px: f64,
     pub hold_out_rms_px: f64,
@@ -213,9 +215,9 @@ impl CalibrationReport<'_> {
         let of = if self.pictures { "pictures" } else { "frames" };
         let kind = if self.pictures { "picture" } else { "frame" };
         page.push_str("<div class=\"cards\">\n");
-        let (focal, found) = (self.camera.focal_px(), self.found);
-        let deviation =
-            self.parameters.iter().find(|p| p.name.starts_with('f')).map_or(f64::NAN, |p| p.deviation);
+        let ((focal_px, deviation_px), found) = (self.focal_px, self.found);
+        let (fx, fy) = self.camera.focal_px();
+        let chosen = if self.candidates.len() > 1 { "chosen as told below" } else { "as asked for" };
         card(
             "Error of the corners",
             &pixels_text(self.rms_px),
@@ -244,8 +246,8 @@ impl CalibrationReport<'_> {
         );
         card(
             "Focal length",
-            &format!("{} px", number(focal.0, 1)),
-            &format!("± {}, {} down the image.", pixels_text(deviation), pixels_text_long(focal.1)),
+            &format!("{} px", number(focal_px, 1)),
+            &format!("± {}; {} px down the image.", pixels_text(deviation_px), number(focal_px * fy / fx, 1)),
             page,
         );
         if let Some((across, down)) = lens::field_of_view_rad(self.camera) {
@@ -260,12 +262,7 @@ impl CalibrationReport<'_> {
                 page,
             );
         }
-        card(
-            "Lens model",
-            short_name(self.model),
-            &format!("{}; chosen as told below.", lens_name(self.model)),
-            page,
-        );
+        card("Lens model", short_name(self.model), &format!("{}; {chosen}.", lens_name(self.model)), page);
         card("Board", &escape(&self.board), &format!("Looked for in every {kind}."), page);
         page.push_str("</div>\n");
     }
@@ -381,10 +378,6 @@ fn short_name(model: LensModel) -> &'static str {
         LensModel::KannalaBrandt4 => "fisheye",
         LensModel::DoubleSphere => "double-sphere",
     }
-}
-
-fn pixels_text_long(pixels: f64) -> String {
-    format!("{} px", number(pixels, 1))
 }
 
 /// A parameter's name as people call it, and its unit.

@@ -88,6 +88,7 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
         found: &found,
         camera: &camera,
         model: LensModel::BrownConrady4,
+        focal_px: (532.826, 0.61),
         parameters: &parameters,
         rms_px: 0.196,
         hold_out_rms_px: 0.217,

@@ -88,7 +88,11 @@ pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f6
         let times = LONG / (length_px.copied().unwrap_or(1.0).max(1e-4) * frame.scale());
         // The round number below: 1, 2 or 5 times a power of ten.
         let decade = 10f64.powf(times.log10().floor());
-        [5.0, 2.0, 1.0].map(|digit| digit * decade).into_iter().find(|&round| round <= times).unwrap_or(decade)
+        [5.0, 2.0, 1.0]
+            .map(|digit| digit * decade)
+            .into_iter()
+            .find(|&round| round <= times)
+            .unwrap_or(decade)
     };
     let times = longer(each.get(each.len() * 9 / 10));
     let means = means(size, views);

@@ -32,7 +32,7 @@ pub struct SelectionConfig {
 impl Default for SelectionConfig {
     fn default() -> Self {
         // More than 60 views only take time: the errors that are left are no longer those of single corners.
-        Self { most_views: 60, alike_displacement: 0.04, alike_turn_rad: 8.0_f64.to_radians() }
+        Self { most_views: 60, alike_displacement: 0.03, alike_turn_rad: 6.0_f64.to_radians() }
     }
 }
 
