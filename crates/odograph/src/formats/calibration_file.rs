@@ -84,3 +84,6 @@ fn matrix(text: &mut String, key: &str, rows: usize, data: &[f64]) {
         "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {numbers} ]"
     );
 }
+
+#[cfg(test)]
+mod tests;
