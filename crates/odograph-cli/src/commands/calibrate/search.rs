@@ -195,7 +195,7 @@ impl Gathering {
         let guidance = selector.guidance();
         let hints = guidance.missing.iter().take(2).map(|hint| format!(" · {hint}"));
         self.progress.set_message(format!(
-            "board in {}, {} chosen{}",
+            ", board in {}, {} chosen{}",
             self.search.found.with_board,
             guidance.views,
             hints.collect::<String>()
@@ -229,7 +229,7 @@ fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
     }
     let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
     let template =
-        if frames.is_some() { "{bar:25} {pos}/{len} frames, {wide_msg}" } else { "{pos} frames, {wide_msg}" };
+        if frames.is_some() { "{bar:12} {pos}/{len} frames{wide_msg}" } else { "{pos} frames{wide_msg}" };
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }

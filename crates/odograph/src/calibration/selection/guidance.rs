@@ -97,12 +97,8 @@ pub enum Hint {
 impl fmt::Display for Hint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Tilt(Direction::Sideways) => {
-                f.write_str("turn the board more, its left or right side to the camera")
-            }
-            Self::Tilt(Direction::UpAndDown) => {
-                f.write_str("tilt the board more, its top or bottom to the camera")
-            }
+            Self::Tilt(Direction::Sideways) => f.write_str("turn the board more to the left and right"),
+            Self::Tilt(Direction::UpAndDown) => f.write_str("tilt the board more up and down"),
             Self::GoTo(region) => write!(f, "go to {region} of the image"),
             Self::ComeCloser => f.write_str("come closer, until the board fills half of the image"),
             Self::GoFurtherAway => f.write_str("go further away"),
