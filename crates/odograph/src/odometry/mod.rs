@@ -65,6 +65,8 @@ impl Default for KeyframeConfig {
 pub struct TrackView {
     /// Where it is.
     pub pixel: Pixel,
+    /// Where its corner is in the keyframe against which the frame was measured.
+    pub corner: Pixel,
     /// Whether it agrees with the movement.
     pub inlier: bool,
 }
@@ -339,11 +341,12 @@ impl Odometry {
         let Measurement { estimate, found, support, .. } = measurement;
         let covariance = self.carried_covariance(&estimate.pose) + estimate.covariance;
         let inliers = estimate.inlier_count();
-        self.tracks = found
-            .iter()
-            .zip(&estimate.inliers)
-            .map(|(found, &inlier)| TrackView { pixel: found.warp.position, inlier })
-            .collect();
+        let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
+        let view = |(found, &inlier): (&follow::Found, &bool)| {
+            let corner = corners.get(found.corner)?.template.centre();
+            Some(TrackView { pixel: found.warp.position, corner, inlier })
+        };
+        self.tracks = found.iter().zip(&estimate.inliers).filter_map(view).collect();
         self.wander.learn(&estimate);
         if let Some(keyframe) = &self.keyframe {
             let presence = follow::presence(keyframe, &self.camera, &estimate);
@@ -424,7 +427,8 @@ impl Odometry {
         self.tracks = keyframe
             .corners
             .iter()
-            .map(|corner| TrackView { pixel: corner.template.centre(), inlier: true })
+            .map(|corner| corner.template.centre())
+            .map(|corner| TrackView { pixel: corner, corner, inlier: true })
             .collect();
         self.keyframe = Some(keyframe);
         self.keyframes += 1;
