@@ -8,6 +8,7 @@ mod board;
 mod dictionary;
 mod drawing;
 mod finder;
+pub mod selection;
 mod solver;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};

@@ -2,7 +2,7 @@
 
 use super::Measured;
 use crate::files;
-use crate::report::map_png;
+use crate::report::drawing_png;
 use odograph::camera::Camera;
 use odograph::error::Result;
 use odograph::geometry::{GroundPoint, GroundPose, Pixel};
@@ -64,7 +64,7 @@ pub fn drawn(camera: &Camera, measured: &Measured) -> Result<Vec<u8>> {
         text(&mut svg, Pixel::new(plumb.x + 7.0 * unit, plumb.y + 14.0 * unit), "plumb point", "#ffd54a");
     }
     svg.push_str("</svg>\n");
-    map_png(&svg, width as u32)
+    drawing_png(&svg, width as u32)
 }
 
 fn seen(camera: &Camera, pose: &GroundPose, point: GroundPoint) -> Option<Pixel> {
