@@ -6,7 +6,9 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
 use odograph::image::RgbImage;
-use odograph::mounting::{DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement};
+use odograph::mounting::{
+    CameraUncertainty, DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement,
+};
 use odograph::odometry::{Odometry, OdometryConfig};
 
 /// One pass over the recording.
