@@ -173,7 +173,7 @@ pub fn rig_from_boards(
 #[derive(Debug, Clone)]
 struct LeftOut {
     why: String,
-    fit: Option<Fit>,
+    fit: Option<Box<Fit>>,
 }
 
 /// What the used views say together.
@@ -218,7 +218,7 @@ fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a Fit> + Clone)
 
 /// The pose of one view, or why it has none.
 fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Result<Fit, LeftOut> {
-    let refuse = |why: String, fit| Err(LeftOut { why, fit });
+    let refuse = |why: String, fit: Option<Fit>| Err(LeftOut { why, fit: fit.map(Box::new) });
     if points.len() < FEWEST_POINTS {
         return refuse(
             format!(
@@ -250,7 +250,7 @@ fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Resu
 fn told(fit: std::result::Result<Fit, LeftOut>, thickness_m: f64) -> MountingView {
     let (fit, why_not) = match fit {
         Ok(fit) => (Some(fit), None),
-        Err(LeftOut { why, fit }) => (fit, Some(why)),
+        Err(LeftOut { why, fit }) => (fit.map(|fit| *fit), Some(why)),
     };
     let raised = |pose: GroundPose| GroundPose { height_m: pose.height_m + thickness_m, ..pose };
     MountingView {

@@ -35,7 +35,7 @@ pub fn leave_out(fits: &mut [std::result::Result<Fit, LeftOut>]) -> Result<()> {
     }
     for (index, fit) in all.iter().filter(|(index, _)| !largest.contains(index)) {
         let why = "it is of another height or tilt than most views".to_owned();
-        fits[*index] = Err(LeftOut { why, fit: Some(fit.clone()) });
+        fits[*index] = Err(LeftOut { why, fit: Some(Box::new(fit.clone())) });
     }
     leave_out_one_by_one(fits);
     Ok(())
@@ -69,7 +69,7 @@ fn leave_out_one_by_one(fits: &mut [std::result::Result<Fit, LeftOut>]) {
                     "it contradicts the other views (tilt by {off_deg:.2}°, height by {:.2} %)",
                     100.0 * off_part
                 );
-                fits[*index] = Err(LeftOut { why, fit: Some(fit.clone()) });
+                fits[*index] = Err(LeftOut { why, fit: Some(Box::new(fit.clone())) });
             }
             _ => return,
         }

@@ -10,7 +10,7 @@ fn normal(random: &mut Random) -> f64 {
 /// Measurements of (1, −2) with noise of their own, which every third knows little of, and with scatter.
 fn parts(random: &mut Random, count: usize, scatter: [f64; 2]) -> Vec<Part<2>> {
     let part = |i: usize, random: &mut Random| {
-        let deviations = [0.1, if i % 3 == 0 { 5.0 } else { 0.2 }];
+        let deviations = [0.1, if i.is_multiple_of(3) { 5.0 } else { 0.2 }];
         let at = Vector2::new(1.0, -2.0)
             + Vector2::from_fn(|k, _| deviations[k] * normal(random) + scatter[k] * normal(random));
         let information = Matrix2::from_diagonal(&Vector2::from(deviations.map(|d| 1.0 / (d * d))));

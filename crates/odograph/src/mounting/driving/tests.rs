@@ -43,7 +43,7 @@ fn collected(
             let corner = Pixel::new(10.0 + random.below(620) as f64, 10.0 + random.below(460) as f64);
             let ground: GroundPoint = first.ground_from_ray(camera.ray_from_pixel(corner).unwrap()).unwrap();
             let seen = second.ray_from_ground(ground).and_then(|ray| camera.pixel_from_ray(ray)).unwrap();
-            let wrong = tracks.len() % 10 == 0;
+            let wrong = tracks.len().is_multiple_of(10);
             let noise = if wrong { 4.0 } else { noise_px };
             let seen = Pixel::new(seen.x + noise * normal(random), seen.y + noise * normal(random));
             tracks.push((corner, seen, !wrong));
@@ -55,7 +55,7 @@ fn collected(
 
 /// Forward, with turns to both sides.
 fn turning(index: usize, random: &mut Random) -> [f64; 3] {
-    [0.2, 0.02 * normal(random), if index % 2 == 0 { 0.15 } else { -0.1 }]
+    [0.2, 0.02 * normal(random), if index.is_multiple_of(2) { 0.15 } else { -0.1 }]
 }
 
 fn off(found: &TiltMeasurement) -> nalgebra::Vector2<f64> {
