@@ -220,3 +220,67 @@ fn driving_gives_roll_and_pitch_and_a_distance_the_height() {
     let out = String::from_utf8_lossy(&done.stdout).into_owned();
     assert!(out.contains("pairs of views") && out.contains("yaw     not measured"), "{out}");
 }
+
+/// The folder of real recordings, where it is there.
+fn recordings() -> Option<PathBuf> {
+    let folder = std::env::var_os("ODOGRAPH_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
+    let there = folder.join("calib_overhead_table/images").is_dir();
+    if !there {
+        println!("skipped: {} does not hold the recordings", folder.display());
+    }
+    there.then_some(folder)
+}
+
+/// Measures with a camera whose numbers are OpenCV's, and gives the rig and what was printed.
+fn measured(sources: &str, board: &str, camera: &str) -> (Rig, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(path("camera.yaml"), camera).unwrap();
+    let (camera, output) = (path("camera.yaml"), path("rig.toml"));
+    let done = odograph(&[
+        "ground",
+        sources,
+        "--board",
+        board,
+        "--camera",
+        &camera,
+        "--forward",
+        "x",
+        "-o",
+        &output,
+    ]);
+    assert_eq!(done.status.code(), Some(0), "{}", said(&done));
+    let rig = rig_file::parse(&fs::read_to_string(&output).unwrap()).unwrap();
+    (rig, String::from_utf8_lossy(&done.stdout).into_owned())
+}
+
+#[test]
+fn a_real_table_is_measured_and_boards_held_up_are_told_apart() {
+    let Some(folder) = recordings() else { return };
+    let camera = "image_width: 1440\nimage_height: 1080\n\
+                  camera_matrix: [1178.716, 0, 737.038, 0, 1178.121, 582.7, 0, 0, 1]\n\
+                  distortion_coefficients: [-0.238614, 0.119906, 0.000867, 0.00051, -0.043456]\n";
+    let pictures = folder.join("calib_overhead_table/images");
+    let (rig, said) = measured(pictures.to_str().unwrap(), "chessboard:24x17:15mm", camera);
+    // OpenCV's own poses of the six in which the board lies flat: 1.0563 to 1.0619 m, 0.81 to 1.30° off plumb.
+    assert!((1.0563..1.0619).contains(&rig.height_m), "{rig:?}");
+    let tilt_deg = rig.roll_rad.hypot(rig.pitch_rad).to_degrees();
+    assert!((0.81..1.3).contains(&tilt_deg), "{rig:?}");
+    assert!(said.contains("6 of 11 views"), "{said}");
+}
+
+#[test]
+fn a_real_picture_agrees_with_its_pose() {
+    let Some(folder) = recordings() else { return };
+    let camera = "image_width: 752\nimage_height: 480\n\
+                  camera_matrix: [419.97, 0, 353.93, 0, 419.31, 250.78, 0, 0, 1]\n\
+                  distortion_coefficients: [-0.31418, 0.10884, 0, 0]\n";
+    let picture = folder.join("planar_checker_a/images/img_0001.jpg");
+    let (rig, _) = measured(picture.to_str().unwrap(), "chessboard:9x6:40mm", camera);
+    // The pose that comes with the picture, of another lens model and a principal point 1.4 px aside: 0.31436 m, 1.65°, -21.40°, 93.46°.
+    assert!((rig.height_m / 0.31436 - 1.0).abs() < 2e-3, "{rig:?}");
+    for (found, given) in [(rig.roll_rad, 1.65f64), (rig.pitch_rad, -21.4), (rig.yaw_rad, 93.46)] {
+        assert!((found.to_degrees() - given).abs() < 0.5, "{rig:?}");
+    }
+}
