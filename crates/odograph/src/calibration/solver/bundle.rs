@@ -60,6 +60,8 @@ impl Unknowns {
 /// Residuals beyond this many standard deviations count less and less: the loss is quadratic up to it and logarithmic
 /// beyond, `k² (1/2 + ln(s / k))`, with weight `(k / s)²`. Of points with nothing but Gaussian noise 1.1 % lie beyond.
 const BEND: f64 = 3.0;
+/// An adjustment ends when a step gains less loss than this.
+const LEAST_GAIN: f64 = 1e-4;
 /// A point without a projection counts like one this far off, pixels.
 const NOWHERE_PX: f64 = 1e4;
 
@@ -272,9 +274,8 @@ impl Bundle<'_> {
                 damping *= 10.0;
             }
             let Some(gained) = gained else { break };
-            // A loss of 1 is the noise of two numbers: a gain of a millionth of it changes nothing that can be known.
-            let enough = gained < 1e-6 + 1e-12 * normal.cost;
-            if enough {
+            // A loss of 1 is the noise of two numbers: what gains this little moves nothing by a hundredth of its deviation.
+            if gained < LEAST_GAIN + 1e-12 * normal.cost {
                 return normal.cost - gained;
             }
             normal = self.linearise(state);
