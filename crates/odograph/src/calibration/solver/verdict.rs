@@ -158,7 +158,7 @@ fn uncovered(
         ("bottom-left", 0.0, bottom),
         ("bottom-right", right, bottom),
     ];
-    let (mut names, mut worst_px) = (Vec::new(), 0.0f64);
+    let (mut names, mut guessed, mut worst_px) = (Vec::new(), Vec::new(), 0.0f64);
     for (name, x, y) in corners {
         // A fifth of the image each way counts as its corner.
         let near = |sight: &&Sight| {
@@ -171,7 +171,17 @@ fn uncovered(
             if !covered {
                 names.push(name);
             }
+        } else if !covered {
+            guessed.push(name);
         }
+    }
+    if !guessed.is_empty() {
+        let corners = if guessed.len() == 1 { "corner was" } else { "corners were" };
+        let what = format!(
+            "the {} {corners} never covered; rays there are only as right as the lens model",
+            guessed.join(" and ")
+        );
+        all.push((Verdict::Good, what));
     }
     if worst_px == 0.0 {
         return;
