@@ -5,9 +5,15 @@
 //! front of a known camera.
 
 mod board;
+mod dictionary;
+mod drawing;
+mod finder;
+pub mod selection;
 mod solver;
 
 pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
+pub use drawing::{Drawing, Rectangle, Shape};
+pub use finder::{BoardFinder, NotFound};
 pub use solver::{
     BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, Candidate, LensModel, Parameter,
     Verdict, board_pose, calibrate,
