@@ -48,11 +48,12 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
     tilt_and_focal(calibration, &mut all);
     let over_px = calibration.expected_error_over_image_px();
     let error = grade(over_px, GOOD_ERROR_PX * unit_px, USABLE_ERROR_PX * unit_px);
-    let before = all.len();
+    let before = all.iter().filter(|(verdict, _)| *verdict > Verdict::Good).count();
     uncovered(calibration, evidence, unit_px, &mut all);
+    let advised = all.iter().filter(|(verdict, _)| *verdict > Verdict::Good).count() > before;
     if error > Verdict::Good {
         let advice =
-            if all.len() > before { "" } else { ": take more views, tilted, near and all over the image" };
+            if advised { "" } else { ": take more views, tilted, near and all over the image" };
         all.push((
             error,
             format!("rays are expected to be {over_px:.2} px off on average over the image{advice}"),
