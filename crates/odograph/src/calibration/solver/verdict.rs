@@ -52,8 +52,7 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
     uncovered(calibration, evidence, unit_px, &mut all);
     let advised = all.iter().filter(|(verdict, _)| *verdict > Verdict::Good).count() > before;
     if error > Verdict::Good {
-        let advice =
-            if advised { "" } else { ": take more views, tilted, near and all over the image" };
+        let advice = if advised { "" } else { ": take more views, tilted, near and all over the image" };
         all.push((
             error,
             format!("rays are expected to be {over_px:.2} px off on average over the image{advice}"),
