@@ -25,6 +25,7 @@ enum Command {
     Run(commands::run::RunArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
+    Board(commands::board::BoardArguments),
     Undistort(commands::undistort::UndistortArguments),
 }
 
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
+        Command::Board(arguments) => commands::board::board(arguments),
         Command::Undistort(arguments) => commands::undistort::undistort(arguments),
     };
     match outcome {

@@ -7,7 +7,7 @@ mod plot;
 mod raster;
 
 pub use page::{ReportInput, ReportMosaic, html};
-pub use raster::{MAP_WIDTH_PX, map_png};
+pub use raster::{MAP_WIDTH_PX, gray_picture, map_png};
 
 #[cfg(test)]
 mod tests;
