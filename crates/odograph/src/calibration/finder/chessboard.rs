@@ -22,7 +22,10 @@ const MOST_BLUR_PX: f64 = 6.0;
 const MOST_BLUR_OF_SIDE: f64 = 0.22;
 /// Half the window of the fit: part of the distance to the nearest corner, and at most so many pixels, for lenses bend edges.
 const WINDOW_OF_SIDE: f64 = 0.45;
-const LARGEST_WINDOW_PX: f64 = 12.0;
+const LARGEST_WINDOW_PX: f64 = 10.0;
+
+/// The corners of a few squares say nothing about a board.
+const LEAST_PART: usize = 6;
 
 /// Finds a whole chessboard.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
@@ -33,9 +36,9 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
     let order: &[usize] = if large { &[1, 0, 2, 3] } else { &[0, 1, 2] };
     let mut best = NotFound::NoCorners;
     for &level in order.iter().filter(|&&level| level < levels.len()) {
-        match find_in_level(&levels[level], wanted) {
+        let scale = f64::from(1u32 << level);
+        match find_in_level(&levels[level], wanted, scale) {
             Ok(corners) => {
-                let scale = f64::from(1u32 << level);
                 let pixels: Vec<Pixel> = corners
                     .iter()
                     .map(|corner| Pixel::new(corner.pixel.x * scale, corner.pixel.y * scale))
@@ -61,7 +64,8 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
 /// How much of a board a reason tells of: the one that tells most is the one to be told.
 fn seen(why: &NotFound) -> usize {
     match *why {
-        NotFound::Blurred => usize::MAX,
+        // A board that is too blurred for its whole is told by a sharper part.
+        NotFound::Blurred => LEAST_PART,
         NotFound::OtherSize { seen, .. } => seen.0 * seen.1,
         NotFound::Partial { points, .. } => points,
         _ => 0,
@@ -74,7 +78,7 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> 
     for peak in response::peaks(image, most) {
         let start = Pixel::new(f64::from(peak.x), f64::from(peak.y));
         let corner = Ring::read(image, start, RING_PX)
-            .and_then(|_| subpixel::orthogonal(image, start, RING_PX))
+            .and_then(|_| subpixel::orthogonal_to_within(image, start, RING_PX, 0.05))
             .and_then(|pixel| Some(Corner { pixel, ring: Ring::read(image, pixel, RING_PX)? }));
         let Some(corner) = corner else { continue };
         corners.push(corner);
@@ -99,69 +103,95 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> 
 }
 
 /// The board's corners in the order of its points, found in one level of the pyramid.
-fn find_in_level(image: &GrayImage, wanted: (usize, usize)) -> Result<Vec<Corner>, NotFound> {
+fn find_in_level(image: &GrayImage, wanted: (usize, usize), scale: f64) -> Result<Vec<Corner>, NotFound> {
     let corners = corners_of_squares(image, MOST_PEAKS + 8 * wanted.0 * wanted.1);
     let mut best = NotFound::NoCorners;
-    for mut lattice in lattices(image, &corners).into_iter().take(4) {
+    for seen_lattice in lattices(image, &corners).into_iter().take(4) {
+        let mut lattice = seen_lattice.clone();
         if !is_whole(&lattice, wanted) {
             complete(image, &mut lattice);
         }
         if let Some(found) = whole_within(&lattice, wanted) {
             return Ok(in_order(&found, wanted));
         }
-        let ((left, right), (top, bottom)) = extent(&lattice);
-        let spans = ((right - left + 1) as usize, (bottom - top + 1) as usize);
+        // What was seen at once tells the size better than what was looked for beyond it.
+        let lattice = if is_rectangle(&seen_lattice) { seen_lattice } else { without_stray_lines(lattice) };
+        let spans = spans(&lattice);
         // Named the way round that is nearer to what was said.
         let as_said = spans.0.abs_diff(wanted.0) + spans.1.abs_diff(wanted.1)
             <= spans.1.abs_diff(wanted.0) + spans.0.abs_diff(wanted.1);
         let spans = if as_said { spans } else { (spans.1, spans.0) };
-        let why = if lattice.len() == spans.0 * spans.1 && lattice.len() > 8 {
+        if lattice.len() <= LEAST_PART {
+            continue;
+        }
+        let why = if is_lattice_blurred(image, &lattice, scale) {
+            NotFound::Blurred
+        } else if lattice.len() == spans.0 * spans.1 {
             NotFound::OtherSize { expected: wanted, seen: spans }
         } else {
             NotFound::Partial { expected: wanted, seen: spans, points: lattice.len() }
         };
-        // Four corners of one square say nothing about a board.
-        if lattice.len() > 6 && seen(&why) > seen(&best) {
+        if seen(&why) > seen(&best) {
             best = why;
         }
     }
     Err(best)
 }
 
+/// Columns and rows that a lattice reaches over.
+fn spans(lattice: &Lattice) -> (usize, usize) {
+    let ((left, right), (top, bottom)) = extent(lattice);
+    ((right - left + 1) as usize, (bottom - top + 1) as usize)
+}
+
+/// Whether a lattice has no gaps.
+fn is_rectangle(lattice: &Lattice) -> bool {
+    let (width, height) = spans(lattice);
+    lattice.len() == width * height
+}
+
 /// Whether a lattice has exactly the wanted corners, one way round or the other.
 fn is_whole(lattice: &Lattice, wanted: (usize, usize)) -> bool {
-    let ((left, right), (top, bottom)) = extent(lattice);
-    let spans = ((right - left + 1) as usize, (bottom - top + 1) as usize);
-    lattice.len() == wanted.0 * wanted.1 && (spans == wanted || spans == (wanted.1, wanted.0))
+    let spans = spans(lattice);
+    is_rectangle(lattice) && (spans == wanted || spans == (wanted.1, wanted.0))
 }
 
 /// The lattice, less outer lines that are hardly there, if that is exactly the wanted one.
-///
-/// Shadows, frames and reflections make corners in line with a board's; they do not make whole lines of them.
 fn whole_within(lattice: &Lattice, wanted: (usize, usize)) -> Option<Lattice> {
     let mut lattice = lattice.clone();
-    loop {
-        if is_whole(&lattice, wanted) {
-            return Some(lattice);
-        }
-        if lattice.len() <= wanted.0 * wanted.1 {
+    while !is_whole(&lattice, wanted) {
+        if lattice.len() <= wanted.0 * wanted.1 || !drop_stray_line(&mut lattice) {
             return None;
         }
-        let ((left, right), (top, bottom)) = extent(&lattice);
-        let (width, height) = (right - left + 1, bottom - top + 1);
-        let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count();
-        // The emptiest of the four outer lines, by the part of it that is there.
-        let lines: [(f64, fn(&(i32, i32), i32) -> bool, i32); 4] = [
-            (count(&|p| p.0 == left) as f64 / f64::from(height), |p, at| p.0 == at, left),
-            (count(&|p| p.0 == right) as f64 / f64::from(height), |p, at| p.0 == at, right),
-            (count(&|p| p.1 == top) as f64 / f64::from(width), |p, at| p.1 == at, top),
-            (count(&|p| p.1 == bottom) as f64 / f64::from(width), |p, at| p.1 == at, bottom),
-        ];
-        let (part, on, at) = lines.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-        if part > 0.5 {
-            return None;
+    }
+    Some(lattice)
+}
+
+/// The lattice less all outer lines that are hardly there.
+fn without_stray_lines(mut lattice: Lattice) -> Lattice {
+    while !is_rectangle(&lattice) && drop_stray_line(&mut lattice) {}
+    lattice
+}
+
+/// Takes the emptiest outer line away if half of it or more is missing.
+///
+/// Shadows, frames and reflections make corners in line with a board's; they do not make whole lines of them.
+fn drop_stray_line(lattice: &mut Lattice) -> bool {
+    let ((left, right), (top, bottom)) = extent(lattice);
+    let (width, height) = (f64::from(right - left + 1), f64::from(bottom - top + 1));
+    let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count() as f64;
+    let lines: [(f64, fn(&(i32, i32), i32) -> bool, i32); 4] = [
+        (count(&|place| place.0 == left) / height, |place, at| place.0 == at, left),
+        (count(&|place| place.0 == right) / height, |place, at| place.0 == at, right),
+        (count(&|place| place.1 == top) / width, |place, at| place.1 == at, top),
+        (count(&|place| place.1 == bottom) / width, |place, at| place.1 == at, bottom),
+    ];
+    match lines.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((part, on, at)) if part <= 0.5 => {
+            lattice.retain(|place, _| !on(place, at));
+            true
         }
-        lattice.retain(|place, _| !on(place, at));
+        _ => false,
     }
 }
 
@@ -308,7 +338,7 @@ fn refine(
     scale: f64,
 ) -> Result<Vec<SeenPoint>, NotFound> {
     let mut points = Vec::with_capacity(corners.len());
-    let mut blurs = Vec::with_capacity(corners.len());
+    let mut blurs: Vec<(f64, f64)> = Vec::with_capacity(corners.len());
     for (index, &corner) in corners.iter().enumerate() {
         let (column, row) = (index % columns, index / columns);
         let mut side = f64::MAX;
@@ -326,20 +356,43 @@ fn refine(
             beside(index + columns);
         }
         let window = (WINDOW_OF_SIDE * side).clamp(2.5, LARGEST_WINDOW_PX.max(3.0 * scale));
-        let saddle = subpixel::fit(image, corner, window).ok_or(NotFound::Blurred)?;
+        // The blur is about that of the corner before.
+        let blur_px = blurs.last().map_or(subpixel::USUAL_BLUR_PX, |blur| blur.0);
+        let saddle = subpixel::fit_from(image, corner, window, blur_px).ok_or(NotFound::Blurred)?;
         if saddle.pixel.distance(corner) > 0.3 * side {
             return Err(NotFound::Blurred);
         }
         blurs.push((saddle.blur_px, saddle.blur_px / side));
         points.push(SeenPoint { index, pixel: saddle.pixel });
     }
+    if is_blurred(&blurs) {
+        return Err(NotFound::Blurred);
+    }
+    Ok(points)
+}
+
+/// Whether corners are too blurred, by the median of their blurs in pixels of the full image and in sides of a square.
+fn is_blurred(blurs: &[(f64, f64)]) -> bool {
     let middle = |value: fn(&(f64, f64)) -> f64| {
         let mut values: Vec<f64> = blurs.iter().map(value).collect();
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(0.0)
     };
-    if middle(|blur| blur.0) > MOST_BLUR_PX || middle(|blur| blur.1) > MOST_BLUR_OF_SIDE {
-        return Err(NotFound::Blurred);
-    }
-    Ok(points)
+    middle(|blur| blur.0) > MOST_BLUR_PX || middle(|blur| blur.1) > MOST_BLUR_OF_SIDE
+}
+
+/// Whether the corners of a part of a board, seen in a level of the pyramid, are too blurred.
+fn is_lattice_blurred(image: &GrayImage, lattice: &Lattice, scale: f64) -> bool {
+    let blurs: Vec<(f64, f64)> = lattice
+        .iter()
+        .filter_map(|(&(i, j), corner)| {
+            let next = lattice.get(&(i + 1, j)).or_else(|| lattice.get(&(i - 1, j)))?;
+            let side = corner.pixel.distance(next.pixel);
+            let window = (WINDOW_OF_SIDE * side).clamp(2.5, LARGEST_WINDOW_PX);
+            // What cannot be fitted is all blur.
+            let blur_px = subpixel::fit(image, corner.pixel, window).map_or(f64::INFINITY, |fit| fit.blur_px);
+            Some((blur_px * scale, blur_px / side))
+        })
+        .collect();
+    is_blurred(&blurs)
 }

@@ -1,13 +1,20 @@
 //! Finding a board in an image.
 
+mod aprilgrid;
 mod blobs;
+mod charuco;
 mod chessboard;
 mod circles;
 mod disc;
 mod lattice;
+mod markers;
+mod pattern_fit;
+mod plane_map;
+mod points;
 mod response;
 pub(crate) mod ring;
 pub(crate) mod subpixel;
+mod tagged;
 #[cfg(test)]
 mod tests;
 
@@ -28,7 +35,7 @@ pub enum NotFound {
         /// Columns and rows of inner corners in the image.
         seen: (usize, usize),
     },
-    /// Some of a chessboard's or disc grid's points, or a smaller board.
+    /// Some of a chessboard's corners, and no whole board of another size.
     Partial {
         /// Columns and rows looked for.
         expected: (usize, usize),
@@ -39,6 +46,13 @@ pub enum NotFound {
     },
     /// Nothing in the image looks like a grid of discs.
     NoDiscs,
+    /// A grid of discs that is not the one looked for, or a part of it.
+    OtherDiscs {
+        /// How many discs the board has.
+        expected: usize,
+        /// How many were seen in a grid.
+        seen: usize,
+    },
     /// No marker of the board was read.
     NoMarkers,
     /// Fewer markers of the board than can be trusted.
@@ -71,6 +85,10 @@ impl fmt::Display for NotFound {
                 seen.0, seen.1, expected.0, expected.1
             ),
             Self::NoDiscs => f.write_str("no grid of discs"),
+            Self::OtherDiscs { expected, seen } => write!(
+                f,
+                "a grid of {seen} discs seen where {expected} in other lines were expected: part of the board is hidden or the count is wrong"
+            ),
             Self::NoMarkers => f.write_str("no markers of the board"),
             Self::TooFewMarkers { found, least } => {
                 write!(f, "only {found} of the board's markers, and it takes {least}")
@@ -87,12 +105,19 @@ impl fmt::Display for NotFound {
 #[derive(Debug, Clone)]
 pub struct BoardFinder {
     board: Board,
+    /// The markers laid out, for boards that have them.
+    tagged: Option<tagged::TaggedBoard>,
 }
 
 impl BoardFinder {
     /// A finder for a board.
     pub fn new(board: &Board) -> Self {
-        Self { board: *board }
+        let tagged = match board.kind() {
+            BoardKind::Charuco { .. } => charuco::prepare(board),
+            BoardKind::AprilGrid { .. } => aprilgrid::prepare(board),
+            _ => None,
+        };
+        Self { board: *board, tagged }
     }
 
     /// The board that is looked for.
@@ -111,7 +136,7 @@ impl BoardFinder {
         match self.board.kind() {
             BoardKind::Chessboard => chessboard::find(image, &self.board),
             BoardKind::Circles | BoardKind::AsymmetricCircles => circles::find(image, &self.board),
-            _ => Err(NotFound::NoMarkers),
+            _ => self.tagged.as_ref().ok_or(NotFound::NoMarkers)?.find(image),
         }
     }
 }

@@ -226,7 +226,7 @@ fn grids_of_discs_are_found_in_every_pose() {
         ("circles:7x5:20mm", (640, 480)),
         ("asymmetric-circles:4x11:20mm", (640, 480)),
         ("asymmetric-circles:4x6:20mm", (1280, 720)),
-        ("circles:2x2:40mm", (320, 240)),
+        ("circles:3x3:30mm", (320, 240)),
     ] {
         let board: Board = text.parse().unwrap();
         let scene = BoardScene::new(&board, &camera(size, &[-0.2, 0.05, 0.0, 0.0]), 3);
@@ -235,10 +235,16 @@ fn grids_of_discs_are_found_in_every_pose() {
             let image = scene.render(pose, &BoardEffects::camera_like(2.0, number as u64));
             let found = finder.find(&image).unwrap_or_else(|why| panic!("{text}, pose {number}: {why}"));
             let error_px = error_px(&found, &scene.true_view(pose));
-            println!("{text} pose {number}: {error_px:.3} px");
-            // The centre of a disc's image is not the image of its centre.
+            // The centre of a disc's image is not the image of its centre: up to half a pixel for discs of 50 px seen obliquely.
             assert!(error_px < 0.5, "{text}, pose {number}: {error_px} px");
         }
+        // Seen squarely by a pinhole it is.
+        let scene = BoardScene::new(&board, &camera(size, &[]), 3);
+        let pose = Isometry3::translation(-0.071, -0.052, 0.5);
+        let found = finder.find(&scene.render(&pose, &BoardEffects::camera_like(2.0, 1))).unwrap();
+        let error_px = error_px(&found, &scene.true_view(&pose));
+        println!("{text} seen squarely: {error_px:.4} px");
+        assert!(error_px < 0.03, "{text} seen squarely: {error_px} px");
     }
 }
 
