@@ -150,7 +150,8 @@ fn components(dark: &[bool], width: usize, height: usize) -> Vec<(usize, Blob)> 
         at
     }
     // Runs of the row above and of this one: from, to, component.
-    let (mut above, mut here): (Vec<(usize, usize, u32)>, Vec<(usize, usize, u32)>) = Default::default();
+    type Run = (usize, usize, u32);
+    let (mut above, mut here): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
     for y in 0..height {
         let row = &dark[y * width..(y + 1) * width];
         here.clear();

@@ -3,7 +3,8 @@
 //! From coarse to fine and back: most boards are found in the image of half the size, at a quarter of the cost; boards of small squares
 //! need the full image, blurred ones a smaller one. Whatever the level, the corners are then fitted in the full image.
 
-use super::lattice::{Corner, Lattice, edge_between, extent, lattices, nearest_edge};
+use super::completion::complete;
+use super::lattice::{Corner, Lattice, extent, lattices, nearest_edge};
 use super::ring::Ring;
 use super::{NotFound, response, subpixel};
 use crate::calibration::{Board, BoardView, SeenPoint};
@@ -13,7 +14,7 @@ use crate::image::{GrayImage, Pyramid};
 /// More corners than this, and as many again as the board has eightfold, are not looked at: noise and gravel have any number.
 const MOST_PEAKS: usize = 1500;
 /// Radius of the circle on which a corner's edges are read, pixels of the level.
-const RING_PX: f64 = 4.0;
+pub(super) const RING_PX: f64 = 4.0;
 /// From this many pixels along its longer side, an image is first tried at half its size.
 const LARGE_PX: usize = 800;
 /// Blur, in standard deviations, that makes corners too uncertain: pixels, and part of a square's side. Within a quarter of the side, what
@@ -180,102 +181,19 @@ fn drop_stray_line(lattice: &mut Lattice) -> bool {
     let ((left, right), (top, bottom)) = extent(lattice);
     let (width, height) = (f64::from(right - left + 1), f64::from(bottom - top + 1));
     let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count() as f64;
-    let lines: [(f64, fn(&(i32, i32), i32) -> bool, i32); 4] = [
-        (count(&|place| place.0 == left) / height, |place, at| place.0 == at, left),
-        (count(&|place| place.0 == right) / height, |place, at| place.0 == at, right),
-        (count(&|place| place.1 == top) / width, |place, at| place.1 == at, top),
-        (count(&|place| place.1 == bottom) / width, |place, at| place.1 == at, bottom),
+    let lines = [
+        (count(&|place| place.0 == left) / height, true, left),
+        (count(&|place| place.0 == right) / height, true, right),
+        (count(&|place| place.1 == top) / width, false, top),
+        (count(&|place| place.1 == bottom) / width, false, bottom),
     ];
     match lines.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)) {
-        Some((part, on, at)) if part <= 0.5 => {
-            lattice.retain(|place, _| !on(place, at));
+        Some((part, is_column, at)) if part <= 0.5 => {
+            lattice.retain(|place, _| at != if is_column { place.0 } else { place.1 });
             true
         }
         _ => false,
     }
-}
-
-/// Adds the corners that the detector overlooked, where the neighbours say they must be.
-fn complete(image: &GrayImage, lattice: &mut Lattice) {
-    // Each round reaches one square further, and a board has at most 200 along a side.
-    for _ in 0..200 {
-        let ((left, right), (top, bottom)) = extent(lattice);
-        let mut added = Vec::new();
-        for j in top - 1..=bottom + 1 {
-            for i in left - 1..=right + 1 {
-                if !lattice.contains_key(&(i, j))
-                    && let Some(corner) = overlooked(image, lattice, (i, j))
-                {
-                    added.push(((i, j), corner));
-                }
-            }
-        }
-        if added.is_empty() || lattice.len() > 50_000 {
-            return;
-        }
-        lattice.extend(added);
-    }
-}
-
-/// The corner at an empty place of a lattice, if there is one where at least two neighbouring lines lead.
-fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Option<Corner> {
-    let at = |di: i32, dj: i32| lattice.get(&(i + di, j + dj));
-    let mut predictions: Vec<(f64, f64)> = Vec::new();
-    let mut sides: Vec<(Corner, f64)> = Vec::new();
-    for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
-        let Some(next) = at(di, dj) else { continue };
-        if let Some(after) = at(2 * di, 2 * dj) {
-            let (mut x, mut y) = (2.0 * next.pixel.x - after.pixel.x, 2.0 * next.pixel.y - after.pixel.y);
-            // With a third one, perspective and lens are followed to the second order.
-            if let Some(third) = at(3 * di, 3 * dj) {
-                x += next.pixel.x - 2.0 * after.pixel.x + third.pixel.x;
-                y += next.pixel.y - 2.0 * after.pixel.y + third.pixel.y;
-            }
-            predictions.push((x, y));
-            sides.push((*next, next.pixel.distance(after.pixel)));
-        } else {
-            // A parallelogram with the square beside.
-            for (ei, ej) in [(dj, di), (-dj, -di)] {
-                if let (Some(beside), Some(across)) = (at(ei, ej), at(di + ei, dj + ej)) {
-                    predictions.push((
-                        next.pixel.x + beside.pixel.x - across.pixel.x,
-                        next.pixel.y + beside.pixel.y - across.pixel.y,
-                    ));
-                    sides.push((*next, across.pixel.distance(beside.pixel)));
-                }
-            }
-        }
-    }
-    let count = predictions.len() as f64;
-    if predictions.is_empty() {
-        return None;
-    }
-    let guess = Pixel::new(
-        predictions.iter().map(|p| p.0).sum::<f64>() / count,
-        predictions.iter().map(|p| p.1).sum::<f64>() / count,
-    );
-    let side = sides.iter().map(|(_, side)| *side).fold(f64::MAX, f64::min);
-    let window = (0.35 * side).clamp(2.5, 8.0);
-    let pixel = subpixel::orthogonal(image, guess, window)?;
-    if pixel.distance(guess) > 0.25 * side {
-        return None;
-    }
-    let ring = Ring::read(image, pixel, RING_PX.min(0.45 * side).max(2.0))?;
-    // Every neighbour must be joined by an edge, and there must be one.
-    let corner = Corner { pixel, ring };
-    sides.iter().all(|(neighbour, _)| joined(image, &corner, neighbour)).then_some(corner)
-}
-
-/// Whether an edge of the image joins two corners.
-fn joined(image: &GrayImage, one: &Corner, other: &Corner) -> bool {
-    let direction = (other.pixel.y - one.pixel.y).atan2(other.pixel.x - one.pixel.x);
-    let (edge, turn) = nearest_edge(&one.ring, direction);
-    let (back, back_turn) = nearest_edge(&other.ring, direction + std::f64::consts::PI);
-    let white = one.ring.white_after(edge);
-    turn < 0.5
-        && back_turn < 0.5
-        && white != other.ring.white_after(back)
-        && edge_between(image, one.pixel, other.pixel, white, one.ring.contrast().min(other.ring.contrast()))
 }
 
 /// The corners of a whole lattice in the order of the board's points; see [`super::BoardFinder::find`].
@@ -290,7 +208,7 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
         ((right, bottom), (-1, 0), (0, -1)),
         ((left, bottom), (0, -1), (1, 0)),
     ];
-    let mut best: Option<((bool, f64), Vec<Corner>)> = None;
+    let mut best: Option<(f64, Vec<Corner>)> = None;
     for (first, along, down) in turns {
         let fits = if along.1 == 0 { spans == (columns, rows) } else { spans == (rows, columns) };
         if !fits {
@@ -321,9 +239,9 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
             let (row, column) = (step(right), step(below));
             row.0 / row.0.hypot(row.1).max(1e-9) + column.1 / column.0.hypot(column.1).max(1e-9)
         };
-        let rank = (black, upright);
-        if best.as_ref().is_none_or(|(found, _)| rank.0 > found.0 || (rank.0 == found.0 && rank.1 > found.1))
-        {
+        // A black corner square decides before anything else; either number is at most 2.
+        let rank = if black { 10.0 + upright } else { upright };
+        if best.as_ref().is_none_or(|(found, _)| rank > *found) {
             best = Some((rank, corners));
         }
     }

@@ -5,6 +5,7 @@ mod blobs;
 mod charuco;
 mod chessboard;
 mod circles;
+mod completion;
 mod disc;
 mod lattice;
 mod markers;

@@ -23,16 +23,6 @@ pub(crate) struct Saddle {
     pub residual: f64,
 }
 
-/// The sub-pixel place where four squares meet near `start`.
-///
-/// `half_window_px` says how far around it the image is looked at: at most half the side of the smallest square there, so that no
-/// other corner is seen, and not much more than 10, so that a lens's bending of the edges does not matter. `start` may be off by
-/// about half of it. `None` where no saddle is near `start`, or the window does not lie in the image (it is made smaller at the
-/// border down to 2 pixels).
-pub(crate) fn saddle(image: &GrayImage, start: Pixel, half_window_px: f64) -> Option<Pixel> {
-    fit(image, start, half_window_px).map(|saddle| saddle.pixel)
-}
-
 /// The half window that fits into the image around a point; `None` below [`SMALLEST_WINDOW_PX`].
 fn window_inside(image: &GrayImage, centre: Pixel, half_window_px: f64) -> Option<f64> {
     let right = image.width() as f64 - 2.0 - centre.x;
@@ -99,8 +89,7 @@ pub(super) fn orthogonal_to_within(
         }
         let step = ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant);
         at = Pixel::new(at.x + step.0, at.y + step.1);
-        // Not a comparison with `>`: a NaN must end here too.
-        if !(at.distance(start) <= half_window_px) {
+        if at.distance(start).is_nan() || at.distance(start) > half_window_px {
             return None;
         }
         if step.0.hypot(step.1) < enough_px {
@@ -138,7 +127,12 @@ fn step(distance: f64, half_width: f64) -> (f64, f64) {
 /// Half width of the ramp over the standard deviation of the kernel.
 const WIDTHS_PER_DEVIATION: f64 = 2.645_751_311_064_590_7; // √7
 
-/// The best picture of two crossing edges around `start`, after [`orthogonal`] has come near.
+/// The sub-pixel place where four squares meet near `start`.
+///
+/// `half_window_px` says how far around it the image is looked at: at most half the side of the smallest square there, so that no
+/// other corner is seen, and not much more than 10, so that a lens's bending of the edges does not matter. `start` may be off by
+/// about half of it. `None` where no saddle is near `start`, or the window does not lie in the image (it is made smaller at the
+/// border down to 2 pixels).
 ///
 /// The model is `middle + slope · u + half_contrast · step(n₁ · u − c₁) · step(n₂ · u − c₂)`. The slope matters: light that changes over
 /// the window correlates with a shift of the corner. Levenberg–Marquardt on the samples, weighted by the round window.
@@ -185,8 +179,7 @@ fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: 
         let least = SHARPEST_PX * WIDTHS_PER_DEVIATION;
         tried[4] = tried[4].clamp(least, half.max(least));
         let (_, tried_gradient, tried_cost) = normal_equations::<false>(&samples, &tried);
-        // Not `>=`: a NaN is no improvement.
-        if !(tried_cost < cost) {
+        if tried_cost.is_nan() || tried_cost >= cost {
             damping *= 10.0;
             if damping > 1e3 {
                 break;

@@ -112,7 +112,7 @@ fn corners_are_exact_under_blur_noise_and_light() {
                     58.6 + sine * i * long + cosine * j * short,
                 );
                 let start = Pixel::new(truth.x.round() + 1.0, truth.y.round() - 1.0);
-                let found = subpixel::saddle(&image, start, 8.0).expect("a corner");
+                let found = subpixel::fit(&image, start, 8.0).expect("a corner").pixel;
                 errors.push(found.distance(truth).powi(2));
             }
         }
@@ -131,13 +131,13 @@ fn there_is_no_corner_on_an_edge_a_plane_or_off_the_image() {
     let edge = image(&|x, _| if x < 20 { 20 } else { 200 });
     let bend = image(&|x, y| if x < 20 || y < 20 { 20 } else { 200 });
     for (name, image) in [("plane", &plane), ("edge", &edge), ("bend", &bend)] {
-        assert_eq!(subpixel::saddle(image, Pixel::new(20.0, 20.0), 8.0), None, "{name}");
+        assert_eq!(subpixel::fit(image, Pixel::new(20.0, 20.0), 8.0), None, "{name}");
     }
     for start in [(0.0, 0.0), (-5.0, 20.0), (39.9, 39.9), (f64::NAN, 3.0), (1e300, 3.0)] {
-        assert_eq!(subpixel::saddle(&bend, Pixel::new(start.0, start.1), 8.0), None);
+        assert_eq!(subpixel::fit(&bend, Pixel::new(start.0, start.1), 8.0), None);
     }
-    assert_eq!(subpixel::saddle(&GrayImage::new(1, 1), Pixel::new(0.0, 0.0), 8.0), None);
-    assert_eq!(subpixel::saddle(&bend, Pixel::new(20.0, 20.0), f64::NAN), None);
+    assert_eq!(subpixel::fit(&GrayImage::new(1, 1), Pixel::new(0.0, 0.0), 8.0), None);
+    assert_eq!(subpixel::fit(&bend, Pixel::new(20.0, 20.0), f64::NAN), None);
 }
 
 fn camera(size: (usize, usize), distortion: &[f64]) -> Camera {
