@@ -189,7 +189,7 @@ fn what_holds_no_board_is_told_in_one_sentence() {
     place.refused(
         &usual("blank"),
         3,
-        &["blank: the board chessboard:7x5:30mm was not found in any of 5 frames", "count"],
+        &["blank: the board chessboard:7x5:30mm was not found in any of 5 pictures", "count"],
     );
     place.refused(&usual("blank/board00.png"), 3, &["was not found in the one picture"]);
     place.refused(&usual("blank --start 90"), 3, &["no frame in the chosen range"]);
