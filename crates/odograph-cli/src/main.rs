@@ -28,6 +28,7 @@ enum Command {
     Undistort(commands::undistort::UndistortArguments),
     Calibrate(commands::calibrate::CalibrateArguments),
     Camera(commands::camera::CameraArguments),
+    Ground(commands::ground::GroundArguments),
 }
 
 /// How a command that did not fail ended.
@@ -53,6 +54,7 @@ fn main() -> ExitCode {
         Command::Undistort(arguments) => commands::undistort::undistort(arguments),
         Command::Calibrate(arguments) => commands::calibrate::calibrate(arguments),
         Command::Camera(arguments) => commands::camera::camera(arguments),
+        Command::Ground(arguments) => commands::ground::ground(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

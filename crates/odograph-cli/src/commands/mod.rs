@@ -4,6 +4,7 @@ pub mod calibrate;
 pub mod camera;
 pub mod demo;
 pub mod evaluate;
+pub mod ground;
 pub mod run;
 pub mod simulate;
 pub mod undistort;

@@ -85,7 +85,8 @@ const GOOD_FIT_PX: f64 = 1.0;
 /// noise; views that contradict the others are left out and say so. `uncertainty` is that of the camera's parameters, where it is known: it
 /// is the same error in every view and does not average out.
 ///
-/// Fails where a view is not of the camera's image size, or none of them shows the board lying on the floor.
+/// Fails where a view is not of the camera's image size, none of them shows the board lying on the floor, or no two of several views can be of
+/// one rig.
 pub fn rig_from_boards(
     camera: &Camera,
     uncertainty: Option<&CameraUncertainty>,
@@ -111,7 +112,7 @@ pub fn rig_from_boards(
     }
     let points: Vec<_> = views.iter().map(|view| floor.points(view)).collect();
     let mut fits: Vec<_> = points.iter().map(|points| fitted(camera, points)).collect();
-    outliers::leave_out(&mut fits);
+    outliers::leave_out(&mut fits)?;
     let used: Vec<(usize, Fit)> = fits
         .iter()
         .enumerate()

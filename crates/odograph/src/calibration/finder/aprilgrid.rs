@@ -2,7 +2,7 @@
 
 use super::markers::{Codes, Layout};
 use super::tagged::TaggedBoard;
-use crate::calibration::{Board, BoardKind, Dictionary};
+use crate::calibration::{Board, BoardKind, Dictionary, Drawing};
 
 /// The windows of the threshold, in tiles of 4 pixels around the middle one, and how far below the mean it lies, in standard deviations:
 /// far, where tags must come apart from the squares that touch them.
@@ -48,6 +48,7 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
     let gap_m = spacing_m - tag_m;
     Some(TaggedBoard {
         points: board.points(),
+        drawing: Drawing::new(board),
         grid,
         cells: (columns, rows),
         marker_in_cell,
@@ -62,5 +63,6 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         spacing_m,
         reach: 3,
         least_markers: 1,
+        is_chessboard: false,
     })
 }

@@ -2,7 +2,7 @@
 
 use super::markers::{Codes, Layout};
 use super::tagged::TaggedBoard;
-use crate::calibration::{Board, BoardKind};
+use crate::calibration::{Board, BoardKind, Drawing};
 
 /// The windows of the threshold, in tiles of 4 pixels around the middle one, and how far below the mean it lies, in standard deviations.
 /// The small window parts small markers from the squares around them.
@@ -50,6 +50,7 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
     let layouts = vec![Layout { bits: dictionary.bits_per_side(), border: 1 }];
     Some(TaggedBoard {
         points: board.points(),
+        drawing: Drawing::new(board),
         grid,
         cells: (columns, rows),
         marker_in_cell,
@@ -63,5 +64,6 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         spacing_m,
         reach: 2,
         least_markers: 2,
+        is_chessboard: true,
     })
 }

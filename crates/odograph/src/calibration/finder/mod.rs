@@ -8,6 +8,7 @@ mod circles;
 mod disc;
 mod lattice;
 mod markers;
+mod pattern_fit;
 mod plane_map;
 mod points;
 mod response;

@@ -1,7 +1,7 @@
 //! The map of a small part of a board to the image.
 
 use crate::geometry::Pixel;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// A homography from a board's plane to the image, good around one place: a lens that bends lines is flat enough over a few squares.
 #[derive(Debug, Clone, Copy)]
@@ -75,6 +75,13 @@ impl PlaneMap {
         })
     }
 
+    /// The way back; `None` where the plane is seen from its edge.
+    pub fn inverse(&self) -> Option<InversePlaneMap> {
+        let h = &self.h;
+        let matrix = Matrix3::new(h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], 1.0);
+        Some(InversePlaneMap { h: matrix.try_inverse()?, of: *self })
+    }
+
     /// What a `step` along x and one along y from a place are in the image, pixels.
     pub fn steps(&self, place: (f64, f64), step: f64) -> Option<[(f64, f64); 2]> {
         let small = 0.05;
@@ -83,6 +90,23 @@ impl PlaneMap {
         let along_x = (self.pixel((place.0 - d, place.1))?, self.pixel((place.0 + d, place.1))?);
         let along_y = (self.pixel((place.0, place.1 - d))?, self.pixel((place.0, place.1 + d))?);
         Some([difference(along_x.0, along_x.1), difference(along_y.0, along_y.1)])
+    }
+}
+
+/// The way back from the image to the board.
+pub(super) struct InversePlaneMap {
+    h: Matrix3<f64>,
+    of: PlaneMap,
+}
+
+impl InversePlaneMap {
+    /// The place of the board that is seen at a pixel; `None` beyond the horizon.
+    pub fn at(&self, pixel: Pixel) -> Option<(f64, f64)> {
+        let of = &self.of;
+        let local = self.h
+            * Vector3::new((pixel.x - of.middle.x) / of.spread, (pixel.y - of.middle.y) / of.spread, 1.0);
+        let scale = of.scale / local.z;
+        scale.is_finite().then(|| (of.centre.0 + scale * local.x, of.centre.1 + scale * local.y))
     }
 }
 

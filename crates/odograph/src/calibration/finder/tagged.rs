@@ -7,8 +7,8 @@
 use super::NotFound;
 use super::markers::{self, Codes, Layout, Marker};
 use super::plane_map::{Pair, PlaneMap, least_width};
-use super::points::{PointLook, look_at};
-use crate::calibration::{BoardPoint, BoardView, SeenPoint};
+use super::points::{Expected, PointLook, look_at};
+use crate::calibration::{BoardPoint, BoardView, Drawing, SeenPoint};
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use std::collections::VecDeque;
@@ -31,6 +31,7 @@ pub(super) struct TaggedBoard {
     /// Whether a point's upper left and lower right are black (then the other two are white).
     pub(super) black_upper_left: Vec<bool>,
     pub(super) codes: Codes,
+    pub(super) drawing: Drawing,
     /// How far from a point the four squares around it are plain, metres.
     pub(super) plain_m: f64,
     /// The unit of distance for predictions, metres, and how many points away in the grid help to predict.
@@ -38,6 +39,8 @@ pub(super) struct TaggedBoard {
     pub(super) reach: usize,
     /// Fewer markers than this that agree are no board.
     pub(super) least_markers: usize,
+    /// Whether the markers stand in a chessboard's white squares.
+    pub(super) is_chessboard: bool,
 }
 
 /// Fewer points are no view: a homography must be told from a wrong one.
@@ -45,9 +48,6 @@ const LEAST_POINTS: usize = 4;
 /// Markers agree when one's corners are where another predicts them, in sides of the marker: near ones, and as far as the prediction of
 /// one small marker carries.
 const AGREE_SIDES: f64 = 0.4;
-/// How much a marker must look like itself where it is known to be: the part of its bits that reads right, or the correlation of their
-/// grays.
-const LIKE_EXPECTED: f64 = 0.85;
 /// How far a point may lie from where it is predicted, in least widths of a spacing, and in pixels in addition.
 const OFF_SPACINGS: f64 = 0.12;
 const OFF_PX: f64 = 1.0;
@@ -60,19 +60,28 @@ struct View<'a> {
     /// Where markers were read, and whether they have been checked bit by bit.
     marker_corners: Vec<Option<[Pixel; 4]>>,
     agrees: Vec<bool>,
+    /// Whether the markers are drawn as the board's drawing has them.
+    is_as_drawn: bool,
+    /// The blur that the points seen first speak for, each.
     blurs: Vec<f64>,
+    blur_px: f64,
 }
 
 impl TaggedBoard {
     /// Finds the board; it may be seen in part.
     pub fn find(&self, image: &GrayImage) -> Result<BoardView, NotFound> {
-        let found = markers::find(image, &self.codes);
-        let agreeing = self.agreeing(&found.read);
+        let mut found = markers::find(image, &self.codes);
+        let mut agreeing = self.agreeing(&found.read);
+        if agreeing.len() < self.least_markers && self.is_chessboard {
+            markers::find_between(image, &self.codes, &mut found);
+            agreeing = self.agreeing(&found.read);
+        }
+        // A few markers look like others in a mirror.
+        let mirrored = self.agreeing(&found.mirrored);
+        if mirrored.len() >= self.least_markers.max(2) && mirrored.len() > agreeing.len() {
+            return Err(NotFound::Mirrored);
+        }
         if agreeing.len() < self.least_markers {
-            let mirrored = self.agreeing(&found.mirrored);
-            if mirrored.len() >= self.least_markers.max(2) {
-                return Err(NotFound::Mirrored);
-            }
             return Err(match agreeing.len() {
                 0 => NotFound::NoMarkers,
                 found => NotFound::TooFewMarkers { found, least: self.least_markers },
@@ -84,7 +93,9 @@ impl TaggedBoard {
             seen: vec![None; self.points.len()],
             marker_corners: vec![None; self.cell_of_marker.len()],
             agrees: vec![false; self.cell_of_marker.len()],
+            is_as_drawn: 2 * agreeing.iter().filter(|marker| marker.layout == 0).count() > agreeing.len(),
             blurs: Vec::new(),
+            blur_px: BLURS_PX[1],
         };
         for marker in &agreeing {
             view.marker_corners[marker.id] = Some(marker.corners);
@@ -92,7 +103,11 @@ impl TaggedBoard {
         }
         view.grow();
         view.drop_outliers();
-        view.into_board_view(agreeing.len())
+        view.refine();
+        if !view.is_plausible() {
+            return Err(NotFound::TooFewMarkers { found: 1, least: self.least_markers.max(2) });
+        }
+        view.into_board_view()
     }
 
     /// The largest set of markers that agree about where the board is, each marker once.
@@ -160,7 +175,7 @@ impl TaggedBoard {
 }
 
 /// A picture may show a board several times; so many copies of one marker are looked at.
-const MOST_COPIES: usize = 8;
+const MOST_COPIES: usize = 24;
 
 impl View<'_> {
     /// Finds points from those that are known already until no more are met.
@@ -186,7 +201,6 @@ impl View<'_> {
             tries[point] += 1;
             let Some(look) = self.try_point(point) else { continue };
             self.seen[point] = Some(look.pixel);
-            self.blurs.push(look.blur_px);
             let (columns, rows) = board.grid;
             let (column, row) = (point % columns, point / columns);
             for y in row.saturating_sub(2)..(row + 3).min(rows) {
@@ -250,20 +264,12 @@ impl View<'_> {
         let place = (board.points[point].x_m, board.points[point].y_m);
         let (column, row) = (point % board.grid.0, point / board.grid.0);
         let map = self.map_around(place, column, row, None)?;
-        let predicted = map.pixel(place)?;
-        let steps = map.steps(place, 1.0)?;
-        let width = least_width(steps) * board.spacing_m;
-        if !(LEAST_SPACING_PX..1e4).contains(&width) {
-            return None;
-        }
-        let most_off = OFF_PX + OFF_SPACINGS * width;
-        let black_upper_left = board.black_upper_left[point];
-        let look = look_at(self.image, predicted, steps, board.plain_m, black_upper_left, most_off)?;
+        let look = self.look(point, &map)?;
         // One of its markers at least must be there, as far as the new point makes it known where.
         let is_marked = board.markers_of_point[point].iter().any(|&marker| self.agrees[marker])
             || board.markers_of_point[point].clone().into_iter().any(|marker| {
                 self.seen[point] = Some(look.pixel);
-                let agrees = self.marker_is_there(marker);
+                let agrees = self.marker_is_there(marker) == Some(true);
                 self.seen[point] = None;
                 self.agrees[marker] |= agrees;
                 agrees
@@ -271,28 +277,72 @@ impl View<'_> {
         is_marked.then_some(look)
     }
 
-    /// Whether a marker's bits are where the points around it tell.
-    fn marker_is_there(&self, marker: usize) -> bool {
+    /// Looks for a point where a map has it.
+    fn look(&mut self, point: usize, map: &PlaneMap) -> Option<PointLook> {
+        let board = self.board;
+        let place = (board.points[point].x_m, board.points[point].y_m);
+        let width = least_width(map.steps(place, 1.0)?) * board.spacing_m;
+        if !(LEAST_SPACING_PX..1e4).contains(&width) {
+            return None;
+        }
+        let look = |blur_px: f64| {
+            let expected = Expected {
+                map,
+                place,
+                plain_m: board.plain_m,
+                spacing_m: board.spacing_m,
+                black_upper_left: board.black_upper_left[point],
+                most_off_px: OFF_PX + OFF_SPACINGS * width,
+                drawing: self.is_as_drawn.then_some((&board.drawing, blur_px)),
+            };
+            look_at(self.image, &expected)
+        };
+        if !self.is_as_drawn || self.blurs.len() >= POINTS_FOR_BLUR {
+            return look(self.blur_px);
+        }
+        // The first points tell how blurred the image is: the blur that explains them best.
+        let tried = BLURS_PX.into_iter().filter_map(|blur_px| Some((blur_px, look(blur_px)?)));
+        let (blur_px, best) = tried.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual))?;
+        self.blurs.push(blur_px);
+        self.blurs.sort_by(f64::total_cmp);
+        self.blur_px = self.blurs[self.blurs.len() / 2];
+        Some(best)
+    }
+
+    /// Whether a marker is where the points around it tell; `None` where they are too few, or nothing like any marker is there.
+    fn marker_is_there(&self, marker: usize) -> Option<bool> {
         let board = self.board;
         let known =
             board.points_of_marker[marker].iter().filter(|&&point| self.seen[point].is_some()).count();
         if known < 2 {
-            return false;
+            return None;
         }
         let [a, b, _, d] = board.corners_of_marker[marker];
         let (right, down) = ((b.0 - a.0, b.1 - a.1), (d.0 - a.0, d.1 - a.1));
         let at = |x: f64, y: f64| (a.0 + x * right.0 + y * down.0, a.1 + x * right.1 + y * down.1);
-        let Some(&nearest) = board.points_of_marker[marker].first() else { return false };
+        let &nearest = board.points_of_marker[marker].first()?;
         let (column, row) = (nearest % board.grid.0, nearest / board.grid.0);
-        let Some(map) = self.map_around(at(0.5, 0.5), column, row, None) else { return false };
+        let map = self.map_around(at(0.5, 0.5), column, row, None)?;
         let side = (b.0 - a.0).hypot(b.1 - a.1);
-        let Some(width) = map.steps(at(0.5, 0.5), side).map(least_width) else { return false };
-        board.codes.layouts.iter().any(|&layout: &Layout| {
+        let width = least_width(map.steps(at(0.5, 0.5), side)?);
+        let readings = board.codes.layouts.iter().filter_map(|&layout: &Layout| {
             let bit_px = width / layout.side() as f64;
-            let reading =
-                markers::read(self.image, layout, board.codes.quiet, bit_px, &|x, y| map.pixel(at(x, y)));
-            reading.is_some_and(|reading| board.codes.likeness(marker, &reading) >= LIKE_EXPECTED)
-        })
+            markers::read(self.image, layout, board.codes.quiet, bit_px, &|x, y| map.pixel(at(x, y)))
+        });
+        readings.map(|reading| board.codes.looks_like(marker, &reading)).reduce(|a, b| a || b)
+    }
+
+    /// Whether among the markers that the points hold in place, those that look as they must outnumber those that look otherwise.
+    fn is_plausible(&self) -> bool {
+        let readings = (0..self.agrees.len()).filter_map(|marker| self.marker_is_there(marker));
+        let (right, wrong) =
+            readings.fold(
+                (0, 0),
+                |(right, wrong), is_there| {
+                    if is_there { (right + 1, wrong) } else { (right, wrong + 1) }
+                },
+            );
+        right >= self.board.least_markers && right > wrong
     }
 
     /// Forgets points that are not where their neighbours have them.
@@ -317,37 +367,53 @@ impl View<'_> {
         }
     }
 
-    fn into_board_view(mut self, markers: usize) -> Result<BoardView, NotFound> {
+    /// Finds all points anew, now that the map around each is known from all sides; those that are not found again are forgotten.
+    fn refine(&mut self) {
+        let board = self.board;
+        let before = self.seen.clone();
+        let mut after = vec![None; before.len()];
+        for point in (0..before.len()).filter(|&point| before[point].is_some()) {
+            let place = (board.points[point].x_m, board.points[point].y_m);
+            let (column, row) = (point % board.grid.0, point / board.grid.0);
+            let Some(map) = self.map_around(place, column, row, None) else { continue };
+            after[point] = self.look(point, &map).map(|look| look.pixel);
+        }
+        self.seen = after;
+    }
+
+    fn into_board_view(self) -> Result<BoardView, NotFound> {
         let points: Vec<SeenPoint> = self
             .seen
             .iter()
             .enumerate()
             .filter_map(|(index, pixel)| pixel.map(|pixel| SeenPoint { index, pixel }))
             .collect();
-        // Four corners of a square or more; points in one row tell no pose.
-        let in_a_line = {
-            let (columns, _) = self.board.grid;
-            let spans = |of: &dyn Fn(usize) -> usize| {
-                let values = points.iter().map(|p| of(p.index));
-                values.clone().min() != values.max()
-            };
-            !spans(&|i| i % columns) || !spans(&|i| i / columns)
+        if points.len() < LEAST_POINTS {
+            return Err(NotFound::Blurred);
+        }
+        // Points in one row tell no pose.
+        let (columns, rows) = self.board.grid;
+        let span = |of: &dyn Fn(usize) -> usize| {
+            let values = points.iter().map(|point| of(point.index));
+            values.clone().max().unwrap_or(0) + 1 - values.min().unwrap_or(0)
         };
-        if points.len() < LEAST_POINTS || in_a_line {
-            self.blurs.sort_by(f64::total_cmp);
-            return Err(if points.len() * 2 < markers {
-                NotFound::Blurred
-            } else {
-                NotFound::TooFewMarkers { found: markers, least: self.board.least_markers }
-            });
+        let seen = (span(&|index| index % columns), span(&|index| index / columns));
+        if seen.0 < 2 || seen.1 < 2 {
+            return Err(NotFound::Partial { expected: (columns, rows), seen, points: points.len() });
         }
         Ok(BoardView { size: (self.image.width(), self.image.height()), points })
     }
 }
 
+/// The blurs that are tried, standard deviations in pixels, and how many points choose.
+const BLURS_PX: [f64; 6] = [0.35, 0.6, 0.85, 1.1, 1.4, 1.8];
+const POINTS_FOR_BLUR: usize = 5;
 /// How often a point is looked for; each time more is known around it.
 const MOST_TRIES: u8 = 4;
 /// Weight of a marker's corner against that of a point.
 const MARKER_WEIGHT: f64 = 0.02;
 /// Where squares are smaller, their corners run into each other, pixels.
 const LEAST_SPACING_PX: f64 = 6.0;
+
+#[cfg(test)]
+mod tests;

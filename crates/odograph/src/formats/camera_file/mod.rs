@@ -6,12 +6,14 @@
 //! Principal points follow OpenCV: pixel centres at integers. COLMAP's are half a pixel larger and are brought over.
 
 mod colmap;
+mod uncertainty;
 mod value;
 mod writing;
 mod yaml;
 
-pub(super) use writing::number;
+pub use uncertainty::parse_uncertainty;
 pub use writing::{CameraFormat, write_as};
+pub(super) use writing::number;
 
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};

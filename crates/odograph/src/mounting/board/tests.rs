@@ -184,6 +184,11 @@ fn views_that_do_not_belong_are_named() {
     // On a book, three degrees off.
     let leaning = GroundPose { roll_rad: RIG.roll_rad + 0.05, ..pose(&mut random) };
     all.insert(1, view(&camera, &floor, &leaning, 0.1, &mut random));
+    // In the hand, as when the camera is calibrated.
+    for _ in 0..3 {
+        let held = GroundPose { roll_rad: -0.3, pitch_rad: 0.2, height_m: 0.6, ..pose(&mut random) };
+        all.push(view(&camera, &floor, &held, 0.1, &mut random));
+    }
     // Upright, and hardly in the picture.
     let upright = GroundPose { pitch_rad: -1.25, roll_rad: 0.0, x_m: -0.9, ..pose(&mut random) };
     all.push(view(&camera, &floor, &upright, 0.1, &mut random));
@@ -195,8 +200,10 @@ fn views_that_do_not_belong_are_named() {
         (0, ""),
         (1, "contradicts the other views (tilt by 2.8"),
         (4, ""),
-        (5, "stands upright"),
-        (6, "only 3 points"),
+        (5, "another height or tilt than most"),
+        (7, "another height or tilt than most"),
+        (8, "stands upright"),
+        (9, "only 3 points"),
     ] {
         assert!(whys[index].contains(part) && whys[index].is_empty() == part.is_empty(), "{whys:?}");
     }
@@ -232,7 +239,45 @@ fn what_cannot_be_measured_is_refused_in_one_sentence() {
     refuse(&FloorBoard { thickness_m: -1.0, ..floor }, &good, "thick is not usable");
     let line = BoardView { points: good[0].points[..8].to_vec(), ..good[0].clone() };
     refuse(&floor, std::slice::from_ref(&line), "do not spread over the board");
+    let other = GroundPose { roll_rad: -0.3, pitch_rad: 0.2, ..pose(&mut random) };
+    let other = view(&camera(), &floor, &other, 0.1, &mut random);
+    refuse(&floor, &[good[0].clone(), other], "contradict each other");
     let mut mirrored = good[0].clone();
     mirrored.points.iter_mut().for_each(|point| point.pixel.x = 1279.0 - point.pixel.x);
     refuse(&floor, &[mirrored, line], "mirrored");
+}
+
+/// Pictures as a camera over a floor takes them: three, with the board moved between them, and the finder's points.
+#[test]
+fn rendered_pictures_give_what_is_asked() {
+    use crate::calibration::BoardFinder;
+    use crate::simulation::{BoardEffects, BoardScene};
+    let camera = Camera::new((640, 480), (520.0, 521.0), (322.0, 238.0), *camera().distortion()).unwrap();
+    let floor = floor("chessboard:12x9:35mm", Some(BoardDirection::X));
+    let scene = BoardScene::new(&floor.board, &camera, 3);
+    let mut random = Random::new(11);
+    let mut views = Vec::new();
+    for seed in 0..3 {
+        // The board's own frame has its y axis down the print and z into the paper: a half turn about its x axis from ours.
+        let mut pose = pose(&mut random);
+        // Pictures in which the whole of the board is seen.
+        (pose.x_m, pose.y_m) = (0.125 + 0.2 * (pose.x_m + 0.2), -0.185 + 0.2 * (pose.y_m + 0.28));
+        let half_turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let world_from_board = nalgebra::Isometry3::from_parts(nalgebra::Translation3::identity(), half_turn);
+        let camera_from_board = pose.world_from_camera().inverse() * world_from_board;
+        let effects = BoardEffects { blur_px: 0.6, noise_gray: 2.0, seed, ..BoardEffects::default() };
+        let image = scene.render(&camera_from_board, &effects);
+        views.push(BoardFinder::new(&floor.board).find(&image).unwrap_or_else(|why| panic!("{why}")));
+    }
+    let found = rig_from_boards(&camera, None, &floor, &views).unwrap();
+    let off = errors(&found.measured.rig);
+    println!(
+        "height {:+.3} % tilt {:+.4}° {:+.4}° yaw {:+.4}°",
+        100.0 * off[0] / RIG.height_m,
+        off[1].to_degrees(),
+        off[2].to_degrees(),
+        (found.measured.rig.yaw_rad - RIG.yaw_rad).to_degrees()
+    );
+    assert!(off[0].abs() < 0.001 * RIG.height_m && off[1].hypot(off[2]) < 0.02f64.to_radians(), "{found:?}");
+    assert!((found.measured.rig.yaw_rad - RIG.yaw_rad).abs() < 0.02f64.to_radians());
 }

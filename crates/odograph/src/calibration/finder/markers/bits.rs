@@ -33,7 +33,7 @@ pub(crate) struct Reading {
 const LEAST_CONTRAST: f64 = 10.0;
 /// The part of the border that may read white, and of the surroundings that may read black.
 const MOST_WRONG_BORDER: f64 = 0.12;
-const MOST_WRONG_SURROUNDINGS: f64 = 0.2;
+const MOST_WRONG_SURROUNDINGS: f64 = 0.25;
 /// Bits smaller than this are blurred into each other and get sharpened, pixels.
 const SMALL_BIT_PX: f64 = 5.0;
 
@@ -77,7 +77,8 @@ pub(crate) fn read(
         }
     }
     let outside = 0.5 * quiet.min(step);
-    for i in 0..side {
+    // Not at its ends, where an AprilGrid's squares touch.
+    for i in 1..side - 1 {
         for (x, y) in [(at(i), -outside), (at(i), 1.0 + outside), (-outside, at(i)), (1.0 + outside, at(i))] {
             // Some of the surroundings may lie beyond the image.
             if let Some(value) = sample(x, y) {

@@ -3,7 +3,7 @@
 use super::bits::MOST_BITS;
 
 /// Standard deviations of the blur that markers are compared under, bits.
-const BLURS: [f64; 3] = [0.35, 0.55, 0.75];
+const BLURS: [f64; 4] = [0.35, 0.55, 0.75, 1.0];
 /// The least correlation of the grays of a marker's bits with what is expected, and by how much the best marker must be ahead of the next.
 const LEAST_CORRELATION: f64 = 0.88;
 const LEAST_LEAD: f64 = 0.08;

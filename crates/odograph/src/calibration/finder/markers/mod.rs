@@ -43,6 +43,8 @@ pub(super) struct Marker {
     pub id: usize,
     /// Its corners, from its top left clockwise as printed.
     pub corners: [Pixel; 4],
+    /// Which of [`Codes::layouts`] it was read by.
+    pub layout: usize,
 }
 
 /// What was read in an image.
@@ -50,10 +52,10 @@ pub(super) struct Marker {
 pub(super) struct Markers {
     /// Markers of the board, in the order they were met.
     pub read: Vec<Marker>,
-    /// How many read as a marker of the board in a mirror, and not otherwise.
+    /// What reads as a marker of the board in a mirror, and not otherwise.
     pub mirrored: Vec<Marker>,
-    /// Dark quadrangles that were looked at.
-    pub quadrangles: usize,
+    /// The dark quadrangles, clockwise.
+    pub quadrangles: Vec<[Pixel; 4]>,
 }
 
 /// Dark areas less wide or high than this hold no marker that can be read, pixels.
@@ -105,14 +107,18 @@ impl Codes {
         best.1
     }
 
-    /// How much a reading looks like a marker, upright: the part of right bits, or the correlation with the marker blurred, whichever is more.
-    pub fn likeness(&self, id: usize, reading: &Reading) -> f64 {
-        let bits = self.layouts.first().map_or(1, |layout| layout.bits * layout.bits);
+    /// Whether a reading looks like a marker, upright, that is expected there: most of its bits are right, or its grays are much like the
+    /// marker blurred. Unrelated grays correlate by chance the less, the more bits there are.
+    pub fn looks_like(&self, id: usize, reading: &Reading) -> bool {
+        let side = self.layouts.first().map_or(1, |layout| layout.bits) as f64;
         let wrong = (self.turned[id][0] ^ reading.bits).count_ones();
-        (1.0 - f64::from(wrong) / bits as f64).max(self.blurred.likeness(id, &reading.grays))
+        f64::from(wrong) <= MOST_WRONG_EXPECTED * side * side
+            || self.blurred.likeness(id, &reading.grays) >= 0.4 + 1.4 / side
     }
 }
 
+/// The part of the bits of an expected marker that may be wrong.
+const MOST_WRONG_EXPECTED: f64 = 0.15;
 /// Bits larger than this read without regard to blur, or not at all, pixels.
 const BLURRED_BIT_PX: f64 = 6.0;
 /// With more, markers are found in texture.
@@ -138,23 +144,74 @@ pub(super) fn find(image: &GrayImage, codes: &Codes) -> Markers {
         let dark = Dark::new(image, reach, below);
         for outline in outlines::outlines(image, &dark, LEAST_PX) {
             let Some(corners) = quadrangles::quadrangle(&outline) else { continue };
-            markers.quadrangles += 1;
-            if markers.quadrangles > MOST_QUADRANGLES {
+            let Some(corners) = quadrangles::moved_to_edges(image, &corners) else { continue };
+            if markers.quadrangles.len() == MOST_QUADRANGLES {
                 return markers;
             }
+            markers.quadrangles.push(corners);
             identify(image, codes, corners, &mut markers);
         }
     }
     markers
 }
 
+/// The markers of a chessboard's white squares, looked for between its black squares.
+///
+/// Where bits are small, blur breaks a marker's narrow border and its outline is no quadrangle, but the black squares beside it still
+/// are. Each tells where its four white neighbours are; their far corners are those of further black squares, if there are any near.
+pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Markers) {
+    let squares = std::mem::take(&mut markers.quadrangles);
+    let mut corners: Vec<Pixel> = squares.iter().flatten().copied().collect();
+    corners.sort_by(|a, b| a.x.total_cmp(&b.x));
+    let nearest = |to: Pixel, within: f64| {
+        let first = corners.partition_point(|corner| corner.x < to.x - within);
+        let near = corners[first..].iter().take(MOST_NEAR).take_while(|corner| corner.x <= to.x + within);
+        near.min_by(|a, b| a.distance(to).total_cmp(&b.distance(to)))
+            .filter(|corner| corner.distance(to) < within)
+    };
+    let inset = codes.quiet / (1.0 + 2.0 * codes.quiet);
+    for square in &squares {
+        let Some(map) = map_of_square(square) else { continue };
+        for side in 0..4 {
+            let (from, to) = (SQUARE[side], SQUARE[(side + 1) % 4]);
+            // Outwards of a clockwise side is to its left.
+            let outwards = (to.1 - from.1, from.0 - to.0);
+            let far = |from: (f64, f64)| {
+                let predicted = map.pixel((from.0 + outwards.0, from.1 + outwards.1))?;
+                let within = 0.25 * square[side].distance(square[(side + 1) % 4]);
+                Some(nearest(predicted, within).copied().unwrap_or(predicted))
+            };
+            let (Some(beyond_from), Some(beyond_to)) = (far(from), far(to)) else { continue };
+            let cell = [square[(side + 1) % 4], square[side], beyond_from, beyond_to];
+            let Some(map) = map_of_square(&cell) else { continue };
+            let place =
+                |(x, y): (f64, f64)| (inset + (1.0 - 2.0 * inset) * x, inset + (1.0 - 2.0 * inset) * y);
+            let [a, b, c, d] = SQUARE.map(|corner| map.pixel(place(corner)));
+            if let (Some(a), Some(b), Some(c), Some(d)) = (a, b, c, d) {
+                identify(image, codes, [a, b, c, d], markers);
+            }
+        }
+    }
+    markers.quadrangles = squares;
+}
+
+/// Corners in one column of the image that are looked through for the nearest, a bound on time.
+const MOST_NEAR: usize = 400;
+
+const SQUARE: [(f64, f64); 4] = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
+
+/// The homography from the unit square to a quadrangle.
+fn map_of_square(corners: &[Pixel; 4]) -> Option<PlaneMap> {
+    // Heavy, so that nothing holds the perspective back.
+    let pairs = [0, 1, 2, 3].map(|i| (SQUARE[i], corners[i], 1e6));
+    PlaneMap::fit(&pairs, (0.5, 0.5), 1.0)
+}
+
 /// Reads a quadrangle and notes the marker it is, if any.
 fn identify(image: &GrayImage, codes: &Codes, corners: [Pixel; 4], markers: &mut Markers) {
-    const SQUARE: [(f64, f64); 4] = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
-    let pairs = [0, 1, 2, 3].map(|i| (SQUARE[i], corners[i], 1e6));
-    let Some(map) = PlaneMap::fit(&pairs, (0.5, 0.5), 1.0) else { return };
+    let Some(map) = map_of_square(&corners) else { return };
     let Some(width) = map.steps((0.5, 0.5), 1.0).map(least_width) else { return };
-    for &layout in &codes.layouts {
+    for (drawn, &layout) in codes.layouts.iter().enumerate() {
         let bit_px = width / layout.side() as f64;
         let Some(reading) = read(image, layout, codes.quiet, bit_px, &|x, y| map.pixel((x, y))) else {
             continue;
@@ -165,13 +222,17 @@ fn identify(image: &GrayImage, codes: &Codes, corners: [Pixel; 4], markers: &mut
         if let Some((id, turn)) = known {
             // Turned clockwise once, the marker's top left corner is the quadrangle's second.
             let corners = [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]);
-            markers.read.push(Marker { id, corners });
+            markers.read.push(Marker { id, corners, layout: drawn });
             return;
         }
-        if let Some((id, turn)) = codes.look_up(in_mirror(reading.bits, layout.bits)) {
+        let mirrored = codes.look_up(in_mirror(reading.bits, layout.bits));
+        if let Some((id, turn)) = mirrored {
             // Seen in a mirror, the corners run the other way round, from the second.
             let corners = [1, 0, 3, 2].map(|i| corners[i]);
-            markers.mirrored.push(Marker { id, corners: [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]) });
+            let corners = [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]);
+            markers.mirrored.push(Marker { id, corners, layout: drawn });
+        }
+        if mirrored.is_some() {
             return;
         }
     }

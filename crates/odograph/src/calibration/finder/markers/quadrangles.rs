@@ -1,6 +1,8 @@
 //! Quadrangles among outlines.
 
+use super::bits::interpolated;
 use crate::geometry::Pixel;
+use crate::image::GrayImage;
 
 /// The shortest side of a quadrangle that can hold a marker that is read, pixels.
 const SHORTEST_SIDE_PX: f64 = 5.0;
@@ -58,6 +60,58 @@ pub(super) fn quadrangle(outline: &[Pixel]) -> Option<[Pixel; 4]> {
     }
     is_convex(&result).then_some(result)
 }
+
+/// Moves the sides of a dark quadrangle to where the image is steepest, however the threshold lay; `None` where a side is not there.
+pub(super) fn moved_to_edges(image: &GrayImage, corners: &[Pixel; 4]) -> Option<[Pixel; 4]> {
+    let mut lines = [Line { at: corners[0], direction: (1.0, 0.0) }; 4];
+    let shortest = (0..4).map(|i| corners[i].distance(corners[(i + 1) % 4])).fold(f64::MAX, f64::min);
+    // Half a pixel apart, as far as a quarter of a side into the bright and a sixth into the dark: bits and other squares begin there.
+    let outwards = (((0.25 * shortest).clamp(1.0, 3.0)) * 2.0) as i32;
+    let inwards = (((0.17 * shortest).clamp(1.0, 3.0)) * 2.0) as i32;
+    for side in 0..4 {
+        let (from, to) = (corners[side], corners[(side + 1) % 4]);
+        let length = from.distance(to);
+        let direction = ((to.x - from.x) / length, (to.y - from.y) / length);
+        // The dark is to the right of a clockwise side, so outwards is to the left.
+        let normal = (direction.1, -direction.0);
+        let mut profile = [0.0; 16];
+        let count = (inwards + outwards + 1) as usize;
+        for (step, value) in profile[..count].iter_mut().enumerate() {
+            let off = 0.5 * (step as f64 - f64::from(inwards));
+            for place in 0..PLACES_ON_A_SIDE {
+                let along = length * (0.12 + 0.76 * place as f64 / (PLACES_ON_A_SIDE - 1) as f64);
+                let at = Pixel::new(
+                    from.x + along * direction.0 + off * normal.0,
+                    from.y + along * direction.1 + off * normal.1,
+                );
+                *value += interpolated(image, at)?;
+            }
+        }
+        let rise = |step: usize| profile[step + 1] - profile[step - 1];
+        let steepest = (1..count - 1).max_by(|&a, &b| rise(a).total_cmp(&rise(b)))?;
+        if rise(steepest) <= 0.0 {
+            return None;
+        }
+        let mut peak = steepest as f64;
+        if steepest > 1 && steepest + 2 < count {
+            let (before, here, after) = (rise(steepest - 1), rise(steepest), rise(steepest + 1));
+            let bend = before - 2.0 * here + after;
+            if bend < 0.0 {
+                peak += (0.5 * (before - after) / bend).clamp(-0.5, 0.5);
+            }
+        }
+        let off = 0.5 * (peak - f64::from(inwards));
+        lines[side] = Line { at: Pixel::new(from.x + off * normal.0, from.y + off * normal.1), direction };
+    }
+    let mut result = *corners;
+    for (side, corner) in result.iter_mut().enumerate() {
+        *corner = lines[(side + 3) % 4].meets(&lines[side])?;
+    }
+    is_convex(&result).then_some(result)
+}
+
+/// How many places of a side tell where it is.
+const PLACES_ON_A_SIDE: usize = 9;
 
 /// Cuts the outline between two places where it is farther than `tolerance` from their chord, in order; false where that would make
 /// more corners than four.
