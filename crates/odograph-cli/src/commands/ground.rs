@@ -89,6 +89,9 @@ struct Measured {
     forward_known: bool,
 }
 
+/// Told where the camera file has no covariance.
+const CAMERA_UNKNOWN: &str = "the camera file does not say how well the camera is known, so the deviations do not include what is wrong with it";
+
 /// Runs the command.
 pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
     let picture_path = picture_path(&arguments.output)?;

@@ -166,8 +166,12 @@ mod tests {
     #[test]
     fn a_measured_rig_keeps_its_deviations_and_is_a_rig() {
         let rig = Rig { height_m: 0.75, roll_rad: 0.1, pitch_rad: -0.2, yaw_rad: 0.0 };
-        let deviations =
-            RigDeviations { height_m: Some(0.001), roll_rad: Some(0.002), pitch_rad: Some(0.0031), yaw_rad: None };
+        let deviations = RigDeviations {
+            height_m: Some(0.001),
+            roll_rad: Some(0.002),
+            pitch_rad: Some(0.0031),
+            yaw_rad: None,
+        };
         let text = write_measured(&MeasuredRig { rig, deviations });
         assert_eq!(parse(&text).unwrap(), rig);
         let back = parse_measured(&text).unwrap();

@@ -16,6 +16,7 @@
 mod bundle;
 
 use super::combination::{Combined, combine};
+use super::uncertainty::CameraUncertainty;
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel};
@@ -181,16 +182,28 @@ impl DrivenTilt {
     /// complements), with Tukey's biweight at the scale of each pair. The keyframes are then brought together as measurements that
     /// scatter beyond their own noise, so that the covariance also holds for a mount that shakes.
     ///
+    /// `uncertainty` is that of the camera's parameters, where it is known: an error of the principal point is one of the tilt, and no
+    /// amount of driving averages it out.
+    ///
     /// Fails where there are too few pairs to solve at all; a movement that does not determine the tilt is told by
     /// [`TiltMeasurement::revealed`].
-    pub fn solve(&self, start: &Rig) -> Result<TiltMeasurement> {
+    pub fn solve(&self, start: &Rig, uncertainty: Option<&CameraUncertainty>) -> Result<TiltMeasurement> {
         let too_few = || {
             Error::input(
                 "the recording does not show enough movement over the floor to tell the tilt; drive at least 5 m, with turns to both sides",
             )
         };
-        let solved = bundle::solve(&self.camera, &self.groups, start).ok_or_else(too_few)?;
-        let Combined { offset, covariance, scatter } = combine(&solved.parts).ok_or_else(too_few)?;
+        let solved = bundle::solve(&self.camera, self.groups.iter(), start).ok_or_else(too_few)?;
+        let Combined { offset, mut covariance, scatter } = combine(&solved.parts).ok_or_else(too_few)?;
+        let found =
+            Rig { roll_rad: solved.roll_rad + offset[0], pitch_rad: solved.pitch_rad + offset[1], ..*start };
+        if let Some(uncertainty) = uncertainty {
+            covariance += self.carried(&found, uncertainty).ok_or_else(|| {
+                Error::input(
+                    "the camera's own uncertainty is so large that driving says nothing; calibrate the camera again",
+                )
+            })?;
+        }
         let eigen = covariance.symmetric_eigen();
         let worst = usize::from(eigen.eigenvalues[1] > eigen.eigenvalues[0]);
         let deviation_rad = eigen.eigenvalues[worst].max(0.0).sqrt();
@@ -204,14 +217,27 @@ impl DrivenTilt {
             Revealed::NotAll { worst: [direction[0], direction[1]], deviation_rad }
         };
         Ok(TiltMeasurement {
-            roll_rad: solved.roll_rad + offset[0],
-            pitch_rad: solved.pitch_rad + offset[1],
+            roll_rad: found.roll_rad,
+            pitch_rad: found.pitch_rad,
             covariance,
             revealed,
             scatter_rad: scatter.map(f64::sqrt).into(),
             keyframes: solved.parts.len(),
             pairs: solved.pairs,
             rms_px: solved.rms_px,
+        })
+    }
+}
+
+impl DrivenTilt {
+    /// The covariance that the camera's gives to the tilt. Some keyframes are enough to see how the tilt follows the camera.
+    fn carried(&self, found: &Rig, uncertainty: &CameraUncertainty) -> Option<Matrix2<f64>> {
+        const ENOUGH: usize = 40;
+        let every = self.groups.len().div_ceil(ENOUGH).max(1);
+        uncertainty.carried(&self.camera, |camera| {
+            let solved = bundle::solve(camera, self.groups.iter().step_by(every), found)?;
+            let Combined { offset, .. } = combine(&solved.parts)?;
+            Some([solved.roll_rad + offset[0], solved.pitch_rad + offset[1]])
         })
     }
 }

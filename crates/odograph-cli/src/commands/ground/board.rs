@@ -1,6 +1,6 @@
 //! The rig from pictures and clips of a board on the floor.
 
-use super::{GroundArguments, Measured, read_camera};
+use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
 use crate::interrupt;
 use odograph::calibration::{Board, BoardFinder, BoardView};
 use odograph::error::{Error, Result};
@@ -59,11 +59,7 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<Measured> {
         }
     }
     warnings.extend(mounting.notes.iter().cloned());
-    if uncertainty.is_none() {
-        warnings.push(
-            "the camera file does not say how well the camera is known, so the deviations are those of the board's points alone".to_owned(),
-        );
-    }
+    warnings.extend(uncertainty.is_none().then(|| CAMERA_UNKNOWN.to_owned()));
     Ok(Measured {
         rig: mounting.measured,
         summary: summary(&board, &mounting, &found.names, found.still),
@@ -90,7 +86,10 @@ fn look(arguments: &GroundArguments, board: &Board) -> Result<Found> {
         let mut source = odograph_video::open(path, &arguments.source_options())?;
         let single = source.info().frame_count == Some(1);
         while let Some(frame) = source.next_frame()? {
-            if interrupt::asked() || found.views.len() >= MOST_VIEWS {
+            if interrupt::asked() {
+                return Err(Error::usage("interrupted; nothing was written"));
+            }
+            if found.views.len() >= MOST_VIEWS {
                 break;
             }
             found.frames += 1;

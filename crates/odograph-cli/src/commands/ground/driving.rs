@@ -1,12 +1,14 @@
 //! Roll and pitch, and with a known distance the height, from a recording of driving.
 
-use super::{GroundArguments, Measured, read_camera};
+use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
 use crate::{files, interrupt};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
 use odograph::image::RgbImage;
-use odograph::mounting::{DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement};
+use odograph::mounting::{
+    CameraUncertainty, DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement,
+};
 use odograph::odometry::{Odometry, OdometryConfig};
 
 /// One pass over the recording.
@@ -56,15 +58,15 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
         let source = odograph_video::open(path, &arguments.source_options())?;
         (source.info().width, source.info().height)
     };
-    let (camera, _) = read_camera(&arguments.camera, size)?;
-    let mut pass = follow(arguments, path, &camera, rig)?;
+    let (camera, uncertainty) = read_camera(&arguments.camera, size)?;
+    let mut pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig)?;
     for _ in 0..MOST_PASSES {
         let off_rad = (pass.found.roll_rad - rig.roll_rad).hypot(pass.found.pitch_rad - rig.pitch_rad);
-        if off_rad < AGAIN_DEG.to_radians() || interrupt::asked() {
+        if off_rad < AGAIN_DEG.to_radians() {
             break;
         }
         rig = Rig { roll_rad: pass.found.roll_rad, pitch_rad: pass.found.pitch_rad, ..rig };
-        pass = follow(arguments, path, &camera, rig)?;
+        pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig)?;
     }
     let found = &pass.found;
     if let Revealed::NotAll { worst, deviation_rad } = found.revealed {
@@ -75,6 +77,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
         Some(distance_m) => by_distance(path, &pass.driven, distance_m)?,
     };
     let mut warnings = pass.warnings;
+    warnings.extend(uncertainty.is_none().then(|| CAMERA_UNKNOWN.to_owned()));
     let lost = pass.driven.lost_fraction();
     if lost > 0.0 {
         warnings.push(format!("{:.1} % of the frames could not be followed", 100.0 * lost));
@@ -106,14 +109,20 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
 const MOST_PASSES: usize = 2;
 
 /// Follows the whole recording and solves for its tilt.
-fn follow(arguments: &GroundArguments, path: &str, camera: &Camera, rig: Rig) -> Result<Pass> {
+fn follow(
+    arguments: &GroundArguments,
+    path: &str,
+    camera: &Camera,
+    uncertainty: Option<&CameraUncertainty>,
+    rig: Rig,
+) -> Result<Pass> {
     let mut source = odograph_video::open(path, &arguments.source_options())?;
     let mut odometry = Odometry::new(camera.clone(), rig, OdometryConfig::default())?;
     let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
     let mut last = None;
     while let Some(frame) = source.next_frame()? {
         if interrupt::asked() {
-            break;
+            return Err(Error::usage("interrupted; nothing was written"));
         }
         if last.is_none() {
             last = Some(frame.rgb());
@@ -122,7 +131,7 @@ fn follow(arguments: &GroundArguments, path: &str, camera: &Camera, rig: Rig) ->
         driven.watch(&estimate, odometry.tracks());
     }
     let frame = last.ok_or_else(|| Error::input(format!("{path} has no frame in the chosen range")))?;
-    let found = driven.solve(&rig).map_err(|error| error.at(path))?;
+    let found = driven.solve(&rig, uncertainty).map_err(|error| error.at(path))?;
     Ok(Pass { driven, found, frame, warnings: source.take_warnings() })
 }
 

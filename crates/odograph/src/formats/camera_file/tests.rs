@@ -184,7 +184,9 @@ fn what_is_wrong_is_said_with_key_and_value() {
 #[test]
 fn the_covariance_of_a_calibration_is_read() {
     let with = |names: &str, covariance: &str| {
-        let text = format!("{OPENCV}{names}parameter_covariance: !!opencv-matrix\n   rows: 2\n   cols: 2\n   dt: d\n   data: {covariance}\n");
+        let text = format!(
+            "{OPENCV}{names}parameter_covariance: !!opencv-matrix\n   rows: 2\n   cols: 2\n   dt: d\n   data: {covariance}\n"
+        );
         parse_uncertainty(&text).map_err(|error| error.to_string())
     };
     let names = "parameter_names:\n   - \"fx\"\n   - \"cx\"\n";

@@ -16,8 +16,12 @@ pub fn parse_uncertainty(text: &str) -> Result<Option<CameraUncertainty>> {
     let (names, covariance) = match (root.get("parameter_names"), root.get("parameter_covariance")) {
         (None, None) => return Ok(None),
         (Some(names), Some(covariance)) => (names, covariance.numbers("parameter_covariance")?),
-        (Some(_), None) => return Err(Error::input("parameter_names is there, but parameter_covariance is missing")),
-        (None, Some(_)) => return Err(Error::input("parameter_covariance is there, but parameter_names is missing")),
+        (Some(_), None) => {
+            return Err(Error::input("parameter_names is there, but parameter_covariance is missing"));
+        }
+        (None, Some(_)) => {
+            return Err(Error::input("parameter_covariance is there, but parameter_names is missing"));
+        }
     };
     let not_names = || Error::input("parameter_names is not a list of names");
     let Value::List(items) = names else { return Err(not_names()) };

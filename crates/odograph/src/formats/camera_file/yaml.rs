@@ -70,11 +70,9 @@ pub(super) fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result
 
 /// The camera of one map; `prefix` is put before its keys in sentences.
 fn camera(map: &Value, prefix: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera> {
+    let double_sphere = kalibrs_double_sphere(map, prefix)?;
     let (place, focal_px, principal_px) = intrinsics(map, prefix)?;
-    let distortion = match kalibrs_double_sphere(map, prefix)? {
-        Some(distortion) => distortion,
-        None => distortion(map, prefix)?,
-    };
+    let distortion = double_sphere.map_or_else(|| distortion(map, prefix), Ok)?;
     let size = image_size(map, prefix)?.or(fallback_size).ok_or_else(|| {
         Error::input(
             "the camera file does not say how large the calibrated images were; add `image_width:` and `image_height:` in pixels",

@@ -186,7 +186,7 @@ fn views_that_do_not_belong_are_named() {
     all.insert(1, view(&camera, &floor, &leaning, 0.1, &mut random));
     // In the hand, as when the camera is calibrated.
     for _ in 0..3 {
-        let held = GroundPose { roll_rad: -0.3, pitch_rad: 0.2, height_m: 0.6, ..pose(&mut random) };
+        let held = GroundPose { roll_rad: -0.3, pitch_rad: 0.2, x_m: 0.29, y_m: 0.04, ..pose(&mut random) };
         all.push(view(&camera, &floor, &held, 0.1, &mut random));
     }
     // Upright, and hardly in the picture.
@@ -239,7 +239,7 @@ fn what_cannot_be_measured_is_refused_in_one_sentence() {
     refuse(&FloorBoard { thickness_m: -1.0, ..floor }, &good, "thick is not usable");
     let line = BoardView { points: good[0].points[..8].to_vec(), ..good[0].clone() };
     refuse(&floor, std::slice::from_ref(&line), "do not spread over the board");
-    let other = GroundPose { roll_rad: -0.3, pitch_rad: 0.2, ..pose(&mut random) };
+    let other = GroundPose { roll_rad: 0.2, ..pose(&mut random) };
     let other = view(&camera(), &floor, &other, 0.1, &mut random);
     refuse(&floor, &[good[0].clone(), other], "contradict each other");
     let mut mirrored = good[0].clone();

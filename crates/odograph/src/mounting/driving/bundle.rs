@@ -2,7 +2,7 @@
 
 use super::{Group, Pair};
 use crate::camera::{Camera, Rig};
-use crate::geometry::{GroundPoint, GroundPose};
+use crate::geometry::{GroundPoint, GroundPose, Ray};
 use crate::mounting::combination::{Part, inverse};
 use crate::mounting::reprojection::PosedCamera;
 use nalgebra::{Matrix2, Matrix6, SMatrix, Vector2, Vector6};
@@ -23,6 +23,8 @@ type Movement = Vector6<f64>;
 /// A pair that is being solved.
 struct Work<'a> {
     pair: &'a Pair,
+    /// The rays of the tracks' corners in the first view.
+    rays: Vec<Option<Ray>>,
     group: usize,
     movement: Movement,
     weights: Vec<f64>,
@@ -45,10 +47,14 @@ const FEWEST_TRACKS: f64 = 12.0;
 /// rounds are plain least squares.
 const ROBUST_ROUNDS: usize = 15;
 
-pub fn solve(camera: &Camera, groups: &[Group], start: &Rig) -> Option<Solved> {
+pub fn solve<'a>(
+    camera: &Camera,
+    groups: impl ExactSizeIterator<Item = &'a Group>,
+    start: &Rig,
+) -> Option<Solved> {
+    let count = groups.len();
     let (mut roll_rad, mut pitch_rad) = (start.roll_rad, start.pitch_rad);
     let mut work: Vec<Work<'_>> = groups
-        .iter()
         .enumerate()
         .flat_map(|(group, pairs)| pairs.pairs.iter().map(move |pair| (group, pair)))
         .filter_map(|(group, pair)| begin(camera, group, pair, tilted(roll_rad, pitch_rad)))
@@ -85,7 +91,7 @@ pub fn solve(camera: &Camera, groups: &[Group], start: &Rig) -> Option<Solved> {
     }
     let rig = tilted(roll_rad, pitch_rad);
     let empty = Part { information: Matrix2::zeros(), slope: Vector2::zeros() };
-    let mut parts = vec![empty; groups.len()];
+    let mut parts = vec![empty; count];
     let (mut squares, mut kept, mut pairs) = (0.0, 0.0, 0);
     for pair in &work {
         let weight: f64 = pair.weights.iter().sum();
@@ -185,7 +191,9 @@ fn begin<'a>(camera: &Camera, group: usize, pair: &'a Pair, rig: GroundPose) -> 
         0.0,
         0.0,
     );
-    let mut work = Work { pair, group, movement, weights: vec![1.0; pair.tracks.len()], variance_px2: 1.0 };
+    let rays = pair.tracks.iter().map(|(corner, _, _)| camera.ray_from_pixel(*corner)).collect();
+    let weights = vec![1.0; pair.tracks.len()];
+    let mut work = Work { pair, rays, group, movement, weights, variance_px2: 1.0 };
     work.judge(camera, &rig, 0);
     Some(work)
 }
@@ -198,10 +206,9 @@ impl Work<'_> {
             .pair
             .tracks
             .iter()
-            .map(|(first, seen, _)| {
-                camera
-                    .ray_from_pixel(*first)
-                    .and_then(|ray| rig.ground_from_ray(ray))
+            .zip(&self.rays)
+            .map(|((_, seen, _), ray)| {
+                ray.and_then(|ray| rig.ground_from_ray(ray))
                     .and_then(|ground| second.ray_from_ground(ground))
                     .and_then(|ray| camera.pixel_from_ray(ray))
                     .map_or(f64::INFINITY, |pixel| pixel.distance(*seen))
@@ -258,14 +265,11 @@ impl System {
             tilt_slope: Vector2::zeros(),
             movement_slope: Vector6::zeros(),
         };
-        for ((corner, seen_at, _), &weight) in work.pair.tracks.iter().zip(&work.weights) {
+        for (((_, seen_at, _), ray), &weight) in work.pair.tracks.iter().zip(&work.rays).zip(&work.weights) {
             if weight <= 0.0 {
                 continue;
             }
-            let Some((ground, by_tilt)) = camera.ray_from_pixel(*corner).and_then(|ray| first.ground(ray))
-            else {
-                continue;
-            };
+            let Some((ground, by_tilt)) = ray.and_then(|ray| first.ground(ray)) else { continue };
             let Some(seen) = second.see(ground) else { continue };
             let weight = weight / work.variance_px2;
             let error = Vector2::new(seen_at.x - seen.pixel.x, seen_at.y - seen.pixel.y);
