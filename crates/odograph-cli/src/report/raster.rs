@@ -1,4 +1,4 @@
-//! The drawn map as a picture, with a typeface that travels with the program.
+//! Drawings as pictures, with a typeface that travels with the program.
 
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
@@ -12,14 +12,14 @@ pub const MAP_WIDTH_PX: u32 = 1600;
 
 /// An SVG drawing as the bytes of a PNG file, `width_px` wide. The same on every machine: only the program's own fonts are
 /// used, and nothing that the drawing might refer to outside itself is opened.
-pub fn map_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
+pub fn drawing_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
     let pixels = picture(svg, width_px)?;
     // The page is opaque, so the colours are not premultiplied by anything.
     let rgb: Vec<u8> = pixels.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     crate::files::png_from_rgb_samples(pixels.width() as usize, pixels.height() as usize, &rgb)
 }
 
-/// An SVG drawing without colours as a gray image, `width_px` wide, made as [`map_png`] is.
+/// An SVG drawing without colours as a gray image, `width_px` wide, made as [`drawing_png`] is.
 pub fn gray_picture(svg: &str, width_px: u32) -> Result<GrayImage> {
     let pixels = picture(svg, width_px)?;
     let mut gray = GrayImage::new(pixels.width() as usize, pixels.height() as usize);
