@@ -46,30 +46,44 @@ pub fn beside(path: &Path) -> PathBuf {
 
 /// A gray image as the bytes of a PNG file.
 pub fn png_from_gray(image: &GrayImage) -> Result<Vec<u8>> {
-    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples())
+    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples(), None)
+}
+
+/// A gray image as the bytes of a PNG file that says how large it is to be printed.
+pub fn png_to_print(image: &GrayImage, pixels_per_metre: u32) -> Result<Vec<u8>> {
+    let unit = png::Unit::Meter;
+    let resolution = png::PixelDimensions { xppu: pixels_per_metre, yppu: pixels_per_metre, unit };
+    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples(), Some(resolution))
 }
 
 /// A colour image as the bytes of a PNG file.
 pub fn png_from_rgb(image: &RgbImage) -> Result<Vec<u8>> {
-    encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples())
+    encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples(), None)
 }
 
 /// Interleaved red, green and blue in row order as the bytes of a PNG file.
 pub fn png_from_rgb_samples(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
-    encode_png(width, height, png::ColorType::Rgb, rgb)
+    encode_png(width, height, png::ColorType::Rgb, rgb, None)
 }
 
 /// A picture with opacity, interleaved red, green, blue and opacity in row order, as the bytes of a PNG file.
 pub fn png_from_rgba(width: usize, height: usize, rgba: &[u8]) -> Result<Vec<u8>> {
-    encode_png(width, height, png::ColorType::Rgba, rgba)
+    encode_png(width, height, png::ColorType::Rgba, rgba, None)
 }
 
-fn encode_png(width: usize, height: usize, color: png::ColorType, samples: &[u8]) -> Result<Vec<u8>> {
+fn encode_png(
+    width: usize,
+    height: usize,
+    color: png::ColorType,
+    samples: &[u8],
+    resolution: Option<png::PixelDimensions>,
+) -> Result<Vec<u8>> {
     let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
         encoder.set_color(color);
         encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_pixel_dims(resolution);
         encoder.set_compression(png::Compression::Fast);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(samples)?;

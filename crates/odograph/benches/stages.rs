@@ -2,10 +2,11 @@
 
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use odograph::camera::{Camera, Distortion, Rig};
+use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::detection::{DetectionConfig, detect};
 use odograph::flow::{FlowConfig, Template, Warp, track};
 use odograph::geometry::Pixel;
-use odograph::image::{GrayImage, Pyramid};
+use odograph::image::{GrayImage, Pyramid, RgbImage};
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::simulation::{Effects, Path, PathKind, RenderedFrame, Simulation, SimulationConfig, Texture};
 use std::hint::black_box;
@@ -45,6 +46,21 @@ fn stages(criterion: &mut Criterion) {
         group.sample_size(20);
         let frames = frames(size, FRAMES);
         let image: &GrayImage = &frames[0].image;
+
+        let lens = Distortion::from_opencv(&[-0.28, 0.07, 0.0002, -0.0003]).expect("four coefficients");
+        let bent = Camera::new(size, camera(size).focal_px(), camera(size).principal_px(), lens);
+        let correction = ImageCorrection::new(&bent.expect("a sound camera"), FieldOfViewKept::default());
+        let correction = correction.expect("a lens that reaches the edge");
+        let mut corrected = GrayImage::new(size.0, size.1);
+        group.bench_function("correction of a gray image", |b| {
+            b.iter(|| correction.apply_into(black_box(image), &mut corrected))
+        });
+        let samples = image.samples().iter().flat_map(|sample| [*sample; 3]).collect();
+        let colored = RgbImage::from_samples(size.0, size.1, samples).expect("three samples a pixel");
+        let mut corrected = RgbImage::new(size.0, size.1);
+        group.bench_function("correction of a colour image", |b| {
+            b.iter(|| correction.apply_rgb_into(black_box(&colored), &mut corrected))
+        });
 
         let mut pyramid = Pyramid::new(image.clone(), 4);
         group.bench_function("pyramid of 4 levels", |b| {

@@ -6,6 +6,7 @@
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
 use crate::geometry::{Pixel, Ray};
+use crate::image::simd::remap::{ONE, Place, Remap};
 use crate::image::{GrayImage, RgbImage};
 
 /// Where a pinhole of the same focal lengths and principal point sees what `camera` sees at `pixel`; may lie outside the image.
@@ -56,30 +57,14 @@ pub enum FieldOfViewKept {
 /// The correction of whole images of one camera.
 ///
 /// It holds, for every pixel of the corrected image, where in the source it comes from: the place of the upper left of four
-/// samples and two fractions in 1/2048 pixel, 8 bytes a pixel. That is exact enough that a sample differs by at most one level
+/// samples and two fractions in 1/2048 pixel, 6 bytes a pixel. That is exact enough that a sample differs by at most one level
 /// from the one computed without rounding, and no lens model is evaluated while images are corrected.
 #[derive(Debug, Clone)]
 pub struct ImageCorrection {
     source: Camera,
     corrected: Camera,
-    taps: Vec<Tap>,
-    without_source: usize,
+    remap: Remap,
 }
-
-/// Where a corrected pixel comes from.
-#[derive(Debug, Clone, Copy)]
-struct Tap {
-    /// Index of the upper left of the four samples around the place.
-    at: u32,
-    /// How far the place is to the right of it, in 1/2^[`FRACTION_BITS`] pixel, both ends included; [`NO_SOURCE`] outside the image.
-    right: u16,
-    /// How far it is below it.
-    down: u16,
-}
-
-const FRACTION_BITS: u32 = 11;
-const ONE: u16 = 1 << FRACTION_BITS;
-const NO_SOURCE: u16 = u16::MAX;
 
 impl ImageCorrection {
     /// The correction of images of `camera` to those of a pinhole.
@@ -95,14 +80,12 @@ impl ImageCorrection {
             FieldOfViewKept::ValidPixels => valid_view(camera)?,
             FieldOfViewKept::AllPixels => whole_view(camera)?,
         };
-        let mut taps = Vec::with_capacity(corrected.width() * corrected.height());
-        for y in 0..corrected.height() {
-            for x in 0..corrected.width() {
-                taps.push(tap(camera, source_pixel(camera, &corrected, Pixel::new(x as f64, y as f64))));
-            }
-        }
-        let without_source = taps.iter().filter(|tap| tap.right == NO_SOURCE).count();
-        Ok(Self { source: camera.clone(), corrected, taps, without_source })
+        let size = |camera: &Camera| (camera.width(), camera.height());
+        let remap = Remap::new(size(camera), size(&corrected), |x, y| {
+            let place = source_pixel(camera, &corrected, Pixel::new(x as f64, y as f64))?;
+            Some(rounded(camera, place))
+        });
+        Ok(Self { source: camera.clone(), corrected, remap })
     }
 
     /// The camera that takes the corrected images: a pinhole.
@@ -112,7 +95,7 @@ impl ImageCorrection {
 
     /// How many pixels of a corrected image lie outside the source; they are black.
     pub fn pixels_without_source(&self) -> usize {
-        self.without_source
+        self.remap.without_source()
     }
 
     /// Where the corrected image shows what the source has at `pixel`; may lie outside the image. `None` where no ray of the lens
@@ -132,17 +115,31 @@ impl ImageCorrection {
     /// Fails where the image is not of the camera's size.
     pub fn apply(&self, image: &GrayImage) -> Result<GrayImage> {
         let mut corrected = GrayImage::new(self.corrected.width(), self.corrected.height());
-        self.check_size(image.width(), image.height())?;
-        self.remap::<1>(image.samples(), corrected.samples_mut());
+        self.apply_into(image, &mut corrected)?;
         Ok(corrected)
+    }
+
+    /// [`ImageCorrection::apply`] into an image whose memory is used again. Fails also where that is of another size.
+    pub fn apply_into(&self, image: &GrayImage, corrected: &mut GrayImage) -> Result<()> {
+        self.check_size(image.width(), image.height())?;
+        self.check_size(corrected.width(), corrected.height())?;
+        self.remap.apply::<1>(image.samples(), corrected.samples_mut());
+        Ok(())
     }
 
     /// [`ImageCorrection::apply`] in colour.
     pub fn apply_rgb(&self, image: &RgbImage) -> Result<RgbImage> {
         let mut corrected = RgbImage::new(self.corrected.width(), self.corrected.height());
-        self.check_size(image.width(), image.height())?;
-        self.remap::<3>(image.samples(), corrected.samples_mut());
+        self.apply_rgb_into(image, &mut corrected)?;
         Ok(corrected)
+    }
+
+    /// [`ImageCorrection::apply_into`] in colour.
+    pub fn apply_rgb_into(&self, image: &RgbImage, corrected: &mut RgbImage) -> Result<()> {
+        self.check_size(image.width(), image.height())?;
+        self.check_size(corrected.width(), corrected.height())?;
+        self.remap.apply::<3>(image.samples(), corrected.samples_mut());
+        Ok(())
     }
 
     fn check_size(&self, width: usize, height: usize) -> Result<()> {
@@ -155,47 +152,22 @@ impl ImageCorrection {
             self.source.height()
         )))
     }
-
-    fn remap<const CHANNELS: usize>(&self, source: &[u8], corrected: &mut [u8]) {
-        // In an image of one column or row there is no second sample; the fraction towards it is 0.
-        let right = if self.source.width() > 1 { CHANNELS } else { 0 };
-        let down = if self.source.height() > 1 { CHANNELS * self.source.width() } else { 0 };
-        for (pixel, tap) in corrected.chunks_exact_mut(CHANNELS).zip(&self.taps) {
-            if tap.right == NO_SOURCE {
-                pixel.fill(0);
-                continue;
-            }
-            let near = &source[CHANNELS * tap.at as usize..];
-            let (upper, lower) = (&near[..right + CHANNELS], &near[down..down + right + CHANNELS]);
-            let (x, y) = (u32::from(tap.right), u32::from(tap.down));
-            let one = u32::from(ONE);
-            for channel in 0..CHANNELS {
-                let between =
-                    |row: &[u8]| u32::from(row[channel]) * (one - x) + u32::from(row[right + channel]) * x;
-                // At most 255 · 2²² + 2²¹, below 2³².
-                let sum = between(upper) * (one - y) + between(lower) * y + (1 << (2 * FRACTION_BITS - 1));
-                pixel[channel] = (sum >> (2 * FRACTION_BITS)) as u8;
-            }
-        }
-    }
 }
 
 fn source_pixel(source: &Camera, corrected: &Camera, pixel: Pixel) -> Option<Pixel> {
     source.pixel_from_ray(pinhole_ray(corrected, pixel)).filter(|&at| source.contains(at, -0.5))
 }
 
-fn tap(camera: &Camera, place: Option<Pixel>) -> Tap {
-    let Some(place) = place else {
-        return Tap { at: 0, right: NO_SOURCE, down: NO_SOURCE };
-    };
+/// A place between the centres of the source's pixels; what lies beyond the outermost centres is moved to them.
+fn rounded(camera: &Camera, place: Pixel) -> Place {
     let split = |place: f64, size: usize| {
         let place = place.clamp(0.0, size as f64 - 1.0);
         let first = (place as usize).min(size.saturating_sub(2));
         (first, ((place - first as f64) * f64::from(ONE)).round() as u16)
     };
-    let (x, right) = split(place.x, camera.width());
-    let (y, down) = split(place.y, camera.height());
-    Tap { at: (y * camera.width() + x) as u32, right, down }
+    let (column, right) = split(place.x, camera.width());
+    let (row, down) = split(place.y, camera.height());
+    Place { column, row, right, down }
 }
 
 /// A rectangle of directions: tangents to the left, right, top and bottom.

@@ -1,5 +1,6 @@
 //! One module a command: its arguments and what it does.
 
+pub mod board;
 pub mod calibrate;
 pub mod camera;
 pub mod demo;

@@ -9,7 +9,7 @@ mod plot;
 mod raster;
 
 pub use page::{ReportInput, ReportMosaic, html};
-pub use raster::{MAP_WIDTH_PX, drawing_png};
+pub use raster::{MAP_WIDTH_PX, drawing_png, gray_picture};
 
 #[cfg(test)]
 mod tests;

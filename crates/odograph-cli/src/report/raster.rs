@@ -1,6 +1,7 @@
 //! Drawings as pictures, with a typeface that travels with the program.
 
 use odograph::error::{Error, Result};
+use odograph::image::GrayImage;
 use resvg::{tiny_skia, usvg};
 use std::sync::Arc;
 
@@ -12,7 +13,24 @@ pub const MAP_WIDTH_PX: u32 = 1600;
 /// An SVG drawing as the bytes of a PNG file, `width_px` wide. The same on every machine: only the program's own fonts are
 /// used, and nothing that the drawing might refer to outside itself is opened.
 pub fn drawing_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
-    let wrong = |what: String| Error::output(format!("the drawing cannot be made a PNG: {what}"));
+    let pixels = picture(svg, width_px)?;
+    // The page is opaque, so the colours are not premultiplied by anything.
+    let rgb: Vec<u8> = pixels.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    crate::files::png_from_rgb_samples(pixels.width() as usize, pixels.height() as usize, &rgb)
+}
+
+/// An SVG drawing without colours as a gray image, `width_px` wide, made as [`drawing_png`] is.
+pub fn gray_picture(svg: &str, width_px: u32) -> Result<GrayImage> {
+    let pixels = picture(svg, width_px)?;
+    let mut gray = GrayImage::new(pixels.width() as usize, pixels.height() as usize);
+    for (sample, pixel) in gray.samples_mut().iter_mut().zip(pixels.data().chunks_exact(4)) {
+        *sample = pixel[1];
+    }
+    Ok(gray)
+}
+
+fn picture(svg: &str, width_px: u32) -> Result<tiny_skia::Pixmap> {
+    let wrong = |what: String| Error::output(format!("the drawing cannot be made a picture: {what}"));
     let mut fonts = usvg::fontdb::Database::new();
     fonts.load_font_data(REGULAR.to_vec());
     fonts.load_font_data(MEDIUM.to_vec());
@@ -33,7 +51,5 @@ pub fn drawing_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
         .ok_or_else(|| wrong(format!("{width_px}x{height_px} pixels are no picture")))?;
     pixels.fill(tiny_skia::Color::WHITE);
     resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());
-    // The page is opaque, so the colours are not premultiplied by anything.
-    let rgb: Vec<u8> = pixels.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
-    crate::files::png_from_rgb_samples(width_px as usize, height_px as usize, &rgb)
+    Ok(pixels)
 }

@@ -14,7 +14,8 @@ pub fn nothing_found(search: &Search, board: &Board) -> Error {
     let looked_at = match search.found.looked_at {
         0 => return Error::input("it has no frame in the chosen range"),
         1 => "the one picture".to_owned(),
-        n => format!("any of {n} frames"),
+        n if search.found.pictures_without.is_empty() => format!("any of {n} frames"),
+        n => format!("any of {n} pictures"),
     };
     let why = search.found.reasons.first().map_or_else(String::new, |(reason, count)| {
         if *count == search.found.looked_at { format!(" ({reason})") } else { format!(" (mostly: {reason})") }

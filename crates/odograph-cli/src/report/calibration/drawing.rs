@@ -3,7 +3,7 @@
 use crate::report::parts::STYLE;
 use odograph::geometry::Pixel;
 use odograph::mapping::drawing::scale::{label, multiples, round_step};
-use odograph::mapping::drawing::svg::{coordinate, escape};
+use odograph::mapping::drawing::svg::{coordinate, escape, text_width};
 use std::fmt::Write;
 
 /// Width of a drawing of the image, drawing units.
@@ -36,21 +36,40 @@ impl Drawing {
 
     /// As a file of its own, in light colours, with its name and what it says above it.
     pub fn file(&self, name: &str, says: &str) -> String {
-        const HEAD: f64 = 58.0;
-        let (width, height) = (self.width, self.height + HEAD + 8.0);
+        const LINE: f64 = 20.0;
+        let lines = lines(says, self.width - 28.0);
+        let head = 38.0 + LINE * lines.len() as f64;
+        let mut told = String::new();
+        for (number, line) in lines.iter().enumerate() {
+            let y = coordinate(49.0 + LINE * number as f64);
+            let _ = writeln!(told, "<text x=\"14\" y=\"{y}\">{}</text>", escape(line));
+        }
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"plot\" width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" \
              font-family=\"Roboto, sans-serif\">\n<style>{2}</style>\n<rect width=\"{0}\" height=\"{1}\" fill=\"#fff\"/>\n\
-             <text class=\"name\" x=\"14\" y=\"28\">{3}</text><text x=\"14\" y=\"49\">{4}</text>\n\
-             <g transform=\"translate(0 {HEAD})\">\n{5}</g>\n</svg>\n",
-            coordinate(width),
-            coordinate(height),
+             <text class=\"name\" x=\"14\" y=\"28\">{3}</text>{told}<g transform=\"translate(0 {head})\">\n{4}</g>\n</svg>\n",
+            coordinate(self.width),
+            coordinate(self.height + head + 8.0),
             light_style(),
             escape(name),
-            escape(says),
             self.body
         )
     }
+}
+
+/// A text in lines of at most `width` drawing units.
+fn lines(text: &str, width: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if text_width(&format!("{line} {word}"), 14.0) <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// The rules of the page's style sheets that colour drawings, with the light values of their variables.

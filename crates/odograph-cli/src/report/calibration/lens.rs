@@ -11,7 +11,7 @@ use std::fmt::Write;
 pub fn distortion(camera: &Camera) -> Drawing {
     let frame = ImageFrame::new((camera.width(), camera.height()));
     let (reach_x, reach_y) = reach(camera);
-    let (focal, middle) = (camera.focal_px(), camera.principal_px());
+    let (focal, middle) = (focal_on_axis_px(camera), camera.principal_px());
     let straight = |ray: Ray| Some(Pixel::new(focal.0 * ray.x + middle.0, focal.1 * ray.y + middle.1));
     let bent = |ray: Ray| camera.pixel_from_ray(ray);
     let step = round_step(2.0 * reach_x.max(reach_y), 16.0);
@@ -61,6 +61,12 @@ pub fn distortion(camera: &Camera) -> Drawing {
     frame.drawing(&content, 0.0)
 }
 
+/// Pixels per tangent on the axis, across and down: what a pinhole would have for focal lengths.
+fn focal_on_axis_px(camera: &Camera) -> (f64, f64) {
+    let on_axis = camera.pixel_and_derivative(Ray::new(0.0, 0.0));
+    on_axis.map_or(camera.focal_px(), |(_, derivative)| (derivative[(0, 0)], derivative[(1, 1)]))
+}
+
 /// Pixels along the border of the image.
 fn border(camera: &Camera) -> impl Iterator<Item = Pixel> {
     let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
@@ -85,9 +91,9 @@ fn reach(camera: &Camera) -> (f64, f64) {
     (furthest(|ray| ray.x).max(0.01), furthest(|ray| ray.y).max(0.01))
 }
 
-/// How far the lens moves a point at the border of the image at most, pixels, against a pinhole of the same focal length.
+/// How far the lens moves a point at the border of the image at most, pixels, against a pinhole that shows the middle alike.
 pub fn greatest_displacement_px(camera: &Camera) -> Option<f64> {
-    let (focal, middle) = (camera.focal_px(), camera.principal_px());
+    let (focal, middle) = (focal_on_axis_px(camera), camera.principal_px());
     border(camera)
         .map(|pixel| {
             let ray = camera.ray_from_pixel(pixel)?;

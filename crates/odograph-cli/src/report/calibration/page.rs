@@ -263,7 +263,12 @@ impl CalibrationReport<'_> {
             );
         }
         card("Lens model", short_name(self.model), &format!("{}; {chosen}.", lens_name(self.model)), page);
-        card("Board", &escape(&self.board), &format!("Looked for in every {kind}."), page);
+        card(
+            "Board",
+            &escape(&self.board).replace(':', ":<wbr>"),
+            &format!("Looked for in every {kind}."),
+            page,
+        );
         page.push_str("</div>\n");
     }
 
@@ -272,7 +277,8 @@ impl CalibrationReport<'_> {
         if self.guidance.missing.is_empty() {
             return;
         }
-        page.push_str("<h2>What would make it better</h2>\n<div class=\"box\"><ul>");
+        let even = if self.verdict == Verdict::Good { "even " } else { "" };
+        let _ = write!(page, "<h2>What would make it {even}better</h2>\n<div class=\"box\"><ul>");
         for hint in self.guidance.missing.iter().take(6) {
             let _ = write!(page, "<li>{}.</li>", escape(&capital(&hint.to_string())));
         }

@@ -22,16 +22,14 @@ const MOST_ELONGATION: f64 = 5.0;
 const MOST_UNLIKE: f64 = 0.12;
 /// How much darker than its surroundings a pixel must be, gray levels.
 const LEAST_CONTRAST: u32 = 8;
-/// No more spots than this are looked at, the largest first.
-const MOST_BLOBS: usize = 4000;
 
-/// Dark elliptic spots, those darker than the mean over a square of `window_px` around them, largest first.
-pub(super) fn blobs(image: &GrayImage, window_px: usize) -> Vec<Blob> {
+/// Dark elliptic spots, those darker than the mean over a square of `window_px` around them: the `most` largest, largest first.
+pub(super) fn blobs(image: &GrayImage, window_px: usize, most: usize) -> Vec<Blob> {
     let dark = darker_than_around(image, window_px);
     let mut found: Vec<(usize, Blob)> = components(&dark, image.width(), image.height());
     // Components come in reading order of their first pixel, and the sort is stable.
     found.sort_by_key(|(area, _)| std::cmp::Reverse(*area));
-    found.truncate(MOST_BLOBS);
+    found.truncate(most);
     found.into_iter().map(|(_, blob)| blob).collect()
 }
 
@@ -152,7 +150,8 @@ fn components(dark: &[bool], width: usize, height: usize) -> Vec<(usize, Blob)> 
         at
     }
     // Runs of the row above and of this one: from, to, component.
-    let (mut above, mut here): (Vec<(usize, usize, u32)>, Vec<(usize, usize, u32)>) = Default::default();
+    type Run = (usize, usize, u32);
+    let (mut above, mut here): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
     for y in 0..height {
         let row = &dark[y * width..(y + 1) * width];
         here.clear();

@@ -3,7 +3,8 @@
 //! From coarse to fine and back: most boards are found in the image of half the size, at a quarter of the cost; boards of small squares
 //! need the full image, blurred ones a smaller one. Whatever the level, the corners are then fitted in the full image.
 
-use super::lattice::{Corner, Lattice, edge_between, extent, lattices, nearest_edge};
+use super::completion::complete;
+use super::lattice::{Corner, Lattice, extent, lattices, nearest_edge};
 use super::ring::Ring;
 use super::{NotFound, response, subpixel};
 use crate::calibration::{Board, BoardView, SeenPoint};
@@ -13,7 +14,7 @@ use crate::image::{GrayImage, Pyramid};
 /// More corners than this, and as many again as the board has eightfold, are not looked at: noise and gravel have any number.
 const MOST_PEAKS: usize = 1500;
 /// Radius of the circle on which a corner's edges are read, pixels of the level.
-const RING_PX: f64 = 4.0;
+pub(super) const RING_PX: f64 = 4.0;
 /// From this many pixels along its longer side, an image is first tried at half its size.
 const LARGE_PX: usize = 800;
 /// Blur, in standard deviations, that makes corners too uncertain: pixels, and part of a square's side. Within a quarter of the side, what
@@ -22,7 +23,10 @@ const MOST_BLUR_PX: f64 = 6.0;
 const MOST_BLUR_OF_SIDE: f64 = 0.22;
 /// Half the window of the fit: part of the distance to the nearest corner, and at most so many pixels, for lenses bend edges.
 const WINDOW_OF_SIDE: f64 = 0.45;
-const LARGEST_WINDOW_PX: f64 = 12.0;
+const LARGEST_WINDOW_PX: f64 = 10.0;
+
+/// The corners of a few squares say nothing about a board.
+const LEAST_PART: usize = 6;
 
 /// Finds a whole chessboard.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
@@ -33,9 +37,9 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
     let order: &[usize] = if large { &[1, 0, 2, 3] } else { &[0, 1, 2] };
     let mut best = NotFound::NoCorners;
     for &level in order.iter().filter(|&&level| level < levels.len()) {
-        match find_in_level(&levels[level], wanted) {
+        let scale = f64::from(1u32 << level);
+        match find_in_level(&levels[level], wanted, scale) {
             Ok(corners) => {
-                let scale = f64::from(1u32 << level);
                 let pixels: Vec<Pixel> = corners
                     .iter()
                     .map(|corner| Pixel::new(corner.pixel.x * scale, corner.pixel.y * scale))
@@ -61,7 +65,8 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
 /// How much of a board a reason tells of: the one that tells most is the one to be told.
 fn seen(why: &NotFound) -> usize {
     match *why {
-        NotFound::Blurred => usize::MAX,
+        // A board that is too blurred for its whole is told by a sharper part.
+        NotFound::Blurred => LEAST_PART,
         NotFound::OtherSize { seen, .. } => seen.0 * seen.1,
         NotFound::Partial { points, .. } => points,
         _ => 0,
@@ -74,7 +79,7 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> 
     for peak in response::peaks(image, most) {
         let start = Pixel::new(f64::from(peak.x), f64::from(peak.y));
         let corner = Ring::read(image, start, RING_PX)
-            .and_then(|_| subpixel::orthogonal(image, start, RING_PX))
+            .and_then(|_| subpixel::orthogonal_to_within(image, start, RING_PX, 0.05))
             .and_then(|pixel| Some(Corner { pixel, ring: Ring::read(image, pixel, RING_PX)? }));
         let Some(corner) = corner else { continue };
         corners.push(corner);
@@ -99,153 +104,96 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> 
 }
 
 /// The board's corners in the order of its points, found in one level of the pyramid.
-fn find_in_level(image: &GrayImage, wanted: (usize, usize)) -> Result<Vec<Corner>, NotFound> {
+fn find_in_level(image: &GrayImage, wanted: (usize, usize), scale: f64) -> Result<Vec<Corner>, NotFound> {
     let corners = corners_of_squares(image, MOST_PEAKS + 8 * wanted.0 * wanted.1);
     let mut best = NotFound::NoCorners;
-    for mut lattice in lattices(image, &corners).into_iter().take(4) {
+    for seen_lattice in lattices(image, &corners).into_iter().take(4) {
+        let mut lattice = seen_lattice.clone();
         if !is_whole(&lattice, wanted) {
             complete(image, &mut lattice);
         }
         if let Some(found) = whole_within(&lattice, wanted) {
             return Ok(in_order(&found, wanted));
         }
-        let ((left, right), (top, bottom)) = extent(&lattice);
-        let spans = ((right - left + 1) as usize, (bottom - top + 1) as usize);
+        // What was seen at once tells the size better than what was looked for beyond it.
+        let lattice = if is_rectangle(&seen_lattice) { seen_lattice } else { without_stray_lines(lattice) };
+        let spans = spans(&lattice);
         // Named the way round that is nearer to what was said.
         let as_said = spans.0.abs_diff(wanted.0) + spans.1.abs_diff(wanted.1)
             <= spans.1.abs_diff(wanted.0) + spans.0.abs_diff(wanted.1);
         let spans = if as_said { spans } else { (spans.1, spans.0) };
-        let why = if lattice.len() == spans.0 * spans.1 && lattice.len() > 8 {
+        if lattice.len() <= LEAST_PART {
+            continue;
+        }
+        let why = if is_lattice_blurred(image, &lattice, scale) {
+            NotFound::Blurred
+        } else if lattice.len() == spans.0 * spans.1 {
             NotFound::OtherSize { expected: wanted, seen: spans }
         } else {
             NotFound::Partial { expected: wanted, seen: spans, points: lattice.len() }
         };
-        // Four corners of one square say nothing about a board.
-        if lattice.len() > 6 && seen(&why) > seen(&best) {
+        if seen(&why) > seen(&best) {
             best = why;
         }
     }
     Err(best)
 }
 
+/// Columns and rows that a lattice reaches over.
+fn spans(lattice: &Lattice) -> (usize, usize) {
+    let ((left, right), (top, bottom)) = extent(lattice);
+    ((right - left + 1) as usize, (bottom - top + 1) as usize)
+}
+
+/// Whether a lattice has no gaps.
+fn is_rectangle(lattice: &Lattice) -> bool {
+    let (width, height) = spans(lattice);
+    lattice.len() == width * height
+}
+
 /// Whether a lattice has exactly the wanted corners, one way round or the other.
 fn is_whole(lattice: &Lattice, wanted: (usize, usize)) -> bool {
-    let ((left, right), (top, bottom)) = extent(lattice);
-    let spans = ((right - left + 1) as usize, (bottom - top + 1) as usize);
-    lattice.len() == wanted.0 * wanted.1 && (spans == wanted || spans == (wanted.1, wanted.0))
+    let spans = spans(lattice);
+    is_rectangle(lattice) && (spans == wanted || spans == (wanted.1, wanted.0))
 }
 
 /// The lattice, less outer lines that are hardly there, if that is exactly the wanted one.
-///
-/// Shadows, frames and reflections make corners in line with a board's; they do not make whole lines of them.
 fn whole_within(lattice: &Lattice, wanted: (usize, usize)) -> Option<Lattice> {
     let mut lattice = lattice.clone();
-    loop {
-        if is_whole(&lattice, wanted) {
-            return Some(lattice);
-        }
-        if lattice.len() <= wanted.0 * wanted.1 {
+    while !is_whole(&lattice, wanted) {
+        if lattice.len() <= wanted.0 * wanted.1 || !drop_stray_line(&mut lattice) {
             return None;
         }
-        let ((left, right), (top, bottom)) = extent(&lattice);
-        let (width, height) = (right - left + 1, bottom - top + 1);
-        let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count();
-        // The emptiest of the four outer lines, by the part of it that is there.
-        let lines: [(f64, fn(&(i32, i32), i32) -> bool, i32); 4] = [
-            (count(&|p| p.0 == left) as f64 / f64::from(height), |p, at| p.0 == at, left),
-            (count(&|p| p.0 == right) as f64 / f64::from(height), |p, at| p.0 == at, right),
-            (count(&|p| p.1 == top) as f64 / f64::from(width), |p, at| p.1 == at, top),
-            (count(&|p| p.1 == bottom) as f64 / f64::from(width), |p, at| p.1 == at, bottom),
-        ];
-        let (part, on, at) = lines.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-        if part > 0.5 {
-            return None;
-        }
-        lattice.retain(|place, _| !on(place, at));
     }
+    Some(lattice)
 }
 
-/// Adds the corners that the detector overlooked, where the neighbours say they must be.
-fn complete(image: &GrayImage, lattice: &mut Lattice) {
-    // Each round reaches one square further, and a board has at most 200 along a side.
-    for _ in 0..200 {
-        let ((left, right), (top, bottom)) = extent(lattice);
-        let mut added = Vec::new();
-        for j in top - 1..=bottom + 1 {
-            for i in left - 1..=right + 1 {
-                if !lattice.contains_key(&(i, j))
-                    && let Some(corner) = overlooked(image, lattice, (i, j))
-                {
-                    added.push(((i, j), corner));
-                }
-            }
-        }
-        if added.is_empty() || lattice.len() > 50_000 {
-            return;
-        }
-        lattice.extend(added);
-    }
+/// The lattice less all outer lines that are hardly there.
+fn without_stray_lines(mut lattice: Lattice) -> Lattice {
+    while !is_rectangle(&lattice) && drop_stray_line(&mut lattice) {}
+    lattice
 }
 
-/// The corner at an empty place of a lattice, if there is one where at least two neighbouring lines lead.
-fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Option<Corner> {
-    let at = |di: i32, dj: i32| lattice.get(&(i + di, j + dj));
-    let mut predictions: Vec<(f64, f64)> = Vec::new();
-    let mut sides: Vec<(Corner, f64)> = Vec::new();
-    for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
-        let Some(next) = at(di, dj) else { continue };
-        if let Some(after) = at(2 * di, 2 * dj) {
-            let (mut x, mut y) = (2.0 * next.pixel.x - after.pixel.x, 2.0 * next.pixel.y - after.pixel.y);
-            // With a third one, perspective and lens are followed to the second order.
-            if let Some(third) = at(3 * di, 3 * dj) {
-                x += next.pixel.x - 2.0 * after.pixel.x + third.pixel.x;
-                y += next.pixel.y - 2.0 * after.pixel.y + third.pixel.y;
-            }
-            predictions.push((x, y));
-            sides.push((*next, next.pixel.distance(after.pixel)));
-        } else {
-            // A parallelogram with the square beside.
-            for (ei, ej) in [(dj, di), (-dj, -di)] {
-                if let (Some(beside), Some(across)) = (at(ei, ej), at(di + ei, dj + ej)) {
-                    predictions.push((
-                        next.pixel.x + beside.pixel.x - across.pixel.x,
-                        next.pixel.y + beside.pixel.y - across.pixel.y,
-                    ));
-                    sides.push((*next, across.pixel.distance(beside.pixel)));
-                }
-            }
+/// Takes the emptiest outer line away if half of it or more is missing.
+///
+/// Shadows, frames and reflections make corners in line with a board's; they do not make whole lines of them.
+fn drop_stray_line(lattice: &mut Lattice) -> bool {
+    let ((left, right), (top, bottom)) = extent(lattice);
+    let (width, height) = (f64::from(right - left + 1), f64::from(bottom - top + 1));
+    let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count() as f64;
+    let lines = [
+        (count(&|place| place.0 == left) / height, true, left),
+        (count(&|place| place.0 == right) / height, true, right),
+        (count(&|place| place.1 == top) / width, false, top),
+        (count(&|place| place.1 == bottom) / width, false, bottom),
+    ];
+    match lines.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((part, is_column, at)) if part <= 0.5 => {
+            lattice.retain(|place, _| at != if is_column { place.0 } else { place.1 });
+            true
         }
+        _ => false,
     }
-    let count = predictions.len() as f64;
-    if predictions.is_empty() {
-        return None;
-    }
-    let guess = Pixel::new(
-        predictions.iter().map(|p| p.0).sum::<f64>() / count,
-        predictions.iter().map(|p| p.1).sum::<f64>() / count,
-    );
-    let side = sides.iter().map(|(_, side)| *side).fold(f64::MAX, f64::min);
-    let window = (0.35 * side).clamp(2.5, 8.0);
-    let pixel = subpixel::orthogonal(image, guess, window)?;
-    if pixel.distance(guess) > 0.25 * side {
-        return None;
-    }
-    let ring = Ring::read(image, pixel, RING_PX.min(0.45 * side).max(2.0))?;
-    // Every neighbour must be joined by an edge, and there must be one.
-    let corner = Corner { pixel, ring };
-    sides.iter().all(|(neighbour, _)| joined(image, &corner, neighbour)).then_some(corner)
-}
-
-/// Whether an edge of the image joins two corners.
-fn joined(image: &GrayImage, one: &Corner, other: &Corner) -> bool {
-    let direction = (other.pixel.y - one.pixel.y).atan2(other.pixel.x - one.pixel.x);
-    let (edge, turn) = nearest_edge(&one.ring, direction);
-    let (back, back_turn) = nearest_edge(&other.ring, direction + std::f64::consts::PI);
-    let white = one.ring.white_after(edge);
-    turn < 0.5
-        && back_turn < 0.5
-        && white != other.ring.white_after(back)
-        && edge_between(image, one.pixel, other.pixel, white, one.ring.contrast().min(other.ring.contrast()))
 }
 
 /// The corners of a whole lattice in the order of the board's points; see [`super::BoardFinder::find`].
@@ -260,7 +208,7 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
         ((right, bottom), (-1, 0), (0, -1)),
         ((left, bottom), (0, -1), (1, 0)),
     ];
-    let mut best: Option<((bool, f64), Vec<Corner>)> = None;
+    let mut best: Option<(f64, Vec<Corner>)> = None;
     for (first, along, down) in turns {
         let fits = if along.1 == 0 { spans == (columns, rows) } else { spans == (rows, columns) };
         if !fits {
@@ -291,9 +239,9 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
             let (row, column) = (step(right), step(below));
             row.0 / row.0.hypot(row.1).max(1e-9) + column.1 / column.0.hypot(column.1).max(1e-9)
         };
-        let rank = (black, upright);
-        if best.as_ref().is_none_or(|(found, _)| rank.0 > found.0 || (rank.0 == found.0 && rank.1 > found.1))
-        {
+        // A black corner square decides before anything else; either number is at most 2.
+        let rank = if black { 10.0 + upright } else { upright };
+        if best.as_ref().is_none_or(|(found, _)| rank > *found) {
             best = Some((rank, corners));
         }
     }
@@ -308,7 +256,7 @@ fn refine(
     scale: f64,
 ) -> Result<Vec<SeenPoint>, NotFound> {
     let mut points = Vec::with_capacity(corners.len());
-    let mut blurs = Vec::with_capacity(corners.len());
+    let mut blurs: Vec<(f64, f64)> = Vec::with_capacity(corners.len());
     for (index, &corner) in corners.iter().enumerate() {
         let (column, row) = (index % columns, index / columns);
         let mut side = f64::MAX;
@@ -326,20 +274,43 @@ fn refine(
             beside(index + columns);
         }
         let window = (WINDOW_OF_SIDE * side).clamp(2.5, LARGEST_WINDOW_PX.max(3.0 * scale));
-        let saddle = subpixel::fit(image, corner, window).ok_or(NotFound::Blurred)?;
+        // The blur is about that of the corner before.
+        let blur_px = blurs.last().map_or(subpixel::USUAL_BLUR_PX, |blur| blur.0);
+        let saddle = subpixel::fit_from(image, corner, window, blur_px).ok_or(NotFound::Blurred)?;
         if saddle.pixel.distance(corner) > 0.3 * side {
             return Err(NotFound::Blurred);
         }
         blurs.push((saddle.blur_px, saddle.blur_px / side));
         points.push(SeenPoint { index, pixel: saddle.pixel });
     }
+    if is_blurred(&blurs) {
+        return Err(NotFound::Blurred);
+    }
+    Ok(points)
+}
+
+/// Whether corners are too blurred, by the median of their blurs in pixels of the full image and in sides of a square.
+fn is_blurred(blurs: &[(f64, f64)]) -> bool {
     let middle = |value: fn(&(f64, f64)) -> f64| {
         let mut values: Vec<f64> = blurs.iter().map(value).collect();
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(0.0)
     };
-    if middle(|blur| blur.0) > MOST_BLUR_PX || middle(|blur| blur.1) > MOST_BLUR_OF_SIDE {
-        return Err(NotFound::Blurred);
-    }
-    Ok(points)
+    middle(|blur| blur.0) > MOST_BLUR_PX || middle(|blur| blur.1) > MOST_BLUR_OF_SIDE
+}
+
+/// Whether the corners of a part of a board, seen in a level of the pyramid, are too blurred.
+fn is_lattice_blurred(image: &GrayImage, lattice: &Lattice, scale: f64) -> bool {
+    let blurs: Vec<(f64, f64)> = lattice
+        .iter()
+        .filter_map(|(&(i, j), corner)| {
+            let next = lattice.get(&(i + 1, j)).or_else(|| lattice.get(&(i - 1, j)))?;
+            let side = corner.pixel.distance(next.pixel);
+            let window = (WINDOW_OF_SIDE * side).clamp(2.5, LARGEST_WINDOW_PX);
+            // What cannot be fitted is all blur.
+            let blur_px = subpixel::fit(image, corner.pixel, window).map_or(f64::INFINITY, |fit| fit.blur_px);
+            Some((blur_px * scale, blur_px / side))
+        })
+        .collect();
+    is_blurred(&blurs)
 }

@@ -18,9 +18,15 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 type Spots = BTreeMap<(i32, i32), usize>;
 
 /// How far a spot may be from where its neighbours say it is, part of the distance to them.
-const STRAY: f64 = 0.3;
+const STRAY: f64 = 0.25;
 /// By how much the axes of neighbouring spots may differ.
 const MOST_UNLIKE_SIZES: f64 = 1.7;
+/// Spots that are looked at, beside four times those of the board: gravel has any number.
+const MOST_SPOTS: usize = 1000;
+/// What the model of a disc may leave unexplained, part of the disc's contrast, in the middle of all discs; and how much the contrast
+/// of the faintest may be below that of the strongest. Pebbles and letters are not discs.
+const MOST_UNEXPLAINED: f64 = 0.12;
+const LEAST_CONTRAST_RATIO: f64 = 0.25;
 /// Blur of the rim, in standard deviations, that is too much.
 const MOST_BLUR_PX: f64 = 6.0;
 
@@ -39,7 +45,8 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
             if window < 5 {
                 continue;
             }
-            let spots = blobs(&levels[level], window);
+            let most = MOST_SPOTS + 4 * board.columns() * board.rows();
+            let spots = Spotted::new(blobs(&levels[level], window, most));
             match in_spots(&spots, board) {
                 Ok(grid) => {
                     let grid: Vec<Blob> = grid.iter().map(|blob| scaled(blob, scale)).collect();
@@ -52,7 +59,7 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
                 }
                 Err(why) => {
                     let points = |why: &NotFound| match *why {
-                        NotFound::Partial { points, .. } => points,
+                        NotFound::OtherDiscs { seen, .. } => seen,
                         NotFound::Blurred => usize::MAX,
                         _ => 0,
                     };
@@ -75,20 +82,31 @@ fn scaled(blob: &Blob, scale: f64) -> Blob {
     }
 }
 
+/// Fits every disc in the full image.
 fn refine(image: &GrayImage, grid: &[Blob]) -> Result<Vec<SeenPoint>, NotFound> {
-    let mut points = Vec::with_capacity(grid.len());
-    let mut blurs = Vec::with_capacity(grid.len());
-    for (index, blob) in grid.iter().enumerate() {
-        let disc = disc::fit(image, blob).ok_or(NotFound::Blurred)?;
-        blurs.push(disc.blur_px);
-        points.push(SeenPoint { index, pixel: disc.pixel });
+    let discs: Vec<disc::Disc> =
+        grid.iter().map(|blob| disc::fit(image, blob)).collect::<Option<_>>().ok_or(NotFound::NoDiscs)?;
+    let middle = |value: fn(&disc::Disc) -> f64| {
+        let mut values: Vec<f64> = discs.iter().map(value).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    };
+    let contrasts = || discs.iter().map(|disc| disc.contrast);
+    let (faintest, strongest) = (contrasts().fold(f64::MAX, f64::min), contrasts().fold(0.0, f64::max));
+    if middle(|disc| disc.residual / disc.contrast) > MOST_UNEXPLAINED
+        || faintest < LEAST_CONTRAST_RATIO * strongest
+    {
+        return Err(NotFound::NoDiscs);
     }
-    blurs.sort_by(f64::total_cmp);
-    if blurs.get(blurs.len() / 2).is_some_and(|&blur_px| blur_px > MOST_BLUR_PX) {
+    if middle(|disc| disc.blur_px) > MOST_BLUR_PX {
         return Err(NotFound::Blurred);
     }
-    Ok(points)
+    let points = discs.iter().enumerate().map(|(index, disc)| SeenPoint { index, pixel: disc.pixel });
+    Ok(points.collect())
 }
+
+/// Fewer discs say nothing about a board.
+const LEAST_PART: usize = 6;
 
 /// Where the board's points are in coordinates of whole steps: the rectangle, or every second place of it.
 fn places_of(board: &Board) -> Vec<(i32, i32)> {
@@ -99,33 +117,31 @@ fn places_of(board: &Board) -> Vec<(i32, i32)> {
 }
 
 /// The board's spots in the order of its points.
-fn in_spots(spots: &[Blob], board: &Board) -> Result<Vec<Blob>, NotFound> {
+fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
     let places = places_of(board);
     let mut best = NotFound::NoDiscs;
-    let mut taken = vec![false; spots.len()];
-    let expected = (board.columns(), board.rows());
-    for seed in 0..spots.len() {
+    let mut taken = vec![false; spots.blobs.len()];
+    for seed in 0..spots.blobs.len() {
         if taken[seed] {
             continue;
         }
         let Some(lattice) = grown(spots, seed) else { continue };
         lattice.values().for_each(|&spot| taken[spot] = true);
         if lattice.len() >= places.len()
-            && let Some(grid) = as_board(&lattice, spots, board, &places)
+            && let Some(grid) = as_board(&lattice, &spots.blobs, board, &places)
         {
             return Ok(grid);
         }
         let told = match best {
-            NotFound::Partial { points, .. } => points,
-            _ => 5, // fewer are anything
+            NotFound::OtherDiscs { seen, .. } => seen,
+            _ => LEAST_PART.max(places.len() / 3), // fewer are anything
         };
-        if lattice.len() > told {
-            let span = |coordinate: fn(&(i32, i32)) -> i32| {
-                let all = || lattice.keys().map(coordinate);
-                all().max().zip(all().min()).map_or(0, |(most, least)| (most - least + 1) as usize)
-            };
-            best =
-                NotFound::Partial { expected, seen: (span(|p| p.0), span(|p| p.1)), points: lattice.len() };
+        // Pebbles make lattices too, but with more gaps than squares.
+        let whole = |&&(i, j): &&(i32, i32)| {
+            [(1, 0), (0, 1), (1, 1)].iter().all(|(di, dj)| lattice.contains_key(&(i + di, j + dj)))
+        };
+        if lattice.len() > told && 2 * lattice.keys().filter(whole).count() >= lattice.len() {
+            best = NotFound::OtherDiscs { expected: places.len(), seen: lattice.len() };
         }
     }
     Err(best)
@@ -137,22 +153,66 @@ fn alike(one: &Blob, other: &Blob) -> bool {
     ratio(one.axes_px.0, other.axes_px.0) && ratio(one.axes_px.1, other.axes_px.1)
 }
 
-/// The nearest spots that are like a spot, nearest first.
-fn nearest_alike(spots: &[Blob], spot: usize, count: usize) -> Vec<usize> {
-    let mut near: Vec<(f64, usize)> = (0..spots.len())
-        .filter(|&other| other != spot && alike(&spots[other], &spots[spot]))
-        .map(|other| (spots[other].pixel.distance(spots[spot].pixel), other))
-        .collect();
-    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    near.truncate(count);
-    near.into_iter().map(|(_, other)| other).collect()
+/// Spots, and which of them lie in each cell of the image.
+struct Spotted {
+    blobs: Vec<Blob>,
+    cells: BTreeMap<(i32, i32), Vec<usize>>,
+    cell_px: f64,
+}
+
+impl Spotted {
+    fn new(blobs: Vec<Blob>) -> Self {
+        let reach = blobs.iter().map(|blob| blob.pixel.x.max(blob.pixel.y)).fold(1.0, f64::max);
+        // About one spot a cell.
+        let cell_px = (reach / (blobs.len() as f64).sqrt().max(1.0)).max(4.0);
+        let mut spotted = Self { blobs: Vec::new(), cells: BTreeMap::new(), cell_px };
+        for (index, blob) in blobs.iter().enumerate() {
+            spotted.cells.entry(spotted.cell(blob.pixel)).or_default().push(index);
+        }
+        spotted.blobs = blobs;
+        spotted
+    }
+
+    fn cell(&self, at: Pixel) -> (i32, i32) {
+        ((at.x / self.cell_px).floor() as i32, (at.y / self.cell_px).floor() as i32)
+    }
+
+    /// The nearest spot within reach of a place that is wanted.
+    fn nearest(&self, place: Pixel, reach_px: f64, wanted: impl Fn(usize) -> bool) -> Option<usize> {
+        let (left, top) = self.cell(Pixel::new(place.x - reach_px, place.y - reach_px));
+        let (right, bottom) = self.cell(Pixel::new(place.x + reach_px, place.y + reach_px));
+        (top..=bottom)
+            .flat_map(|row| (left..=right).filter_map(move |column| self.cells.get(&(column, row))))
+            .flatten()
+            .filter(|&&spot| wanted(spot))
+            .map(|&spot| (place.distance(self.blobs[spot].pixel), spot))
+            .filter(|(distance, _)| *distance < reach_px)
+            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))
+            .map(|(_, spot)| spot)
+    }
+
+    /// The nearest spots that are like a spot, nearest first.
+    fn nearest_alike(&self, spot: usize, count: usize) -> Vec<usize> {
+        let own = &self.blobs[spot];
+        let mut near: Vec<(f64, usize)> = (0..self.blobs.len())
+            .filter(|&other| other != spot && alike(&self.blobs[other], own))
+            .map(|other| (self.blobs[other].pixel.distance(own.pixel), other))
+            .collect();
+        let order = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        if near.len() > count {
+            near.select_nth_unstable_by(count, order);
+            near.truncate(count);
+        }
+        near.sort_by(order);
+        near.into_iter().map(|(_, other)| other).collect()
+    }
 }
 
 /// The lattice around a spot, from its two nearest neighbours in different directions on.
-fn grown(spots: &[Blob], seed: usize) -> Option<Spots> {
-    let at = |spot: usize| spots[spot].pixel;
+fn grown(spots: &Spotted, seed: usize) -> Option<Spots> {
+    let at = |spot: usize| spots.blobs[spot].pixel;
     let step = |from: usize, to: usize| (at(to).x - at(from).x, at(to).y - at(from).y);
-    let near = nearest_alike(spots, seed, 8);
+    let near = spots.nearest_alike(seed, 8);
     let first = *near.first()?;
     let along = step(seed, first);
     let across = near.iter().map(|&other| step(seed, other)).find(|other| {
@@ -180,12 +240,8 @@ fn grown(spots: &[Blob], seed: usize) -> Option<Spots> {
             };
             let guess = Pixel::new(at(spot).x + expected.0, at(spot).y + expected.1);
             let reach = STRAY * expected.0.hypot(expected.1);
-            let found = (0..spots.len())
-                .filter(|other| !used.contains(other) && alike(&spots[*other], &spots[spot]))
-                .map(|other| (guess.distance(at(other)), other))
-                .filter(|(distance, _)| *distance < reach)
-                .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            let Some((_, other)) = found else { continue };
+            let wanted = |other| !used.contains(&other) && alike(&spots.blobs[other], &spots.blobs[spot]);
+            let Some(other) = spots.nearest(guess, reach, wanted) else { continue };
             lattice.insert(there, other);
             used.insert(other);
             let measured = step(spot, other);

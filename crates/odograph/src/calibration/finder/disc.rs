@@ -12,6 +12,10 @@ pub(super) struct Disc {
     pub pixel: Pixel,
     /// Standard deviation of the blur of its rim, pixels.
     pub blur_px: f64,
+    /// How much darker than the ground, gray levels.
+    pub contrast: f64,
+    /// Root mean square of what the model does not explain, gray levels.
+    pub residual: f64,
 }
 
 /// The unknowns: centre, the ellipse's matrix `[a, b, c]`, half width of the rim's ramp, gray outside, its slope along x and y, and how much
@@ -99,6 +103,8 @@ pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
     Some(Disc {
         pixel: Pixel::new(blob.pixel.x + unknowns[0], blob.pixel.y + unknowns[1]),
         blur_px: unknowns[5] / WIDTHS_PER_DEVIATION,
+        contrast: unknowns[9],
+        residual: (cost / samples.len() as f64).sqrt(),
     })
 }
 

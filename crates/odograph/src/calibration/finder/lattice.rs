@@ -54,7 +54,7 @@ pub(super) fn edge_between(
     contrast: f64,
 ) -> bool {
     let length = from.distance(to);
-    if !(length >= 2.0) {
+    if length.is_nan() || length < 2.0 {
         return false;
     }
     let (ux, uy) = ((to.x - from.x) / length, (to.y - from.y) / length);

@@ -5,6 +5,7 @@ mod blobs;
 mod charuco;
 mod chessboard;
 mod circles;
+mod completion;
 mod disc;
 mod lattice;
 mod markers;
@@ -35,7 +36,7 @@ pub enum NotFound {
         /// Columns and rows of inner corners in the image.
         seen: (usize, usize),
     },
-    /// Some of a chessboard's or disc grid's points, or a smaller board.
+    /// Some of a chessboard's corners, and no whole board of another size.
     Partial {
         /// Columns and rows looked for.
         expected: (usize, usize),
@@ -46,6 +47,13 @@ pub enum NotFound {
     },
     /// Nothing in the image looks like a grid of discs.
     NoDiscs,
+    /// A grid of discs that is not the one looked for, or a part of it.
+    OtherDiscs {
+        /// How many discs the board has.
+        expected: usize,
+        /// How many were seen in a grid.
+        seen: usize,
+    },
     /// No marker of the board was read.
     NoMarkers,
     /// Fewer markers of the board than can be trusted.
@@ -78,6 +86,10 @@ impl fmt::Display for NotFound {
                 seen.0, seen.1, expected.0, expected.1
             ),
             Self::NoDiscs => f.write_str("no grid of discs"),
+            Self::OtherDiscs { expected, seen } => write!(
+                f,
+                "a grid of {seen} discs seen where {expected} in other lines were expected: part of the board is hidden or the count is wrong"
+            ),
             Self::NoMarkers => f.write_str("no markers of the board"),
             Self::TooFewMarkers { found, least } => {
                 write!(f, "only {found} of the board's markers, and it takes {least}")

@@ -40,8 +40,10 @@ pub(super) struct Expected<'a> {
     pub drawing: Option<(&'a Drawing, f64)>,
 }
 
-/// The part of the contrast that may be left unexplained where a pattern is laid on the image.
-const MOST_UNEXPLAINED: f64 = 0.2;
+/// Gray levels, and the part of the contrast in addition, that may be left unexplained around a point: noise, and lenses that blur not quite
+/// as modelled. Something in front of the board leaves more.
+const NOISE_GRAY: f64 = 3.0;
+const MOST_UNEXPLAINED: f64 = 0.12;
 /// A point that noise and blur leave less certain is no point, pixels.
 const MOST_DEVIATION_PX: f64 = 0.1;
 
@@ -65,7 +67,9 @@ pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<Poin
             let window = (0.4 * width * expected.spacing_m).clamp(SMALLEST_PATTERN_PX, WINDOW_PX.1 + 1.0);
             let fit =
                 Pattern::new(drawing, expected.map, expected.place, window, blur_px)?.fit(image, near)?;
-            if fit.residual > MOST_UNEXPLAINED * fit.contrast || fit.deviation_px > MOST_DEVIATION_PX {
+            if fit.residual > NOISE_GRAY + MOST_UNEXPLAINED * fit.contrast
+                || fit.deviation_px > MOST_DEVIATION_PX
+            {
                 return None;
             }
             PointLook { pixel: fit.pixel, residual: fit.residual / fit.contrast }
@@ -77,7 +81,9 @@ pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<Poin
             let deviation_px =
                 2.5 * blur_px * saddle.residual / saddle.contrast / (2.0 * window * blur_px).sqrt();
             // Not `>`: a NaN is no point either.
-            if !(deviation_px <= MOST_DEVIATION_PX) {
+            if !(deviation_px <= MOST_DEVIATION_PX
+                && saddle.residual <= NOISE_GRAY + MOST_UNEXPLAINED * saddle.contrast)
+            {
                 return None;
             }
             PointLook { pixel: saddle.pixel, residual: saddle.residual / saddle.contrast }

@@ -124,7 +124,7 @@ impl Ring {
 
     /// Whether the arc that follows an edge is white.
     pub fn white_after(&self, edge: usize) -> bool {
-        self.white_after_first == (edge % 2 == 0)
+        self.white_after_first == edge.is_multiple_of(2)
     }
 
     /// White less black, gray levels.

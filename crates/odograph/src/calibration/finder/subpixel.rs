@@ -23,16 +23,6 @@ pub(crate) struct Saddle {
     pub residual: f64,
 }
 
-/// The sub-pixel place where four squares meet near `start`.
-///
-/// `half_window_px` says how far around it the image is looked at: at most half the side of the smallest square there, so that no
-/// other corner is seen, and not much more than 10, so that a lens's bending of the edges does not matter. `start` may be off by
-/// about half of it. `None` where no saddle is near `start`, or the window does not lie in the image (it is made smaller at the
-/// border down to 2 pixels).
-pub(crate) fn saddle(image: &GrayImage, start: Pixel, half_window_px: f64) -> Option<Pixel> {
-    fit(image, start, half_window_px).map(|saddle| saddle.pixel)
-}
-
 /// The half window that fits into the image around a point; `None` below [`SMALLEST_WINDOW_PX`].
 fn window_inside(image: &GrayImage, centre: Pixel, half_window_px: f64) -> Option<f64> {
     let right = image.width() as f64 - 2.0 - centre.x;
@@ -67,6 +57,16 @@ fn window(
 
 /// The point to which the gradients around it are orthogonal, from up to half a window away.
 pub(super) fn orthogonal(image: &GrayImage, start: Pixel, half_window_px: f64) -> Option<Pixel> {
+    orthogonal_to_within(image, start, half_window_px, CONVERGED_PX)
+}
+
+/// [`orthogonal`], ended when a step is smaller than `enough_px`.
+pub(super) fn orthogonal_to_within(
+    image: &GrayImage,
+    start: Pixel,
+    half_window_px: f64,
+    enough_px: f64,
+) -> Option<Pixel> {
     let mut at = start;
     for _ in 0..MOST_STEPS {
         let half = window_inside(image, at, half_window_px)?;
@@ -89,11 +89,10 @@ pub(super) fn orthogonal(image: &GrayImage, start: Pixel, half_window_px: f64) -
         }
         let step = ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant);
         at = Pixel::new(at.x + step.0, at.y + step.1);
-        // Not a comparison with `>`: a NaN must end here too.
-        if !(at.distance(start) <= half_window_px) {
+        if at.distance(start).is_nan() || at.distance(start) > half_window_px {
             return None;
         }
-        if step.0.hypot(step.1) < CONVERGED_PX {
+        if step.0.hypot(step.1) < enough_px {
             break;
         }
     }
@@ -102,8 +101,14 @@ pub(super) fn orthogonal(image: &GrayImage, start: Pixel, half_window_px: f64) -
 
 /// Steps of either iteration; both converge in three to six.
 const MOST_STEPS: usize = 12;
-/// A hundredth of what noise does.
-const CONVERGED_PX: f64 = 1e-4;
+/// Far below what noise does; the fit's next step would be smaller by another order.
+const CONVERGED_PX: f64 = 5e-4;
+/// A step after which the matrix of the normal equations is made anew.
+const CHANGES_MATRIX_PX: f64 = 0.03;
+/// Near enough to begin the fit.
+const NEAR_PX: f64 = 0.1;
+/// The blur of a sharp camera, standard deviation: where the fit begins.
+pub(super) const USUAL_BLUR_PX: f64 = 0.7;
 /// An edge cannot be sharper than a sample: the standard deviation of a box of one pixel.
 const SHARPEST_PX: f64 = 0.29;
 
@@ -114,10 +119,7 @@ type Unknowns = SVector<f64, 9>;
 /// A blurred step from −1 to 1, `half_width` the distance where the ramp ends, and its derivative: the integral of the biweight
 /// kernel, which is a Gaussian's step to within 2 %, but costs a polynomial.
 fn step(distance: f64, half_width: f64) -> (f64, f64) {
-    let u = distance / half_width;
-    if u.abs() >= 1.0 {
-        return (u.signum(), 0.0);
-    }
+    let u = (distance / half_width).clamp(-1.0, 1.0);
     let u2 = u * u;
     (u * (1.875 - u2 * (1.25 - 0.375 * u2)), 1.875 * (1.0 - u2) * (1.0 - u2))
 }
@@ -125,20 +127,30 @@ fn step(distance: f64, half_width: f64) -> (f64, f64) {
 /// Half width of the ramp over the standard deviation of the kernel.
 const WIDTHS_PER_DEVIATION: f64 = 2.645_751_311_064_590_7; // √7
 
-/// The best picture of two crossing edges around `start`, after [`orthogonal`] has come near.
+/// The sub-pixel place where four squares meet near `start`.
+///
+/// `half_window_px` says how far around it the image is looked at: at most half the side of the smallest square there, so that no
+/// other corner is seen, and not much more than 10, so that a lens's bending of the edges does not matter. `start` may be off by
+/// about half of it. `None` where no saddle is near `start`, or the window does not lie in the image (it is made smaller at the
+/// border down to 2 pixels).
 ///
 /// The model is `middle + slope · u + half_contrast · step(n₁ · u − c₁) · step(n₂ · u − c₂)`. The slope matters: light that changes over
 /// the window correlates with a shift of the corner. Levenberg–Marquardt on the samples, weighted by the round window.
 pub(crate) fn fit(image: &GrayImage, start: Pixel, half_window_px: f64) -> Option<Saddle> {
-    let centre = orthogonal(image, start, half_window_px)?;
+    fit_from(image, start, half_window_px, USUAL_BLUR_PX)
+}
+
+/// [`fit`] where the blur is nearly known, which saves steps.
+pub(super) fn fit_from(image: &GrayImage, start: Pixel, half_window_px: f64, blur_px: f64) -> Option<Saddle> {
+    let centre = orthogonal_to_within(image, start, half_window_px, NEAR_PX)?;
     let half = window_inside(image, centre, half_window_px)?;
     // The ring tells the directions of the edges; nearer than 2 pixels a ring is all blur.
     let ring = Ring::read(image, centre, (0.7 * half).max(2.0).min(half))?;
-    fit_from(image, centre, half, &ring)
+    fit_edges(image, centre, half, &ring, blur_px)
 }
 
-/// [`fit`] where the edges around the `centre` are known already.
-fn fit_from(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring) -> Option<Saddle> {
+/// The fit itself, from roughly known edges on.
+fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: f64) -> Option<Saddle> {
     let [first, second] = ring.lines();
     let sign = if ring.white_where_alike() { 1.0 } else { -1.0 };
     let mut unknowns = Unknowns::from([
@@ -146,7 +158,7 @@ fn fit_from(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring) -> Option<
         0.0,
         second,
         0.0,
-        WIDTHS_PER_DEVIATION * 0.7,
+        (WIDTHS_PER_DEVIATION * blur_px).min(half),
         ring.middle(),
         0.5 * sign * ring.contrast(),
         0.0,
@@ -156,7 +168,7 @@ fn fit_from(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring) -> Option<
         .map(|(x, y, dx, dy, weight)| [dx, dy, f64::from(image.row(y)[x]), weight])
         .collect();
     let mut damping = 1e-3;
-    let (mut normal, mut gradient, mut cost) = normal_equations(&samples, &unknowns);
+    let (mut normal, mut gradient, mut cost) = normal_equations::<true>(&samples, &unknowns);
     for _ in 0..MOST_STEPS {
         let mut damped = normal;
         for i in 0..9 {
@@ -166,22 +178,24 @@ fn fit_from(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring) -> Option<
         let mut tried = unknowns + change;
         let least = SHARPEST_PX * WIDTHS_PER_DEVIATION;
         tried[4] = tried[4].clamp(least, half.max(least));
-        let (tried_normal, tried_gradient, tried_cost) = normal_equations(&samples, &tried);
-        // Not `>=`: a NaN is no improvement.
-        if !(tried_cost < cost) {
+        let (_, tried_gradient, tried_cost) = normal_equations::<false>(&samples, &tried);
+        if tried_cost.is_nan() || tried_cost >= cost {
             damping *= 10.0;
             if damping > 1e3 {
                 break;
             }
             continue;
         }
-        let before = crossing(&unknowns)?;
-        unknowns = tried;
-        (normal, gradient, cost) = (tried_normal, tried_gradient, tried_cost);
+        let (before, after) = (crossing(&unknowns)?, crossing(&tried)?);
+        (unknowns, gradient, cost) = (tried, tried_gradient, tried_cost);
         damping *= 0.2;
-        let after = crossing(&unknowns)?;
-        if (after.0 - before.0).hypot(after.1 - before.1) < CONVERGED_PX {
+        let moved_px = (after.0 - before.0).hypot(after.1 - before.1);
+        if moved_px < CONVERGED_PX {
             break;
+        }
+        // Near the end the matrix hardly changes, and it is what costs.
+        if moved_px > CHANGES_MATRIX_PX {
+            normal = normal_equations::<true>(&samples, &unknowns).0;
         }
     }
     let (x, y) = crossing(&unknowns)?;
@@ -210,8 +224,11 @@ fn crossing(unknowns: &Unknowns) -> Option<(f64, f64)> {
     Some(((d1 * c2 - d2 * c1) / determinant, (d1 * s2 - d2 * s1) / determinant))
 }
 
-/// JᵀWJ, JᵀWr and rᵀWr of the model at the given unknowns.
-fn normal_equations(samples: &[[f64; 4]], unknowns: &Unknowns) -> (SMatrix<f64, 9, 9>, Unknowns, f64) {
+/// JᵀWJ (zero unless `MATRIX`), JᵀWr and rᵀWr of the model at the given unknowns.
+fn normal_equations<const MATRIX: bool>(
+    samples: &[[f64; 4]],
+    unknowns: &Unknowns,
+) -> (SMatrix<f64, 9, 9>, Unknowns, f64) {
     let (s1, c1) = unknowns[0].sin_cos();
     let (s2, c2) = unknowns[2].sin_cos();
     let (offset_1, offset_2, width) = (unknowns[1], unknowns[3], unknowns[4]);
@@ -238,8 +255,10 @@ fn normal_equations(samples: &[[f64; 4]], unknowns: &Unknowns) -> (SMatrix<f64, 
         for i in first..9 {
             let weighted = weight * row[i];
             gradient[i] += weighted * residual;
-            for j in i..9 {
-                normal[i][j] += weighted * row[j];
+            if MATRIX {
+                for j in i..9 {
+                    normal[i][j] += weighted * row[j];
+                }
             }
         }
     }

@@ -199,16 +199,16 @@ impl View<'_> {
                 continue;
             }
             tries[point] += 1;
-            let Some(look) = self.try_point(point) else { continue };
-            self.seen[point] = Some(look.pixel);
             let (columns, rows) = board.grid;
-            let (column, row) = (point % columns, point / columns);
-            for y in row.saturating_sub(2)..(row + 3).min(rows) {
-                for x in column.saturating_sub(2)..(column + 3).min(columns) {
-                    let next = y * columns + x;
-                    if self.seen[next].is_none() && !is_waiting[next] && tries[next] < MOST_TRIES {
-                        is_waiting[next] = true;
-                        waiting.push_back(next);
+            for met in self.try_point(point) {
+                let (column, row) = (met % columns, met / columns);
+                for y in row.saturating_sub(2)..(row + 3).min(rows) {
+                    for x in column.saturating_sub(2)..(column + 3).min(columns) {
+                        let next = y * columns + x;
+                        if self.seen[next].is_none() && !is_waiting[next] && tries[next] < MOST_TRIES {
+                            is_waiting[next] = true;
+                            waiting.push_back(next);
+                        }
                     }
                 }
             }
@@ -258,23 +258,47 @@ impl View<'_> {
         PlaneMap::fit(&pairs, place, board.spacing_m)
     }
 
-    /// Looks for a point where it must be; `None` unless it is really there and one of its markers too.
-    fn try_point(&mut self, point: usize) -> Option<PointLook> {
+    /// Looks for a point where it must be, and notes it where it is really there and one of its markers too. What was noted: nothing, the point,
+    /// or with it others of the same marker.
+    fn try_point(&mut self, point: usize) -> Vec<usize> {
+        let board = self.board;
+        let Some(look) = self.look_from_around(point) else { return Vec::new() };
+        self.seen[point] = Some(look.pixel);
+        let mut met = vec![point];
+        let markers = &board.markers_of_point[point];
+        if markers.iter().any(|&marker| self.agrees[marker]) {
+            return met;
+        }
+        // One of its markers at least must be there, as far as the new point makes it known where.
+        for &marker in markers {
+            if !board.is_chessboard {
+                // No other marker shares its points, so they are to be found together.
+                for &other in &board.points_of_marker[marker] {
+                    if self.seen[other].is_none()
+                        && let Some(look) = self.look_from_around(other)
+                    {
+                        self.seen[other] = Some(look.pixel);
+                        met.push(other);
+                    }
+                }
+            }
+            if self.marker_is_there(marker) == Some(true) {
+                self.agrees[marker] = true;
+                return met;
+            }
+        }
+        for met in met {
+            self.seen[met] = None;
+        }
+        Vec::new()
+    }
+
+    /// Looks for a point where what is known around it has it.
+    fn look_from_around(&mut self, point: usize) -> Option<PointLook> {
         let board = self.board;
         let place = (board.points[point].x_m, board.points[point].y_m);
-        let (column, row) = (point % board.grid.0, point / board.grid.0);
-        let map = self.map_around(place, column, row, None)?;
-        let look = self.look(point, &map)?;
-        // One of its markers at least must be there, as far as the new point makes it known where.
-        let is_marked = board.markers_of_point[point].iter().any(|&marker| self.agrees[marker])
-            || board.markers_of_point[point].clone().into_iter().any(|marker| {
-                self.seen[point] = Some(look.pixel);
-                let agrees = self.marker_is_there(marker) == Some(true);
-                self.seen[point] = None;
-                self.agrees[marker] |= agrees;
-                agrees
-            });
-        is_marked.then_some(look)
+        let map = self.map_around(place, point % board.grid.0, point / board.grid.0, None)?;
+        self.look(point, &map)
     }
 
     /// Looks for a point where a map has it.
@@ -369,14 +393,10 @@ impl View<'_> {
 
     /// Finds all points anew, now that the map around each is known from all sides; those that are not found again are forgotten.
     fn refine(&mut self) {
-        let board = self.board;
         let before = self.seen.clone();
         let mut after = vec![None; before.len()];
         for point in (0..before.len()).filter(|&point| before[point].is_some()) {
-            let place = (board.points[point].x_m, board.points[point].y_m);
-            let (column, row) = (point % board.grid.0, point / board.grid.0);
-            let Some(map) = self.map_around(place, column, row, None) else { continue };
-            after[point] = self.look(point, &map).map(|look| look.pixel);
+            after[point] = self.look_from_around(point).map(|look| look.pixel);
         }
         self.seen = after;
     }

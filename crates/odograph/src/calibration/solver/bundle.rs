@@ -11,6 +11,8 @@ use nalgebra::{
 /// The most unknowns beside the poses: those of the lens and of the board's shape.
 pub const SHARED: usize = 17;
 const ROW: usize = 6 + SHARED;
+/// A row filled up to whole fours, which processors multiply at once.
+const FOURS: usize = ROW.div_ceil(4);
 
 pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 pub type SharedVector = SVector<f64, SHARED>;
@@ -60,6 +62,8 @@ impl Unknowns {
 /// Residuals beyond this many standard deviations count less and less: the loss is quadratic up to it and logarithmic
 /// beyond, `k² (1/2 + ln(s / k))`, with weight `(k / s)²`. Of points with nothing but Gaussian noise 1.1 % lie beyond.
 const BEND: f64 = 3.0;
+/// An adjustment ends when a step gains less loss than this.
+const LEAST_GAIN: f64 = 1e-4;
 /// A point without a projection counts like one this far off, pixels.
 const NOWHERE_PX: f64 = 1e4;
 
@@ -86,6 +90,18 @@ pub fn place(sight: &Sight, shape: &[f64; 5]) -> Vector3<f64> {
         sight.on_board.1 + shape[3] * sight.down_m,
         shape[0] * u * u + shape[1] * u * v + shape[2] * v * v,
     )
+}
+
+/// Sums of products of rows, the upper triangle (and a little below it), and of rows with residuals.
+struct Products {
+    rows: [[[f64; 4]; FOURS]; ROW],
+    right: [f64; ROW],
+}
+
+impl Products {
+    fn at(&self, i: usize, j: usize) -> f64 {
+        self.rows[i][j / 4][j % 4]
+    }
 }
 
 /// The part of the normal equations that one view brings.
@@ -140,26 +156,26 @@ impl Bundle<'_> {
             cost: self.prior_cost(state),
         };
         for (sights, pose) in self.views.iter().zip(&state.poses) {
-            let mut products = [[0.0; ROW + 1]; ROW];
+            let mut products = Products { rows: [[[0.0; 4]; FOURS]; ROW], right: [0.0; ROW] };
             normal.cost += self.add_view(state, pose, sights, shared_count, &mut products);
             let mut block = ViewBlock {
                 own: Matrix6::zeros(),
                 across: SMatrix::zeros(),
-                right: Vector6::from_fn(|i, _| products[i][ROW]),
+                right: Vector6::from_fn(|i, _| products.right[i]),
             };
             for i in 0..6 {
                 for j in i..6 {
-                    block.own[(i, j)] = products[i][j];
-                    block.own[(j, i)] = products[i][j];
+                    block.own[(i, j)] = products.at(i, j);
+                    block.own[(j, i)] = products.at(i, j);
                 }
                 for j in 0..shared_count {
-                    block.across[(i, j)] = products[i][6 + j];
+                    block.across[(i, j)] = products.at(i, 6 + j);
                 }
             }
             for i in 0..shared_count {
-                normal.right[i] += products[6 + i][ROW];
+                normal.right[i] += products.right[6 + i];
                 for j in i..shared_count {
-                    normal.shared[(i, j)] += products[6 + i][6 + j];
+                    normal.shared[(i, j)] += products.at(6 + i, 6 + j);
                 }
             }
             normal.views.push(block);
@@ -186,7 +202,7 @@ impl Bundle<'_> {
         pose: &Isometry3<f64>,
         sights: &[Sight],
         shared_count: usize,
-        products: &mut [[f64; ROW + 1]; ROW],
+        products: &mut Products,
     ) -> f64 {
         let inverse = 1.0 / (self.noise_px * self.noise_px);
         let rotation: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
@@ -201,7 +217,7 @@ impl Bundle<'_> {
             let off = [sight.pixel.0 - projection.pixel[0], sight.pixel.1 - projection.pixel[1]];
             let (lost, weight) = loss((off[0] * off[0] + off[1] * off[1]) * inverse);
             cost += lost;
-            let mut rows = [[0.0; ROW]; 2];
+            let mut rows = [[0.0; 4 * FOURS]; 2];
             for (axis, row) in rows.iter_mut().enumerate() {
                 let by = projection.by_point.row(axis);
                 let (a, b, c) = (by[0], by[1], by[2]);
@@ -229,19 +245,24 @@ impl Bundle<'_> {
             let weight = weight * inverse;
             let count = 6 + shared_count;
             let [first, second] = &rows;
+            let (first_fours, second_fours) = (first.as_chunks::<4>().0, second.as_chunks::<4>().0);
+            let fours = count.div_ceil(4);
             for i in 0..count {
                 let (a, b) = (weight * first[i], weight * second[i]);
-                let target = &mut products[i];
-                for ((sum, x), y) in target[i..count].iter_mut().zip(&first[i..count]).zip(&second[i..count])
-                {
-                    *sum += a * x + b * y;
+                let from = i / 4;
+                let target = products.rows[i][from..fours].iter_mut();
+                let pairs = first_fours[from..fours].iter().zip(&second_fours[from..fours]);
+                for (sum, (x, y)) in target.zip(pairs) {
+                    for k in 0..4 {
+                        sum[k] += a * x[k] + b * y[k];
+                    }
                 }
-                target[ROW] += a * off[0] + b * off[1];
+                products.right[i] += a * off[0] + b * off[1];
             }
         }
         if !self.unknowns.poses {
-            for (i, row) in products.iter_mut().enumerate().take(6) {
-                row[i] = 1.0;
+            for i in 0..6 {
+                products.rows[i][i / 4][i % 4] = 1.0;
             }
         }
         cost
@@ -272,9 +293,8 @@ impl Bundle<'_> {
                 damping *= 10.0;
             }
             let Some(gained) = gained else { break };
-            // A loss of 1 is the noise of two numbers: a gain of a millionth of it changes nothing that can be known.
-            let enough = gained < 1e-6 + 1e-12 * normal.cost;
-            if enough {
+            // A loss of 1 is the noise of two numbers: what gains this little moves nothing by a hundredth of its deviation.
+            if gained < LEAST_GAIN + 1e-12 * normal.cost {
                 return normal.cost - gained;
             }
             normal = self.linearise(state);

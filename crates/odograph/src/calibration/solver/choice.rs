@@ -2,17 +2,23 @@
 
 use super::bundle::Sight;
 use super::fit::{Fit, HoldOut};
-use super::quality::{ErrorMap, covariance};
+use super::quality::{ErrorMap, covariance, disagreement_px};
 use super::result::Candidate;
+use crate::camera::Camera;
 
-/// How much better, as a share of the mean square distance, a model must be beyond chance to count as better.
-const LEAST_GAIN: f64 = 0.002;
+/// A mean square distance larger by less than this share is no larger.
+const LEAST_LOSS: f64 = 0.002;
+
+/// A model that fits the points worse by a mean square of 1 is taken for wrong by this much elsewhere: what it cannot follow where points
+/// are grows towards the corners, where there are few.
+const SURE_OVER_FITTING: f64 = 30.0;
 
 /// A model with what speaks for and against it.
 pub struct Tried {
     pub fit: Fit,
     pub hold_out: HoldOut,
     pub candidate: Candidate,
+    pub camera: Camera,
 }
 
 impl Tried {
@@ -27,20 +33,21 @@ impl Tried {
             rms_px: fit.rms_px(sights),
             expected_error_px: map.over_image_px(),
         };
-        Some(Self { fit, hold_out, candidate })
+        Some(Self { fit, hold_out, candidate, camera })
     }
 }
 
-/// The place of the model to take.
+/// The place of the model to take: the one with the least error of rays to be expected over the whole image.
 ///
-/// The best foreteller is the one with the least mean over views. Another is as good where it is worse by less than one standard
-/// error of the paired differences between views (the rule of L. Breiman et al., "Classification and regression trees", 1984,
-/// section 3.4.3) or by a trifle. Of all those the one is taken whose rays are expected to be the surest over the whole
-/// image: a coefficient that is not needed costs nothing where points are and pixels in the corners.
+/// The views held out say which foretells best, but only where points were, and a coefficient that is not needed costs nothing
+/// there and pixels in the corners. So of every model two errors are added as squares: that of its uncertain numbers, from the covariance,
+/// and that of its shape. A shape is doubted as far as its rays differ from those of the best foreteller by more than that one's own
+/// uncertainty explains, and as far as views held out are foretold worse by more than one standard error of the paired
+/// differences between views (the rule of L. Breiman et al., "Classification and regression trees", 1984, section 3.4.3).
 pub fn choose(tried: &[Tried]) -> Option<usize> {
     let mean = |at: usize| {
         let views = &tried[at].hold_out.views;
-        views.iter().map(|view| view.1).sum::<f64>() / views.len().max(1) as f64
+        views.iter().sum::<f64>() / views.len().max(1) as f64
     };
     // With too few views to hold any out, the simplest of those that fit within a tenth.
     let best = (0..tried.len()).min_by(|&a, &b| mean(a).total_cmp(&mean(b)))?;
@@ -49,21 +56,19 @@ pub fn choose(tried: &[Tried]) -> Option<usize> {
         let near = |at: &usize| tried[*at].candidate.rms_px <= 1.1 * least;
         return (0..tried.len()).filter(near).min_by_key(|&at| tried[at].fit.model.coefficients());
     }
-    let as_good = |at: &usize| {
-        let differences: Vec<f64> = tried[*at]
-            .hold_out
-            .views
-            .iter()
-            .zip(&tried[best].hold_out.views)
-            .map(|(a, b)| a.1 - b.1)
-            .collect();
+    let error = |at: usize| tried[at].candidate.expected_error_px;
+    // Mean square error over the image: that of uncertain numbers and that of a shape that cannot be right.
+    let total = |at: usize| {
+        let pairs = tried[at].hold_out.views.iter().zip(&tried[best].hold_out.views);
+        let differences: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
         let count = differences.len() as f64;
-        let worse = differences.iter().sum::<f64>() / count;
-        let variance = differences.iter().map(|d| (d - worse).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-        worse <= (variance / count).sqrt().max(LEAST_GAIN * mean(best))
+        let lost = differences.iter().sum::<f64>() / count;
+        let variance = differences.iter().map(|d| (d - lost).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        let chance = (variance / count).sqrt().max(LEAST_LOSS * mean(best));
+        let apart_px = disagreement_px(&tried[best].camera, &tried[at].fit.state.lens);
+        let apart = if at == best { 0.0 } else { apart_px.powi(2) - error(best).powi(2) };
+        error(at).powi(2) + apart.max(SURE_OVER_FITTING * (lost - chance)).max(0.0)
     };
-    let surest = |&a: &usize, &b: &usize| {
-        tried[a].candidate.expected_error_px.total_cmp(&tried[b].candidate.expected_error_px)
-    };
-    (0..tried.len()).filter(as_good).min_by(surest)
+    let totals: Vec<f64> = (0..tried.len()).map(total).collect();
+    (0..tried.len()).min_by(|&a, &b| totals[a].total_cmp(&totals[b]))
 }

@@ -10,6 +10,8 @@ use nalgebra::Isometry3;
 /// Points further off than this many standard deviations, and this many pixels, are wrong and left out.
 const WRONG_DEVIATIONS: f64 = 8.0;
 const WRONG_PX: f64 = 1.0;
+/// No more than this share of the points is left out.
+const MOST_WRONG: f64 = 0.03;
 /// A view is left out where its typical point is this many times as far off as in the typical view.
 const WRONG_VIEW: f64 = 3.0;
 
@@ -139,12 +141,6 @@ impl Fit {
         turned
     }
 
-    /// Root mean square distance over a view, pixels, by its place among the fit's.
-    pub fn view_rms_px(&self, sights: &[Vec<Sight>], at: usize) -> f64 {
-        let (sum, count) = self.squares(&sights[self.views[at]], &self.state.poses[at]);
-        (sum / count).sqrt()
-    }
-
     fn squares(&self, sights: &[Sight], pose: &Isometry3<f64>) -> (f64, f64) {
         let off = residuals(&self.state.lens, &self.state.shape, pose, sights);
         off.flatten().fold((0.0, 0.0), |(sum, count), (dx, dy)| (sum + dx * dx + dy * dy, count + 1.0))
@@ -205,9 +201,19 @@ impl Fit {
         }
     }
 
+    /// Leaves out points that are far off, if they are few: where they are many it is the lens model that is wrong.
     fn leave_out_points(&self, sights: &mut [Vec<Sight>]) -> bool {
         let far_px = (WRONG_DEVIATIONS * self.noise_px).max(WRONG_PX);
         let mut changed = false;
+        let (mut far, mut all) = (0, 0);
+        for (&view, pose) in self.views.iter().zip(&self.state.poses) {
+            let off = residuals(&self.state.lens, &self.state.shape, pose, &sights[view]);
+            far += off.filter(|off| off.is_none_or(|(dx, dy)| dx.hypot(dy) >= far_px)).count();
+            all += sights[view].len();
+        }
+        if far as f64 > MOST_WRONG * all as f64 {
+            return false;
+        }
         for (&view, pose) in self.views.iter().zip(&self.state.poses) {
             let off: Vec<_> = residuals(&self.state.lens, &self.state.shape, pose, &sights[view]).collect();
             let belongs = |off: &Option<(f64, f64)>| off.is_some_and(|(dx, dy)| dx.hypot(dy) < far_px);
@@ -221,12 +227,11 @@ impl Fit {
         changed
     }
 
-    /// Fits a camera to the other views for each part of the views, and to each view of the part only its pose. Gives of each view
-    /// the mean square distance of its points and the mean of the same without the share of wrong points.
+    /// Fits a camera to the other views for each part of the views, and to each view of the part only its pose.
     pub fn hold_out(&self, sights: &[Vec<Sight>]) -> HoldOut {
         let count = self.views.len();
         let parts = if count < 10 { count } else { 5 };
-        let mut out = HoldOut { views: vec![(f64::INFINITY, f64::INFINITY); count], rms_px: f64::INFINITY };
+        let mut out = HoldOut { views: vec![f64::INFINITY; count], rms_px: f64::INFINITY };
         if count < 4 {
             return out;
         }
@@ -254,7 +259,7 @@ impl Fit {
                 }
                 sum += all;
                 points += number;
-                out.views[at] = (all / number, bounded / number);
+                out.views[at] = bounded / number;
             }
         }
         out.rms_px = (sum / points).sqrt();
@@ -265,8 +270,8 @@ impl Fit {
 /// How well views were foretold that the camera was not fitted to.
 #[derive(Debug, Clone)]
 pub struct HoldOut {
-    /// Of each view the mean square distance, and the same with wrong points bounded.
-    pub views: Vec<(f64, f64)>,
+    /// Of each view the mean square distance, wrong points bounded.
+    pub views: Vec<f64>,
     pub rms_px: f64,
 }
 

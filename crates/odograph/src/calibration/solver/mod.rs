@@ -51,9 +51,9 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
     let usable: Vec<usize> = (0..sights.len()).filter(|&view| reasons[view].is_none()).collect();
 
     let usable = evenly(&usable, &sights, MOST_POINTS);
-    for view in 0..sights.len() {
-        if reasons[view].is_none() && usable.binary_search(&view).is_err() {
-            reasons[view] = Some("more views than are needed".to_owned());
+    for (view, reason) in reasons.iter_mut().enumerate() {
+        if reason.is_none() && usable.binary_search(&view).is_err() {
+            *reason = Some("more views than are needed".to_owned());
         }
     }
     let compared = evenly(&usable, &sights, COMPARED_POINTS);

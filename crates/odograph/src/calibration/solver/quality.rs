@@ -5,7 +5,7 @@ use super::fit::Fit;
 use super::lens::{Free, Lens};
 use crate::camera::Camera;
 use crate::geometry::Pixel;
-use nalgebra::{DMatrix, Matrix2x3, Matrix3, SMatrix};
+use nalgebra::{DMatrix, Matrix2x3, Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 
 /// Covariance of the shared unknowns of a fit, poses eliminated.
 ///
@@ -53,9 +53,45 @@ pub struct ErrorMap {
     over_image_px: f64,
 }
 
-/// The image is asked at this many places across and down.
-const ACROSS: usize = 17;
-const DOWN: usize = 13;
+/// The middles of this many parts across and down stand for the image.
+const ACROSS: usize = 16;
+const DOWN: usize = 12;
+
+fn places(camera: &Camera) -> impl Iterator<Item = Pixel> + use<> {
+    let part = (camera.width() as f64 / ACROSS as f64, camera.height() as f64 / DOWN as f64);
+    let middle = move |i: usize, part: f64| (i as f64 + 0.5) * part - 0.5;
+    (0..DOWN * ACROSS).map(move |at| Pixel::new(middle(at % ACROSS, part.0), middle(at / ACROSS, part.1)))
+}
+
+/// Root mean square distance over the image, pixels, between where two cameras see the same directions, once the rotation that brings
+/// them best together is taken out; infinite where they do not see enough of the same.
+pub fn disagreement_px(camera: &Camera, other: &Lens) -> f64 {
+    let rays: Vec<(Pixel, Vector3<f64>)> = places(camera)
+        .filter_map(|pixel| Some((pixel, camera.ray_from_pixel(pixel)?.vector().normalize())))
+        .collect();
+    let mut rotation = Rotation3::identity();
+    // Gauss–Newton from no rotation; two cameras fitted to the same views are next to each other.
+    for _ in 0..5 {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for (pixel, ray) in &rays {
+            let turned = rotation * ray;
+            let Some(seen) = other.project(&turned) else { continue };
+            let by_rotation = -(seen.by_point * turned.cross_matrix());
+            normal += by_rotation.transpose() * by_rotation;
+            right += by_rotation.transpose() * Vector2::new(pixel.x - seen.pixel[0], pixel.y - seen.pixel[1]);
+        }
+        let Some(inverse) = normal.try_inverse() else { return f64::INFINITY };
+        rotation = Rotation3::from_scaled_axis(inverse * right) * rotation;
+    }
+    let (mut squares, mut count) = (0.0, 0.0);
+    for (pixel, ray) in &rays {
+        if let Some([x, y]) = other.pixel(&(rotation * ray)) {
+            squares += (pixel.x - x).powi(2) + (pixel.y - y).powi(2);
+            count += 1.0;
+        }
+    }
+    if count > 0.0 { (squares / count).sqrt() } else { f64::INFINITY }
+}
 
 impl ErrorMap {
     /// Of a lens with the covariance of its free numbers.
@@ -69,12 +105,8 @@ impl ErrorMap {
             rotation_by_free: DMatrix::zeros(3, count),
             over_image_px: f64::INFINITY,
         };
-        let mut grid: Vec<(DMatrix<f64>, Matrix2x3<f64>)> = Vec::new();
-        for (i, j) in (0..DOWN).flat_map(|i| (0..ACROSS).map(move |j| (i, j))) {
-            let x = (camera.width() as f64 - 1.0) * j as f64 / (ACROSS - 1) as f64;
-            let y = (camera.height() as f64 - 1.0) * i as f64 / (DOWN - 1) as f64;
-            grid.extend(map.derivatives(camera, Pixel::new(x, y)));
-        }
+        let grid: Vec<(DMatrix<f64>, Matrix2x3<f64>)> =
+            places(camera).filter_map(|pixel| map.derivatives(camera, pixel)).collect();
         // Least squares over the grid: of Jθ δθ + Jω ω as little as possible.
         let mut normal = Matrix3::<f64>::zeros();
         let mut right = DMatrix::<f64>::zeros(3, count);

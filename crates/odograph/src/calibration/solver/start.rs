@@ -48,8 +48,8 @@ pub fn start(views: &[&[Sight]], size: (usize, usize)) -> Option<(Lens, Vec<Opti
             if best.as_ref().is_none_or(|(least, _)| misfit_px < *least) {
                 best = Some((misfit_px, lens));
             }
-            // As good as a finder's corners: no other can be better by anything that matters for a start.
-            if misfit_px < 0.0005 * half_diagonal {
+            // As good as corners in real pictures are (0.6 px in 640x480): no other can be better by anything that matters for a start.
+            if misfit_px < 0.0015 * half_diagonal {
                 break;
             }
         }
@@ -172,12 +172,15 @@ pub fn translated(
     state.lens
 }
 
-/// The denominator of the rational model can undo its numerator, any pair of them as well as another; this keeps the pair near.
+/// Of some models different numbers make the same lens; this keeps them near. The denominator of the rational model can undo its
+/// numerator, any pair of them as well as another.
 pub fn coefficient_priors(model: LensModel) -> Vec<(usize, f64, f64)> {
     match model {
         LensModel::BrownConrady8 => {
             (4..12).filter(|&at| at != 6 && at != 7).map(|at| (at, 0.0, 10.0)).collect()
         }
+        // Of a lens far from a fisheye, f and ξ can be exchanged.
+        LensModel::DoubleSphere => vec![(4, 0.0, 0.5)],
         _ => Vec::new(),
     }
 }

@@ -5,7 +5,7 @@ use crate::calibration::SeenPoint;
 use crate::camera::{Camera, Distortion};
 use crate::geometry::{Pixel, Ray};
 use crate::motion::Random;
-use nalgebra::{DVector, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{DVector, Translation3, UnitQuaternion, Vector3, Vector6};
 
 fn unit(random: &mut Random) -> f64 {
     (random.bits() >> 11) as f64 / (1u64 << 53) as f64
@@ -33,8 +33,8 @@ impl Waved {
         Self {
             board: "chessboard:9x6:25mm".parse().unwrap(),
             camera: Camera::new((640, 480), (420.0, 421.5), (325.0, 236.0), lens).unwrap(),
-            noise_px: 0.1,
-            aside_rad: 0.5,
+            noise_px: 0.05,
+            aside_rad: 0.55,
             tilt_rad: 0.7,
         }
     }
@@ -49,7 +49,7 @@ impl Waved {
     fn fisheye() -> Self {
         let lens = Distortion::KannalaBrandt { k1: -0.02, k2: 0.004, k3: -0.003, k4: 0.0004 };
         let camera = Camera::new((640, 480), (278.0, 277.5), (316.0, 243.0), lens).unwrap();
-        Self { camera, aside_rad: 1.0, ..Self::barrel() }
+        Self { camera, aside_rad: 1.1, ..Self::barrel() }
     }
 
     /// The board near the image's middle or aside, tilted to any side; every point inside the image is seen.
@@ -106,38 +106,9 @@ impl Waved {
     }
 }
 
-/// Root mean square distance over the image between where the true camera and the estimated one see the same directions, pixels, the
-/// best rotation taken out; and the same at the worst of the four corners.
-fn ray_error_px(truth: &Camera, estimate: &Camera) -> (f64, f64) {
-    let lens = Lens::from_camera(estimate);
-    let (w, h) = (truth.width() as f64 - 1.0, truth.height() as f64 - 1.0);
-    let mut places = Vec::new();
-    for (i, j) in (0..=20).flat_map(|i| (0..=20).map(move |j| (i, j))) {
-        let pixel = Pixel::new(w * j as f64 / 20.0, h * i as f64 / 20.0);
-        places.extend(truth.ray_from_pixel(pixel).map(|ray| (pixel, ray.vector().normalize())));
-    }
-    let mut rotation = Rotation3::identity();
-    for _ in 0..10 {
-        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
-        for (pixel, ray) in &places {
-            let turned = rotation * ray;
-            let Some(seen) = lens.project(&turned) else { continue };
-            let by = -(seen.by_point * turned.cross_matrix());
-            let off = nalgebra::Vector2::new(pixel.x - seen.pixel[0], pixel.y - seen.pixel[1]);
-            normal += by.transpose() * by;
-            right += by.transpose() * off;
-        }
-        rotation = Rotation3::from_scaled_axis(normal.try_inverse().unwrap() * right) * rotation;
-    }
-    let (mut sum, mut worst) = (0.0, 0.0f64);
-    for (pixel, ray) in &places {
-        let off = lens.pixel(&(rotation * ray)).map_or(1e3, |[x, y]| (pixel.x - x).hypot(pixel.y - y));
-        sum += off * off;
-        if (pixel.x == 0.0 || pixel.x == w) && (pixel.y == 0.0 || pixel.y == h) {
-            worst = worst.max(off);
-        }
-    }
-    ((sum / places.len() as f64).sqrt(), worst)
+/// Error of an estimated camera's rays over the image, pixels.
+fn ray_error_px(truth: &Camera, estimate: &Camera) -> f64 {
+    quality::disagreement_px(truth, &Lens::from_camera(estimate))
 }
 
 fn lenses() -> Vec<Lens> {
@@ -245,10 +216,14 @@ fn figures(name: &str, waved: &Waved, config: &CalibrationConfig, seeds: u64) ->
             let (tx, ty) = waved.camera.focal_px();
             let (cx, cy) = found.camera.principal_px();
             let (ux, uy) = waved.camera.principal_px();
-            let focal = (fx / tx - 1.0).abs().max((fy / ty - 1.0).abs());
-            let (rays_px, corner_px) = ray_error_px(&waved.camera, &found.camera);
+            let focal = match found.model {
+                // Its focal length is that of the axis times 1 + ξ.
+                LensModel::DoubleSphere => f64::NAN,
+                _ => (fx / tx - 1.0).abs().max((fy / ty - 1.0).abs()),
+            };
+            let rays_px = ray_error_px(&waved.camera, &found.camera);
             println!(
-                "{name} {}: focal {:.3} %, centre {:.2} px, rays {rays_px:.3} px (expected {:.3}), corner {corner_px:.2}, rms {:.3}, \
+                "{name} {}: focal {:.3} %, centre {:.2} px, rays {rays_px:.3} px (expected {:.3}), rms {:.3}, \
                  held out {:.3}, {} {:?}",
                 found.model,
                 100.0 * focal,
@@ -264,6 +239,9 @@ fn figures(name: &str, waved: &Waved, config: &CalibrationConfig, seeds: u64) ->
         .collect()
 }
 
+/// Twice what 20 views of 54 points with 0.05 px of noise leave (0.1 px root mean square, which the covariance says too).
+const LARGEST_RAY_ERROR_PX: f64 = 0.2;
+
 #[test]
 fn barrels_and_fisheyes_are_found() {
     for (name, waved, model) in [
@@ -272,7 +250,7 @@ fn barrels_and_fisheyes_are_found() {
         ("fisheye", Waved::fisheye(), LensModel::KannalaBrandt4),
     ] {
         for (focal, centre_px, rays_px) in figures(name, &waved, &waved.config(model), 3) {
-            assert!(focal < 0.002 && centre_px < 1.0 && rays_px < 0.2);
+            assert!(focal < 0.0005 && centre_px < 0.3 && rays_px < LARGEST_RAY_ERROR_PX);
         }
     }
 }
@@ -283,7 +261,7 @@ fn the_model_is_chosen_by_views_held_out() {
         [("barrel", Waved::barrel()), ("large", Waved::large()), ("fisheye", Waved::fisheye())]
     {
         for (_, _, rays_px) in figures(name, &waved, &CalibrationConfig::default(), 3) {
-            assert!(rays_px < 0.3);
+            assert!(rays_px < LARGEST_RAY_ERROR_PX);
         }
     }
 }
@@ -313,7 +291,7 @@ fn the_covariance_is_true() {
             let error = error.component_mul(&scale);
             sum += error.dot(&(correlation.try_inverse().unwrap() * &error));
             degrees += free.len() as f64;
-            rays += ray_error_px(&waved.camera, &found.camera).0.powi(2);
+            rays += ray_error_px(&waved.camera, &found.camera).powi(2);
             expected += found.expected_error_over_image_px().powi(2);
         }
         // The mean of χ² has variance twice its degrees.
@@ -330,4 +308,181 @@ fn the_covariance_is_true() {
         // What is expected of a ray is what comes: root mean squares of 100 seeds agree within a few percent.
         assert!((rays / expected - 1.0).abs() < 0.15, "{name}");
     }
+}
+
+fn refusal(views: &[BoardView]) -> String {
+    calibrate(&Waved::barrel().board, views, &CalibrationConfig::default()).unwrap_err().to_string()
+}
+
+#[test]
+fn what_cannot_be_calibrated_is_refused_with_its_reason() {
+    let waved = Waved::barrel();
+    let views = waved.views(6, 7);
+    assert!(refusal(&[]).contains("no view of the board"));
+    assert!(refusal(&views[..1]).contains("only 1 view"));
+    assert!(refusal(&vec![views[0].clone(); 12]).contains("in the same place"));
+
+    let mut other_size = views.clone();
+    other_size[3].size = (1280, 720);
+    assert!(refusal(&other_size).contains("view 4 is 1280x720 but the first is 640x480"));
+
+    let mut with_nan = views.clone();
+    with_nan[1].points[5].pixel.x = f64::NAN;
+    assert!(refusal(&with_nan).contains("view 2: point 5 is at (NaN"));
+
+    let mut other_board = views.clone();
+    other_board[0].points[0].index = 99;
+    assert!(refusal(&other_board).contains("view 1: point 99 is not on the board"));
+
+    let mut mirrored = views.clone();
+    for point in mirrored.iter_mut().flat_map(|view| &mut view.points) {
+        point.pixel.x = 639.0 - point.pixel.x;
+    }
+    assert!(refusal(&mirrored).contains("every view shows the board mirrored"));
+
+    let few: Vec<BoardView> =
+        views.iter().map(|view| BoardView { size: view.size, points: view.points[..3].to_vec() }).collect();
+    assert!(refusal(&few).contains("only 3 of the board's points"));
+    let line: Vec<BoardView> =
+        views.iter().map(|view| BoardView { size: view.size, points: view.points[..9].to_vec() }).collect();
+    assert!(refusal(&line).contains("on one line"));
+}
+
+/// Points at random, and places all alike: an answer or a refusal, and an end.
+#[test]
+fn nonsense_has_an_end() {
+    let waved = Waved::barrel();
+    let mut random = Random::new(5);
+    for spread in [400.0, 1e-9, 4000.0] {
+        let mut views = waved.views(5, 3);
+        for point in views.iter_mut().flat_map(|view| &mut view.points) {
+            point.pixel = Pixel::new(300.0 + spread * unit(&mut random), 200.0 + spread * unit(&mut random));
+        }
+        if let Ok(found) = calibrate(&waved.board, &views, &CalibrationConfig::default()) {
+            assert_eq!(found.verdict, Verdict::DoItAgain);
+        }
+    }
+    let mut views = waved.views(5, 3);
+    views
+        .iter_mut()
+        .flat_map(|view| &mut view.points)
+        .for_each(|point| point.pixel = Pixel::new(100.0, 100.0));
+    assert!(refusal(&views).contains("edge-on"));
+}
+
+#[test]
+fn views_and_points_that_do_not_belong_are_left_out_and_named() {
+    let waved = Waved::barrel();
+    let mut views = waved.views(20, 11);
+    // The points of one view are counted from another place, one view is mirrored, one is shaken, one has two wrong points.
+    let count = views[4].points.len();
+    let shifted: Vec<Pixel> = (0..count).map(|i| views[4].points[(i + 27) % count].pixel).collect();
+    views[4].points.iter_mut().zip(shifted).for_each(|(point, pixel)| point.pixel = pixel);
+    views[9].points.iter_mut().for_each(|point| point.pixel.x = 639.0 - point.pixel.x);
+    let mut random = Random::new(1);
+    views[14].points.iter_mut().for_each(|point| point.pixel.x += 2.0 * gaussian(&mut random));
+    views[17].points[20].pixel.x += 12.0;
+    views[17].points[30].pixel.y -= 7.0;
+    let found = calibrate(&waved.board, &views, &waved.config(LensModel::BrownConrady4)).unwrap();
+    let unused: Vec<usize> = (0..20).filter(|&view| !found.views[view].used).collect();
+    assert_eq!(unused, [4, 9, 14]);
+    assert!(found.views[9].why_not.as_ref().unwrap().contains("mirrored"));
+    assert!(found.views[14].why_not.as_ref().unwrap().contains("typically"));
+    assert!(found.views[17].why_not.as_ref().unwrap().contains("2 of its points"));
+    assert_eq!(found.views[17].residuals.len(), 52);
+    assert!(found.rms_px < 0.08, "{}", found.rms_px);
+    assert!(ray_error_px(&waved.camera, &found.camera) < LARGEST_RAY_ERROR_PX);
+}
+
+#[test]
+fn a_verdict_says_what_to_do() {
+    let flat = Waved { tilt_rad: 0.05, aside_rad: 0.1, ..Waved::barrel() };
+    let found = calibrate(&flat.board, &flat.views(12, 1), &flat.config(LensModel::BrownConrady4)).unwrap();
+    assert!(found.verdict > Verdict::Good);
+    assert!(found.reasons.iter().any(|why| why.contains("too little tilt")), "{:?}", found.reasons);
+    assert!(found.reasons.iter().any(|why| why.contains("never covered")), "{:?}", found.reasons);
+
+    let waved = Waved::barrel();
+    let found = calibrate(&waved.board, &waved.views(4, 1), &waved.config(LensModel::BrownConrady4)).unwrap();
+    assert!(found.reasons.iter().any(|why| why.contains("only 4 views")), "{:?}", found.reasons);
+}
+
+#[test]
+fn options_keep_what_they_promise_and_a_bent_board_is_found_out() {
+    let waved = Waved::barrel();
+    let mut views = waved.views(20, 3);
+    let config =
+        CalibrationConfig { square_pixels: true, centred: true, ..waved.config(LensModel::BrownConrady5) };
+    let found = calibrate(&waved.board, &views, &config).unwrap();
+    assert_eq!(found.camera.focal_px().0, found.camera.focal_px().1);
+    assert_eq!(found.camera.principal_px(), (319.5, 239.5));
+    assert_eq!(found.parameters[0].name, "f");
+    assert_eq!(found.covariance.nrows(), found.parameters.len());
+
+    // The same views of a board bent by 2 mm at its left and right ends.
+    let exact = calibrate(&waved.board, &views, &waved.config(LensModel::BrownConrady4)).unwrap();
+    let lens = Lens::from_camera(&exact.camera);
+    for (view, posed) in views.iter_mut().zip(&exact.views) {
+        let seen = sights::sights_of(&waved.board, view).unwrap();
+        let shape = [0.002, 0.0, 0.0, 0.0, 0.0];
+        for (point, sight) in view.points.iter_mut().zip(&seen) {
+            let at = posed.camera_from_board * nalgebra::Point3::from(bundle::place(sight, &shape));
+            let [x, y] = lens.pixel(&at.coords).unwrap();
+            point.pixel = Pixel::new(x, y);
+        }
+    }
+    let flat = calibrate(&waved.board, &views, &waved.config(LensModel::BrownConrady4)).unwrap();
+    assert!(flat.reasons.iter().any(|why| why.contains("bent by 2.0 mm")), "{:?}", flat.reasons);
+    let config = CalibrationConfig { flat_board: false, ..waved.config(LensModel::BrownConrady4) };
+    let bent = calibrate(&waved.board, &views, &config).unwrap();
+    assert!((bent.board_shape.unwrap().bend_x - 0.002).abs() < 2e-5, "{:?}", bent.board_shape);
+    assert!(bent.rms_px < 0.01);
+}
+
+#[test]
+fn the_pose_of_a_board_and_its_covariance_are_true() {
+    for waved in [Waved::barrel(), Waved::fisheye()] {
+        let exact = Waved { noise_px: 0.0, board: waved.board, camera: waved.camera.clone(), ..waved };
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (view, truth) in waved.views(100, 5).iter().zip(exact_poses(&exact, &waved.views(100, 5))) {
+            let found = board_pose(&waved.camera, &waved.board, view).unwrap();
+            let turn = (found.camera_from_board.rotation * truth.rotation.inverse()).scaled_axis();
+            let shift = found.camera_from_board.translation.vector - truth.translation.vector;
+            let error = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+            sum += error.dot(&(found.covariance.try_inverse().unwrap() * error));
+            count += 1.0;
+        }
+        println!("pose NEES {:.3} of 6", sum / count);
+        // 100 draws of χ² with 6 degrees: 6 ± 0.68; the noise is told from 54 points by their median, which adds 2 %.
+        assert!((sum / count - 6.0f64).abs() < 0.9, "{}", sum / count);
+    }
+}
+
+/// The true poses of noisy views: the generator draws the same poses, noise or not, so views of exact points are posed.
+fn exact_poses(exact: &Waved, noisy: &[BoardView]) -> Vec<Isometry3<f64>> {
+    exact
+        .views(noisy.len(), 5)
+        .iter()
+        .map(|view| board_pose(&exact.camera, &exact.board, view).unwrap().camera_from_board)
+        .collect()
+}
+
+#[test]
+fn parts_of_a_board_are_enough() {
+    let waved = Waved::barrel();
+    let mut views = waved.views(20, 21);
+    for (number, view) in views.iter_mut().enumerate() {
+        view.points.retain(|point| (point.index / 9 + point.index % 9) % 5 != number % 5);
+    }
+    let found = calibrate(&waved.board, &views, &waved.config(LensModel::BrownConrady4)).unwrap();
+    assert!(ray_error_px(&waved.camera, &found.camera) < LARGEST_RAY_ERROR_PX);
+}
+
+#[test]
+fn the_answer_does_not_depend_on_how_often_it_is_asked() {
+    let waved = Waved::barrel();
+    let views = waved.views(10, 2);
+    let first = calibrate(&waved.board, &views, &CalibrationConfig::default()).unwrap();
+    let second = calibrate(&waved.board, &views, &CalibrationConfig::default()).unwrap();
+    assert_eq!(first.camera, second.camera);
 }

@@ -48,11 +48,11 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
     tilt_and_focal(calibration, &mut all);
     let over_px = calibration.expected_error_over_image_px();
     let error = grade(over_px, GOOD_ERROR_PX * unit_px, USABLE_ERROR_PX * unit_px);
-    let before = all.len();
+    let before = all.iter().filter(|(verdict, _)| *verdict > Verdict::Good).count();
     uncovered(calibration, evidence, unit_px, &mut all);
+    let advised = all.iter().filter(|(verdict, _)| *verdict > Verdict::Good).count() > before;
     if error > Verdict::Good {
-        let advice =
-            if all.len() > before { "" } else { ": take more views, tilted, near and all over the image" };
+        let advice = if advised { "" } else { ": take more views, tilted, near and all over the image" };
         all.push((
             error,
             format!("rays are expected to be {over_px:.2} px off on average over the image{advice}"),
@@ -105,12 +105,7 @@ fn few_views(calibration: &Calibration, evidence: &Evidence<'_>, all: &mut Vec<(
 }
 
 fn tilt_and_focal(calibration: &Calibration, all: &mut Vec<(Verdict, String)>) {
-    let focal = calibration
-        .parameters
-        .iter()
-        .filter(|parameter| parameter.name.starts_with('f'))
-        .map(|parameter| parameter.deviation / parameter.value)
-        .fold(0.0, f64::max);
+    let focal = focal_uncertainty(calibration);
     let tilted = calibration.views.iter().filter(|view| view.used && view.tilt_rad() > TILTED_RAD).count();
     let verdict = match focal {
         focal if focal <= GOOD_FOCAL => Verdict::Good,
@@ -129,6 +124,25 @@ fn tilt_and_focal(calibration: &Calibration, all: &mut Vec<(Verdict, String)>) {
     all.push((verdict, what));
 }
 
+/// Standard deviation of the focal length on the axis, as a share of it. That of the double sphere is `f / (1 + ξ)`: there f and ξ may
+/// be uncertain together without harm.
+fn focal_uncertainty(calibration: &Calibration) -> f64 {
+    let parameters = &calibration.parameters;
+    let xi = parameters.iter().position(|parameter| parameter.name == "xi");
+    let share = |at: usize| {
+        let by_focal = 1.0 / parameters[at].value;
+        let variance = |i: usize, j: usize| calibration.covariance[(i, j)];
+        let mut square = by_focal * by_focal * variance(at, at);
+        if let Some(xi) = xi {
+            let by_xi = -1.0 / (1.0 + parameters[xi].value);
+            square += 2.0 * by_focal * by_xi * variance(at, xi) + by_xi * by_xi * variance(xi, xi);
+        }
+        square.max(0.0).sqrt()
+    };
+    let focal = |at: &usize| parameters[*at].name.starts_with('f');
+    (0..parameters.len()).filter(focal).map(share).fold(0.0, f64::max)
+}
+
 /// Parts of the image where no point was seen and rays are poorly known.
 fn uncovered(
     calibration: &Calibration,
@@ -144,7 +158,7 @@ fn uncovered(
         ("bottom-left", 0.0, bottom),
         ("bottom-right", right, bottom),
     ];
-    let (mut names, mut worst_px) = (Vec::new(), 0.0f64);
+    let (mut names, mut guessed, mut worst_px) = (Vec::new(), Vec::new(), 0.0f64);
     for (name, x, y) in corners {
         // A fifth of the image each way counts as its corner.
         let near = |sight: &&Sight| {
@@ -157,7 +171,17 @@ fn uncovered(
             if !covered {
                 names.push(name);
             }
+        } else if !covered {
+            guessed.push(name);
         }
+    }
+    if !guessed.is_empty() {
+        let corners = if guessed.len() == 1 { "corner was" } else { "corners were" };
+        let what = format!(
+            "the {} {corners} never covered; rays there are only as right as the lens model",
+            guessed.join(" and ")
+        );
+        all.push((Verdict::Good, what));
     }
     if worst_px == 0.0 {
         return;

@@ -11,6 +11,7 @@
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+pub mod remap;
 mod scalar;
 #[cfg(test)]
 mod tests;

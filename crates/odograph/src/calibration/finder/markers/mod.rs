@@ -61,7 +61,7 @@ pub(super) struct Markers {
 /// Dark areas less wide or high than this hold no marker that can be read, pixels.
 const LEAST_PX: usize = 6;
 /// Most quadrangles that are read, a bound on time: a full board has some hundred.
-const MOST_QUADRANGLES: usize = 20_000;
+const MOST_QUADRANGLES: usize = 4000;
 
 impl Codes {
     /// The codes of markers of `bits` by `bits`; bit errors are forgiven as far as these markers' distances allow and one less.
@@ -170,7 +170,7 @@ pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Marke
             .filter(|corner| corner.distance(to) < within)
     };
     let inset = codes.quiet / (1.0 + 2.0 * codes.quiet);
-    for square in &squares {
+    for square in squares.iter().take(MOST_SQUARES) {
         let Some(map) = map_of_square(square) else { continue };
         for side in 0..4 {
             let (from, to) = (SQUARE[side], SQUARE[(side + 1) % 4]);
@@ -195,6 +195,8 @@ pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Marke
     markers.quadrangles = squares;
 }
 
+/// Quadrangles whose neighbours are read, a bound on time.
+const MOST_SQUARES: usize = 1500;
 /// Corners in one column of the image that are looked through for the nearest, a bound on time.
 const MOST_NEAR: usize = 400;
 

@@ -89,7 +89,7 @@ fn parts_of_boards_behind_a_barrel_lens_and_small_squares_are_found() {
     for (text, spacing_px, middle) in [
         (BOARDS[0], 40.0, (600.0, 120.0)),
         (BOARDS[0], 16.0, (320.0, 240.0)),
-        (BOARDS[3], 50.0, (80.0, 400.0)),
+        (BOARDS[3], 60.0, (180.0, 340.0)),
     ] {
         let view = View::new(text, &barrel, spacing_px, middle, 0.5, 0.7);
         let effects = BoardEffects { light_gradient: (0.5, -0.4), ..BoardEffects::camera_like(3.0, 5) };
@@ -111,7 +111,8 @@ fn a_hidden_part_of_a_board_does_not_hide_the_rest() {
         let covered = (262.0..378.0).contains(&point.pixel.x) && (150.0..282.0).contains(&point.pixel.y);
         assert!(!covered, "{point:?}");
     }
-    assert!(view.judge(&found, 36.0).0.iter().all(|&error| error < 0.2));
+    // A point at the very edge of the hand may be moved by it a little.
+    assert!(view.judge(&found, 36.0).0.iter().all(|&error| error < 0.35));
 }
 
 #[test]
