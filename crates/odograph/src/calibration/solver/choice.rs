@@ -3,8 +3,9 @@
 use super::bundle::Sight;
 use super::fit::{Fit, HoldOut};
 use super::quality::{ErrorMap, covariance, disagreement_px};
-use super::result::Candidate;
+use super::result::{Candidate, LensModel};
 use crate::camera::Camera;
+use crate::geometry::Pixel;
 
 /// A mean square distance larger by less than this share is no larger.
 const LEAST_LOSS: f64 = 0.002;
@@ -12,6 +13,9 @@ const LEAST_LOSS: f64 = 0.002;
 /// A model that fits the points worse by a mean square of 1 is taken for wrong by this much elsewhere: what it cannot follow where points
 /// are grows towards the corners, where there are few.
 const SURE_OVER_FITTING: f64 = 30.0;
+
+/// Half the angle across the image's diagonal from which on a lens is very wide, radians: 60°.
+const VERY_WIDE_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
 /// A model with what speaks for and against it.
 pub struct Tried {
@@ -44,6 +48,8 @@ impl Tried {
 /// and that of its shape. A shape is doubted as far as its rays differ from those of the best foreteller by more than that one's own
 /// uncertainty explains, and as far as views held out are foretold worse by more than one standard error of the paired
 /// differences between views (the rule of L. Breiman et al., "Classification and regression trees", 1984, section 3.4.3).
+///
+/// The double sphere, which few programs read, is taken for very wide lenses alone.
 pub fn choose(tried: &[Tried]) -> Option<usize> {
     let mean = |at: usize| {
         let views = &tried[at].hold_out.views;
@@ -70,5 +76,15 @@ pub fn choose(tried: &[Tried]) -> Option<usize> {
         error(at).powi(2) + apart.max(SURE_OVER_FITTING * (lost - chance)).max(0.0)
     };
     let totals: Vec<f64> = (0..tried.len()).map(total).collect();
-    (0..tried.len()).min_by(|&a, &b| totals[a].total_cmp(&totals[b]))
+    let very_wide = is_very_wide(&tried[best].camera);
+    let eligible = |at: &usize| very_wide || tried[*at].fit.model != LensModel::DoubleSphere;
+    (0..tried.len()).filter(eligible).min_by(|&a, &b| totals[a].total_cmp(&totals[b]))
+}
+
+/// Whether a corner of the image is further from the axis than [`VERY_WIDE_RAD`], or beyond what a camera has rays for.
+fn is_very_wide(camera: &Camera) -> bool {
+    let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
+    [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].into_iter().any(|(x, y)| {
+        camera.ray_from_pixel(Pixel::new(x, y)).is_none_or(|ray| ray.x.hypot(ray.y) > VERY_WIDE_RAD.tan())
+    })
 }
