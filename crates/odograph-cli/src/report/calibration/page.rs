@@ -287,10 +287,10 @@ impl CalibrationReport<'_> {
 
     fn how_to_read(&self, page: &mut String) {
         page.push_str(
-            "<p class=\"read\">The <b>expected error</b> tells how sure the camera is where: dark is good, and yellow corners mean that the board was \
-             not seen there. <b>Residuals</b> that point in all directions are the noise of finding corners; orange arrows that line up \
-             over a region mean that the lens model does not fit there, or that the board is not flat. Where the <b>coverage</b> has \
-             holes, the calibration is a guess.</p>\n",
+            "<p class=\"read\">The <b>expected error</b> tells how sure the camera is where: read its scale, for the colours are only \
+             relative. <b>Residuals</b> that point in all directions are the noise of finding corners; orange arrows that line up over a \
+             region mean that the lens model does not fit there, or that the board is not flat. Where the <b>coverage</b> has holes, \
+             the calibration rests on the lens model alone.</p>\n",
         );
     }
 
@@ -315,8 +315,13 @@ impl CalibrationReport<'_> {
         }
         let _ = writeln!(
             page,
-            "</table></div>\n<p>The covariance of all of them, and every digit, are in {}.</p>",
-            escape(self.camera_file)
+            "</table></div>\n<p>The covariance of all of them, and every digit, are in {}.{}</p>",
+            escape(self.camera_file),
+            match self.model {
+                LensModel::DoubleSphere =>
+                    " Focal lengths, xi and alpha are hardly known one by one: many such triples are nearly the same lens.",
+                _ => "",
+            }
         );
     }
 
