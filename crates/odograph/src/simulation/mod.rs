@@ -14,6 +14,7 @@ mod path;
 mod patterns;
 mod photograph;
 mod renderer;
+mod sensors;
 mod sequence;
 mod texture;
 
@@ -24,5 +25,6 @@ pub use ground::Ground;
 pub use path::{Path, PathKind};
 pub use photograph::Tiling;
 pub use renderer::Renderer;
+pub use sensors::{SensorErrors, SimulatedSensors};
 pub use sequence::{RenderedFrame, Simulation, SimulationConfig};
 pub use texture::Texture;
