@@ -123,9 +123,17 @@ fn contradiction(seconds: &[Seconds], worst_density: f64) -> Reason {
 }
 
 /// Residuals of about a second, added up.
+#[derive(Debug, Clone, Copy)]
 struct Seconds {
     sum: f64,
     duration_s: f64,
+}
+
+impl Seconds {
+    /// As it would be of exactly one.
+    fn whitened(&self) -> f64 {
+        self.sum / self.duration_s.sqrt()
+    }
 }
 
 /// Offset, parameters and noise; `rows` gives so many rows for each step.
@@ -144,28 +152,42 @@ fn calibrated(
         return Err(Reason::NoOverlap);
     }
     let flat: Vec<Row> = compared.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
-    let Fit { parameters, covariance, residuals, density, .. } = fit(&flat, prior, None);
-    let mut seconds = Vec::new();
+    let Fit { parameters, covariance, residuals, density: fitted, .. } = fit(&flat, prior, None);
+    // Each direction has its own noise, and the larger one is the sensor's: a wheel says little about the way to the side.
+    let mut density = fitted;
+    let mut directions: Vec<Vec<Seconds>> = Vec::new();
     for nth in 0..rows_per_step {
-        let of_row = residuals.iter().skip(nth).step_by(rows_per_step);
-        seconds.extend(in_seconds(compared.iter().map(|(step, _)| step).zip(of_row.copied())));
+        let of_direction = || residuals.iter().skip(nth).step_by(rows_per_step).copied();
+        let seconds = in_seconds(compared.iter().map(|(step, _)| step).zip(of_direction()));
+        let whitened: Vec<f64> = compared
+            .iter()
+            .zip(of_direction())
+            .map(|((step, _), residual)| residual / step.duration_s().sqrt())
+            .collect();
+        // Errors that last, as those of a slipping wheel, show over a second, not over a frame; few seconds tell them poorly.
+        let lasting: Vec<f64> = seconds.iter().map(Seconds::whitened).collect();
+        let unsure = 1.0 + 2.0 / (lasting.len().max(1) as f64).sqrt();
+        let lasting = median_deviation(&lasting).powi(2) * unsure;
+        density = density.max(median_deviation(&whitened).powi(2)).max(lasting);
+        directions.push(seconds);
     }
-    // Errors that last, as those of a slipping wheel, show over a second, not over a frame.
-    let whitened: Vec<f64> = seconds.iter().map(|second| second.sum / second.duration_s.sqrt()).collect();
-    let lasting = median_deviation(&whitened).powi(2);
-    let inflated = (lasting / density).max(1.0);
-    let density = density * inflated;
-    let nis: Vec<f64> = whitened.iter().map(|value| value * value / density).collect();
+    let nis = |second: &Seconds| second.whitened().powi(2) / density;
+    let count = directions[0].len();
+    let contradicts = |i: usize| directions.iter().any(|seconds| nis(&seconds[i]) > CONSISTENT_NIS);
+    let all: Vec<f64> = directions.iter().flatten().map(nis).collect();
     let found = Calibrated {
         offset,
         parameters,
-        covariance: covariance * inflated,
+        covariance: covariance * (density / fitted),
         density,
-        seconds: nis.len(),
-        contradictions: nis.iter().filter(|&&nis| nis > CONSISTENT_NIS).count(),
-        nis: nis.iter().sum::<f64>() / nis.len().max(1) as f64,
+        seconds: count,
+        contradictions: (0..count).filter(|&i| contradicts(i)).count(),
+        nis: all.iter().sum::<f64>() / all.len().max(1) as f64,
     };
-    Ok((found, seconds))
+    let worst = |i: usize| {
+        directions.iter().map(|seconds| seconds[i]).max_by(|a, b| a.sum.abs().total_cmp(&b.sum.abs()))
+    };
+    Ok((found, (0..count).filter_map(worst).collect()))
 }
 
 fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a Step, f64)>) -> Vec<Seconds> {
@@ -203,6 +225,8 @@ pub struct Sighted {
     pub sights: Vec<Sight>,
     /// Standard deviation of a second's reading.
     pub sigma: f64,
+    /// Variance of a single reading.
+    pub single: f64,
 }
 
 /// Compares the reading of a sensor at a node with what the camera has there; `drift` is the variance of the latter against the start.
@@ -239,7 +263,7 @@ fn sighted(
         .enumerate()
         .filter_map(|(i, node)| reading(node, node.time_s + offset.offset_s).map(|z| (i, z - camera(node))))
         .collect();
-    let mut sights = Vec::new();
+    let (mut sights, mut scatters) = (Vec::new(), Vec::new());
     let mut start = 0;
     for end in 1..=read.len() {
         let (first, last) = (&nodes[read[start].0], &nodes[read[end - 1].0]);
@@ -252,6 +276,8 @@ fn sighted(
         let node = read[(start + end) / 2].0;
         if last.time_s - first.time_s >= 0.5 {
             sights.push(Sight { node, reading: mean + camera(&nodes[node]), variance: 0.0 });
+            let square = read[start..end].iter().map(|(_, z)| (z - mean).powi(2)).sum::<f64>();
+            scatters.push(square / (end - start) as f64);
         }
         start = end;
     }
@@ -280,9 +306,12 @@ fn sighted(
         let drift = drifts.iter().sum::<f64>() / count * (1.0 + 3.0 * (2.0 / count).sqrt());
         0.5 * length as f64 * (median_deviation(&changes).powi(2) - drift)
     };
-    let variance = [1, 4, 16].map(lasting).into_iter().fold(1e-10, f64::max);
+    // Readings of a quarter of a second are taken as one: their errors are not independent of each other.
+    let middle = scatters.len() / 2;
+    let scatter = *scatters.select_nth_unstable_by(middle, f64::total_cmp).1 / 4.0;
+    let variance = [1, 4, 16].map(lasting).into_iter().fold(scatter.max(1e-10), f64::max);
     sights.iter_mut().for_each(|sight| sight.variance = variance);
-    Ok(Sighted { offset, sights, sigma: variance.sqrt() })
+    Ok(Sighted { offset, sights, sigma: variance.sqrt(), single: variance.max(4.0 * scatter) })
 }
 
 /// Each value less the median of its segment: what the zero of the sensor is, is not known.

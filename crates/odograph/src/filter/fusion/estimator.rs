@@ -93,6 +93,8 @@ pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], ra
 struct Forward {
     state: State,
     covariance: Square,
+    /// The largest variance that the camera has told of its height so far, as a part of the height.
+    height_variance: f64,
     events: Vec<Event>,
     heading: Consistency,
     range: Consistency,
@@ -107,7 +109,8 @@ impl Forward {
         // Any direction, any mounting.
         (covariance[(4, 4)], covariance[(5, 5)]) = (10.0, 10.0);
         let (heading, range) = Default::default();
-        Self { state, covariance, events: Vec::new(), heading, range }
+        let height_variance = first.height_variance / first.height_m.powi(2);
+        Self { state, covariance, height_variance, events: Vec::new(), heading, range }
     }
 
     /// The camera's own movement.
@@ -129,7 +132,10 @@ impl Forward {
         for i in 0..3 {
             noise[(i, i)] = grown[(i, i)].max(0.0);
         }
-        noise[(3, 3)] = ((node.height_variance - before.height_variance) / node.height_m.powi(2)).max(0.0);
+        // The variance of a frame's own noise goes up and down; what it was known to before it stays known to.
+        let height_variance = self.height_variance.max(node.height_variance / node.height_m.powi(2));
+        noise[(3, 3)] = height_variance - self.height_variance;
+        self.height_variance = height_variance;
         self.moved(transition, noise);
     }
 

@@ -11,6 +11,7 @@
 //!
 //! Without a believed sensor nothing changes.
 
+mod bridge;
 mod calibration;
 mod camera_motion;
 mod estimator;
@@ -24,14 +25,15 @@ pub use report::{Reason, SensorKind, SensorParameter, SensorReport};
 pub use series::{Quantity, SensorRecord};
 
 use super::FilterConfig;
-use super::smoother::{PoseSource, SmoothedFrame, smooth};
-use crate::geometry::GroundPose;
-use crate::trajectory::{FrameEstimate, Velocity};
-use calibration::{Calibrated, MOST_CONTRADICTIONS, Sighted};
+use super::smoother::{SmoothedFrame, smooth};
+use crate::trajectory::FrameEstimate;
+use bridge::{Bridge, rates_around};
+use calibration::{MOST_CONTRADICTIONS, Sighted};
 use camera_motion::{Node, Step};
 use estimator::{Consistency, Corrected, Estimate};
-use nalgebra::{Matrix3, Vector3};
-use reckoning::{Believed, BodyRates, Gap, Reckoned};
+use nalgebra::Matrix3;
+use reckoning::{Believed, Gap, Reckoned};
+use report::{gyro_report, sighted_report, wheel_report};
 
 /// The records of the sensors there are.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -155,17 +157,6 @@ fn contradicts(consistency: &Consistency) -> Option<Reason> {
         .then_some(Reason::Contradicts { seconds: contradictions, of: readings })
 }
 
-/// A stretch of frames without a pose, as the sensors tell it.
-struct Bridge {
-    /// The node before it, and the one after it.
-    before: usize,
-    after: Option<usize>,
-    /// Frames in it, with where they are against the node before.
-    frames: Vec<(usize, Reckoned)>,
-    end: Reckoned,
-    duration_s: f64,
-}
-
 impl Comparison<'_> {
     /// The estimate, and the ways through the gaps. `None` where no sensor is believed or nothing was measured.
     fn estimate(
@@ -218,30 +209,6 @@ impl Comparison<'_> {
     }
 }
 
-/// So long the camera's movement is averaged on either side of a gap, seconds.
-const RATES_S: f64 = 0.2;
-
-/// How the camera moved just before and just after a gap; where one of the two is not known, as at the other end.
-fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [BodyRates; 2] {
-    let mean = |steps: &mut dyn Iterator<Item = &Step>| {
-        let (mut sum, mut duration_s) = (BodyRates::zeros(), 0.0);
-        for step in steps {
-            if duration_s >= RATES_S {
-                break;
-            }
-            sum += Vector3::new(step.ahead_m, step.left_m, step.turn_rad);
-            duration_s += step.duration_s();
-        }
-        (duration_s > 0.0).then(|| sum / duration_s)
-    };
-    // Steps are in the order of the nodes that they start from.
-    let first_after = steps.partition_point(|step| step.from < before + 1);
-    let earlier = mean(&mut steps[..first_after].iter().rev().take_while(|step| step.from + 20 > before));
-    let later = after
-        .and_then(|after| mean(&mut steps[first_after..].iter().take_while(|step| step.from < after + 20)));
-    [earlier.or(later), later.or(earlier)].map(Option::unwrap_or_default)
-}
-
 /// The frames with the corrections of their nodes, and those without a pose as the sensors tell them.
 fn corrected(
     frames: &[FrameEstimate],
@@ -280,6 +247,9 @@ fn corrected(
         plane.covariance = turn * plane.covariance * turn.transpose();
         let own = plane.covariance;
         known.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(correction.covariance + own));
+        // How position and height go astray together was the camera's alone.
+        known.covariance.fixed_view_mut::<3, 3>(0, 3).fill(0.0);
+        known.covariance.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
         if known.covariance[(3, 3)] > 0.0 {
             known.covariance[(3, 3)] = pose.height_m.powi(2) * correction.scale_variance;
         }
@@ -295,141 +265,6 @@ fn corrected(
 /// Corrections below a tenth of a micrometre or microradian are rounding.
 const LEAST_MOVE_M: f64 = 1e-7;
 const LEAST_TURN_RAD: f64 = 1e-7;
-
-impl Bridge {
-    /// The frames of the gap between the poses at its ends.
-    fn laid(&self, frames: &[FrameEstimate], nodes: &[Node]) -> Vec<SmoothedFrame> {
-        let before = &frames[nodes[self.before].index];
-        let after = self.after.map(|after| &frames[nodes[after].index]);
-        let Some(start) = &before.estimate else { return Vec::new() };
-        let finish = after.and_then(|frame| frame.estimate.as_ref());
-        let plane = |known: &crate::trajectory::PoseEstimate| {
-            Vector3::new(known.measured.x_m, known.measured.y_m, known.measured.heading_rad)
-        };
-        let origin = plane(start);
-        let (sin, cos) = origin[2].sin_cos();
-        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        // What the reckoning misses the far end by is spread over the gap.
-        let missed =
-            finish.map_or(Vector3::zeros(), |finish| plane(finish) - (origin + turn * self.end.pose));
-        let connected = after.is_some_and(|after| after.segment == before.segment);
-        let covariance =
-            |known: &crate::trajectory::PoseEstimate| known.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let mut laid: Vec<SmoothedFrame> = Vec::with_capacity(self.frames.len());
-        for (index, reckoned) in &self.frames {
-            let frame = &frames[*index];
-            let share = ((frame.time_s - before.time_s) / self.duration_s).clamp(0.0, 1.0);
-            let at = origin + turn * reckoned.pose + missed * share;
-            let own = turn * reckoned.covariance * turn.transpose();
-            let between = |of: fn(&GroundPose) -> f64| {
-                let from = of(&start.pose);
-                finish.map_or(from, |finish| from + share * (of(&finish.pose) - from))
-            };
-            let covariance = match finish {
-                // Both ends are known: as a Brownian bridge.
-                Some(finish) if connected => {
-                    covariance(start) * (1.0 - share) + covariance(finish) * share + own * (1.0 - share)
-                }
-                _ => covariance(start) + own,
-            };
-            let (then_s, then) = laid.last().map_or((before.time_s, origin), |last: &SmoothedFrame| {
-                (last.time_s, Vector3::new(last.pose.x_m, last.pose.y_m, last.pose.heading_rad))
-            });
-            let rates =
-                if frame.time_s > then_s { (at - then) / (frame.time_s - then_s) } else { Vector3::zeros() };
-            laid.push(SmoothedFrame {
-                frame: frame.frame,
-                time_s: frame.time_s,
-                pose: GroundPose {
-                    x_m: at[0],
-                    y_m: at[1],
-                    heading_rad: at[2],
-                    height_m: between(|pose| pose.height_m),
-                    roll_rad: between(|pose| pose.roll_rad),
-                    pitch_rad: between(|pose| pose.pitch_rad),
-                },
-                velocity: Velocity { x_m_s: rates[0], y_m_s: rates[1], heading_rad_s: rates[2] },
-                covariance,
-                source: PoseSource::Sensors,
-                segment: before.segment,
-            });
-        }
-        laid
-    }
-}
-
-fn parameter(name: &'static str, value: f64, variance: f64) -> SensorParameter {
-    SensorParameter { name, value, sigma: variance.max(0.0).sqrt() }
-}
-
-fn calibrated_report(
-    sensor: SensorKind,
-    known: &Calibrated,
-    parameters: Vec<SensorParameter>,
-) -> SensorReport {
-    SensorReport {
-        sensor,
-        rejected: None,
-        offset: Some(known.offset),
-        parameters,
-        noise: Some(known.density.sqrt()),
-        seconds: known.seconds,
-        contradictions: known.contradictions,
-        nis: Some(known.nis),
-    }
-}
-
-fn gyro_report(known: &Calibrated, record: Option<&SensorRecord>) -> SensorReport {
-    let (p, c) = (&known.parameters, &known.covariance);
-    let mut parameters = match record.map(SensorRecord::quantity) {
-        Some(Quantity::TurnRates) => ["axis_x", "axis_y", "axis_z"]
-            .iter()
-            .enumerate()
-            .map(|(i, name)| parameter(name, p[i], c[(i, i)]))
-            .collect(),
-        _ => vec![parameter("scale", p[0], c[(0, 0)])],
-    };
-    parameters.push(parameter("bias_rad_s", p[3], c[(3, 3)]));
-    calibrated_report(SensorKind::Gyro, known, parameters)
-}
-
-fn wheel_report(known: &Calibrated) -> SensorReport {
-    let (p, c) = (&known.parameters, &known.covariance);
-    let scale = p[0].hypot(p[1]);
-    let along =
-        (p[0] * p[0] * c[(0, 0)] + 2.0 * p[0] * p[1] * c[(0, 1)] + p[1] * p[1] * c[(1, 1)]) / (scale * scale);
-    let across =
-        (p[1] * p[1] * c[(0, 0)] - 2.0 * p[0] * p[1] * c[(0, 1)] + p[0] * p[0] * c[(1, 1)]) / (scale * scale);
-    let parameters = vec![
-        parameter("scale", scale, along),
-        parameter("direction_rad", p[1].atan2(p[0]), across / (scale * scale)),
-        parameter("camera_ahead_m", p[2], c[(2, 2)]),
-        parameter("camera_left_m", p[3], c[(3, 3)]),
-    ];
-    calibrated_report(SensorKind::Wheel, known, parameters)
-}
-
-fn sighted_report(
-    sensor: SensorKind,
-    zero_name: &'static str,
-    known: &Sighted,
-    zero: Option<((f64, f64), Consistency)>,
-) -> SensorReport {
-    let (parameters, consistency) = match zero {
-        Some(((value, variance), consistency)) => (vec![parameter(zero_name, value, variance)], consistency),
-        None => (Vec::new(), Consistency::default()),
-    };
-    SensorReport {
-        sensor,
-        rejected: None,
-        offset: Some(known.offset),
-        parameters,
-        noise: Some(known.sigma),
-        seconds: known.sights.len(),
-        contradictions: consistency.contradictions,
-        nis: consistency.nis(),
-    }
-}
 
 #[cfg(test)]
 mod tests;

@@ -69,7 +69,7 @@ impl Believed<'_> {
                 parameters.fixed_view_mut::<4, 4>(0, 0).copy_from(&known.covariance);
                 turn_density = known.density;
             }
-            (None, Some((_, known))) => noise[(2, 2)] = 2.0 * known.sigma.powi(2),
+            (None, Some((_, known))) => noise[(2, 2)] = 2.0 * known.single,
             (None, None) => parameters[(3, 3)] = (0.5 * fastest(2) + 0.1).powi(2),
         }
         match wheel {

@@ -1,6 +1,9 @@
 //! What became of a sensor.
 
+use super::calibration::{Calibrated, Sighted};
+use super::estimator::Consistency;
 use super::fit::TimeOffset;
+use super::series::{Quantity, SensorRecord};
 use serde::Serialize;
 use std::fmt;
 
@@ -112,5 +115,81 @@ impl SensorReport {
             contradictions,
             nis: None,
         }
+    }
+}
+
+fn parameter(name: &'static str, value: f64, variance: f64) -> SensorParameter {
+    SensorParameter { name, value, sigma: variance.max(0.0).sqrt() }
+}
+
+fn calibrated_report(
+    sensor: SensorKind,
+    known: &Calibrated,
+    parameters: Vec<SensorParameter>,
+) -> SensorReport {
+    SensorReport {
+        sensor,
+        rejected: None,
+        offset: Some(known.offset),
+        parameters,
+        noise: Some(known.density.sqrt()),
+        seconds: known.seconds,
+        contradictions: known.contradictions,
+        nis: Some(known.nis),
+    }
+}
+
+/// What became of a gyroscope that is believed.
+pub(super) fn gyro_report(known: &Calibrated, record: Option<&SensorRecord>) -> SensorReport {
+    let (p, c) = (&known.parameters, &known.covariance);
+    let mut parameters = match record.map(SensorRecord::quantity) {
+        Some(Quantity::TurnRates) => ["axis_x", "axis_y", "axis_z"]
+            .iter()
+            .enumerate()
+            .map(|(i, name)| parameter(name, p[i], c[(i, i)]))
+            .collect(),
+        _ => vec![parameter("scale", p[0], c[(0, 0)])],
+    };
+    parameters.push(parameter("bias_rad_s", p[3], c[(3, 3)]));
+    calibrated_report(SensorKind::Gyro, known, parameters)
+}
+
+/// What became of a wheel that is believed.
+pub(super) fn wheel_report(known: &Calibrated) -> SensorReport {
+    let (p, c) = (&known.parameters, &known.covariance);
+    let scale = p[0].hypot(p[1]);
+    let along =
+        (p[0] * p[0] * c[(0, 0)] + 2.0 * p[0] * p[1] * c[(0, 1)] + p[1] * p[1] * c[(1, 1)]) / (scale * scale);
+    let across =
+        (p[1] * p[1] * c[(0, 0)] - 2.0 * p[0] * p[1] * c[(0, 1)] + p[0] * p[0] * c[(1, 1)]) / (scale * scale);
+    let parameters = vec![
+        parameter("scale", scale, along),
+        parameter("direction_rad", p[1].atan2(p[0]), across / (scale * scale)),
+        parameter("camera_ahead_m", p[2], c[(2, 2)]),
+        parameter("camera_left_m", p[3], c[(3, 3)]),
+    ];
+    calibrated_report(SensorKind::Wheel, known, parameters)
+}
+
+/// What became of a compass or range finder that is believed; `zero` is its zero with its variance.
+pub(super) fn sighted_report(
+    sensor: SensorKind,
+    zero_name: &'static str,
+    known: &Sighted,
+    zero: Option<((f64, f64), Consistency)>,
+) -> SensorReport {
+    let (parameters, consistency) = match zero {
+        Some(((value, variance), consistency)) => (vec![parameter(zero_name, value, variance)], consistency),
+        None => (Vec::new(), Consistency::default()),
+    };
+    SensorReport {
+        sensor,
+        rejected: None,
+        offset: Some(known.offset),
+        parameters,
+        noise: Some(known.sigma),
+        seconds: known.sights.len(),
+        contradictions: consistency.contradictions,
+        nis: consistency.nis(),
     }
 }
