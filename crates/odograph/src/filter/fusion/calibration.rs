@@ -58,7 +58,7 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
         for channel in 0..channels {
             design[channel] = record.between(channel, step.from_s + offset_s, step.to_s + offset_s)?;
         }
-        Some(Row { design, target: step.turn_rad, duration_s: step.duration_s() })
+        Some(Row { design, target: step.turn_rad, duration_s: step.duration_s(), second: false })
     };
     let turned_rad: f64 = steps.iter().map(|step| step.turn_rad.abs()).sum();
     if channels == 3 && turned_rad < LEAST_TURN_RAD {
@@ -89,10 +89,10 @@ pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason
     let rows = |step: &Step, offset_s: f64| {
         let way_m = record.between(0, step.from_s + offset_s, step.to_s + offset_s)?;
         let (turn, duration_s) = (step.turn_rad, step.duration_s());
-        let row = |design, target| Row { design, target, duration_s };
+        let row = |design, target, second| Row { design, target, duration_s, second };
         Some(vec![
-            row(Vector4::new(way_m, 0.0, 0.0, -turn), step.ahead_m),
-            row(Vector4::new(0.0, way_m, turn, 0.0), step.left_m),
+            row(Vector4::new(way_m, 0.0, 0.0, -turn), step.ahead_m, false),
+            row(Vector4::new(0.0, way_m, turn, 0.0), step.left_m, true),
         ])
     };
     let moved_m: f64 = steps.iter().map(|step| step.ahead_m.hypot(step.left_m)).sum();
@@ -252,7 +252,12 @@ fn sighted(
             }
             let (before, then) = &differences[earlier.saturating_sub(1)];
             if earlier > 0 && before.segment == node.segment {
-                rows.push(Row { design: Vector4::zeros(), target: difference - then, duration_s: 1.0 });
+                rows.push(Row {
+                    design: Vector4::zeros(),
+                    target: difference - then,
+                    duration_s: 1.0,
+                    second: false,
+                });
             }
         }
         rows

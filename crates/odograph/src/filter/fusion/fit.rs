@@ -9,6 +9,8 @@ pub struct Row {
     pub design: Vector4<f64>,
     pub target: f64,
     pub duration_s: f64,
+    /// Whether it is of the second of two directions, whose noise may be another one.
+    pub second: bool,
 }
 
 /// What is known of the parameters before: means and standard deviations.
@@ -56,7 +58,12 @@ pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
             *residual = (row.target - row.design.dot(&parameters)) / row.duration_s.sqrt();
         }
         if scale.is_none() {
-            deviation = median_deviation(&whitened).max(1e-9);
+            // The noisier direction's: the other one's residuals are then small, not outliers of the first.
+            let of = |second: bool| {
+                let of_direction = whitened.iter().zip(rows).filter(|(_, row)| row.second == second);
+                median_deviation(&of_direction.map(|(residual, _)| *residual).collect::<Vec<f64>>())
+            };
+            deviation = of(false).max(of(true)).max(1e-9);
         }
         for (weight, residual) in weights.iter_mut().zip(&whitened) {
             let away = residual.abs() / deviation;
