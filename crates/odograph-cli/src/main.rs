@@ -26,6 +26,9 @@ enum Command {
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
     Undistort(commands::undistort::UndistortArguments),
+    Calibrate(commands::calibrate::CalibrateArguments),
+    Camera(commands::camera::CameraArguments),
+    Ground(commands::ground::GroundArguments),
 }
 
 /// How a command that did not fail ended.
@@ -36,6 +39,8 @@ pub enum Outcome {
     /// The camera's movement could not be measured for so much of the recording that the result is not what was asked for;
     /// what there is has been written.
     TrackingFailed,
+    /// The camera was calibrated, but had better not be used; what there is has been written.
+    NotToBeTrusted,
 }
 
 fn main() -> ExitCode {
@@ -47,10 +52,13 @@ fn main() -> ExitCode {
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
         Command::Undistort(arguments) => commands::undistort::undistort(arguments),
+        Command::Calibrate(arguments) => commands::calibrate::calibrate(arguments),
+        Command::Camera(arguments) => commands::camera::camera(arguments),
+        Command::Ground(arguments) => commands::ground::ground(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
-        Ok(Outcome::TrackingFailed) => ExitCode::from(4),
+        Ok(Outcome::TrackingFailed | Outcome::NotToBeTrusted) => ExitCode::from(4),
         Err(error) => {
             console::complain(&error.to_string());
             ExitCode::from(match error.kind() {

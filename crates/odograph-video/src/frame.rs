@@ -11,6 +11,8 @@ pub struct Frame {
     /// Time of the frame in seconds, as the container (or the file of timestamps) says; strictly increasing from frame to
     /// frame, not necessarily from zero.
     pub time_s: f64,
+    /// Name of the picture file it came from, without its folder; `None` for the frames of a video.
+    pub name: Option<String>,
     /// The luminance plane as decoded.
     pub gray: GrayImage,
     pub(crate) color: Option<Color>,
@@ -176,6 +178,7 @@ mod tests {
         let frame = Frame {
             number: 0,
             time_s: 0.0,
+            name: None,
             gray: GrayImage::from_samples(2, 1, vec![235, 81]).unwrap(),
             color: Some(Color::Chroma(Chroma {
                 width: 2,
@@ -194,7 +197,7 @@ mod tests {
     #[test]
     fn no_color_repeats_gray() {
         let gray = GrayImage::from_samples(1, 1, vec![9]).unwrap();
-        let frame = Frame { number: 0, time_s: 0.0, gray, color: None };
+        let frame = Frame { number: 0, time_s: 0.0, name: None, gray, color: None };
         assert!(!frame.has_color());
         assert_eq!(frame.rgb().pixel(0, 0), [9, 9, 9]);
     }

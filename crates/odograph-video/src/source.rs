@@ -117,6 +117,10 @@ pub(crate) trait Frames: Send {
     fn advance(&mut self) -> Result<Option<f64>>;
     /// The frame moved to, upright; once.
     fn picture(&mut self) -> Result<Picture>;
+    /// Name of the picture file that the frame moved to comes from, where it comes from one.
+    fn name(&self) -> Option<String> {
+        None
+    }
     /// What was wrong with the source so far, one sentence each; empties the list.
     fn take_warnings(&mut self) -> Vec<String>;
 }
@@ -348,7 +352,8 @@ impl Source {
                 )));
             }
             self.given += 1;
-            return Ok(Some(Frame { number, time_s, gray: picture.gray, color: picture.color }));
+            let name = self.frames.name();
+            return Ok(Some(Frame { number, time_s, name, gray: picture.gray, color: picture.color }));
         }
         Ok(None)
     }

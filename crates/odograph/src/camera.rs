@@ -48,6 +48,15 @@ pub enum Distortion {
         /// θ⁹ coefficient.
         k4: f64,
     },
+    /// Two spheres one behind the other, for very wide lenses (V. Usenko, N. Demmel and D. Cremers, "The double sphere camera
+    /// model", 2018, equations 40 to 43): with z = 1, `d1 = √(r² + 1)`, `ζ = ξ d1 + 1`, `d2 = √(r² + ζ²)`,
+    /// `x' = x / (α d2 + (1 − α) ζ)`. On the axis the image is `1 / (1 + ξ)` times as large as the focal length says.
+    DoubleSphere {
+        /// Distance of the two spheres' centres, in radii; −1 to 1 for real lenses.
+        xi: f64,
+        /// How far the image's pinhole stands off, 0 (a pinhole where ξ = 0) to 1.
+        alpha: f64,
+    },
 }
 
 impl Distortion {
@@ -76,6 +85,7 @@ impl Distortion {
             Self::None => vec![],
             Self::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } => vec![k1, k2, p1, p2, k3, k4, k5, k6],
             Self::KannalaBrandt { k1, k2, k3, k4 } => vec![k1, k2, k3, k4],
+            Self::DoubleSphere { xi, alpha } => vec![xi, alpha],
         }
     }
 
@@ -127,7 +137,48 @@ impl Distortion {
                 );
                 ((x * scale, y * scale), derivative)
             }
+            Self::DoubleSphere { xi, alpha } => {
+                let d1 = (r2 + 1.0).sqrt();
+                let zeta = xi * d1 + 1.0;
+                let d2 = (r2 + zeta * zeta).sqrt();
+                let scale = 1.0 / (alpha * d2 + (1.0 - alpha) * zeta);
+                // d scale / d x = 2 x · scale_by_r2, and the same in y.
+                let zeta_by_r2 = 0.5 * xi / d1;
+                let d2_by_r2 = (0.5 + zeta * zeta_by_r2) / d2;
+                let scale_by_r2 = -scale * scale * (alpha * d2_by_r2 + (1.0 - alpha) * zeta_by_r2);
+                let cross = 2.0 * x * y * scale_by_r2;
+                let derivative = Matrix2::new(
+                    scale + 2.0 * x * x * scale_by_r2,
+                    cross,
+                    cross,
+                    scale + 2.0 * y * y * scale_by_r2,
+                );
+                ((x * scale, y * scale), derivative)
+            }
         }
+    }
+
+    /// A ray near the one that reaches normalised image coordinates, for Newton's method to start from.
+    fn ray_near(&self, (x, y): (f64, f64), tangent_limit: f64) -> Option<Ray> {
+        let radius = x.hypot(y);
+        let tangent = match *self {
+            Self::KannalaBrandt { .. } => radius.min(1.5).tan(),
+            Self::DoubleSphere { xi, alpha } => {
+                // Equations 46 to 50 of the paper, which are exact where the ray lies in front of the camera.
+                let r2 = radius * radius;
+                let under = (1.0 - (2.0 * alpha - 1.0) * r2).max(0.0);
+                let mz = (1.0 - alpha * alpha * r2) / (alpha * under.sqrt() + 1.0 - alpha);
+                let stretch = (mz * xi + (mz * mz + (1.0 - xi * xi) * r2).max(0.0).sqrt()) / (mz * mz + r2);
+                let z = stretch * mz - xi;
+                if z <= 0.0 {
+                    return None;
+                }
+                stretch * radius / z
+            }
+            _ => radius,
+        };
+        let scale = if radius > 1e-12 { tangent.min(tangent_limit * 0.99) / radius } else { 1.0 };
+        Some(Ray::new(x * scale, y * scale))
     }
 
     /// The largest tangent of the angle from the axis up to which the distortion is one to one, at most [`MAX_TANGENT`].
@@ -145,7 +196,9 @@ impl Distortion {
                     let radial = Self::BrownConrady { k1, k2, p1: 0.0, p2: 0.0, k3, k4, k5, k6 };
                     radial.distort(Ray::new(tangent, 0.0)).0.0
                 }
-                Self::KannalaBrandt { .. } => self.distort(Ray::new(tangent, 0.0)).0.0,
+                Self::KannalaBrandt { .. } | Self::DoubleSphere { .. } => {
+                    self.distort(Ray::new(tangent, 0.0)).0.0
+                }
             };
             if radius.is_nan() || radius <= before {
                 return (MAX_TANGENT.atan() * (i - 1) as f64 / steps as f64).tan();
@@ -156,7 +209,8 @@ impl Distortion {
     }
 }
 
-/// Rays further from the axis than this (86.2°) are not used: they graze a ground seen from above.
+/// Rays further from the axis than this (86.2°) are not used: they graze a ground seen from above. A [`Ray`] could not go
+/// beyond 90° in any case, whatever the lens model allows; pixels out there have no ray.
 const MAX_TANGENT: f64 = 15.0;
 
 /// A calibrated camera: image size, focal lengths and principal point in pixels, and a distortion model.
@@ -316,14 +370,7 @@ impl Camera {
         if let Distortion::None = self.distortion {
             return Some(Ray::new(target.0, target.1));
         }
-        // A first guess inside the range where the model is one to one.
-        let radius = target.0.hypot(target.1);
-        let within = match self.distortion {
-            Distortion::KannalaBrandt { .. } => radius.min(1.5).tan().min(self.tangent_limit * 0.99),
-            _ => radius.min(self.tangent_limit * 0.99),
-        };
-        let scale = if radius > 1e-12 { within / radius } else { 1.0 };
-        let mut ray = Ray::new(target.0 * scale, target.1 * scale);
+        let mut ray = self.distortion.ray_near(target, self.tangent_limit)?;
         let misfit = |ray: Ray| {
             let ((x, y), derivative) = self.distortion.distort(ray);
             ((target.0 - x, target.1 - y), derivative)
@@ -447,6 +494,14 @@ mod tests {
                 (300.0, 301.0),
                 (320.0, 240.0),
                 Distortion::KannalaBrandt { k1: -0.01, k2: 0.003, k3: -0.002, k4: 0.0003 },
+            )
+            .unwrap(),
+            make(Distortion::DoubleSphere { xi: 0.0, alpha: 0.0 }),
+            Camera::new(
+                size,
+                (240.0, 241.0),
+                (320.0, 240.0),
+                Distortion::DoubleSphere { xi: -0.18, alpha: 0.59 },
             )
             .unwrap(),
         ]

@@ -1,7 +1,10 @@
 //! One module a command: its arguments and what it does.
 
+pub mod calibrate;
+pub mod camera;
 pub mod demo;
 pub mod evaluate;
+pub mod ground;
 pub mod run;
 pub mod simulate;
 pub mod undistort;

@@ -1,13 +1,15 @@
-//! What a person looks at after a run: the map as a picture and the report page.
+//! What a person looks at afterwards: pictures and report pages, of runs and of calibrations.
 
+pub mod calibration;
 mod charts;
 mod figures;
 mod page;
+mod parts;
 mod plot;
 mod raster;
 
 pub use page::{ReportInput, ReportMosaic, html};
-pub use raster::{MAP_WIDTH_PX, map_png};
+pub use raster::{MAP_WIDTH_PX, drawing_png};
 
 #[cfg(test)]
 mod tests;

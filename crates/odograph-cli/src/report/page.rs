@@ -2,9 +2,10 @@
 
 use super::charts::over_time;
 use super::figures::{Figures, in_words, sigmas, weakest};
+use super::parts::{card, head, number, warnings};
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::filter::fusion::SensorReport;
-use odograph::mapping::drawing::scale::{duration_text, label, length_text};
+use odograph::mapping::drawing::scale::{duration_text, length_text};
 use odograph::mapping::drawing::svg::{data_uri, escape};
 use odograph::mapping::{MapDrawing, Placement};
 use odograph::trajectory::FrameEstimate;
@@ -54,16 +55,8 @@ pub struct ReportMosaic<'a> {
 /// The report as the text of one HTML file that refers to nothing outside itself.
 pub fn html(input: &ReportInput<'_>) -> String {
     let figures = Figures::new(input.frames);
-    let title = escape(input.title);
-    let mut page = format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title} – odograph</title>\n<style>\n{}</style>\n</head>\n<body>\n<main>\n\
-         <h1>{title}</h1>\n<p class=\"quiet\">{}</p>\n<p class=\"lead\">{}</p>\n",
-        include_str!("style.css"),
-        escape(input.source),
-        lead(&figures)
-    );
+    let mut page = head(input.title, input.source, "");
+    let _ = writeln!(page, "<p class=\"lead\">{}</p>", lead(&figures));
     warnings(input.warnings, &mut page);
     cards(&figures, &mut page);
     ground(input, &mut page);
@@ -103,21 +96,6 @@ fn lead(figures: &Figures) -> String {
         ),
     };
     format!("{way} {kept}")
-}
-
-fn warnings(warnings: &[String], page: &mut String) {
-    if warnings.is_empty() {
-        return;
-    }
-    page.push_str("<div class=\"box warnings\"><b>To be aware of</b><ul>");
-    for warning in warnings {
-        let _ = write!(page, "<li>{}</li>", escape(warning));
-    }
-    page.push_str("</ul></div>\n");
-}
-
-fn card(name: &str, value: &str, says: &str, page: &mut String) {
-    let _ = writeln!(page, "<div class=\"card\"><em>{name}</em><b>{value}</b><small>{says}</small></div>");
 }
 
 fn cards(figures: &Figures, page: &mut String) {
@@ -201,11 +179,6 @@ fn position_text(x_m: f64, y_m: f64) -> String {
         _ => ("mm", 0.001, 1),
     };
     format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
-}
-
-/// A number with so many decimals; one that rounds to zero has no sign.
-fn number(value: f64, decimals: usize) -> String {
-    label(value, 10f64.powi(-(decimals as i32)))
 }
 
 fn ground(input: &ReportInput<'_>, page: &mut String) {
@@ -324,10 +297,10 @@ fn parameters(input: &ReportInput<'_>, page: &mut String) {
     let lens = match camera.distortion() {
         Distortion::None => "none (a pinhole)".into(),
         other => {
-            let name = if matches!(other, Distortion::KannalaBrandt { .. }) {
-                "Kannala–Brandt fisheye"
-            } else {
-                "Brown–Conrady"
+            let name = match other {
+                Distortion::KannalaBrandt { .. } => "Kannala–Brandt fisheye",
+                Distortion::DoubleSphere { .. } => "double sphere",
+                _ => "Brown–Conrady",
             };
             let values: Vec<String> =
                 other.coefficients().iter().map(|c| format!("{c}").replace('-', "−")).collect();

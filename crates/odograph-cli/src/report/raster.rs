@@ -1,4 +1,4 @@
-//! The drawn map as a picture, with a typeface that travels with the program.
+//! Drawings as pictures, with a typeface that travels with the program.
 
 use odograph::error::{Error, Result};
 use resvg::{tiny_skia, usvg};
@@ -11,8 +11,8 @@ pub const MAP_WIDTH_PX: u32 = 1600;
 
 /// An SVG drawing as the bytes of a PNG file, `width_px` wide. The same on every machine: only the program's own fonts are
 /// used, and nothing that the drawing might refer to outside itself is opened.
-pub fn map_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
-    let wrong = |what: String| Error::output(format!("the map cannot be made a PNG: {what}"));
+pub fn drawing_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
+    let wrong = |what: String| Error::output(format!("the drawing cannot be made a PNG: {what}"));
     let mut fonts = usvg::fontdb::Database::new();
     fonts.load_font_data(REGULAR.to_vec());
     fonts.load_font_data(MEDIUM.to_vec());

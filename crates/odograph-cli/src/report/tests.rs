@@ -127,7 +127,7 @@ fn assert_sound(page: &str) {
 fn the_map_becomes_a_picture_with_its_words() {
     let frames = figure_eight(600);
     let svg = MapDrawing { title: "drive", ..MapDrawing::default() }.svg(&frames);
-    let png = map_png(&svg, 1600).unwrap();
+    let png = drawing_png(&svg, 1600).unwrap();
     let mut reader = png::Decoder::new(std::io::Cursor::new(&png)).read_info().unwrap();
     let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut pixels).unwrap();
@@ -139,8 +139,8 @@ fn the_map_becomes_a_picture_with_its_words() {
             .count()
     };
     assert!(dark(30..70) > 200, "the title is set in the program's own typeface");
-    assert_eq!(png, map_png(&svg, 1600).unwrap(), "the same bytes twice");
-    assert!(map_png("no drawing", 1600).is_err());
+    assert_eq!(png, drawing_png(&svg, 1600).unwrap(), "the same bytes twice");
+    assert!(drawing_png("no drawing", 1600).is_err());
 }
 
 #[test]
@@ -244,12 +244,12 @@ fn a_look() {
         let svg = drawing.svg(&frames);
         crate::files::write(&folder.join(format!("{name}.svg")), svg.as_bytes()).unwrap();
         let width = if name == "map-narrow" { 700 } else { MAP_WIDTH_PX };
-        crate::files::write(&folder.join(format!("{name}.png")), &map_png(&svg, width).unwrap()).unwrap();
+        crate::files::write(&folder.join(format!("{name}.png")), &drawing_png(&svg, width).unwrap()).unwrap();
     }
     for (name, path) in odd_paths() {
         let svg =
             MapDrawing { title: &format!("{name} {}", "of a very long name".repeat(8)), ..plain }.svg(&path);
-        crate::files::write(&folder.join(format!("map-{name}.png")), &map_png(&svg, 1000).unwrap()).unwrap();
+        crate::files::write(&folder.join(format!("map-{name}.png")), &drawing_png(&svg, 1000).unwrap()).unwrap();
     }
     let png_whole = crate::files::png_from_rgba(whole.width, whole.height, &whole.rgba).unwrap();
     crate::files::write(&folder.join("mosaic.png"), &png_whole).unwrap();

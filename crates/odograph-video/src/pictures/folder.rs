@@ -284,6 +284,10 @@ impl Frames for Pictures {
         Ok(picture)
     }
 
+    fn name(&self) -> Option<String> {
+        Some(name_of(self.pictures.get(self.next.checked_sub(1)?)?))
+    }
+
     fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
     }

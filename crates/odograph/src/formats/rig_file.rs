@@ -7,10 +7,13 @@
 //! yaw_deg = 90       # top of the image, counter-clockwise from forward
 //! ```
 //!
-//! Each angle may be given in radians instead (`roll_rad`, …). Keys that are not ours are ignored.
+//! Each angle may be given in radians instead (`roll_rad`, …). Keys that are not ours are ignored, and so are, where only the rig is
+//! wanted, the standard deviations that a measured one carries: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`,
+//! `yaw_deviation_deg`.
 
 use crate::camera::Rig;
 use crate::error::{Error, Result};
+use crate::mounting::{MeasuredRig, RigDeviations};
 use std::fmt::Write;
 use toml::{Table, Value};
 
@@ -57,6 +60,46 @@ pub fn write(rig: &Rig) -> String {
         };
     }
     text
+}
+
+/// A measured rig: the text of [`write()`] with a line for each standard deviation that is known.
+pub fn write_measured(measured: &MeasuredRig) -> String {
+    let mut text = write(&measured.rig);
+    let RigDeviations { height_m, roll_rad, pitch_rad, yaw_rad } = measured.deviations;
+    let degrees = [("roll", roll_rad), ("pitch", pitch_rad), ("yaw", yaw_rad)]
+        .map(|(name, deviation)| (format!("{name}_deviation_deg"), deviation.map(f64::to_degrees)));
+    let all = std::iter::once(("height_deviation_m".to_owned(), height_m)).chain(degrees);
+    for (key, deviation) in all {
+        if let Some(deviation) = deviation {
+            // Three digits: a deviation is not known better.
+            let _ = writeln!(text, "{key} = {deviation:.2e}");
+        }
+    }
+    text
+}
+
+/// The rig of a text with the standard deviations that it holds. Fails as [`parse`] does, and where a deviation is not a positive number.
+pub fn parse_measured(text: &str) -> Result<MeasuredRig> {
+    let rig = parse(text)?;
+    let table: Table = text.trim_start_matches('\u{feff}').parse().map_err(|error: toml::de::Error| {
+        Error::input(format!("the rig file is not TOML: {}", error.message()))
+    })?;
+    let deviation = |key: &str| match number(&table, key)? {
+        Some(value) if value < 0.0 => {
+            Err(Error::input(format!("{key} is {value} in the rig file; it must not be negative")))
+        }
+        other => Ok(other),
+    };
+    let angle = |key: &str| Ok::<_, Error>(deviation(key)?.map(f64::to_radians));
+    Ok(MeasuredRig {
+        rig,
+        deviations: RigDeviations {
+            height_m: deviation("height_deviation_m")?,
+            roll_rad: angle("roll_deviation_deg")?,
+            pitch_rad: angle("pitch_deviation_deg")?,
+            yaw_rad: angle("yaw_deviation_deg")?,
+        },
+    })
 }
 
 /// An angle in radians from the key of either unit; 0 without one.
@@ -118,6 +161,20 @@ mod tests {
             assert_eq!(error.kind(), crate::error::ErrorKind::Input);
             assert!(!error.to_string().contains('\n'));
         }
+    }
+
+    #[test]
+    fn a_measured_rig_keeps_its_deviations_and_is_a_rig() {
+        let rig = Rig { height_m: 0.75, roll_rad: 0.1, pitch_rad: -0.2, yaw_rad: 0.0 };
+        let deviations =
+            RigDeviations { height_m: Some(0.001), roll_rad: Some(0.002), pitch_rad: Some(0.0031), yaw_rad: None };
+        let text = write_measured(&MeasuredRig { rig, deviations });
+        assert_eq!(parse(&text).unwrap(), rig);
+        let back = parse_measured(&text).unwrap();
+        assert_eq!((back.rig, back.deviations.yaw_rad), (rig, None));
+        assert!((back.deviations.pitch_rad.unwrap() / 0.0031 - 1.0).abs() < 1e-2, "{text}");
+        assert!(parse_measured("height_m = 1\nroll_deviation_deg = -1").is_err());
+        assert_eq!(parse_measured("height_m = 1").unwrap().deviations, RigDeviations::default());
     }
 
     #[test]

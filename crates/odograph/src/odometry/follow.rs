@@ -107,6 +107,16 @@ pub fn presence(keyframe: &Keyframe, camera: &Camera, estimate: &MotionEstimate)
     estimate.inlier_count() as f64 / expected.max(1) as f64
 }
 
+/// How many of the corners that were found a camera at `pose` would still see.
+pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &GroundPose) -> usize {
+    let pose = Pose::new(*pose);
+    let seen = |found: &&Found| {
+        let pixel = pose.pixel(camera, keyframe.corners[found.corner].ground);
+        pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
+    };
+    found.iter().filter(seen).count()
+}
+
 /// A template nearer to the border than this cannot be found.
 const TEMPLATE_REACH_PX: f64 = 10.0;
 

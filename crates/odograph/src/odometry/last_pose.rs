@@ -11,47 +11,93 @@ pub struct LastPose {
     pub covariance: Matrix6<f64>,
     /// Change per second of x, y and heading.
     pub rates: [f64; 3],
+    /// Change per second of the rates.
+    accelerations: [f64; 3],
     /// The time from the measured pose before.
     pub step_s: f64,
-    /// How far off the extrapolations to the last poses were, seen from the camera: lengths over the height, and radians.
-    pub off_by: f64,
+    /// How far off the last poses were from where the rates alone would have had them, and from where rates and accelerations would: seen from
+    /// the camera, lengths over the height, and radians.
+    off_by: [f64; 2],
 }
+
+/// A surprise counts so much less a frame later.
+const REMEMBERED: f64 = 0.7;
 
 impl LastPose {
     pub fn still(time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
-        Self { time_s, pose, covariance, rates: [0.0; 3], step_s: 0.0, off_by: f64::INFINITY }
+        Self {
+            time_s,
+            pose,
+            covariance,
+            rates: [0.0; 3],
+            accelerations: [0.0; 3],
+            step_s: 0.0,
+            off_by: [f64::INFINITY; 2],
+        }
     }
 
     pub fn moved(self, time_s: f64, pose: GroundPose, covariance: Matrix6<f64>) -> Self {
         let step_s = time_s - self.time_s;
-        let rates = if step_s > 0.0 {
-            let before = self.pose;
-            [pose.x_m - before.x_m, pose.y_m - before.y_m, pose.heading_rad - before.heading_rad]
-                .map(|change| change / step_s)
-        } else {
-            self.rates
-        };
-        let off_by = seen_apart(&self.extrapolated(time_s), &pose);
-        // After `still` the rates are a guess; a large surprise is remembered for a few frames.
-        let remembered = if self.step_s > 0.0 { 0.7 * self.off_by } else { 0.0 };
-        let off_by = if step_s > 0.0 { off_by.max(remembered) } else { f64::INFINITY };
-        Self { time_s: time_s.max(self.time_s), pose, covariance, rates, step_s, off_by }
+        if step_s <= 0.0 {
+            let off_by = [f64::INFINITY; 2];
+            return Self { time_s: self.time_s.max(time_s), pose, covariance, step_s, off_by, ..self };
+        }
+        let before = self.pose;
+        let rates = [pose.x_m - before.x_m, pose.y_m - before.y_m, pose.heading_rad - before.heading_rad]
+            .map(|change| change / step_s);
+        // The rates are those of the middles of the two steps.
+        let between_s = 0.5 * (step_s + self.step_s);
+        let accelerations = [0, 1, 2].map(|i| (rates[i] - self.rates[i]) / between_s);
+        let off_by = [0, 1].map(|share| {
+            let off_by = seen_apart(&self.carried_on(time_s, share as f64), &pose);
+            match self.off_by[share] {
+                // After `still` the rates are a guess, and a step later the accelerations.
+                before if before.is_finite() => off_by.max(REMEMBERED * before),
+                _ if share == 1 && self.step_s == 0.0 => f64::INFINITY,
+                _ => off_by,
+            }
+        });
+        Self { time_s, pose, covariance, rates, accelerations, step_s, off_by }
     }
 
-    /// The pose at `time_s` had the camera gone on as it went; height and tilt stay.
+    /// The pose at `time_s` had the camera gone on as it went, with its acceleration where that has foretold the last poses better; height and
+    /// tilt stay.
     pub fn extrapolated(&self, time_s: f64) -> GroundPose {
+        let [steady, accelerated] = self.off_by;
+        self.carried_on(time_s, if accelerated < steady { 1.0 } else { 0.0 })
+    }
+
+    /// How far off the extrapolations to the last poses were, seen from the camera: lengths over the height, and radians.
+    pub fn off_by(&self) -> f64 {
+        self.off_by[0].min(self.off_by[1])
+    }
+
+    /// The pose at `time_s` at the last rates, with this share of the acceleration.
+    fn carried_on(&self, time_s: f64, share: f64) -> GroundPose {
         let step_s = (time_s - self.time_s).max(0.0);
+        // An acceleration does not last: over a gap it is believed for one more step.
+        let accelerated_s = step_s.min(self.step_s.max(0.0));
+        let further = |i: usize| {
+            let gained = share * self.accelerations[i] * accelerated_s * 0.5 * (step_s + self.step_s);
+            self.rates[i] * step_s + gained
+        };
         GroundPose {
-            x_m: self.pose.x_m + self.rates[0] * step_s,
-            y_m: self.pose.y_m + self.rates[1] * step_s,
-            heading_rad: self.pose.heading_rad + self.rates[2] * step_s,
+            x_m: self.pose.x_m + further(0),
+            y_m: self.pose.y_m + further(1),
+            heading_rad: self.pose.heading_rad + further(2),
             ..self.pose
         }
     }
 
+    /// Where the camera would be at `time_s` had it gone on as it went all the while, and still went on so.
+    pub fn carried_over_gap(&self, time_s: f64) -> Self {
+        let covariance = self.covariance + self.gap_covariance(time_s);
+        Self { time_s, pose: self.extrapolated(time_s), covariance, ..self.clone() }
+    }
+
     /// How far off [`LastPose::extrapolated`] may be over a gap: the camera may have stopped or doubled its speed (two standard deviations), and
     /// may have set off from rest at 0.2 m/s and 0.2 rad/s.
-    pub fn gap_covariance(&self, time_s: f64) -> Matrix6<f64> {
+    fn gap_covariance(&self, time_s: f64) -> Matrix6<f64> {
         let gap_s = (time_s - self.time_s).max(0.0);
         let variance = |rate: f64| ((0.5 * rate.abs() + 0.1) * gap_s).powi(2);
         let mut covariance = Matrix6::zeros();

@@ -65,6 +65,8 @@ impl Default for KeyframeConfig {
 pub struct TrackView {
     /// Where it is.
     pub pixel: Pixel,
+    /// Where its corner is in the keyframe against which the frame was measured.
+    pub corner: Pixel,
     /// Whether it agrees with the movement.
     pub inlier: bool,
 }
@@ -100,7 +102,7 @@ pub struct Odometry {
 #[derive(Debug)]
 struct Candidate {
     keyframe: Keyframe,
-    pose: GroundPose,
+    last: LastPose,
     confirmations: usize,
 }
 
@@ -109,6 +111,9 @@ const CONFIRMATIONS: usize = 3;
 
 /// After so many it is believed even though not every remembered keyframe has been looked for.
 const MOST_CONFIRMATIONS: usize = 8;
+
+/// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
+const FORESEEN_SUPPORT: f64 = 0.3;
 
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
 const DOUBTFUL_PRESENCE: f64 = 0.55;
@@ -259,7 +264,7 @@ impl Odometry {
     fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
         const FULL_SEARCH_PX: f64 = 4.0;
         let usual_step = time_s - last.time_s <= 1.5 * last.step_s;
-        let off_px = 0.5 + 2.0 * last.off_by * self.camera.focal_px().0;
+        let off_px = 0.5 + 2.0 * last.off_by() * self.camera.focal_px().0;
         (self.config.motion.model != MotionModel::Mean && usual_step && off_px < FULL_SEARCH_PX)
             .then_some(off_px)
     }
@@ -336,11 +341,12 @@ impl Odometry {
         let Measurement { estimate, found, support, .. } = measurement;
         let covariance = self.carried_covariance(&estimate.pose) + estimate.covariance;
         let inliers = estimate.inlier_count();
-        self.tracks = found
-            .iter()
-            .zip(&estimate.inliers)
-            .map(|(found, &inlier)| TrackView { pixel: found.warp.position, inlier })
-            .collect();
+        let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
+        let view = |(found, &inlier): (&follow::Found, &bool)| {
+            let corner = corners.get(found.corner)?.template.centre();
+            Some(TrackView { pixel: found.warp.position, corner, inlier })
+        };
+        self.tracks = found.iter().zip(&estimate.inliers).filter_map(view).collect();
         self.wander.learn(&estimate);
         if let Some(keyframe) = &self.keyframe {
             let presence = follow::presence(keyframe, &self.camera, &estimate);
@@ -359,7 +365,7 @@ impl Odometry {
         if self.config.motion.model == MotionModel::Mean {
             self.keep_only(&found, covariance);
         }
-        let keyframe = support < self.config.keyframe.support;
+        let keyframe = support < self.config.keyframe.support || self.leaves_the_keyframe(&found, time_s);
         if keyframe {
             self.change_keyframe(pyramid, estimate.pose, covariance);
         } else {
@@ -378,6 +384,14 @@ impl Odometry {
         }
     }
 
+    /// Whether the next frame will show too little of the keyframe to be measured against it, if the camera goes on as it went.
+    fn leaves_the_keyframe(&self, found: &[follow::Found], time_s: f64) -> bool {
+        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return false };
+        let next = last.extrapolated(time_s + last.step_s);
+        let still_seen = follow::still_seen(keyframe, &self.camera, found, &next);
+        (still_seen as f64) < FORESEEN_SUPPORT * keyframe.corners_at_first as f64
+    }
+
     /// A frame that could not be measured: begins the map, or waits for the ground to come back.
     fn lose(&mut self, pyramid: Pyramid, time_s: f64, reason: LossReason) -> FrameEstimate {
         let bare = follow::is_bare(&pyramid);
@@ -387,7 +401,7 @@ impl Odometry {
         self.tracks.clear();
         self.lost_frames += 1;
         let reason = if bare { LossReason::Bare } else { reason };
-        if let Some(found) = self.find_candidate(&pyramid) {
+        if let Some(found) = self.find_candidate(&pyramid, time_s) {
             return self.begin_segment(pyramid, time_s, found);
         } else if self.candidate.is_none() {
             self.candidate = self.propose(pyramid, time_s);
@@ -413,7 +427,8 @@ impl Odometry {
         self.tracks = keyframe
             .corners
             .iter()
-            .map(|corner| TrackView { pixel: corner.template.centre(), inlier: true })
+            .map(|corner| corner.template.centre())
+            .map(|corner| TrackView { pixel: corner, corner, inlier: true })
             .collect();
         self.keyframe = Some(keyframe);
         self.keyframes += 1;
@@ -438,57 +453,64 @@ impl Odometry {
 
     /// A keyframe of an unmeasured frame, laid where the camera would be had it gone on as it went.
     fn propose(&mut self, pyramid: Pyramid, time_s: f64) -> Option<Candidate> {
-        let (pose, covariance) = match &self.last {
-            Some(last) => (last.extrapolated(time_s), last.covariance + last.gap_covariance(time_s)),
-            None => (self.first_pose, Matrix6::zeros()),
+        let last = match &self.last {
+            Some(last) => last.carried_over_gap(time_s),
+            None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
         };
-        let keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        let keyframe =
+            Keyframe::new(pyramid, last.pose, last.covariance, &self.camera, &self.config.detection);
         let enough = keyframe.corners.len() >= 2 * self.config.motion.minimum_inliers;
-        enough.then_some(Candidate { keyframe, pose, confirmations: 0 })
+        enough.then_some(Candidate { keyframe, last, confirmations: 0 })
     }
 
     /// Measures against the candidate; gives the measurement once it has been confirmed often enough.
-    fn find_candidate(&mut self, pyramid: &Pyramid) -> Option<Measurement> {
+    fn find_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
         let candidate = self.candidate.as_mut()?;
+        let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
         let mut random = Random::new(self.frames);
-        let measured = follow::measure(
-            &candidate.keyframe,
-            pyramid,
-            &self.camera,
-            &candidate.pose,
-            &self.config,
-            &self.wander,
-            &mut random,
-        );
-        let presence = |m: &Measurement| follow::presence(&candidate.keyframe, &self.camera, &m.estimate);
-        match measured {
-            Ok(measurement) if presence(&measurement) >= CHANCE_PRESENCE => {
-                candidate.pose = measurement.estimate.pose;
-                candidate.confirmations += 1;
-                // To come back to known ground is better than to begin anew.
-                let needed =
-                    if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
-                (candidate.confirmations >= needed).then_some(measurement)
-            }
-            _ => {
-                self.candidate = None;
-                None
+        let confirmed = [candidate.last.extrapolated(time_s), candidate.last.pose].iter().find_map(|from| {
+            let found =
+                follow::measure(&candidate.keyframe, pyramid, camera, from, config, wander, &mut random)
+                    .ok()?;
+            let presence = follow::presence(&candidate.keyframe, camera, &found.estimate);
+            (presence >= CHANCE_PRESENCE).then_some(found)
+        });
+        let Some(measurement) = confirmed else {
+            self.candidate = None;
+            return None;
+        };
+        let (pose, covariance) = (measurement.estimate.pose, candidate.keyframe.covariance);
+        candidate.last = candidate.last.clone().moved(time_s, pose, covariance);
+        candidate.confirmations += 1;
+        // To come back to known ground is better than to begin anew.
+        let needed =
+            if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
+        if candidate.confirmations >= needed {
+            return Some(measurement);
+        }
+        // A fast camera leaves the candidate's ground before it is believed: the next frame goes on from here.
+        if measurement.support < self.config.keyframe.support {
+            let next = Keyframe::new(pyramid.clone(), pose, covariance, &self.camera, &self.config.detection);
+            if next.corners.len() >= 2 * self.config.motion.minimum_inliers {
+                candidate.keyframe = next;
             }
         }
+        None
     }
 
     /// The ground is back, but how the camera came here was not measured: a new segment.
     fn begin_segment(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
+        // The very first ground is not a new segment.
+        self.segment += usize::from(self.last.is_some());
+        self.last = None;
         if let Some(candidate) = self.candidate.take() {
             if let Some(before) = self.keyframe.replace(candidate.keyframe) {
                 self.memory.remember(before.retire());
             }
             self.keyframes += 1;
+            self.last = Some(candidate.last);
         }
         self.memory.close_segment();
-        // The very first ground is not a new segment.
-        self.segment += usize::from(self.last.is_some());
-        self.last = None;
         self.filter = None;
         self.accept(pyramid, time_s, measurement)
     }

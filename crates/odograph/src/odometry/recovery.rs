@@ -13,6 +13,7 @@ use crate::image::Pyramid;
 use crate::motion::{
     CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random, RigWander,
 };
+use std::f64::consts::PI;
 
 /// So many remembered keyframes are compared with a frame, beside the present one.
 const REMEMBERED_PER_FRAME: usize = 2;
@@ -30,6 +31,9 @@ const LEAST_CLEAR_PRESENCE: f64 = 0.3;
 
 /// A rival with at least this part of the best one's inliers leaves the choice to the prediction.
 const RIVAL: f64 = 0.75;
+
+/// How far a frame's heading may be off the expected one where only such headings are tried, radians: a sixth of the effort of trying all.
+const NEAR_HEADING_RAD: f64 = 0.4;
 
 /// Finds frames again whose movement was too large, or that come after a loss.
 #[derive(Debug)]
@@ -146,11 +150,19 @@ struct Confirmed {
 }
 
 impl Search<'_> {
-    /// Looks for the frame in a keyframe.
+    /// Looks for the frame in a keyframe: turned about as expected, which most are, and otherwise turned anyhow.
     fn look(&self, keyframe: &mut Keyframe, random: &mut Random) -> Confirmed {
         keyframe.prepare_view(self.registration);
+        let turned_rad = wrap_angle(self.lost.expected.heading_rad - keyframe.pose.heading_rad);
+        let as_expected = self.look_at(keyframe, (turned_rad, NEAR_HEADING_RAD), random);
+        if as_expected.decided { as_expected } else { self.look_at(keyframe, (0.0, PI), random) }
+    }
+
+    /// Looks for the frame in a keyframe at headings about the first, and off it by no more than the second, radians.
+    fn look_at(&self, keyframe: &Keyframe, heading_rad: (f64, f64), random: &mut Random) -> Confirmed {
         let model = self.config.motion.model;
         let options = CoarseOptions {
+            heading_rad,
             scale_free: matches!(model, MotionModel::Similarity | MotionModel::Free),
             ..Default::default()
         };

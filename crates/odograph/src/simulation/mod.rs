@@ -7,6 +7,7 @@
 //! than a pixel and holds what a pixel of that size would see), and every pixel is that function at the point its undistorted ray
 //! meets the ground. Nothing is resampled between ground and image, so neither the lens nor the pose is approximated.
 
+mod board_scene;
 mod effects;
 mod ground;
 mod noise;
@@ -18,6 +19,7 @@ mod sensors;
 mod sequence;
 mod texture;
 
+pub use board_scene::{BoardEffects, BoardScene, Framing, Occlusion};
 pub use effects::{
     Blackout, Effects, ExposureJumps, Lighting, MovingObject, Shadow, Timing, Vibration, Wander,
 };

@@ -43,7 +43,7 @@ pub fn write(
     });
     let svg = MapDrawing { title, backdrop, ..Default::default() }.svg(&tracked.frames);
     folder.write("map.svg", svg.as_bytes())?;
-    folder.write("map.png", &report::map_png(&svg, report::MAP_WIDTH_PX)?)?;
+    folder.write("map.png", &report::drawing_png(&svg, report::MAP_WIDTH_PX)?)?;
     // The page shows the path on plain paper: the mosaic has its own place on it.
     let page = report::html(&ReportInput {
         title,

@@ -1,6 +1,7 @@
 //! COLMAP's `cameras.txt`: one camera a line, `CAMERA_ID MODEL WIDTH HEIGHT PARAMS…`.
 
 use super::checked_camera;
+use super::writing::{number, refuse_double_sphere};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
 
@@ -67,6 +68,31 @@ pub(super) fn parse(text: &str) -> Result<Camera> {
         principal_px,
         distortion,
     )
+}
+
+/// The text of a `cameras.txt` with this camera as its camera 1.
+pub(super) fn write(camera: &Camera) -> Result<String> {
+    refuse_double_sphere(camera, "COLMAP")?;
+    let (fx, fy) = camera.focal_px();
+    let (cx, cy) = camera.principal_px();
+    let (model, coefficients) = match *camera.distortion() {
+        Distortion::None | Distortion::DoubleSphere { .. } => ("PINHOLE", vec![]),
+        Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } if [k3, k4, k5, k6] == [0.0; 4] => {
+            ("OPENCV", vec![k1, k2, p1, p2])
+        }
+        Distortion::BrownConrady { .. } => ("FULL_OPENCV", camera.distortion().coefficients()),
+        Distortion::KannalaBrandt { .. } => ("OPENCV_FISHEYE", camera.distortion().coefficients()),
+    };
+    let mut parameters = vec![fx, fy, cx + PIXEL_CENTRE, cy + PIXEL_CENTRE];
+    parameters.extend(coefficients);
+    let parameters: Vec<String> = parameters.into_iter().map(number).collect();
+    Ok(format!(
+        "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n\
+         # Number of cameras: 1\n1 {model} {} {} {}\n",
+        camera.width(),
+        camera.height(),
+        parameters.join(" ")
+    ))
 }
 
 /// The supported models with their numbers of parameters.

@@ -1,17 +1,24 @@
 //! Camera files as people already have them.
 //!
 //! Read: OpenCV FileStorage YAML (and its JSON), ROS `camera_info` YAML, a Kalibr camchain with one camera, EuRoC's
-//! `sensor.yaml`, COLMAP's `cameras.txt`. Written: OpenCV FileStorage YAML. Keys that are not ours are ignored.
+//! `sensor.yaml`, COLMAP's `cameras.txt`. Written: the forms of [`CameraFormat`]. Keys that are not ours are ignored.
 //!
 //! Principal points follow OpenCV: pixel centres at integers. COLMAP's are half a pixel larger and are brought over.
 
 mod colmap;
+mod uncertainty;
 mod value;
+mod writing;
 mod yaml;
+
+pub use uncertainty::parse_uncertainty;
+pub use writing::{CameraFormat, write_as};
+pub(super) use writing::number;
 
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
 use std::fmt::Write;
+use writing::{model_and_coefficients, numbers};
 
 /// Reads a camera from the text of a camera file, in any of the forms that the [module](self) names.
 ///
@@ -35,18 +42,12 @@ pub fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera
 
 /// The text of an OpenCV FileStorage YAML file that describes the camera; [`parse`] returns the identical camera.
 ///
-/// `distortion_model` names the lens model as ROS does (`none`, `plumb_bob`, `rational_polynomial`, `equidistant`).
+/// `distortion_model` names the lens model as ROS does (`none`, `plumb_bob`, `rational_polynomial`, `equidistant`) or,
+/// for the double sphere (ξ, α), `double_sphere`.
 pub fn write(camera: &Camera) -> String {
     let (fx, fy) = camera.focal_px();
     let (cx, cy) = camera.principal_px();
-    let (model, coefficients) = match *camera.distortion() {
-        Distortion::None => ("none", vec![0.0; 5]),
-        Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } if [k4, k5, k6] == [0.0; 3] => {
-            ("plumb_bob", vec![k1, k2, p1, p2, k3])
-        }
-        Distortion::BrownConrady { .. } => ("rational_polynomial", camera.distortion().coefficients()),
-        Distortion::KannalaBrandt { .. } => ("equidistant", camera.distortion().coefficients()),
-    };
+    let (model, coefficients) = model_and_coefficients(camera);
     let mut text =
         format!("%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\n", camera.width(), camera.height());
     write_matrix(&mut text, "camera_matrix", 3, &[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
@@ -56,12 +57,11 @@ pub fn write(camera: &Camera) -> String {
 }
 
 fn write_matrix(text: &mut String, key: &str, rows: usize, data: &[f64]) {
-    // `{:?}` gives the shortest digits that read back as the same number, always with a point or an exponent.
-    let numbers = data.iter().map(|number| format!("{number:?}")).collect::<Vec<_>>().join(", ");
     let cols = data.len() / rows;
     let _ = writeln!(
         text,
-        "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {numbers} ]"
+        "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {} ]",
+        numbers(data)
     );
 }
 

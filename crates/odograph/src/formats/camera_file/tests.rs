@@ -182,6 +182,23 @@ fn what_is_wrong_is_said_with_key_and_value() {
 }
 
 #[test]
+fn the_covariance_of_a_calibration_is_read() {
+    let with = |names: &str, covariance: &str| {
+        let text = format!("{OPENCV}{names}parameter_covariance: !!opencv-matrix\n   rows: 2\n   cols: 2\n   dt: d\n   data: {covariance}\n");
+        parse_uncertainty(&text).map_err(|error| error.to_string())
+    };
+    let names = "parameter_names:\n   - \"fx\"\n   - \"cx\"\n";
+    assert!(with(names, "[ 0.25, 0., 0., 1. ]").unwrap().is_some());
+    assert_eq!(parse_uncertainty(OPENCV).unwrap(), None);
+    assert_eq!(parse_uncertainty("1 PINHOLE 640 480 500 501 320 240").unwrap(), None);
+    assert!(with("", "[ 0.25, 0., 0., 1. ]").unwrap_err().contains("parameter_names is missing"));
+    assert!(with("parameter_names: 3\n", "[ 1., 0., 0., 1. ]").unwrap_err().contains("not a list of names"));
+    assert!(with("parameter_names: [fx]\n", "[ 1., 0., 0., 1. ]").unwrap_err().contains("1 x 1"));
+    assert!(with(names, "[ -1., 0., 0., 1. ]").unwrap_err().contains("impossible"));
+    assert!(with(names, "[ .nan, 0., 0., 1. ]").unwrap_err().contains("NaN"));
+}
+
+#[test]
 fn real_files_are_read() {
     let folder = std::env::var_os("ODOGRAPH_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), Into::into);

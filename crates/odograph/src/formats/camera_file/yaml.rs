@@ -71,7 +71,10 @@ pub(super) fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result
 /// The camera of one map; `prefix` is put before its keys in sentences.
 fn camera(map: &Value, prefix: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera> {
     let (place, focal_px, principal_px) = intrinsics(map, prefix)?;
-    let distortion = distortion(map, prefix)?;
+    let distortion = match kalibrs_double_sphere(map, prefix)? {
+        Some(distortion) => distortion,
+        None => distortion(map, prefix)?,
+    };
     let size = image_size(map, prefix)?.or(fallback_size).ok_or_else(|| {
         Error::input(
             "the camera file does not say how large the calibrated images were; add `image_width:` and `image_height:` in pixels",
@@ -87,7 +90,7 @@ fn intrinsics(map: &Value, prefix: &str) -> Result<(String, Pair, Pair)> {
     if let Some(list) = map.get("intrinsics") {
         let place = format!("{prefix}intrinsics");
         return match list.numbers(&place)?.as_slice() {
-            &[fx, fy, cx, cy] => Ok((place, (fx, fy), (cx, cy))),
+            &[fx, fy, cx, cy] | &[_, _, fx, fy, cx, cy] => Ok((place, (fx, fy), (cx, cy))),
             &[fx, skew, cx, zero, fy, cy, zero_2, zero_3, one] => {
                 let matrix = [fx, skew, cx, zero, fy, cy, zero_2, zero_3, one];
                 from_matrix(place, matrix)
@@ -119,6 +122,26 @@ fn intrinsics(map: &Value, prefix: &str) -> Result<(String, Pair, Pair)> {
         Err(numbers) => {
             Err(Error::input(format!("{place} has {} numbers; a camera matrix has 3 x 3", numbers.len())))
         }
+    }
+}
+
+/// Kalibr's camera model `ds`, whose intrinsics begin with xi and alpha and which knows no distortion beside them.
+fn kalibrs_double_sphere(map: &Value, prefix: &str) -> Result<Option<Distortion>> {
+    let place = format!("{prefix}intrinsics");
+    let intrinsics = map.get("intrinsics").map(|list| list.numbers(&place)).transpose()?;
+    let said = matches!(map.get("camera_model"), Some(Value::Text(name)) if name == "ds");
+    match (said, intrinsics.as_deref()) {
+        (true, Some(&[xi, alpha, ..])) if intrinsics.as_ref().is_some_and(|all| all.len() == 6) => {
+            Ok(Some(Distortion::DoubleSphere { xi, alpha }))
+        }
+        (true, other) => Err(Error::input(format!(
+            "{place} has {} numbers; a double sphere's are xi, alpha, fx, fy, cx, cy",
+            other.map_or(0, <[f64]>::len)
+        ))),
+        (false, Some(all)) if all.len() == 6 => Err(Error::input(format!(
+            "{place} has 6 numbers, as only the camera model `ds` (double sphere) does; a pinhole's are fx, fy, cx, cy"
+        ))),
+        (false, _) => Ok(None),
     }
 }
 
@@ -170,6 +193,7 @@ enum LensFamily {
     None,
     BrownConrady,
     KannalaBrandt,
+    DoubleSphere,
 }
 
 fn distortion(map: &Value, prefix: &str) -> Result<Distortion> {
@@ -197,6 +221,13 @@ fn distortion(map: &Value, prefix: &str) -> Result<Distortion> {
             &[k1, k2, k3, k4] => Ok(Distortion::KannalaBrandt { k1, k2, k3, k4 }),
             other => Err(Error::input(format!(
                 "{place} has {} numbers; the equidistant fisheye model has 4",
+                other.len()
+            ))),
+        },
+        Some(LensFamily::DoubleSphere) => match numbers.as_slice() {
+            &[xi, alpha] => Ok(Distortion::DoubleSphere { xi, alpha }),
+            other => Err(Error::input(format!(
+                "{place} has {} numbers; the double sphere model has 2, xi and alpha",
                 other.len()
             ))),
         },
@@ -247,6 +278,7 @@ fn lens_family(map: &Value, prefix: &str) -> Result<Option<LensFamily>> {
             | "standard"
             | "rational_polynomial"
             | "rational" => LensFamily::BrownConrady,
+            "double_sphere" => LensFamily::DoubleSphere,
             "equidistant" | "fisheye" | "kannala_brandt" | "kannalabrandt8" | "kannalabrandt"
             | "opencv_fisheye" | "equi" | "kb4" => LensFamily::KannalaBrandt,
             _ => {

@@ -1,0 +1,212 @@
+//! `odograph calibrate`: views of a board go in, a camera file and a report of how far it can be trusted come out.
+
+mod input;
+mod output;
+mod search;
+mod summary;
+
+use crate::{Outcome, console, interrupt};
+use input::Input;
+use odograph::calibration::selection::{Guidance, SelectionConfig, Sighting};
+use odograph::calibration::{Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict};
+use odograph::error::{Error, Result};
+use odograph_video::SourceOptions;
+use output::Output;
+use search::Search;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Calibrate a camera: from a video of a board that is waved before it, or from pictures of one.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct CalibrateArguments {
+    /// A video, a folder of pictures, pictures, or `-` for Y4M on standard input.
+    #[arg(value_name = "SOURCE", required = true)]
+    sources: Vec<String>,
+    /// The board: chessboard:9x6:25mm (inner corners, side of a square), charuco:8x11:20mm, aprilgrid:6x6:88mm,
+    /// circles:7x5:20mm, asymmetric-circles:4x11:20mm.
+    #[arg(short, long, value_name = "BOARD")]
+    board: String,
+    /// The camera file to write (OpenCV YAML).
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Folder for the report. [default: beside the camera file, its name with -report]
+    #[arg(long, value_name = "FOLDER")]
+    report: Option<PathBuf>,
+    /// The lens model; auto tries them all and takes the one that foretells views it has not seen.
+    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    model: Model,
+    /// Take pixels as square: one focal length for both directions.
+    #[arg(long)]
+    square_pixels: bool,
+    /// Take the principal point as the middle of the image.
+    #[arg(long)]
+    centred: bool,
+    /// The board may be bent a little, or its print stretched: that is estimated too.
+    #[arg(long)]
+    bent_board: bool,
+    /// Look at every n-th frame only.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    every: u64,
+    /// Begin so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    start: Option<f64>,
+    /// End so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    end: Option<f64>,
+    /// Calibrate with at most so many views: the ones that tell most.
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(3..=500))]
+    max_views: u16,
+    /// Overwrite results that are already there.
+    #[arg(long)]
+    force: bool,
+    /// Threads to use; the results are the same for any number. [default: as many as the machine has]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Say nothing but errors and warnings.
+    #[arg(short, long)]
+    quiet: bool,
+    /// Print the figures as JSON to standard output instead of a summary.
+    #[arg(long)]
+    json: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph calibrate board.mp4 --board chessboard:9x6:25mm -o camera.yaml
+  odograph calibrate pictures/ --board charuco:8x11:20mm -o camera.yaml
+  odograph calibrate left*.jpg --board chessboard:9x6:25mm --model brown5 -o left.yaml
+
+Ends with 0 when the calibration is good or usable, 2 on wrong usage, 3 on bad input, 4 when it had better be done again (the
+files have been written and say why).";
+
+/// The lens models by their names on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Model {
+    /// The one that foretells new views best.
+    Auto,
+    /// No distortion.
+    Pinhole,
+    /// Brown–Conrady with k1, k2, p1, p2.
+    Brown4,
+    /// Brown–Conrady with k1, k2, p1, p2, k3: OpenCV's default.
+    Brown5,
+    /// Brown–Conrady, rational: k1 to k6, p1, p2.
+    Brown8,
+    /// Kannala–Brandt: OpenCV's fisheye, ROS's and Kalibr's equidistant.
+    Fisheye,
+    /// For very wide lenses.
+    DoubleSphere,
+}
+
+impl Model {
+    fn lens(self) -> Option<LensModel> {
+        match self {
+            Self::Auto => None,
+            Self::Pinhole => Some(LensModel::Pinhole),
+            Self::Brown4 => Some(LensModel::BrownConrady4),
+            Self::Brown5 => Some(LensModel::BrownConrady5),
+            Self::Brown8 => Some(LensModel::BrownConrady8),
+            Self::Fisheye => Some(LensModel::KannalaBrandt4),
+            Self::DoubleSphere => Some(LensModel::DoubleSphere),
+        }
+    }
+}
+
+/// Fewer different views determine no camera.
+const LEAST_VIEWS: usize = 3;
+
+/// A calibration with what it was made from.
+struct Calibrated {
+    board: Board,
+    search: Search,
+    /// Names of the views that were given to the calibration, in its order.
+    names: Vec<String>,
+    views: Vec<BoardView>,
+    guidance: Guidance,
+    calibration: Calibration,
+    /// For people: what was read.
+    description: String,
+    /// How long finding the board and calibrating took.
+    times: [Duration; 2],
+}
+
+/// Runs the command.
+pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
+    let board: Board = arguments.board.parse()?;
+    let output = Output::new(&arguments.output, arguments.report.as_deref(), arguments.force)?;
+    let options = SourceOptions {
+        start_s: arguments.start,
+        end_s: arguments.end,
+        every: arguments.every,
+        ..SourceOptions::default()
+    };
+    let started = Instant::now();
+    let mut input = Input::open(&arguments.sources, &options)?;
+    let selection =
+        SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
+    let mut search = search::search(&mut input, &board, selection, arguments.threads, arguments.quiet)?;
+    let searched = Instant::now();
+    let (guidance, chosen) = choose(&search, selection.most_views, &board, &input.description)?;
+    let (names, views): (Vec<_>, Vec<_>) = chosen
+        .into_iter()
+        .map(|sighting| (search.names[&sighting.number].clone(), sighting.view.clone()))
+        .unzip();
+    let config = CalibrationConfig {
+        model: arguments.model.lens(),
+        square_pixels: arguments.square_pixels,
+        centred: arguments.centred,
+        flat_board: !arguments.bent_board,
+    };
+    let calibration = odograph::calibration::calibrate(&board, &views, &config)
+        .map_err(|error| error.at(&input.description))?;
+    let times = [searched - started, searched.elapsed()];
+    if interrupt::asked() {
+        search
+            .warnings
+            .push(format!("interrupted: only the first {} frames were looked at", search.found.looked_at));
+    }
+    let description = input.description;
+    let calibrated = Calibrated { board, search, names, views, guidance, calibration, description, times };
+    output.write(&calibrated)?;
+    calibrated.search.warnings.iter().for_each(|warning| console::warn(warning));
+    if arguments.json {
+        console::print(&summary::json(&calibrated))?;
+    } else if !arguments.quiet {
+        console::print(&summary::text(&calibrated, &output))?;
+    }
+    Ok(match calibrated.calibration.verdict {
+        Verdict::DoItAgain => Outcome::NotToBeTrusted,
+        _ => Outcome::Done,
+    })
+}
+
+/// The views to calibrate with: all pictures, if there are not too many of them; otherwise those that tell most.
+fn choose<'a>(
+    search: &'a Search,
+    most_views: usize,
+    board: &Board,
+    place: &str,
+) -> Result<(Guidance, Vec<&'a Sighting>)> {
+    let seen = search.found.with_board;
+    if seen == 0 {
+        return Err(summary::nothing_found(search, board).at(place));
+    }
+    let distinct = search.selector.distinct();
+    if distinct < LEAST_VIEWS {
+        let alike = match (seen, distinct) {
+            (1, _) => "the board was seen in one view only".to_owned(),
+            (_, 0) => format!("the {seen} views of the board show too few of its points"),
+            (_, 1) => format!("all {seen} views show the board at the same place"),
+            _ => format!("the {seen} views show the board at only {distinct} different places"),
+        };
+        return Err(Error::input(format!(
+            "{alike}; show it at 15 to 40 places: in the corners of the image, near and far, and tilted to all sides"
+        ))
+        .at(place));
+    }
+    let guidance = search.selector.guidance();
+    let all = search.pictures.len() <= most_views && !search.pictures.is_empty();
+    let chosen = if all { search.pictures.iter().collect() } else { search.selector.chosen() };
+    Ok((guidance, chosen))
+}

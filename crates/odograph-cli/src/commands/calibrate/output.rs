@@ -1,0 +1,121 @@
+//! The camera file and the folder of its report.
+
+use super::{Calibrated, summary};
+use crate::files;
+use crate::report::calibration::{CalibrationReport, ExpectedError, Residual, ShownView};
+use odograph::error::{Error, Result};
+use odograph::formats::calibration_file;
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const PAGE: &str = "report.html";
+
+/// Where the results go.
+pub struct Output {
+    camera_file: PathBuf,
+    report: PathBuf,
+}
+
+impl Output {
+    /// Fails where results are already there and `force` does not allow to replace them, or where they cannot be written.
+    pub fn new(camera_file: &Path, report: Option<&Path>, force: bool) -> Result<Self> {
+        let Some(stem) = camera_file.file_stem().filter(|_| !camera_file.is_dir()) else {
+            return Err(Error::usage(format!(
+                "{} is a folder; the result is a file such as {}",
+                camera_file.display(),
+                camera_file.join("camera.yaml").display()
+            )));
+        };
+        let mut beside: OsString = stem.to_owned();
+        beside.push("-report");
+        let report = report.map_or_else(|| camera_file.with_file_name(beside), Path::to_owned);
+        if report.exists() && !report.is_dir() {
+            return Err(Error::usage(format!("{} is a file; the report needs a folder", report.display())));
+        }
+        let there = [camera_file.to_owned(), report.join(PAGE)];
+        if let Some(there) = there.iter().find(|path| path.exists() && !force) {
+            return Err(Error::usage(format!(
+                "{} is already there; choose another name, or --force to overwrite it",
+                there.display()
+            )));
+        }
+        let folder = match camera_file.parent() {
+            Some(folder) if folder != Path::new("") => folder,
+            _ => Path::new("."),
+        };
+        // Told before minutes of work and not after.
+        if !folder.is_dir() {
+            return Err(Error::usage(format!("{}: there is no such folder", folder.display())));
+        }
+        Ok(Self { camera_file: camera_file.to_owned(), report })
+    }
+
+    pub fn camera_file(&self) -> &Path {
+        &self.camera_file
+    }
+
+    pub fn report_page(&self) -> PathBuf {
+        self.report.join(PAGE)
+    }
+
+    /// Writes the report and then the camera file, so that where there is a camera file there is all of it.
+    pub fn write(&self, calibrated: &Calibrated) -> Result<()> {
+        let calibration = &calibrated.calibration;
+        let views = shown_views(calibrated);
+        let size = (calibration.camera.width(), calibration.camera.height());
+        let expected_error = ExpectedError::new(size, |pixel| calibration.expected_error_px(pixel));
+        let name = self.camera_file.file_name().unwrap_or_default().to_string_lossy();
+        let title = Path::new(&calibrated.description)
+            .file_name()
+            .map_or_else(|| calibrated.description.clone(), |name| name.to_string_lossy().into_owned());
+        let report = CalibrationReport {
+            title: &format!("Calibration with {title}"),
+            source: &calibrated.search.kind,
+            board: calibrated.board.to_string(),
+            pictures: !calibrated.search.pictures.is_empty(),
+            found: &calibrated.search.found,
+            camera: &calibration.camera,
+            model: calibration.model,
+            focal_px: summary::focal_px(calibration),
+            parameters: &calibration.parameters,
+            rms_px: calibration.rms_px,
+            hold_out_rms_px: calibration.hold_out_rms_px,
+            candidates: &calibration.candidates,
+            verdict: calibration.verdict,
+            reasons: &calibration.reasons,
+            views: &views,
+            expected_error: &expected_error,
+            guidance: &calibrated.guidance,
+            warnings: &calibrated.search.warnings,
+            camera_file: &name,
+        };
+        let files = report.files()?;
+        fs::create_dir_all(&self.report)
+            .map_err(|error| Error::output(format!("{} cannot be made: {error}", self.report.display())))?;
+        for (name, bytes) in &files {
+            files::write(&self.report.join(name), bytes)?;
+        }
+        let text = calibration_file::write(calibration, &calibrated.board);
+        files::write(&self.camera_file, text.as_bytes())
+    }
+}
+
+fn shown_views(calibrated: &Calibrated) -> Vec<ShownView> {
+    let views = calibrated.calibration.views.iter().zip(&calibrated.views).zip(&calibrated.names);
+    views
+        .map(|((view, seen), name)| ShownView {
+            name: name.clone(),
+            residuals: view
+                .residuals
+                .iter()
+                .filter_map(|&(index, dx_px, dy_px)| {
+                    let at = seen.points.binary_search_by_key(&index, |point| point.index).ok()?;
+                    Some(Residual { seen: seen.points[at].pixel, dx_px, dy_px })
+                })
+                .collect(),
+            rms_px: view.rms_px,
+            why_not: (!view.used).then(|| view.why_not.clone().unwrap_or_else(|| "not used".to_owned())),
+        })
+        .collect()
+}

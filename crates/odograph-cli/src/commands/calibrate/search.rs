@@ -1,0 +1,237 @@
+//! Decode | find the board | choose, side by side. The order of frames is kept, so any number of threads gives the same result.
+
+use super::input::{Input, Look};
+use crate::interrupt;
+use crate::report::calibration::Found;
+use indicatif::{ProgressBar, ProgressStyle};
+use odograph::calibration::selection::{SelectionConfig, Sighting, ViewSelector, blur_px};
+use odograph::calibration::{Board, BoardFinder, BoardView, NotFound};
+use odograph::error::{Error, Result};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, mpsc};
+use std::thread;
+
+/// What a search has found.
+pub struct Search {
+    pub found: Found,
+    pub selector: ViewSelector,
+    /// The sightings in pictures, while there are few enough of them that all can be used.
+    pub pictures: Vec<Sighting>,
+    /// Names of the sightings, by their numbers.
+    pub names: BTreeMap<u64, String>,
+    pub warnings: Vec<String>,
+    /// What kind of recording it was, in words.
+    pub kind: String,
+}
+
+/// What became of one frame.
+struct Looked {
+    name: String,
+    time_s: Option<f64>,
+    picture: bool,
+    /// The board and how blurred it is, or why it was not found.
+    outcome: std::result::Result<(BoardView, Option<f64>), NotFound>,
+}
+
+/// So many pictures without the board are named.
+const MOST_NAMED: usize = 100;
+/// So many different reasons are counted: boards of other sizes could be as many as there are frames.
+const MOST_REASONS: usize = 8;
+
+/// Looks for the board in every frame.
+pub fn search(
+    input: &mut Input,
+    board: &Board,
+    selection: SelectionConfig,
+    threads: Option<u16>,
+    quiet: bool,
+) -> Result<Search> {
+    let finder = BoardFinder::new(board);
+    let mut gathering = Gathering {
+        search: Search {
+            found: Found::default(),
+            selector: ViewSelector::new(board, selection),
+            pictures: Vec::new(),
+            names: BTreeMap::new(),
+            warnings: Vec::new(),
+            kind: input.kind(),
+        },
+        most_views: selection.most_views,
+        photographs: input.frame_count.is_some_and(|count| count <= selection.most_views as u64),
+        reasons: Vec::new(),
+        only_pictures: true,
+        progress: progress(input.frame_count, quiet),
+    };
+    let available = || thread::available_parallelism().map_or(1, usize::from);
+    let outcome = match threads.map_or_else(available, usize::from) {
+        1 => one_by_one(input, &finder, &mut gathering),
+        threads => side_by_side(input, &finder, &mut gathering, threads),
+    };
+    gathering.progress.finish_and_clear();
+    let mut search = gathering.finished();
+    search.warnings = input.take_warnings();
+    outcome.map(|()| search)
+}
+
+fn one_by_one(input: &mut Input, finder: &BoardFinder, gathering: &mut Gathering) -> Result<()> {
+    while let Some(frame) = next(input)? {
+        gathering.add(look(finder, frame));
+    }
+    Ok(())
+}
+
+fn side_by_side(
+    input: &mut Input,
+    finder: &BoardFinder,
+    gathering: &mut Gathering,
+    threads: usize,
+) -> Result<()> {
+    thread::scope(|scope| -> Result<()> {
+        let (frames_in, frames_out) = mpsc::sync_channel::<Look>(threads);
+        let (looked_in, looked_out) = mpsc::sync_channel::<(u64, Looked)>(threads);
+        let decoder = scope.spawn(move || -> Result<()> {
+            while let Some(frame) = next(input)? {
+                if frames_in.send(frame).is_err() {
+                    break; // the finders have ended
+                }
+            }
+            Ok(())
+        });
+        let frames_out = Arc::new(Mutex::new(frames_out));
+        for _ in 0..threads {
+            let (frames_out, looked_in) = (Arc::clone(&frames_out), looked_in.clone());
+            scope.spawn(move || {
+                loop {
+                    let frame = frames_out.lock().ok().and_then(|queue| queue.recv().ok());
+                    let Some(frame) = frame else { return };
+                    let number = frame.number;
+                    if looked_in.send((number, look(finder, frame))).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        // Only the threads hold the queues now: they go when the threads do.
+        drop((frames_out, looked_in));
+        let mut waiting = BTreeMap::new();
+        let mut next = 0;
+        for (number, looked) in looked_out {
+            waiting.insert(number, looked);
+            while let Some(looked) = waiting.remove(&next) {
+                gathering.add(looked);
+                next += 1;
+            }
+        }
+        let died = |_| Error::input("the decoder ended unexpectedly; please report this recording");
+        decoder.join().map_err(died)?
+    })
+}
+
+fn next(input: &mut Input) -> Result<Option<Look>> {
+    if interrupt::asked() { Ok(None) } else { input.next() }
+}
+
+fn look(finder: &BoardFinder, frame: Look) -> Looked {
+    let outcome = finder.find(&frame.image).map(|view| {
+        let blur_px = blur_px(&frame.image, &view);
+        (view, blur_px)
+    });
+    Looked { name: frame.name, time_s: frame.time_s, picture: frame.picture, outcome }
+}
+
+/// What has been found so far, frame by frame in their order.
+struct Gathering {
+    search: Search,
+    most_views: usize,
+    /// Whether pictures are so few that they were taken one by one, and their times say nothing about how the board moved.
+    photographs: bool,
+    /// The first of each kind, and how often it came.
+    reasons: Vec<(NotFound, u64)>,
+    only_pictures: bool,
+    progress: ProgressBar,
+}
+
+impl Gathering {
+    fn add(&mut self, looked: Looked) {
+        let search = &mut self.search;
+        let number = search.found.looked_at;
+        search.found.looked_at += 1;
+        self.only_pictures &= looked.picture;
+        self.progress.inc(1);
+        match looked.outcome {
+            Ok((view, blur_px)) => {
+                search.found.with_board += 1;
+                let time_s = looked.time_s.filter(|_| !(self.photographs && looked.picture));
+                let sighting = Sighting { number, time_s, view, blur_px };
+                search.names.insert(number, looked.name);
+                // One more than can be used tells that there are too many.
+                if looked.picture && search.pictures.len() <= self.most_views {
+                    search.pictures.push(sighting.clone());
+                }
+                search.selector.add(sighting);
+                self.say_what_is_missing();
+            }
+            Err(why) => {
+                if looked.picture && search.found.pictures_without.len() < MOST_NAMED {
+                    search.found.pictures_without.push((looked.name, why.to_string()));
+                }
+                match self.reasons.iter().position(|(reason, _)| alike(reason, &why)) {
+                    Some(at) => self.reasons[at].1 += 1,
+                    None if self.reasons.len() < MOST_REASONS => self.reasons.push((why, 1)),
+                    None => {}
+                }
+            }
+        }
+    }
+
+    /// Tells the person before the camera, where there is one and a terminal.
+    fn say_what_is_missing(&self) {
+        // Guidance costs about as much as a frame.
+        const EVERY: usize = 10;
+        let selector = &self.search.selector;
+        if self.progress.is_hidden() || !selector.sightings().is_multiple_of(EVERY) {
+            return;
+        }
+        let guidance = selector.guidance();
+        let hints = guidance.missing.iter().take(2).map(|hint| format!(" · {hint}"));
+        self.progress.set_message(format!(
+            ", board in {}, {} chosen{}",
+            self.search.found.with_board,
+            guidance.views,
+            hints.collect::<String>()
+        ));
+    }
+
+    fn finished(mut self) -> Search {
+        // The most frequent first; of equals the first.
+        self.reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        self.search.found.reasons =
+            self.reasons.into_iter().map(|(why, count)| (why.to_string(), count)).collect();
+        if !self.only_pictures {
+            self.search.pictures.clear();
+        }
+        self.search
+    }
+}
+
+/// Whether two reasons are one to a person. A board of another size is one each time it is seen whole.
+fn alike(one: &NotFound, other: &NotFound) -> bool {
+    match one {
+        NotFound::OtherSize { .. } => one == other,
+        _ => std::mem::discriminant(one) == std::mem::discriminant(other),
+    }
+}
+
+/// A bar where the number of frames is known, a count where not; nothing where standard error is no terminal.
+fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+    let template =
+        if frames.is_some() { "{bar:12} {pos}/{len} frames{wide_msg}" } else { "{pos} frames{wide_msg}" };
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
+}

@@ -1,0 +1,150 @@
+//! What is said on the terminal: the verdict first, then what to look at and what to do next.
+
+use super::Calibrated;
+use super::output::Output;
+use super::search::Search;
+use crate::report::calibration::{lens_name, pixels_text};
+use odograph::calibration::{Board, BoardKind, Calibration, Verdict};
+use odograph::error::Error;
+use odograph::mapping::drawing::scale::label;
+use std::fmt::Write;
+
+/// Why there is nothing to calibrate with, and what to do.
+pub fn nothing_found(search: &Search, board: &Board) -> Error {
+    let looked_at = match search.found.looked_at {
+        0 => return Error::input("it has no frame in the chosen range"),
+        1 => "the one picture".to_owned(),
+        n => format!("any of {n} frames"),
+    };
+    let why = search.found.reasons.first().map_or_else(String::new, |(reason, count)| {
+        if *count == search.found.looked_at { format!(" ({reason})") } else { format!(" (mostly: {reason})") }
+    });
+    let check = match board.kind() {
+        BoardKind::Chessboard => {
+            "count its inner corners, one less than squares, and keep the whole board in the image"
+        }
+        BoardKind::Circles | BoardKind::AsymmetricCircles => {
+            "count its discs again and keep the whole board in the image"
+        }
+        BoardKind::Charuco { .. } => "count its squares again and check the dictionary of its markers",
+        _ => "count its tags again and check that they are of the family 36h11",
+    };
+    Error::input(format!("the board {board} was not found in {looked_at}{why}; {check}"))
+}
+
+/// The summary of a calibration.
+pub fn text(calibrated: &Calibrated, output: &Output) -> String {
+    let calibration = &calibrated.calibration;
+    let verdict = match calibration.verdict {
+        Verdict::Good => "Good",
+        Verdict::Usable => "Usable",
+        Verdict::DoItAgain => "Do it again",
+    };
+    let found = &calibrated.search.found;
+    let mut text = format!(
+        "{verdict}: {} from {} views ({} on views held out), board found in {} of {} {}\n",
+        pixels_text(calibration.rms_px),
+        calibration.views_used(),
+        pixels_text(calibration.hold_out_rms_px),
+        found.with_board,
+        found.looked_at,
+        if calibrated.search.pictures.is_empty() { "frames" } else { "pictures" },
+    );
+    for reason in calibration.reasons.iter().take(3) {
+        let _ = writeln!(text, "  · {reason}");
+    }
+    let (camera, (focal_px, deviation_px)) = (&calibration.camera, focal_px(calibration));
+    let (fx, fy) = camera.focal_px();
+    let deviation_of =
+        |name: &str| calibration.parameters.iter().find(|p| p.name == name).map_or(0.0, |p| p.deviation);
+    let step = |deviation: f64| if deviation < 0.05 { 0.01 } else { 0.1 };
+    let middle_deviation_px = deviation_of("cx").max(deviation_of("cy"));
+    let (focal_step, middle_step) = (step(deviation_px), step(middle_deviation_px));
+    let down =
+        if fx == fy { String::new() } else { format!(" and {}", label(focal_px * fy / fx, focal_step)) };
+    let _ = writeln!(
+        text,
+        "focal length {}{down} ± {} px, principal point {}, {} ± {} px; {}",
+        label(focal_px, focal_step),
+        label(deviation_px, focal_step),
+        label(camera.principal_px().0, middle_step),
+        label(camera.principal_px().1, middle_step),
+        label(middle_deviation_px, middle_step),
+        lens_name(calibration.model)
+    );
+    // Most important first; the report has them all.
+    if calibration.verdict != Verdict::Good {
+        let hints: Vec<String> =
+            calibrated.guidance.missing.iter().take(3).map(ToString::to_string).collect();
+        if !hints.is_empty() {
+            let _ = writeln!(text, "Next time: {}", hints.join("; "));
+        }
+    }
+    let _ = writeln!(text, "Look at {}", output.report_page().display());
+    let camera = output.camera_file().display();
+    match calibration.verdict {
+        Verdict::DoItAgain => {
+            let _ = writeln!(text, "{camera} has been written all the same");
+        }
+        _ => {
+            let _ = writeln!(
+                text,
+                "Next: odograph ground floor.jpg --board {} --camera {camera} -o rig.toml\n      odograph run drive.mp4 --camera {camera} --rig rig.toml -o drive/",
+                calibrated.board
+            );
+        }
+    }
+    text
+}
+
+/// Pixels per tangent on the axis across the image, and their standard deviation: what people mean by the focal length.
+///
+/// The double sphere's own focal length is `1 + ξ` times as large, and hardly known by itself (V. Usenko et al., 2018, section 3.5).
+pub fn focal_px(calibration: &Calibration) -> (f64, f64) {
+    let place = |names: &[&str]| calibration.parameters.iter().position(|p| names.contains(&p.name));
+    let Some(focal) = place(&["fx", "f"]) else { return (calibration.camera.focal_px().0, 0.0) };
+    let (parameters, covariance) = (&calibration.parameters, &calibration.covariance);
+    let value = parameters[focal].value;
+    let Some(xi) = place(&["xi"]) else { return (value, parameters[focal].deviation) };
+    let scale = 1.0 / (1.0 + parameters[xi].value);
+    let (by_focal, by_xi) = (scale, -value * scale * scale);
+    let variance = by_focal * by_focal * covariance[(focal, focal)]
+        + 2.0 * by_focal * by_xi * covariance[(focal, xi)]
+        + by_xi * by_xi * covariance[(xi, xi)];
+    (value * scale, variance.max(0.0).sqrt())
+}
+
+/// The figures of a calibration for other programs, on one line.
+pub fn json(calibrated: &Calibrated) -> String {
+    let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
+    let parameters: serde_json::Map<String, serde_json::Value> = calibration
+        .parameters
+        .iter()
+        .map(|p| (p.name.to_owned(), serde_json::json!({ "value": p.value, "deviation": p.deviation })))
+        .collect();
+    let left_out: Vec<_> = calibration
+        .views
+        .iter()
+        .zip(&calibrated.names)
+        .filter(|(view, _)| !view.used)
+        .map(|(view, name)| serde_json::json!({ "view": name, "why": view.why_not }))
+        .collect();
+    let [find, solve] = calibrated.times.map(|time| time.as_secs_f64());
+    let figures = serde_json::json!({
+        "verdict": calibration.verdict.to_string(),
+        "reasons": calibration.reasons,
+        "model": calibration.model.name(),
+        "looked_at": found.looked_at,
+        "with_board": found.with_board,
+        "views_given": calibration.views.len(),
+        "views_used": calibration.views_used(),
+        "left_out": left_out,
+        "rms_px": calibration.rms_px,
+        "hold_out_rms_px": calibration.hold_out_rms_px,
+        "expected_error_px": calibration.expected_error_over_image_px(),
+        "parameters": parameters,
+        "missing": calibrated.guidance.missing.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "seconds": { "find": find, "solve": solve },
+    });
+    format!("{figures}\n")
+}

@@ -1,0 +1,222 @@
+//! `odograph ground`: how the camera sits over the floor.
+
+mod board;
+mod driving;
+mod picture;
+
+use crate::{Outcome, console, files};
+use odograph::camera::Camera;
+use odograph::error::{Error, Result};
+use odograph::formats::{camera_file, rig_file};
+use odograph::geometry::Pixel;
+use odograph::image::RgbImage;
+use odograph::mounting::{BoardDirection, CameraUncertainty, MeasuredRig};
+use odograph_video::SourceOptions;
+use std::path::{Path, PathBuf};
+
+/// Measure how the camera sits over the floor: height, roll, pitch and mount yaw, from pictures of a board that lies on it or from driving.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct GroundArguments {
+    /// With --board, pictures, folders or clips in which the board lies on the floor; otherwise one recording of driving.
+    #[arg(value_name = "SOURCE", required = true)]
+    sources: Vec<String>,
+    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
+    #[arg(long, value_name = "FILE")]
+    camera: PathBuf,
+    /// Rig file to write; a picture of the same name that ends in .png is put beside it.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// The board on the floor, such as charuco:8x11:20mm or chessboard:9x6:25mm.
+    #[arg(long, value_name = "BOARD")]
+    board: Option<String>,
+    /// With --board: how far its printed side is above the floor, such as 5mm. [default: 0mm]
+    #[arg(long, value_name = "LENGTH", value_parser = length, requires = "board")]
+    thickness: Option<f64>,
+    /// With --board: the direction of the print that points along the carrier's forward, x to its right, y down it; without this the
+    /// mount yaw is not measured.
+    #[arg(long, value_name = "x|-x|y|-y", value_parser = direction, allow_hyphen_values = true, requires = "board")]
+    forward: Option<BoardDirection>,
+    /// Without --board: the height of the camera above the floor, metres.
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with = "board")]
+    height: Option<f64>,
+    /// Without --board: how far the camera was driven in the recording, metres along its path; tells the height.
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
+    distance: Option<f64>,
+    /// Without --board: a rig file to begin with, where the camera is tilted by more than ten degrees.
+    #[arg(long, value_name = "FILE", conflicts_with = "board")]
+    rig: Option<PathBuf>,
+    /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
+    #[arg(long, value_name = "FILE")]
+    timestamps: Option<PathBuf>,
+    /// Frames a second, where the source does not say.
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    fps: Option<f64>,
+    /// Begin so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    start: Option<f64>,
+    /// End so many seconds after the first frame.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    end: Option<f64>,
+    /// Take every n-th frame.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    every: u64,
+    /// Overwrite results that are already there.
+    #[arg(long)]
+    force: bool,
+    /// Say nothing but errors and warnings.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph ground floor.jpg --board charuco:8x11:20mm --camera camera.yaml -o rig.toml
+  odograph ground floor*.jpg --board chessboard:9x6:25mm --thickness 5mm --forward x --camera camera.yaml -o rig.toml
+  odograph ground drive.mp4 --camera camera.yaml --height 0.75 -o rig.toml      # roll and pitch from driving 5 m
+  odograph ground drive.mp4 --camera camera.yaml --distance 6.20 -o rig.toml    # and the height";
+
+/// What was measured, and what it is shown by.
+struct Measured {
+    rig: MeasuredRig,
+    /// Lines for people: what it was measured from.
+    summary: String,
+    warnings: Vec<String>,
+    /// A frame, and the board's points in it.
+    frame: RgbImage,
+    points: Vec<Pixel>,
+    /// Whether the carrier's forward is known.
+    forward_known: bool,
+}
+
+/// Runs the command.
+pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
+    let picture_path = picture_path(&arguments.output)?;
+    for path in [&arguments.output, &picture_path] {
+        if path.exists() && !arguments.force {
+            return Err(Error::usage(format!(
+                "{} is already there; choose another name or give --force",
+                path.display()
+            )));
+        }
+    }
+    let measured = match &arguments.board {
+        Some(board) => board::measure(&arguments, board.parse()?)?,
+        None => driving::measure(&arguments)?,
+    };
+    let camera = read_camera(&arguments.camera, size_of(&measured.frame))?.0;
+    let drawn = picture::drawn(&camera, &measured)?;
+    files::write(&arguments.output, rig_file::write_measured(&measured.rig).as_bytes())?;
+    files::write(&picture_path, &drawn)?;
+    measured.warnings.iter().for_each(|warning| console::warn(warning));
+    if !arguments.quiet {
+        console::print(&format!(
+            "{}{}\nWrote {}; look at {}\n",
+            figures(&measured),
+            measured.summary,
+            arguments.output.display(),
+            picture_path.display()
+        ))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn picture_path(output: &Path) -> Result<PathBuf> {
+    let picture = output.with_extension("png");
+    if output.file_name().is_none() || picture == output {
+        return Err(Error::usage(format!(
+            "{} is no name for a rig file; take one such as rig.toml",
+            output.display()
+        )));
+    }
+    Ok(picture)
+}
+
+fn size_of(image: &RgbImage) -> (usize, usize) {
+    (image.width(), image.height())
+}
+
+/// The camera of the file for frames of a size, and how well it is known, where the file says so.
+fn read_camera(path: &Path, size: (usize, usize)) -> Result<(Camera, Option<CameraUncertainty>)> {
+    let text = files::read_text(path)?;
+    let in_file = |error: Error| error.at(path.display());
+    let camera = camera_file::parse(&text, Some(size)).map_err(in_file)?;
+    if (camera.width(), camera.height()) != size {
+        return Err(Error::input(format!(
+            "the frames are {}x{} but the camera is calibrated for {}x{}; calibrate at their size",
+            size.0,
+            size.1,
+            camera.width(),
+            camera.height(),
+        )));
+    }
+    Ok((camera, camera_file::parse_uncertainty(&text).map_err(in_file)?))
+}
+
+impl GroundArguments {
+    fn source_options(&self) -> SourceOptions {
+        SourceOptions {
+            timestamps: self.timestamps.clone(),
+            fps: self.fps,
+            start_s: self.start,
+            end_s: self.end,
+            every: self.every,
+            color: true,
+            ..SourceOptions::default()
+        }
+    }
+}
+
+/// The numbers of the rig with their deviations, a line each.
+fn figures(measured: &Measured) -> String {
+    let MeasuredRig { rig, deviations } = measured.rig;
+    let within = |deviation: Option<f64>, unit: f64, name: &str, otherwise: &str| {
+        deviation.map_or(otherwise.to_owned(), |value| format!("± {:.3}{name}", value * unit))
+    };
+    let degrees = |angle: f64, deviation: Option<f64>| {
+        format!(
+            "{:.3}° {}",
+            angle.to_degrees(),
+            within(deviation, 180.0 / std::f64::consts::PI, "°", "(given)")
+        )
+    };
+    let yaw = if measured.forward_known {
+        format!(
+            "{}, from forward to the top of the image, counter-clockwise",
+            degrees(rig.yaw_rad, deviations.yaw_rad)
+        )
+    } else {
+        "not measured: the top of the image is taken as forward".to_owned()
+    };
+    format!(
+        "height  {:.4} m {}\nroll    {}, positive with the left side of the image raised\npitch   {}, positive when the camera looks \
+         backwards\nyaw     {yaw}\n",
+        rig.height_m,
+        within(deviations.height_m, 1e3, " mm", "(given)"),
+        degrees(rig.roll_rad, deviations.roll_rad),
+        degrees(rig.pitch_rad, deviations.pitch_rad),
+    )
+}
+
+/// A length with its unit, in metres.
+fn length(text: &str) -> std::result::Result<f64, String> {
+    let wrong = || format!("`{text}` is not a length with its unit, such as 5mm");
+    let (number, metres) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
+        .iter()
+        .find_map(|(unit, metres)| Some((text.strip_suffix(unit)?, metres)))
+        .ok_or_else(wrong)?;
+    let number: f64 = number.trim().parse().map_err(|_| wrong())?;
+    if number.is_finite() && number >= 0.0 { Ok(number * metres) } else { Err(wrong()) }
+}
+
+fn direction(text: &str) -> std::result::Result<BoardDirection, String> {
+    match text {
+        "x" | "+x" => Ok(BoardDirection::X),
+        "-x" => Ok(BoardDirection::MinusX),
+        "y" | "+y" => Ok(BoardDirection::Y),
+        "-y" => Ok(BoardDirection::MinusY),
+        _ => Err(format!(
+            "`{text}` is no direction of the board; there are x (to the right of the print), -x, y (down the print) and -y"
+        )),
+    }
+}

@@ -1,0 +1,164 @@
+//! The rig from pictures and clips of a board on the floor.
+
+use super::{GroundArguments, Measured, read_camera};
+use crate::interrupt;
+use odograph::calibration::{Board, BoardFinder, BoardView};
+use odograph::error::{Error, Result};
+use odograph::image::RgbImage;
+use odograph::mounting::{BoardMounting, FloorBoard, rig_from_boards};
+
+/// More views than this tell no more.
+const MOST_VIEWS: usize = 100;
+
+/// A frame in which the board has moved by less than this since the last view shows the same again, pixels.
+const MOVED_PX: f64 = 3.0;
+
+/// Why a picture did not help is told for at most so many.
+const MOST_TOLD: usize = 8;
+
+/// What was found in all sources.
+struct Found {
+    views: Vec<BoardView>,
+    names: Vec<String>,
+    frames: usize,
+    /// Frames that show the board where it was before.
+    still: usize,
+    /// Names of the frames without the board, and why.
+    without: Vec<(String, String)>,
+    first: Option<RgbImage>,
+    warnings: Vec<String>,
+}
+
+pub fn measure(arguments: &GroundArguments, board: Board) -> Result<Measured> {
+    let floor =
+        FloorBoard { board, thickness_m: arguments.thickness.unwrap_or(0.0), forward: arguments.forward };
+    let found = look(arguments, &board)?;
+    let Some(frame) = found.first else {
+        let why = found
+            .without
+            .first()
+            .map_or("there is no picture".to_owned(), |(name, why)| format!("{why} in {name}"));
+        return Err(Error::input(format!(
+            "no {board} lies on the floor in any of the {} pictures: {why}",
+            found.frames
+        )));
+    };
+    let size = found.views[0].size;
+    let (camera, uncertainty) = read_camera(&arguments.camera, size)?;
+    let mounting = rig_from_boards(&camera, uncertainty.as_ref(), &floor, &found.views)?;
+    let mut warnings = found.warnings;
+    for (name, why) in found.without.iter().take(MOST_TOLD) {
+        warnings.push(format!("{name} is left out: {why}"));
+    }
+    if found.without.len() > MOST_TOLD {
+        warnings.push(format!("{} more pictures show no board", found.without.len() - MOST_TOLD));
+    }
+    for (view, name) in mounting.views.iter().zip(&found.names) {
+        if let Some(why) = &view.why_not {
+            warnings.push(format!("{name} is left out: {why}"));
+        }
+    }
+    warnings.extend(mounting.notes.iter().cloned());
+    if uncertainty.is_none() {
+        warnings.push(
+            "the camera file does not say how well the camera is known, so the deviations are those of the board's points alone".to_owned(),
+        );
+    }
+    Ok(Measured {
+        rig: mounting.measured,
+        summary: summary(&board, &mounting, &found.names, found.still),
+        warnings,
+        points: found.views[0].points.iter().map(|point| point.pixel).collect(),
+        frame,
+        forward_known: mounting.measured.deviations.yaw_rad.is_some(),
+    })
+}
+
+/// Looks for the board in every frame of every source.
+fn look(arguments: &GroundArguments, board: &Board) -> Result<Found> {
+    let finder = BoardFinder::new(board);
+    let mut found = Found {
+        views: Vec::new(),
+        names: Vec::new(),
+        frames: 0,
+        still: 0,
+        without: Vec::new(),
+        first: None,
+        warnings: Vec::new(),
+    };
+    for path in &arguments.sources {
+        let mut source = odograph_video::open(path, &arguments.source_options())?;
+        let single = source.info().frame_count == Some(1);
+        while let Some(frame) = source.next_frame()? {
+            if interrupt::asked() || found.views.len() >= MOST_VIEWS {
+                break;
+            }
+            found.frames += 1;
+            let name = if single { path.clone() } else { format!("frame {} of {path}", frame.number) };
+            match finder.find(&frame.gray) {
+                Err(why) => found.without.push((name, why.to_string())),
+                Ok(view) if found.views.last().is_some_and(|last| is_same(last, &view)) => found.still += 1,
+                Ok(view) => {
+                    if found.first.is_none() {
+                        found.first = Some(frame.rgb());
+                    }
+                    found.views.push(view);
+                    found.names.push(name);
+                }
+            }
+        }
+        // When pictures were taken does not matter here.
+        let warnings = source.take_warnings();
+        found.warnings.extend(warnings.into_iter().filter(|w| !w.contains("when the frames were taken")));
+    }
+    Ok(found)
+}
+
+/// Whether the board is where it was.
+fn is_same(last: &BoardView, view: &BoardView) -> bool {
+    if last.size != view.size {
+        return false;
+    }
+    let mut moved: Vec<f64> = Vec::new();
+    for point in &view.points {
+        if let Ok(index) = last.points.binary_search_by_key(&point.index, |seen| seen.index) {
+            moved.push(point.pixel.distance(last.points[index].pixel));
+        }
+    }
+    !moved.is_empty() && moved.iter().sum::<f64>() / (moved.len() as f64) < MOVED_PX
+}
+
+/// A table of the views, and what they were made of.
+fn summary(board: &Board, mounting: &BoardMounting, names: &[String], still: usize) -> String {
+    let used = mounting.views.iter().filter(|view| view.why_not.is_none()).count();
+    let mut text = format!("\n{used} of {} views of {board}", mounting.views.len());
+    if still > 0 {
+        text += &format!(" ({still} more frames show it where it was before)");
+    }
+    text.push('\n');
+    if mounting.views.len() > 1 {
+        let [height, roll, pitch] = mounting.scatter;
+        text += &format!(
+            "from view to view, beyond the noise: height {:.2} mm, roll {:.3}°, pitch {:.3}°\n",
+            height * 1e3,
+            roll.to_degrees(),
+            pitch.to_degrees()
+        );
+    }
+    let width = names.iter().map(|name| name.chars().count()).max().unwrap_or(0).min(40);
+    for (view, name) in mounting.views.iter().zip(names) {
+        let Some(pose) = view.pose else {
+            text += &format!("  {name:<width$}  left out\n");
+            continue;
+        };
+        text += &format!(
+            "  {name:<width$}  {:.4} m  {:8.3}°  {:8.3}°  rms {:.3} px{}\n",
+            pose.height_m,
+            pose.roll_rad.to_degrees(),
+            pose.pitch_rad.to_degrees(),
+            view.rms_px,
+            if view.why_not.is_some() { "  left out" } else { "" }
+        );
+    }
+    text
+}

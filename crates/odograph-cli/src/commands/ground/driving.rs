@@ -1,0 +1,172 @@
+//! Roll and pitch, and with a known distance the height, from a recording of driving.
+
+use super::{GroundArguments, Measured, read_camera};
+use crate::{files, interrupt};
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::formats::rig_file;
+use odograph::image::RgbImage;
+use odograph::mounting::{DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement};
+use odograph::odometry::{Odometry, OdometryConfig};
+
+/// One pass over the recording.
+struct Pass {
+    driven: DrivenTilt,
+    found: TiltMeasurement,
+    frame: RgbImage,
+    warnings: Vec<String>,
+}
+
+/// The tracks are followed once more where the first pass began further off than this, degrees: the shapes in which patches were
+/// expected depend on the tilt.
+const AGAIN_DEG: f64 = 0.1;
+
+pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
+    let [path] = arguments.sources.as_slice() else {
+        return Err(Error::usage(
+            "give one recording of driving, or --board BOARD for pictures of a board on the floor",
+        ));
+    };
+    if path == "-" {
+        return Err(Error::usage(
+            "a recording of driving is read twice and cannot come from standard input; give a file",
+        ));
+    }
+    let given_m = match (arguments.height, arguments.distance) {
+        (Some(height_m), _) => height_m,
+        (None, Some(distance_m)) if distance_m.is_finite() && distance_m > 0.0 => 1.0,
+        (None, Some(distance_m)) => {
+            return Err(Error::usage(format!(
+                "a distance of {distance_m} m is not usable; it must be a positive number of metres"
+            )));
+        }
+        (None, None) => {
+            return Err(Error::usage(
+                "driving alone does not tell the height; give --height METRES, or --distance METRES as driven in the recording, or \
+                 --board BOARD for pictures of a board on the floor",
+            ));
+        }
+    };
+    let begin = match &arguments.rig {
+        Some(path) => rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?,
+        None => Rig::level(1.0),
+    };
+    let mut rig = Rig { height_m: given_m, ..begin }.validated()?;
+    let size = {
+        let source = odograph_video::open(path, &arguments.source_options())?;
+        (source.info().width, source.info().height)
+    };
+    let (camera, _) = read_camera(&arguments.camera, size)?;
+    let mut pass = follow(arguments, path, &camera, rig)?;
+    for _ in 0..MOST_PASSES {
+        let off_rad = (pass.found.roll_rad - rig.roll_rad).hypot(pass.found.pitch_rad - rig.pitch_rad);
+        if off_rad < AGAIN_DEG.to_radians() || interrupt::asked() {
+            break;
+        }
+        rig = Rig { roll_rad: pass.found.roll_rad, pitch_rad: pass.found.pitch_rad, ..rig };
+        pass = follow(arguments, path, &camera, rig)?;
+    }
+    let found = &pass.found;
+    if let Revealed::NotAll { worst, deviation_rad } = found.revealed {
+        return Err(Error::input(not_revealed(path, worst, deviation_rad)));
+    }
+    let (height_m, height_deviation_m) = match arguments.distance {
+        None => (given_m, None),
+        Some(distance_m) => by_distance(path, &pass.driven, distance_m)?,
+    };
+    let mut warnings = pass.warnings;
+    let lost = pass.driven.lost_fraction();
+    if lost > 0.0 {
+        warnings.push(format!("{:.1} % of the frames could not be followed", 100.0 * lost));
+    }
+    Ok(Measured {
+        rig: MeasuredRig {
+            rig: Rig {
+                height_m,
+                roll_rad: found.roll_rad,
+                pitch_rad: found.pitch_rad,
+                yaw_rad: begin.yaw_rad,
+            },
+            deviations: RigDeviations {
+                height_m: height_deviation_m,
+                roll_rad: Some(found.covariance[(0, 0)].sqrt()),
+                pitch_rad: Some(found.covariance[(1, 1)].sqrt()),
+                yaw_rad: None,
+            },
+        },
+        summary: summary(found),
+        warnings,
+        frame: pass.frame,
+        points: Vec::new(),
+        forward_known: false,
+    })
+}
+
+/// After so many more passes the tilt has settled to a hundredth of what is asked.
+const MOST_PASSES: usize = 2;
+
+/// Follows the whole recording and solves for its tilt.
+fn follow(arguments: &GroundArguments, path: &str, camera: &Camera, rig: Rig) -> Result<Pass> {
+    let mut source = odograph_video::open(path, &arguments.source_options())?;
+    let mut odometry = Odometry::new(camera.clone(), rig, OdometryConfig::default())?;
+    let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
+    let mut last = None;
+    while let Some(frame) = source.next_frame()? {
+        if interrupt::asked() {
+            break;
+        }
+        if last.is_none() {
+            last = Some(frame.rgb());
+        }
+        let estimate = odometry.process(frame.gray, frame.time_s)?;
+        driven.watch(&estimate, odometry.tracks());
+    }
+    let frame = last.ok_or_else(|| Error::input(format!("{path} has no frame in the chosen range")))?;
+    let found = driven.solve(&rig).map_err(|error| error.at(path))?;
+    Ok(Pass { driven, found, frame, warnings: source.take_warnings() })
+}
+
+fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
+    let [roll, pitch] = worst.map(f64::abs);
+    let which = if roll > 2.0 * pitch {
+        "the roll"
+    } else if pitch > 2.0 * roll {
+        "the pitch"
+    } else {
+        "roll and pitch together"
+    };
+    format!(
+        "{path}: this driving does not tell {which} (only to ± {:.1}°); drive at least 5 m over well-textured flat floor, with turns to both sides",
+        deviation_rad.to_degrees()
+    )
+}
+
+fn by_distance(path: &str, driven: &DrivenTilt, distance_m: f64) -> Result<(f64, Option<f64>)> {
+    let (length, deviation) = driven.path_length_m().ok_or_else(|| {
+        Error::input(format!(
+            "{path}: the camera's path is broken where it could not be followed, so its length is not known; give --height, or \
+             --start and --end around a part without a break"
+        ))
+    })?;
+    if length < LEAST_HEIGHTS {
+        return Err(Error::input(format!(
+            "{path}: the camera moved by {length:.2} of its height only; a distance tells the height from {LEAST_HEIGHTS:.0} heights on"
+        )));
+    }
+    let height_m = distance_m / length;
+    Ok((height_m, Some(height_m * deviation / length)))
+}
+
+/// A shorter path is a poor measure.
+const LEAST_HEIGHTS: f64 = 2.0;
+
+fn summary(found: &TiltMeasurement) -> String {
+    format!(
+        "\n{} pairs of views from {} keyframes, rms {:.3} px\nfrom keyframe to keyframe, beyond the noise: roll {:.3}°, pitch {:.3}°\n",
+        found.pairs,
+        found.keyframes,
+        found.rms_px,
+        found.scatter_rad[0].to_degrees(),
+        found.scatter_rad[1].to_degrees()
+    )
+}

@@ -1,0 +1,141 @@
+//! A picture of what was measured: the frame with the plumb point, angles about it, the carrier's directions and the board's points.
+
+use super::Measured;
+use crate::files;
+use crate::report::drawing_png;
+use odograph::camera::Camera;
+use odograph::error::Result;
+use odograph::geometry::{GroundPoint, GroundPose, Pixel};
+use std::fmt::Write;
+
+/// Angles from the plumb line at which rings are drawn, degrees.
+const RINGS_DEG: [f64; 8] = [10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0];
+
+/// The picture as the bytes of a PNG file.
+pub fn drawn(camera: &Camera, measured: &Measured) -> Result<Vec<u8>> {
+    let (width, height) = (camera.width(), camera.height());
+    let png = files::png_from_rgb(&measured.frame)?;
+    // Lines as wide in a large picture as in a small one.
+    let unit = width.max(height) as f64 / 640.0;
+    let rig = measured.rig.rig;
+    // The world's x is the carrier's forward.
+    let pose = GroundPose { heading_rad: rig.yaw_rad, ..rig.first_pose() };
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" xmlns:xlink=\"http://www.w3.org/1999/xlink\" viewBox=\"0 0 {width} {height}\" \
+         width=\"{width}\" height=\"{height}\" font-family=\"Roboto\" font-size=\"{:.1}\">\n\
+         <image width=\"{width}\" height=\"{height}\" xlink:href=\"data:image/png;base64,{}\"/>\n",
+        11.0 * unit,
+        base64(&png)
+    );
+    for degrees in RINGS_DEG {
+        let radius_m = rig.height_m * degrees.to_radians().tan();
+        let at = |step: usize| {
+            let (sin, cos) = (step as f64 / 180.0 * std::f64::consts::TAU).sin_cos();
+            GroundPoint::new(radius_m * cos, radius_m * sin)
+        };
+        let ring: Vec<Option<Pixel>> = (0..=180).map(|step| seen(camera, &pose, at(step))).collect();
+        line(&mut svg, &ring, "#ffd54a", 0.8 * unit);
+        // Labels stand behind the plumb point, away from the arrows.
+        let behind = ring.iter().cycle().skip(110).take(ring.len()).flatten();
+        if let Some(label) = behind.into_iter().find(|pixel| camera.contains(**pixel, 16.0 * unit)) {
+            text(&mut svg, *label, &format!("{degrees:.0}°"), "#ffd54a");
+        }
+    }
+    let (forward, left) = match measured.forward_known {
+        true => ("forward", "left"),
+        false => ("up in the image", "left in the image"),
+    };
+    for ((x, y), name, color) in [((1.0, 0.0), forward, "#ff5a4a"), ((0.0, 1.0), left, "#5ad45a")] {
+        let reach_m = 0.25 * rig.height_m;
+        let along = |step: usize| {
+            let part = step as f64 / 20.0 * reach_m;
+            seen(camera, &pose, GroundPoint::new(part * x, part * y))
+        };
+        let arrow: Vec<Option<Pixel>> = (0..=20).map(along).collect();
+        line(&mut svg, &arrow, color, 2.0 * unit);
+        if let Some(tip) = arrow.last().copied().flatten() {
+            disc(&mut svg, tip, 3.5 * unit, color, true);
+            text(&mut svg, Pixel::new(tip.x + 5.0 * unit, tip.y), name, color);
+        }
+    }
+    measured.points.iter().for_each(|point| disc(&mut svg, *point, 3.0 * unit, "#3ad0ff", false));
+    if let Some(plumb) = seen(camera, &pose, GroundPoint::new(0.0, 0.0)) {
+        disc(&mut svg, plumb, 4.0 * unit, "#ffd54a", true);
+        text(&mut svg, Pixel::new(plumb.x + 7.0 * unit, plumb.y + 14.0 * unit), "plumb point", "#ffd54a");
+    }
+    svg.push_str("</svg>\n");
+    drawing_png(&svg, width as u32)
+}
+
+fn seen(camera: &Camera, pose: &GroundPose, point: GroundPoint) -> Option<Pixel> {
+    pose.ray_from_ground(point).and_then(|ray| camera.pixel_from_ray(ray))
+}
+
+/// A line through those of the points that are seen, broken where they are not.
+fn line(svg: &mut String, points: &[Option<Pixel>], color: &str, width: f64) {
+    let mut path = String::new();
+    let mut before = false;
+    for point in points {
+        if let Some(Pixel { x, y }) = point {
+            let _ = write!(path, "{}{:.2} {:.2}", if before { "L" } else { "M" }, x + 0.5, y + 0.5);
+        }
+        before = point.is_some();
+    }
+    if !path.is_empty() {
+        let _ = writeln!(
+            svg,
+            "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width:.2}\"/>"
+        );
+    }
+}
+
+fn disc(svg: &mut String, at: Pixel, radius: f64, color: &str, filled: bool) {
+    let fill = if filled { color } else { "none" };
+    let _ = writeln!(
+        svg,
+        "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius:.2}\" fill=\"{fill}\" stroke=\"{color}\" stroke-width=\"{:.2}\"/>",
+        at.x + 0.5,
+        at.y + 0.5,
+        0.35 * radius
+    );
+}
+
+fn text(svg: &mut String, at: Pixel, text: &str, color: &str) {
+    let _ = writeln!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"{color}\" stroke=\"#000\" stroke-width=\"2\" paint-order=\"stroke\">{text}</text>",
+        at.x, at.y
+    );
+}
+
+/// RFC 4648.
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for three in bytes.chunks(3) {
+        let at = |index: usize| u32::from(three.get(index).copied().unwrap_or(0));
+        let bits = at(0) << 16 | at(1) << 8 | at(2);
+        for index in 0..4 {
+            let letter = LETTERS[(bits >> (18 - 6 * index)) as usize & 63];
+            text.push(if index <= three.len() { letter as char } else { '=' });
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn base64_is_that_of_the_standard() {
+        for (bytes, text) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("fooba", "Zm9vYmE="),
+        ] {
+            assert_eq!(super::base64(bytes.as_bytes()), text);
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Drawings that stand in the page, where its style sheet colours them, and alone as a picture, where they carry their own.
+
+use crate::report::parts::STYLE;
+use odograph::geometry::Pixel;
+use odograph::mapping::drawing::scale::{label, multiples, round_step};
+use odograph::mapping::drawing::svg::{coordinate, escape};
+use std::fmt::Write;
+
+/// Width of a drawing of the image, drawing units.
+const WIDTH: f64 = 720.0;
+const LEFT: f64 = 52.0;
+const RIGHT: f64 = WIDTH - 10.0;
+const TOP: f64 = 8.0;
+const BELOW: f64 = 30.0;
+/// A high image is drawn narrower, so that it fits a screen.
+const HIGHEST: f64 = 720.0;
+
+/// A drawing: the elements of an SVG with its size in drawing units.
+pub struct Drawing {
+    pub width: f64,
+    pub height: f64,
+    pub body: String,
+}
+
+impl Drawing {
+    /// As an element of a page.
+    pub fn inline(&self, name: &str) -> String {
+        format!(
+            "<svg class=\"plot\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\">\n{}</svg>",
+            coordinate(self.width),
+            coordinate(self.height),
+            escape(name),
+            self.body
+        )
+    }
+
+    /// As a file of its own, in light colours, with its name and what it says above it.
+    pub fn file(&self, name: &str, says: &str) -> String {
+        const HEAD: f64 = 58.0;
+        let (width, height) = (self.width, self.height + HEAD + 8.0);
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"plot\" width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" \
+             font-family=\"Roboto, sans-serif\">\n<style>{2}</style>\n<rect width=\"{0}\" height=\"{1}\" fill=\"#fff\"/>\n\
+             <text class=\"name\" x=\"14\" y=\"28\">{3}</text><text x=\"14\" y=\"49\">{4}</text>\n\
+             <g transform=\"translate(0 {HEAD})\">\n{5}</g>\n</svg>\n",
+            coordinate(width),
+            coordinate(height),
+            light_style(),
+            escape(name),
+            escape(says),
+            self.body
+        )
+    }
+}
+
+/// The rules of the page's style sheets that colour drawings, with the light values of their variables.
+fn light_style() -> String {
+    let sheets = [STYLE, super::STYLE];
+    let lines = || sheets.iter().flat_map(|sheet| sheet.lines());
+    // What a sheet says before its first condition holds in light colours.
+    let light = sheets.iter().flat_map(|sheet| sheet.split("@media").next());
+    let values: Vec<(&str, &str)> = light
+        .flat_map(|part| part.split([';', '{', '}']))
+        .filter_map(|declaration| declaration.trim().split_once(": "))
+        .filter(|(name, _)| name.starts_with("--"))
+        .collect();
+    let rules = lines().filter(|line| line.starts_with(".plot "));
+    let mut style: String = rules.map(|rule| format!("{rule}\n")).collect();
+    for (name, value) in values {
+        style = style.replace(&format!("var({name})"), value);
+    }
+    style
+}
+
+/// The image as a frame with pixels along its sides.
+pub struct ImageFrame {
+    pub size: (usize, usize),
+    scale: f64,
+    left: f64,
+    right: f64,
+    bottom: f64,
+}
+
+impl ImageFrame {
+    pub fn new(size: (usize, usize)) -> Self {
+        let (width, height) = (size.0 as f64, size.1 as f64);
+        let scale = ((RIGHT - LEFT) / width).min(HIGHEST / height);
+        Self { size, scale, left: LEFT, right: LEFT + width * scale, bottom: TOP + height * scale }
+    }
+
+    /// The place of a pixel in the drawing.
+    pub fn at(&self, pixel: Pixel) -> (f64, f64) {
+        (self.left + (pixel.x + 0.5) * self.scale, TOP + (pixel.y + 0.5) * self.scale)
+    }
+
+    /// Drawing units to a pixel.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// Left and right, top and bottom of the image in the drawing.
+    pub fn sides(&self) -> (f64, f64, f64, f64) {
+        (self.left, self.right, TOP, self.bottom)
+    }
+
+    /// The drawing with the frame and its labels over `content`; `more` is room below, in drawing units.
+    pub fn drawing(&self, content: &str, more: f64) -> Drawing {
+        let mut body = content.to_owned();
+        let (left, right, bottom) = (self.left, self.right, self.bottom);
+        let _ = writeln!(
+            body,
+            "<rect class=\"base hollow\" x=\"{}\" y=\"{TOP}\" width=\"{}\" height=\"{}\"/>",
+            coordinate(left),
+            coordinate(right - left),
+            coordinate(bottom - TOP)
+        );
+        let step = round_step(self.size.0.max(self.size.1) as f64, 9.0);
+        for value in multiples(0.0, self.size.0 as f64 - 1.0, step) {
+            let (x, _) = self.at(Pixel::new(value, 0.0));
+            let _ = writeln!(
+                body,
+                "<text text-anchor=\"middle\" x=\"{}\" y=\"{}\">{}</text>",
+                coordinate(x),
+                coordinate(bottom + 19.0),
+                label(value, step)
+            );
+        }
+        for value in multiples(0.0, self.size.1 as f64 - 1.0, step) {
+            let (_, y) = self.at(Pixel::new(0.0, value));
+            let _ = writeln!(
+                body,
+                "<text text-anchor=\"end\" x=\"{}\" y=\"{}\">{}</text>",
+                coordinate(left - 8.0),
+                coordinate(y + 5.0),
+                label(value, step)
+            );
+        }
+        Drawing { width: right + (WIDTH - RIGHT), height: bottom + BELOW + more, body }
+    }
+}

@@ -1,0 +1,316 @@
+//! `odograph calibrate` from outside: what it writes, and what it says of what cannot be calibrated with.
+
+#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+
+#[path = "calibrate/boards.rs"]
+mod boards;
+
+use boards::{BOARD, camera, folder, held, mirrored, pictures, scene, scene_of, write_png, y4m};
+use odograph::formats::camera_file;
+use odograph::image::GrayImage;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use tempfile::TempDir;
+
+const REPORT: [&str; 6] =
+    ["coverage.png", "distortion.png", "expected-error.png", "report.html", "residuals.png", "views.png"];
+
+struct Place {
+    temporary: TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        Self { temporary: tempfile::tempdir().unwrap() }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.temporary.path().join(name)
+    }
+
+    fn command(&self, arguments: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        command.current_dir(self.temporary.path()).env("ODOGRAPH_FFMPEG", "");
+        command.arg("calibrate").args(arguments.split_whitespace()).stdin(Stdio::null());
+        command
+    }
+
+    fn calibrate(&self, arguments: &str) -> Output {
+        self.command(arguments).output().unwrap()
+    }
+
+    /// A calibration that must be refused: with `code`, one sentence that holds all the `words`, and nothing left behind.
+    fn refused(&self, arguments: &str, code: i32, words: &[&str]) {
+        let before = names(self.temporary.path());
+        let done = self.calibrate(arguments);
+        let told = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(code), "`{arguments}` told: {told}");
+        assert!(
+            words.iter().all(|words| told.contains(words)),
+            "`{arguments}` did not tell {words:?} but: {told}"
+        );
+        assert!(told.lines().count() == 1 && !told.contains("panicked"), "`{arguments}` told: {told}");
+        assert!(done.stdout.is_empty(), "{:?}", String::from_utf8_lossy(&done.stdout));
+        assert_eq!(names(self.temporary.path()), before, "`{arguments}` left something behind");
+    }
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+/// The result is there, is whole, and is the camera that took the pictures, to within what a score of small pictures can tell.
+fn assert_calibrated(place: &Place, name: &str, done: &Output) {
+    let told = format!("{}{}", String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
+    assert_eq!(done.status.code(), Some(0), "{told}");
+    assert_eq!(names(&place.path(&format!("{name}-report"))), REPORT, "{told}");
+    let text = fs::read_to_string(place.path(&format!("{name}.yaml"))).unwrap();
+    let found = camera_file::parse(&text, None).unwrap();
+    let truth = camera();
+    assert_eq!((found.width(), found.height()), (320, 240));
+    let near = |a: (f64, f64), b: (f64, f64), by: f64| (a.0 - b.0).abs() < by && (a.1 - b.1).abs() < by;
+    assert!(near(found.focal_px(), truth.focal_px(), 1.0), "{found:?}");
+    assert!(near(found.principal_px(), truth.principal_px(), 1.0), "{found:?}");
+    for key in [
+        "verdict: ",
+        "rms_px: ",
+        "hold_out_rms_px: ",
+        "views_used: ",
+        "parameter_covariance: !!opencv-matrix",
+        "calibration_board: \"chessboard:7x5:30mm\"",
+    ] {
+        assert!(text.contains(key), "{key} in {text}");
+    }
+}
+
+#[test]
+fn a_clip_becomes_a_camera_and_a_report_alike_for_any_number_of_threads() {
+    let place = Place::new();
+    let mut frames = held(&pictures(&scene(), 18), 3);
+    // Before and after, the board is not in the image.
+    frames.insert(0, GrayImage::new(320, 240));
+    frames.push(GrayImage::new(320, 240));
+    fs::write(place.path("board.y4m"), y4m(&frames)).unwrap();
+    let done = place.calibrate(&format!("board.y4m --board {BOARD} -o one.yaml --model brown4 --threads 1"));
+    assert_calibrated(&place, "one", &done);
+    let said = String::from_utf8(done.stdout).unwrap();
+    assert!(said.contains("found in 54 of 56 frames") || said.contains("of 56 frames"), "{said}");
+    assert!(
+        said.contains("Look at one-report/report.html") && said.contains("Next: odograph ground"),
+        "{said}"
+    );
+    let three =
+        place.calibrate(&format!("board.y4m --board {BOARD} -o three.yaml --model brown4 --threads 3 -q"));
+    assert_calibrated(&place, "three", &three);
+    assert!(three.stdout.is_empty() && three.stderr.is_empty(), "{three:?}");
+    let bytes = |name: &str| fs::read(place.path(name)).unwrap();
+    assert_eq!(bytes("one.yaml"), bytes("three.yaml"));
+    for name in REPORT {
+        let page = |folder: &str| {
+            let bytes = bytes(&format!("{folder}-report/{name}"));
+            // The page names the camera file.
+            String::from_utf8_lossy(&bytes)
+                .replace("one.yaml", "camera.yaml")
+                .replace("three.yaml", "camera.yaml")
+        };
+        assert!(page("one") == page("three"), "{name} differs");
+    }
+    // And over standard input.
+    let mut child = place
+        .command(&format!("- --board {BOARD} -o stream.yaml --report elsewhere --model brown4"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(&bytes("board.y4m")).unwrap();
+    assert!(child.wait().unwrap().success());
+    assert_eq!(bytes("stream.yaml"), bytes("one.yaml"));
+    assert_eq!(names(&place.path("elsewhere")), REPORT);
+}
+
+#[test]
+fn pictures_are_all_used_however_they_are_given() {
+    let place = Place::new();
+    let shown = pictures(&scene(), 14);
+    folder(&place.path("shots"), &shown);
+    fs::write(place.path("shots/notes.txt"), "not a picture").unwrap();
+    let done = place.calibrate(&format!("shots --board {BOARD} -o camera.yaml --model brown4"));
+    assert_calibrated(&place, "camera", &done);
+    let page = fs::read_to_string(place.path("camera-report/report.html")).unwrap();
+    assert!(page.contains("board00.png") && page.contains("board13.png"));
+    fs::remove_file(place.path("shots/notes.txt")).unwrap();
+    let each: Vec<String> = (0..14).map(|n| format!("shots/board{n:02}.png")).collect();
+    let done = place.calibrate(&format!("{} --board {BOARD} -o each.yaml --model brown4", each.join(" ")));
+    assert_calibrated(&place, "each", &done);
+    let bytes = |name: &str| fs::read(place.path(name)).unwrap();
+    assert_eq!(bytes("each.yaml"), bytes("camera.yaml"));
+
+    // What is there is not lost without being asked.
+    place.refused(
+        &format!("shots --board {BOARD} -o camera.yaml"),
+        2,
+        &["camera.yaml is already there", "--force"],
+    );
+    fs::remove_file(place.path("camera.yaml")).unwrap();
+    place.refused(
+        &format!("shots --board {BOARD} -o camera.yaml"),
+        2,
+        &["camera-report/report.html is already there"],
+    );
+    let again = place.calibrate(&format!("shots --board {BOARD} -o camera.yaml --model brown4 --force -q"));
+    assert_calibrated(&place, "camera", &again);
+}
+
+#[test]
+fn what_holds_no_board_is_told_in_one_sentence() {
+    let place = Place::new();
+    let shown = pictures(&scene(), 4);
+    folder(&place.path("shots"), &shown);
+    let usual = |source: &str| format!("{source} --board {BOARD} -o camera.yaml");
+    place.refused(&usual("none.mp4"), 3, &["none.mp4: there is no such file"]);
+    place.refused(&usual("shots/board00.png none.png"), 3, &["none.png: there is no such file"]);
+    fs::create_dir(place.path("empty")).unwrap();
+    place.refused(&usual("empty"), 3, &["empty: the folder is empty"]);
+    fs::create_dir(place.path("texts")).unwrap();
+    fs::write(place.path("texts/a.txt"), "not a picture").unwrap();
+    place.refused(&usual("texts"), 3, &["texts: there are no pictures"]);
+    fs::write(place.path("text.png"), "not a picture").unwrap();
+    place.refused(&usual("text.png"), 3, &["text.png"]);
+
+    let blank = vec![GrayImage::new(320, 240); 5];
+    folder(&place.path("blank"), &blank);
+    place.refused(
+        &usual("blank"),
+        3,
+        &["blank: the board chessboard:7x5:30mm was not found in any of 5 frames", "count"],
+    );
+    place.refused(&usual("blank/board00.png"), 3, &["was not found in the one picture"]);
+    place.refused(&usual("blank --start 90"), 3, &["no frame in the chosen range"]);
+    // A board of another size than said: the size that is seen is told.
+    place.refused(
+        "shots --board chessboard:9x6:30mm -o camera.yaml",
+        3,
+        &["the board chessboard:9x6:30mm was not found", "7x5"],
+    );
+}
+
+#[test]
+fn too_few_or_equal_views_are_told_with_what_to_do() {
+    let place = Place::new();
+    let shown = pictures(&scene(), 2);
+    let usual = |source: &str| format!("{source} --board {BOARD} -o camera.yaml");
+    folder(&place.path("one"), &shown[..1]);
+    place.refused(&usual("one"), 3, &["one: the board was seen in one view only", "15 to 40 places"]);
+    folder(&place.path("two"), &shown);
+    place.refused(&usual("two"), 3, &["only 2 different places"]);
+    folder(&place.path("same"), &held(&shown[..1], 20));
+    place.refused(&usual("same"), 3, &["all 20 views show the board at the same place", "tilted"]);
+    fs::write(place.path("same.y4m"), y4m(&held(&shown[..1], 40))).unwrap();
+    place.refused(&usual("same.y4m"), 3, &["all 40 views show the board at the same place"]);
+}
+
+#[test]
+fn mixed_sizes_are_refused_by_name() {
+    let place = Place::new();
+    let shown = pictures(&scene(), 4);
+    folder(&place.path("mixed"), &shown);
+    write_png(&place.path("mixed/board02.png"), &GrayImage::new(160, 120));
+    let usual = |source: &str| format!("{source} --board {BOARD} -o camera.yaml");
+    place.refused(&usual("mixed"), 3, &["board02.png has 160x120 pixels, the first has 320x240"]);
+    place.refused(
+        &usual("mixed/board00.png mixed/board02.png"),
+        3,
+        &["mixed/board02.png has 160x120 pixels, mixed/board00.png has 320x240"],
+    );
+}
+
+#[test]
+fn a_mirrored_board_with_markers_is_told() {
+    let place = Place::new();
+    let board = "charuco:6x5:40mm";
+    let scene = scene_of(board, &camera());
+    let shown: Vec<GrayImage> = pictures(&scene, 5).iter().map(mirrored).collect();
+    folder(&place.path("mirrored"), &shown);
+    place.refused(&format!("mirrored --board {board} -o camera.yaml"), 3, &["mirrored", "was not found"]);
+}
+
+#[test]
+fn usage_that_cannot_be() {
+    let place = Place::new();
+    folder(&place.path("shots"), &pictures(&scene(), 1));
+    place.refused("shots --board chessboard:9x6 -o camera.yaml", 2, &["chessboard:9x6", "write it like"]);
+    place.refused("shots --board chessboard:9x6:25 -o camera.yaml", 2, &["not a length with its unit"]);
+    place.refused(&format!("shots --board {BOARD} -o camera.yaml --every 0"), 2, &["every 0th frame"]);
+    place.refused(&format!("shots --board {BOARD} -o shots"), 2, &["shots is a folder", "shots/camera.yaml"]);
+    place.refused(
+        &format!("shots --board {BOARD} -o none/camera.yaml"),
+        2,
+        &["none: there is no such folder"],
+    );
+    fs::write(place.path("file"), "mine").unwrap();
+    place.refused(&format!("shots --board {BOARD} -o camera.yaml --report file"), 2, &["file is a file"]);
+    for wrong in ["--threads 0", "--max-views 1", "--model barrel", "--nonsense"] {
+        let done = place.calibrate(&format!("shots --board {BOARD} -o camera.yaml {wrong}"));
+        assert_eq!(done.status.code(), Some(2), "{wrong}");
+    }
+    assert_eq!(names(place.temporary.path()), ["file", "shots"]);
+}
+
+/// A device that is always full stands in for each of the files in turn.
+#[test]
+#[cfg(unix)]
+fn a_full_disk_leaves_nothing_half_written() {
+    if !Path::new("/dev/full").exists() {
+        println!("skipped: there is no /dev/full");
+        return;
+    }
+    let place = Place::new();
+    folder(&place.path("shots"), &pictures(&scene(), 10));
+    for name in ["report.html", "views.png"] {
+        fs::create_dir(place.path("camera-report")).unwrap();
+        std::os::unix::fs::symlink("/dev/full", place.path(&format!("camera-report/{name}.part"))).unwrap();
+        let done = place.calibrate(&format!("shots --board {BOARD} -o camera.yaml --model brown4"));
+        let told = String::from_utf8(done.stderr).unwrap();
+        assert!(done.status.code() == Some(3) && told.contains("No space left on device"), "{told}");
+        assert!(!place.path("camera.yaml").exists());
+        assert!(names(&place.path("camera-report")).iter().all(|name| !name.ends_with(".part")));
+        fs::remove_dir_all(place.path("camera-report")).unwrap();
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupt_ends_the_search_and_calibrates_with_what_there_is() {
+    for threads in ["1", "3"] {
+        let place = Place::new();
+        let frames = held(&pictures(&scene(), 15), 2);
+        let stream = y4m(&frames);
+        let header = y4m(&[]).len();
+        let mut child = place
+            .command(&format!("- --board {BOARD} -o camera.yaml --model brown4 --threads {threads}"))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut input = child.stdin.take().unwrap();
+        input.write_all(&stream).unwrap();
+        // The pipe holds less than the frames: by now most of them have been taken.
+        let sent = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
+        assert!(sent.success());
+        // It looks at what it was asked between frames; the stream stays open until it has ended.
+        while child.try_wait().unwrap().is_none() && input.write_all(&stream[header..]).is_ok() {}
+        drop(input);
+        let done = child.wait_with_output().unwrap();
+        let told = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(told.contains("warning: interrupted: only the first"), "{told}");
+        assert_calibrated(&place, "camera", &done);
+    }
+}

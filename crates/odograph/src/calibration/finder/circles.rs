@@ -1,0 +1,284 @@
+//! Whole grids of discs, rectangular and asymmetric.
+//!
+//! Dark elliptic spots are joined to lattices from neighbour to neighbour, without a thought which of a lattice's many bases was met;
+//! then the basis is sought in which the lattice is the board's.
+//!
+//! What is measured is the centre of a disc's image. That is not the image of the disc's centre: perspective and lens move it towards the
+//! far side by about r² / (f z) · tan(tilt), some hundredths to tenths of a pixel for large discs seen near and obliquely (J. Heikkilä,
+//! "Geometric camera calibration using circular control points", 2000). A chessboard has no such error; take one where there is a choice.
+
+use super::blobs::{Blob, blobs};
+use super::{NotFound, disc};
+use crate::calibration::{Board, BoardKind, BoardView, SeenPoint};
+use crate::geometry::Pixel;
+use crate::image::{GrayImage, Pyramid};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// Spots at the coordinates of some basis of their lattice.
+type Spots = BTreeMap<(i32, i32), usize>;
+
+/// How far a spot may be from where its neighbours say it is, part of the distance to them.
+const STRAY: f64 = 0.3;
+/// By how much the axes of neighbouring spots may differ.
+const MOST_UNLIKE_SIZES: f64 = 1.7;
+/// Blur of the rim, in standard deviations, that is too much.
+const MOST_BLUR_PX: f64 = 6.0;
+
+/// Finds a whole grid of discs.
+pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
+    let pyramid = Pyramid::new(image.clone(), 2);
+    let levels = pyramid.levels();
+    let mut best = NotFound::NoDiscs;
+    // The larger image is needed for small discs only.
+    for level in (0..levels.len()).rev() {
+        let scale = f64::from(1u32 << level);
+        let short_side = levels[level].width().min(levels[level].height());
+        // Around a disc the mean must be of more than the disc, and of no more than one light.
+        for part in [5, 12, 30] {
+            let window = short_side / part;
+            if window < 5 {
+                continue;
+            }
+            let spots = blobs(&levels[level], window);
+            match in_spots(&spots, board) {
+                Ok(grid) => {
+                    let grid: Vec<Blob> = grid.iter().map(|blob| scaled(blob, scale)).collect();
+                    match refine(image, &grid) {
+                        Ok(points) => {
+                            return Ok(BoardView { size: (image.width(), image.height()), points });
+                        }
+                        Err(why) => best = why,
+                    }
+                }
+                Err(why) => {
+                    let points = |why: &NotFound| match *why {
+                        NotFound::Partial { points, .. } => points,
+                        NotFound::Blurred => usize::MAX,
+                        _ => 0,
+                    };
+                    if points(&why) > points(&best) {
+                        best = why;
+                    }
+                }
+            }
+        }
+    }
+    Err(best)
+}
+
+/// A spot of a smaller level as it is in the full image.
+fn scaled(blob: &Blob, scale: f64) -> Blob {
+    Blob {
+        pixel: Pixel::new(blob.pixel.x * scale, blob.pixel.y * scale),
+        shape: blob.shape.map(|entry| entry / (scale * scale)),
+        axes_px: (blob.axes_px.0 * scale, blob.axes_px.1 * scale),
+    }
+}
+
+fn refine(image: &GrayImage, grid: &[Blob]) -> Result<Vec<SeenPoint>, NotFound> {
+    let mut points = Vec::with_capacity(grid.len());
+    let mut blurs = Vec::with_capacity(grid.len());
+    for (index, blob) in grid.iter().enumerate() {
+        let disc = disc::fit(image, blob).ok_or(NotFound::Blurred)?;
+        blurs.push(disc.blur_px);
+        points.push(SeenPoint { index, pixel: disc.pixel });
+    }
+    blurs.sort_by(f64::total_cmp);
+    if blurs.get(blurs.len() / 2).is_some_and(|&blur_px| blur_px > MOST_BLUR_PX) {
+        return Err(NotFound::Blurred);
+    }
+    Ok(points)
+}
+
+/// Where the board's points are in coordinates of whole steps: the rectangle, or every second place of it.
+fn places_of(board: &Board) -> Vec<(i32, i32)> {
+    let (columns, rows) = (board.columns() as i32, board.rows() as i32);
+    let asymmetric = board.kind() == BoardKind::AsymmetricCircles;
+    let place = |column: i32, row: i32| (if asymmetric { 2 * column + row % 2 } else { column }, row);
+    (0..rows).flat_map(|row| (0..columns).map(move |column| place(column, row))).collect()
+}
+
+/// The board's spots in the order of its points.
+fn in_spots(spots: &[Blob], board: &Board) -> Result<Vec<Blob>, NotFound> {
+    let places = places_of(board);
+    let mut best = NotFound::NoDiscs;
+    let mut taken = vec![false; spots.len()];
+    let expected = (board.columns(), board.rows());
+    for seed in 0..spots.len() {
+        if taken[seed] {
+            continue;
+        }
+        let Some(lattice) = grown(spots, seed) else { continue };
+        lattice.values().for_each(|&spot| taken[spot] = true);
+        if lattice.len() >= places.len()
+            && let Some(grid) = as_board(&lattice, spots, board, &places)
+        {
+            return Ok(grid);
+        }
+        let told = match best {
+            NotFound::Partial { points, .. } => points,
+            _ => 5, // fewer are anything
+        };
+        if lattice.len() > told {
+            let span = |coordinate: fn(&(i32, i32)) -> i32| {
+                let all = || lattice.keys().map(coordinate);
+                all().max().zip(all().min()).map_or(0, |(most, least)| (most - least + 1) as usize)
+            };
+            best =
+                NotFound::Partial { expected, seen: (span(|p| p.0), span(|p| p.1)), points: lattice.len() };
+        }
+    }
+    Err(best)
+}
+
+/// Whether two spots may be discs of one board beside each other.
+fn alike(one: &Blob, other: &Blob) -> bool {
+    let ratio = |a: f64, b: f64| a.max(b) < MOST_UNLIKE_SIZES * a.min(b);
+    ratio(one.axes_px.0, other.axes_px.0) && ratio(one.axes_px.1, other.axes_px.1)
+}
+
+/// The nearest spots that are like a spot, nearest first.
+fn nearest_alike(spots: &[Blob], spot: usize, count: usize) -> Vec<usize> {
+    let mut near: Vec<(f64, usize)> = (0..spots.len())
+        .filter(|&other| other != spot && alike(&spots[other], &spots[spot]))
+        .map(|other| (spots[other].pixel.distance(spots[spot].pixel), other))
+        .collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    near.truncate(count);
+    near.into_iter().map(|(_, other)| other).collect()
+}
+
+/// The lattice around a spot, from its two nearest neighbours in different directions on.
+fn grown(spots: &[Blob], seed: usize) -> Option<Spots> {
+    let at = |spot: usize| spots[spot].pixel;
+    let step = |from: usize, to: usize| (at(to).x - at(from).x, at(to).y - at(from).y);
+    let near = nearest_alike(spots, seed, 8);
+    let first = *near.first()?;
+    let along = step(seed, first);
+    let across = near.iter().map(|&other| step(seed, other)).find(|other| {
+        let sine = along.0 * other.1 - along.1 * other.0;
+        sine.abs() > 0.4 * along.0.hypot(along.1) * other.0.hypot(other.1)
+    })?;
+    // Right-handed as the image is: never mirrored.
+    let across = if along.0 * across.1 - along.1 * across.0 > 0.0 { across } else { (-across.0, -across.1) };
+    let mut lattice = Spots::from([((0, 0), seed)]);
+    let mut used = BTreeSet::from([seed]);
+    let mut queue = VecDeque::from([((0, 0), along, across)]);
+    while let Some((place, along, across)) = queue.pop_front() {
+        let spot = lattice[&place];
+        for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
+            let there = (place.0 + di, place.1 + dj);
+            if lattice.contains_key(&there) {
+                continue;
+            }
+            let heading = if di != 0 { along } else { across };
+            let sign = f64::from(di + dj);
+            // Where the line has come from is where it goes on, better than the square's sides say.
+            let expected = match lattice.get(&(place.0 - di, place.1 - dj)) {
+                Some(&before) => step(before, spot),
+                None => (sign * heading.0, sign * heading.1),
+            };
+            let guess = Pixel::new(at(spot).x + expected.0, at(spot).y + expected.1);
+            let reach = STRAY * expected.0.hypot(expected.1);
+            let found = (0..spots.len())
+                .filter(|other| !used.contains(other) && alike(&spots[*other], &spots[spot]))
+                .map(|other| (guess.distance(at(other)), other))
+                .filter(|(distance, _)| *distance < reach)
+                .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            let Some((_, other)) = found else { continue };
+            lattice.insert(there, other);
+            used.insert(other);
+            let measured = step(spot, other);
+            let measured = (sign * measured.0, sign * measured.1);
+            let (along, across) = if di != 0 { (measured, across) } else { (along, measured) };
+            queue.push_back((there, along, across));
+        }
+    }
+    (lattice.len() >= 4).then_some(lattice)
+}
+
+/// The lattice's spots in the order of the board's places, if in some basis it is the board; of several ways the one whose rows run most
+/// to the right and whose columns most downwards.
+fn as_board(lattice: &Spots, spots: &[Blob], board: &Board, places: &[(i32, i32)]) -> Option<Vec<Blob>> {
+    let asymmetric = board.kind() == BoardKind::AsymmetricCircles;
+    // Neighbours of the asymmetric grid are one step right and one down: a basis of those spans two squares.
+    let area = if asymmetric { 2 } else { 1 };
+    let entries = -3..=3;
+    let mut best: Option<(f64, Vec<Blob>)> = None;
+    for p in entries.clone() {
+        for q in entries.clone() {
+            for r in entries.clone() {
+                for s in entries.clone() {
+                    if p * s - q * r != area {
+                        continue;
+                    }
+                    let turned: Spots = lattice
+                        .iter()
+                        .map(|((i, j), &spot)| ((p * i + q * j, r * i + s * j), spot))
+                        .collect();
+                    let Some(found) = exactly(turned, places) else { continue };
+                    let at = |place: usize| spots[found[place]].pixel;
+                    let step = |to: Pixel, x: bool| {
+                        let (dx, dy) = (to.x - at(0).x, to.y - at(0).y);
+                        (if x { dx } else { dy }) / dx.hypot(dy).max(1e-9)
+                    };
+                    let (last_in_row, last_row) = (
+                        board.columns() - 1,
+                        board.columns()
+                            * (board.rows()
+                                - 1
+                                - usize::from(asymmetric && board.rows() > 2) * ((board.rows() + 1) % 2)),
+                    );
+                    let upright = step(at(last_in_row), true) + step(at(last_row), false);
+                    if best.as_ref().is_none_or(|(rank, _)| upright > *rank) {
+                        best = Some((upright, found.iter().map(|&spot| spots[spot]).collect()));
+                    }
+                }
+            }
+        }
+    }
+    best.map(|(_, grid)| grid)
+}
+
+/// The spots at a board's places, where the lattice, less outer lines that are hardly there, is exactly those, wherever its origin is.
+fn exactly(mut lattice: Spots, places: &[(i32, i32)]) -> Option<Vec<usize>> {
+    let range = |keys: &mut dyn Iterator<Item = i32>| {
+        keys.fold((i32::MAX, i32::MIN), |(least, most), key| (least.min(key), most.max(key)))
+    };
+    let wide = places.iter().map(|place| place.0).max()?;
+    let high = places.iter().map(|place| place.1).max()?;
+    loop {
+        let (left, right) = range(&mut lattice.keys().map(|place| place.0));
+        let (top, bottom) = range(&mut lattice.keys().map(|place| place.1));
+        if (right - left, bottom - top) == (wide, high) {
+            if lattice.len() != places.len() {
+                return None;
+            }
+            return places
+                .iter()
+                .map(|place| lattice.get(&(place.0 + left, place.1 + top)).copied())
+                .collect();
+        }
+        if lattice.len() <= places.len() || right - left < wide || bottom - top < high {
+            return None;
+        }
+        // The emptiest outer line of a side that is too long.
+        let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count();
+        let mut lines = Vec::new();
+        if right - left > wide {
+            lines.push((count(&|place| place.0 == left), true, left));
+            lines.push((count(&|place| place.0 == right), true, right));
+        }
+        if bottom - top > high {
+            lines.push((count(&|place| place.1 == top), false, top));
+            lines.push((count(&|place| place.1 == bottom), false, bottom));
+        }
+        let (spots, column, line) = lines.into_iter().min_by_key(|line| line.0)?;
+        let full = if column { high + 1 } else { wide + 1 };
+        // A line of the asymmetric grid has every second place.
+        if 4 * spots as i32 > full {
+            return None;
+        }
+        lattice.retain(|place, _| if column { place.0 != line } else { place.1 != line });
+    }
+}

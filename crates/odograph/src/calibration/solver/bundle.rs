@@ -1,0 +1,420 @@
+//! Everything adjusted together: lens, board and poses by Levenberg–Marquardt under a robust loss.
+//!
+//! The unknowns of one view touch only that view's points, so the poses are eliminated view by view (Schur complement; B. Triggs et
+//! al., "Bundle adjustment: a modern synthesis", 2000, section 6.1): time and memory grow linearly with the views.
+
+use super::lens::{Free, Lens};
+use nalgebra::{
+    Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
+};
+
+/// The most unknowns beside the poses: those of the lens and of the board's shape.
+pub const SHARED: usize = 17;
+const ROW: usize = 6 + SHARED;
+
+pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
+pub type SharedVector = SVector<f64, SHARED>;
+
+/// A point of the board and where it was seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sight {
+    pub index: usize,
+    /// On the board, metres.
+    pub on_board: (f64, f64),
+    /// The same from the board's middle in halves of its size, −1 to 1.
+    pub relative: (f64, f64),
+    /// From the middle downwards, metres.
+    pub down_m: f64,
+    pub pixel: (f64, f64),
+}
+
+/// All that is estimated. The shape is [`super::result::BoardShape`] in its order.
+#[derive(Debug, Clone)]
+pub struct State {
+    pub lens: Lens,
+    pub shape: [f64; 5],
+    pub poses: Vec<Isometry3<f64>>,
+}
+
+/// What of a [`State`] may change.
+#[derive(Debug, Clone)]
+pub struct Unknowns {
+    pub lens: Vec<Free>,
+    pub shape: bool,
+    pub poses: bool,
+    /// Where numbers of the lens are thought to be before any view is seen: which, about where, standard deviation. They are so
+    /// wide that they only matter where the views say nothing at all.
+    pub priors: Vec<(usize, f64, f64)>,
+}
+
+impl Unknowns {
+    pub fn poses_only() -> Self {
+        Self { lens: Vec::new(), shape: false, poses: true, priors: Vec::new() }
+    }
+
+    pub fn shared(&self) -> usize {
+        self.lens.len() + if self.shape { 5 } else { 0 }
+    }
+}
+
+/// Residuals beyond this many standard deviations count less and less: the loss is quadratic up to it and logarithmic
+/// beyond, `k² (1/2 + ln(s / k))`, with weight `(k / s)²`. Of points with nothing but Gaussian noise 1.1 % lie beyond.
+const BEND: f64 = 3.0;
+/// A point without a projection counts like one this far off, pixels.
+const NOWHERE_PX: f64 = 1e4;
+
+/// Loss and weight of a residual of `square` standard deviations squared.
+fn loss(square: f64) -> (f64, f64) {
+    if square <= BEND * BEND {
+        (0.5 * square, 1.0)
+    } else {
+        let ratio = square / (BEND * BEND);
+        (BEND * BEND * 0.5 * (1.0 + ratio.ln()), 1.0 / ratio)
+    }
+}
+
+/// Whether a residual of this many standard deviations counts in full.
+pub fn counts_in_full(deviations: f64) -> bool {
+    deviations <= BEND
+}
+
+/// Where a point of the board really is, metres in the board's frame.
+pub fn place(sight: &Sight, shape: &[f64; 5]) -> Vector3<f64> {
+    let (u, v) = sight.relative;
+    Vector3::new(
+        sight.on_board.0 + shape[4] * sight.down_m,
+        sight.on_board.1 + shape[3] * sight.down_m,
+        shape[0] * u * u + shape[1] * u * v + shape[2] * v * v,
+    )
+}
+
+/// The part of the normal equations that one view brings.
+struct ViewBlock {
+    own: Matrix6<f64>,
+    across: SMatrix<f64, 6, SHARED>,
+    right: Vector6<f64>,
+}
+
+/// The normal equations of everything.
+struct Normal {
+    views: Vec<ViewBlock>,
+    shared: SharedMatrix,
+    right: SharedVector,
+    cost: f64,
+}
+
+/// Views with what may change and the noise that residuals are measured by.
+pub struct Bundle<'a> {
+    pub views: &'a [&'a [Sight]],
+    pub unknowns: &'a Unknowns,
+    pub noise_px: f64,
+}
+
+impl Bundle<'_> {
+    fn prior_cost(&self, state: &State) -> f64 {
+        let off = |&(at, about, deviation): &(usize, f64, f64)| (state.lens.numbers[at] - about) / deviation;
+        self.unknowns.priors.iter().map(|prior| 0.5 * off(prior).powi(2)).sum()
+    }
+
+    fn cost(&self, state: &State) -> f64 {
+        let inverse = 1.0 / (self.noise_px * self.noise_px);
+        let mut cost = self.prior_cost(state);
+        for (sights, pose) in self.views.iter().zip(&state.poses) {
+            cost += residuals(&state.lens, &state.shape, pose, sights)
+                .map(|off| match off {
+                    Some((dx, dy)) => loss((dx * dx + dy * dy) * inverse).0,
+                    None => loss(NOWHERE_PX * NOWHERE_PX * inverse).0,
+                })
+                .sum::<f64>();
+        }
+        cost
+    }
+
+    /// The normal equations at a state; residuals are seen less expected.
+    fn linearise(&self, state: &State) -> Normal {
+        let shared_count = self.unknowns.shared();
+        let mut normal = Normal {
+            views: Vec::with_capacity(self.views.len()),
+            shared: SharedMatrix::zeros(),
+            right: SharedVector::zeros(),
+            cost: self.prior_cost(state),
+        };
+        for (sights, pose) in self.views.iter().zip(&state.poses) {
+            let mut products = [[0.0; ROW + 1]; ROW];
+            normal.cost += self.add_view(state, pose, sights, shared_count, &mut products);
+            let mut block = ViewBlock {
+                own: Matrix6::zeros(),
+                across: SMatrix::zeros(),
+                right: Vector6::from_fn(|i, _| products[i][ROW]),
+            };
+            for i in 0..6 {
+                for j in i..6 {
+                    block.own[(i, j)] = products[i][j];
+                    block.own[(j, i)] = products[i][j];
+                }
+                for j in 0..shared_count {
+                    block.across[(i, j)] = products[i][6 + j];
+                }
+            }
+            for i in 0..shared_count {
+                normal.right[i] += products[6 + i][ROW];
+                for j in i..shared_count {
+                    normal.shared[(i, j)] += products[6 + i][6 + j];
+                }
+            }
+            normal.views.push(block);
+        }
+        normal.shared.fill_lower_triangle_with_upper_triangle();
+        for &(at, about, deviation) in &self.unknowns.priors {
+            if let Some(column) = self.unknowns.lens.iter().position(|free| free.at == at) {
+                let information = 1.0 / (deviation * deviation);
+                normal.shared[(column, column)] += information;
+                normal.right[column] -= (state.lens.numbers[at] - about) * information;
+            }
+        }
+        // Unknowns that do not exist stand as themselves.
+        for i in shared_count..SHARED {
+            normal.shared[(i, i)] = 1.0;
+        }
+        normal
+    }
+
+    /// Adds the products of the rows of one view (pose, shared, then the residual in the last column); returns the loss.
+    fn add_view(
+        &self,
+        state: &State,
+        pose: &Isometry3<f64>,
+        sights: &[Sight],
+        shared_count: usize,
+        products: &mut [[f64; ROW + 1]; ROW],
+    ) -> f64 {
+        let inverse = 1.0 / (self.noise_px * self.noise_px);
+        let rotation: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
+        let lens_count = self.unknowns.lens.len();
+        let mut cost = 0.0;
+        for sight in sights {
+            let turned = rotation * place(sight, &state.shape);
+            let Some(projection) = state.lens.project(&(turned + pose.translation.vector)) else {
+                cost += loss(NOWHERE_PX * NOWHERE_PX * inverse).0;
+                continue;
+            };
+            let off = [sight.pixel.0 - projection.pixel[0], sight.pixel.1 - projection.pixel[1]];
+            let (lost, weight) = loss((off[0] * off[0] + off[1] * off[1]) * inverse);
+            cost += lost;
+            let mut rows = [[0.0; ROW]; 2];
+            for (axis, row) in rows.iter_mut().enumerate() {
+                let by = projection.by_point.row(axis);
+                let (a, b, c) = (by[0], by[1], by[2]);
+                if self.unknowns.poses {
+                    // by · (ω × turned) = (turned × by) · ω
+                    row[0] = turned.y * c - turned.z * b;
+                    row[1] = turned.z * a - turned.x * c;
+                    row[2] = turned.x * b - turned.y * a;
+                    (row[3], row[4], row[5]) = (a, b, c);
+                }
+                let numbers = &projection.by_numbers[axis];
+                for (value, free) in row[6..].iter_mut().zip(&self.unknowns.lens) {
+                    *value = numbers[free.at] + free.also.map_or(0.0, |also| numbers[also]);
+                }
+                if self.unknowns.shape {
+                    let along = |column: usize| {
+                        a * rotation[(0, column)] + b * rotation[(1, column)] + c * rotation[(2, column)]
+                    };
+                    let (u, v) = sight.relative;
+                    let (x, y, z) = (along(0), along(1), along(2));
+                    let by_shape = [z * u * u, z * u * v, z * v * v, y * sight.down_m, x * sight.down_m];
+                    row[6 + lens_count..6 + lens_count + 5].copy_from_slice(&by_shape);
+                }
+            }
+            let weight = weight * inverse;
+            let count = 6 + shared_count;
+            let [first, second] = &rows;
+            for i in 0..count {
+                let (a, b) = (weight * first[i], weight * second[i]);
+                let target = &mut products[i];
+                for ((sum, x), y) in target[i..count].iter_mut().zip(&first[i..count]).zip(&second[i..count])
+                {
+                    *sum += a * x + b * y;
+                }
+                target[ROW] += a * off[0] + b * off[1];
+            }
+        }
+        if !self.unknowns.poses {
+            for (i, row) in products.iter_mut().enumerate().take(6) {
+                row[i] = 1.0;
+            }
+        }
+        cost
+    }
+
+    /// Levenberg–Marquardt (D. Marquardt, 1963; the diagonal is scaled) for at most `most` steps. Returns the loss.
+    pub fn minimise(&self, state: &mut State, most: usize) -> f64 {
+        let mut damping = 1e-4;
+        let mut normal = self.linearise(state);
+        for _ in 0..most {
+            let mut gained = None;
+            while damping < 1e12 {
+                let next =
+                    normal.step(damping).and_then(|(shared, poses)| self.moved(state, &shared, &poses));
+                if let Some(next) = next {
+                    let cost = self.cost(&next);
+                    if cost < normal.cost {
+                        gained = Some(normal.cost - cost);
+                        *state = next;
+                        damping = (damping * 0.1).max(1e-12);
+                        break;
+                    }
+                    // At the minimum rounding decides: no better is good enough.
+                    if cost - normal.cost <= 1e-12 * normal.cost {
+                        break;
+                    }
+                }
+                damping *= 10.0;
+            }
+            let Some(gained) = gained else { break };
+            // A loss of 1 is the noise of two numbers: a gain of a millionth of it changes nothing that can be known.
+            let enough = gained < 1e-6 + 1e-12 * normal.cost;
+            if enough {
+                return normal.cost - gained;
+            }
+            normal = self.linearise(state);
+        }
+        normal.cost
+    }
+
+    /// The state after a step; `None` where that is no lens.
+    fn moved(&self, state: &State, shared: &SharedVector, poses: &[Vector6<f64>]) -> Option<State> {
+        let mut next = state.clone();
+        for (free, step) in self.unknowns.lens.iter().zip(shared.iter()) {
+            next.lens.numbers[free.at] += step;
+            if let Some(also) = free.also {
+                next.lens.numbers[also] += step;
+            }
+        }
+        if self.unknowns.shape {
+            let count = self.unknowns.lens.len();
+            next.shape.iter_mut().zip(shared.iter().skip(count)).for_each(|(number, step)| *number += step);
+        }
+        if self.unknowns.poses {
+            for (pose, step) in next.poses.iter_mut().zip(poses) {
+                *pose = moved_pose(pose, step);
+            }
+        }
+        next.lens.possible().then_some(next)
+    }
+
+    /// Information of the shared unknowns with the poses eliminated, in units of the noise; those that do not exist have 1.
+    pub fn information(&self, state: &State) -> Option<SharedMatrix> {
+        self.linearise(state).reduced(0.0).map(|(information, ..)| information)
+    }
+
+    /// Information of the pose of each view with all else fixed.
+    pub fn pose_information(&self, state: &State) -> Vec<Matrix6<f64>> {
+        self.linearise(state).views.into_iter().map(|view| view.own).collect()
+    }
+}
+
+/// A pose turned and then shifted by a small step (ω, δ) in the camera's frame.
+pub fn moved_pose(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
+    let shift = Vector3::new(step[3], step[4], step[5]);
+    let mut rotation = turn * pose.rotation;
+    rotation.renormalize();
+    Isometry3::from_parts(Translation3::from(pose.translation.vector + shift), rotation)
+}
+
+type Eliminated = (Matrix6<f64>, SMatrix<f64, 6, SHARED>, Vector6<f64>);
+
+impl Normal {
+    /// The shared equations with the poses eliminated; with each view's inverse times its right sides.
+    fn reduced(&self, damping: f64) -> Option<(SharedMatrix, SharedVector, Vec<Eliminated>)> {
+        let mut shared = self.shared;
+        let mut right = self.right;
+        for i in 0..SHARED {
+            shared[(i, i)] *= 1.0 + damping;
+        }
+        let mut eliminated = Vec::with_capacity(self.views.len());
+        for view in &self.views {
+            let mut own = view.own;
+            for i in 0..6 {
+                own[(i, i)] = own[(i, i)] * (1.0 + damping) + 1e-300;
+            }
+            let factor = own.cholesky()?;
+            let across = factor.solve(&view.across);
+            let alone = factor.solve(&view.right);
+            shared -= view.across.tr_mul(&across);
+            right -= view.across.tr_mul(&alone);
+            eliminated.push((own, across, alone));
+        }
+        Some((shared, right, eliminated))
+    }
+
+    /// The step of the shared unknowns and of each pose.
+    fn step(&self, damping: f64) -> Option<(SharedVector, Vec<Vector6<f64>>)> {
+        let (matrix, right, eliminated) = self.reduced(damping)?;
+        let shared = scaled_solve(&matrix, &right)?;
+        let poses = eliminated.iter().map(|(_, across, alone)| alone - across * shared).collect();
+        Some((shared, poses))
+    }
+}
+
+/// Solves with rows and columns scaled to a diagonal of ones: coefficients and pixels differ by many powers of ten.
+fn scaled_solve(matrix: &SharedMatrix, right: &SharedVector) -> Option<SharedVector> {
+    let scale = matrix.diagonal().map(|d| 1.0 / d.max(1e-300).sqrt());
+    let scaled = SharedMatrix::from_fn(|i, j| matrix[(i, j)] * scale[i] * scale[j]);
+    let solution = scaled.cholesky()?.solve(&right.component_mul(&scale));
+    let solution = solution.component_mul(&scale);
+    solution.iter().all(|number| number.is_finite()).then_some(solution)
+}
+
+/// How far right and down of its expected place each point of a view was seen, pixels; `None` for points without one.
+pub fn residuals<'a>(
+    lens: &'a Lens,
+    shape: &'a [f64; 5],
+    pose: &Isometry3<f64>,
+    sights: &'a [Sight],
+) -> impl Iterator<Item = Option<(f64, f64)>> + use<'a> {
+    let rotation: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
+    let shift = pose.translation.vector;
+    sights.iter().map(move |sight| {
+        let [x, y] = lens.pixel(&(rotation * place(sight, shape) + shift))?;
+        Some((sight.pixel.0 - x, sight.pixel.1 - y))
+    })
+}
+
+/// Noise of a point in x and in y from the median distance of points from their places (that of Gaussian noise is σ √(2 ln 2)),
+/// corrected for the `unknowns` fitted.
+pub fn robust_noise_px(views: &[&[Sight]], state: &State, unknowns: usize) -> f64 {
+    let mut squares: Vec<f64> = Vec::new();
+    for (sights, pose) in views.iter().zip(&state.poses) {
+        let off = residuals(&state.lens, &state.shape, pose, sights);
+        squares.extend(off.map(|off| off.map_or(NOWHERE_PX * NOWHERE_PX, |(dx, dy)| dx * dx + dy * dy)));
+    }
+    if squares.is_empty() {
+        return LEAST_NOISE_PX;
+    }
+    let numbers = 2.0 * squares.len() as f64;
+    let middle = squares.len() / 2;
+    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+    let freedom = (numbers - unknowns as f64).max(0.1 * numbers) / numbers;
+    (*median / (2.0 * std::f64::consts::LN_2 * freedom)).sqrt().max(LEAST_NOISE_PX)
+}
+
+/// No corner is known better than this; exact points would otherwise have no scale.
+pub const LEAST_NOISE_PX: f64 = 1e-3;
+
+/// Minimises again and again with the noise that the residuals tell, until that stays. Returns it.
+pub fn adjust(views: &[&[Sight]], state: &mut State, unknowns: &Unknowns, most: usize) -> f64 {
+    let count = unknowns.shared() + if unknowns.poses { 6 * views.len() } else { 0 };
+    let mut noise_px = robust_noise_px(views, state, count);
+    for _ in 0..6 {
+        Bundle { views, unknowns, noise_px }.minimise(state, most);
+        let now_px = robust_noise_px(views, state, count);
+        let settled = (now_px / noise_px - 1.0).abs() < 0.05;
+        noise_px = now_px;
+        if settled {
+            break;
+        }
+    }
+    noise_px
+}

@@ -1,0 +1,89 @@
+//! A calibrated camera with all that is known about how sure it is.
+//!
+//! An OpenCV FileStorage YAML file: [`super::camera_file::parse`] and every program that reads OpenCV's camera files takes the camera from
+//! it and passes over the rest.
+
+use super::camera_file;
+use crate::calibration::{Board, Calibration};
+use std::fmt::Write;
+
+/// The text of the file. The same calibration gives the same text: there is no date in it.
+///
+/// Beside the camera of [`camera_file::write`] it holds `lens_model`, `calibration_board`, `verdict` and `reasons`, `views_used`,
+/// `views_seen` and `points_used`; `rms_px` and `hold_out_rms_px`, the root mean square distance of corners from their places in the used
+/// views and in views that were held out; `expected_error_px`, the error of a ray over the image that follows from the covariance (the
+/// camera's rotation taken out); and `parameter_names`, `parameter_values`, `parameter_deviations` and `parameter_covariance`.
+pub fn write(calibration: &Calibration, board: &Board) -> String {
+    let mut text = camera_file::write(&calibration.camera);
+    let points: usize =
+        calibration.views.iter().filter(|view| view.used).map(|view| view.residuals.len()).sum();
+    let _ = writeln!(text, "lens_model: {}", quoted(calibration.model.name()));
+    let _ = writeln!(text, "calibration_board: {}", quoted(&board.to_string()));
+    let _ = writeln!(text, "verdict: {}", quoted(&calibration.verdict.to_string()));
+    list(&mut text, "reasons", calibration.reasons.iter().map(String::as_str));
+    let _ = writeln!(text, "views_used: {}", calibration.views_used());
+    let _ = writeln!(text, "views_seen: {}", calibration.views.len());
+    let _ = writeln!(text, "points_used: {points}");
+    let _ = writeln!(text, "rms_px: {}", real(calibration.rms_px));
+    let _ = writeln!(text, "hold_out_rms_px: {}", real(calibration.hold_out_rms_px));
+    let _ = writeln!(text, "expected_error_px: {}", real(calibration.expected_error_over_image_px()));
+    let parameters = &calibration.parameters;
+    list(&mut text, "parameter_names", parameters.iter().map(|parameter| parameter.name));
+    let values: Vec<f64> = parameters.iter().map(|parameter| parameter.value).collect();
+    matrix(&mut text, "parameter_values", 1, &values);
+    let deviations: Vec<f64> = parameters.iter().map(|parameter| parameter.deviation).collect();
+    matrix(&mut text, "parameter_deviations", 1, &deviations);
+    let covariance = &calibration.covariance;
+    let by_rows: Vec<f64> =
+        covariance.row_iter().flat_map(|row| row.iter().copied().collect::<Vec<_>>()).collect();
+    matrix(&mut text, "parameter_covariance", covariance.nrows(), &by_rows);
+    text
+}
+
+/// A number as OpenCV's reader takes it; YAML's words for what is no number.
+fn real(value: f64) -> String {
+    match value {
+        v if v.is_nan() => ".Nan".into(),
+        v if v == f64::INFINITY => ".Inf".into(),
+        v if v == f64::NEG_INFINITY => "-.Inf".into(),
+        v => camera_file::number(v),
+    }
+}
+
+/// A text between double quotes, without what would need more than one line.
+fn quoted(text: &str) -> String {
+    let mut safe = String::from('"');
+    for character in text.chars() {
+        match character {
+            '"' | '\\' => safe.extend(['\\', character]),
+            c if c.is_control() => safe.push(' '),
+            c => safe.push(c),
+        }
+    }
+    safe.push('"');
+    safe
+}
+
+fn list<'a>(text: &mut String, key: &str, items: impl Iterator<Item = &'a str>) {
+    let items: Vec<String> = items.map(quoted).collect();
+    if items.is_empty() {
+        let _ = writeln!(text, "{key}: []");
+        return;
+    }
+    let _ = writeln!(text, "{key}:");
+    for item in items {
+        let _ = writeln!(text, "   - {item}");
+    }
+}
+
+fn matrix(text: &mut String, key: &str, rows: usize, data: &[f64]) {
+    let numbers = data.iter().map(|&number| real(number)).collect::<Vec<_>>().join(", ");
+    let columns = if rows == 0 { 0 } else { data.len() / rows };
+    let _ = writeln!(
+        text,
+        "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {numbers} ]"
+    );
+}
+
+#[cfg(test)]
+mod tests;

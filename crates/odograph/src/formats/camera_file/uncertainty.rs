@@ -1,0 +1,40 @@
+//! What a camera file says about how well its camera is known.
+
+use super::value::Value;
+use crate::error::{Error, Result};
+use crate::mounting::CameraUncertainty;
+use nalgebra::DMatrix;
+
+/// The covariance that a calibration wrote into its camera file under `parameter_names` and `parameter_covariance`; `None` where the text
+/// has neither, as the files of other programs.
+///
+/// Fails where one is there without the other, or they are not what they should be. Of text that is no YAML it says nothing.
+pub fn parse_uncertainty(text: &str) -> Result<Option<CameraUncertainty>> {
+    let text = text.trim_start_matches('\u{feff}').trim();
+    let as_comment = text.strip_prefix('%').map(|rest| format!("#{rest}"));
+    let Ok(root) = Value::parse(as_comment.as_deref().unwrap_or(text)) else { return Ok(None) };
+    let (names, covariance) = match (root.get("parameter_names"), root.get("parameter_covariance")) {
+        (None, None) => return Ok(None),
+        (Some(names), Some(covariance)) => (names, covariance.numbers("parameter_covariance")?),
+        (Some(_), None) => return Err(Error::input("parameter_names is there, but parameter_covariance is missing")),
+        (None, Some(_)) => return Err(Error::input("parameter_covariance is there, but parameter_names is missing")),
+    };
+    let not_names = || Error::input("parameter_names is not a list of names");
+    let Value::List(items) = names else { return Err(not_names()) };
+    let name = |item: &Value| match item {
+        Value::Text(name) => Some(name.clone()),
+        _ => None,
+    };
+    let names: Vec<String> = items.iter().map(name).collect::<Option<_>>().ok_or_else(not_names)?;
+    let n = names.len();
+    if n > MOST_PARAMETERS || covariance.len() != n * n {
+        return Err(Error::input(format!(
+            "parameter_covariance has {} numbers for {n} parameters; it must have {n} x {n}",
+            covariance.len()
+        )));
+    }
+    CameraUncertainty::new(names, DMatrix::from_row_slice(n, n, &covariance)).map(Some)
+}
+
+/// No camera has more.
+const MOST_PARAMETERS: usize = 64;

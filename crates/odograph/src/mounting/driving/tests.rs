@@ -1,0 +1,178 @@
+use super::*;
+use crate::camera::Distortion;
+use crate::geometry::GroundPoint;
+use crate::motion::Random;
+use crate::odometry::{Odometry, OdometryConfig};
+use crate::simulation::{
+    Effects, Path as DrivenPath, PathKind, Simulation, SimulationConfig, Texture, Vibration,
+};
+
+fn normal(random: &mut Random) -> f64 {
+    (0..12).map(|_| random.below(1 << 20) as f64 / f64::from(1 << 20)).sum::<f64>() - 6.0
+}
+
+fn camera() -> Camera {
+    let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
+    Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), distortion).unwrap()
+}
+
+const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.05, yaw_rad: 0.0 };
+
+/// Keyframes with one pair each, of exact tracks with noise, which move and turn by what `movement` says.
+fn collected(
+    keyframes: usize,
+    noise_px: f64,
+    random: &mut Random,
+    movement: impl Fn(usize, &mut Random) -> [f64; 3],
+    shake_rad: f64,
+) -> DrivenTilt {
+    let camera = camera();
+    let mut driven = DrivenTilt::new(&camera, DrivingConfig::default());
+    driven.groups.clear();
+    for index in 0..keyframes {
+        let [x, y, turn] = movement(index, random);
+        let mut shaken = |pose: GroundPose| GroundPose {
+            roll_rad: pose.roll_rad + shake_rad * normal(random),
+            pitch_rad: pose.pitch_rad + shake_rad * normal(random),
+            ..pose
+        };
+        let first = shaken(RIG.first_pose());
+        let second = shaken(GroundPose { x_m: x, y_m: y, heading_rad: turn, ..RIG.first_pose() });
+        let mut tracks = Vec::new();
+        while tracks.len() < 80 {
+            let corner = Pixel::new(10.0 + random.below(620) as f64, 10.0 + random.below(460) as f64);
+            let ground: GroundPoint = first.ground_from_ray(camera.ray_from_pixel(corner).unwrap()).unwrap();
+            let seen = second.ray_from_ground(ground).and_then(|ray| camera.pixel_from_ray(ray)).unwrap();
+            let wrong = tracks.len() % 10 == 0;
+            let noise = if wrong { 4.0 } else { noise_px };
+            let seen = Pixel::new(seen.x + noise * normal(random), seen.y + noise * normal(random));
+            tracks.push((corner, seen, !wrong));
+        }
+        driven.groups.push(Group { pairs: vec![Pair { tracks }] });
+    }
+    driven
+}
+
+/// Forward, with turns to both sides.
+fn turning(index: usize, random: &mut Random) -> [f64; 3] {
+    [0.2, 0.02 * normal(random), if index % 2 == 0 { 0.15 } else { -0.1 }]
+}
+
+fn off(found: &TiltMeasurement) -> nalgebra::Vector2<f64> {
+    nalgebra::Vector2::new(found.roll_rad - RIG.roll_rad, found.pitch_rad - RIG.pitch_rad)
+}
+
+#[test]
+fn exact_tracks_give_the_exact_tilt_from_far_off() {
+    let mut random = Random::new(1);
+    let driven = collected(10, 0.0, &mut random, turning, 0.0);
+    for (roll_rad, pitch_rad) in [(0.0, 0.0), (-0.12, 0.12), (0.2, -0.2)] {
+        let found = driven.solve(&Rig { roll_rad, pitch_rad, ..Rig::level(1.0) }).unwrap();
+        // The wrong tracks are told apart only down to the smallest noise that is believed.
+        assert!(off(&found).norm() < 1e-4, "{found:?}");
+        assert_eq!(found.revealed, Revealed::Both);
+    }
+}
+
+#[test]
+fn the_stated_covariance_is_true_also_on_a_mount_that_shakes() {
+    for shake_rad in [0.0, 0.004] {
+        let trials = 60;
+        let mut nees = 0.0;
+        let mut random = Random::new(2);
+        let (mut m, mut c, mut st) =
+            (nalgebra::Vector2::zeros(), nalgebra::Matrix2::zeros(), nalgebra::Matrix2::zeros());
+        for _ in 0..trials {
+            let driven = collected(25, 0.1, &mut random, turning, shake_rad);
+            let found = driven.solve(&Rig::level(1.0)).unwrap();
+            let off = off(&found);
+            m += off / f64::from(trials);
+            c += off * off.transpose() / f64::from(trials);
+            st += found.covariance / f64::from(trials);
+            nees += off.dot(&(found.covariance.try_inverse().unwrap() * off)) / f64::from(trials);
+        }
+        println!("mean {:e} sample {:e} stated {:e} nees {nees}", m, c, st);
+        // 120 squares: 1.52 to 2.54 in 95 of 100 cases; robust weights and an estimated scatter widen that.
+        assert!((1.2..3.0).contains(&nees), "shaking by {shake_rad}: {nees}");
+    }
+}
+
+#[test]
+fn what_a_movement_does_not_reveal_is_said() {
+    let mut random = Random::new(3);
+    // Standing still, to a tenth of a pixel.
+    let still = collected(12, 0.1, &mut random, |_, _| [0.0, 0.0, 0.0], 0.0).solve(&Rig::level(1.0));
+    match still {
+        Err(error) => assert!(error.to_string().contains("enough movement"), "{error}"),
+        Ok(found) => assert!(matches!(found.revealed, Revealed::NotAll { .. }), "{found:?}"),
+    }
+    // Short shifts tell little, long ones much; so does a turn on the spot of half a radian.
+    let deviation = |movement: [f64; 3], random: &mut Random| {
+        let found = collected(12, 0.1, random, |_, _| movement, 0.0).solve(&Rig::level(1.0)).unwrap();
+        found.covariance.trace().sqrt()
+    };
+    let short = deviation([0.02, 0.0, 0.0], &mut random);
+    let long = deviation([0.3, 0.0, 0.0], &mut random);
+    let turn = deviation([0.02, 0.0, 0.5], &mut random);
+    assert!(long < 0.1 * short && turn < 0.2 * short, "{short} {long} {turn}");
+    assert!(DrivenTilt::new(&camera(), DrivingConfig::default()).solve(&Rig::level(1.0)).is_err());
+}
+
+/// A rendered drive of five metres in two loops, seen a few times a second.
+fn drive(rig: Rig, effects: Effects, path: PathKind) -> Simulation {
+    Simulation::new(SimulationConfig {
+        camera: Camera::new((320, 240), (250.0, 250.0), (160.3, 119.0), Distortion::None).unwrap(),
+        rig,
+        texture: Texture::named("asphalt").unwrap(),
+        path: DrivenPath::new(path, 0.6, 1.0, false).unwrap(),
+        effects: Effects { noise_gray: 2.0, ..effects },
+        fps: 12.0,
+        duration_s: None,
+        colored: false,
+        seed: 5,
+    })
+    .unwrap()
+}
+
+/// Follows a drive twice: from `start`, and from what that found.
+fn measured(simulation: &Simulation, start: Rig) -> (TiltMeasurement, f64) {
+    let camera = &simulation.config().camera;
+    let mut rig = start;
+    let mut last = None;
+    for _ in 0..2 {
+        let mut odometry = Odometry::new(camera.clone(), rig, OdometryConfig::default()).unwrap();
+        let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
+        for frame in simulation.frames() {
+            let estimate = odometry.process(frame.image, frame.time_s).unwrap();
+            driven.watch(&estimate, odometry.tracks());
+        }
+        let found = driven.solve(&rig).unwrap();
+        rig = Rig { roll_rad: found.roll_rad, pitch_rad: found.pitch_rad, ..rig };
+        last = Some((found, driven.path_length_m().unwrap().0));
+    }
+    last.unwrap()
+}
+
+const EIGHT: PathKind = PathKind::FigureEight { length_m: 1.7, laps: 1.0 };
+
+#[test]
+fn a_rendered_drive_gives_the_tilt_from_five_degrees_off() {
+    let simulation = drive(RIG, Effects::default(), EIGHT);
+    let start = Rig { roll_rad: RIG.roll_rad - 0.062, pitch_rad: RIG.pitch_rad + 0.062, ..RIG };
+    let (found, length_m) = measured(&simulation, start);
+    assert!(off(&found).norm() < 0.05f64.to_radians(), "{found:?}");
+    assert_eq!(found.revealed, Revealed::Both);
+    // The height is given right, so the length is: to the per mille that is asked of the height.
+    let seen: Vec<GroundPose> = simulation.times_s().iter().map(|&time_s| simulation.truth(time_s)).collect();
+    let truth_m: f64 = seen.windows(2).map(|two| distance_m(&two[0], &two[1])).sum();
+    assert!((length_m / truth_m - 1.0).abs() < 2e-3, "{length_m} {truth_m}");
+}
+
+#[test]
+fn a_shaking_mount_gives_its_mean_tilt_and_a_wider_deviation() {
+    let vibration = Vibration { shift_m: 0.001, turn_rad: 0.004, frequency_hz: 5.0 };
+    let effects = Effects { vibration: Some(vibration), ..Effects::default() };
+    let (found, _) = measured(&drive(RIG, effects, EIGHT), Rig::level(RIG.height_m));
+    let deviation = found.covariance.trace().sqrt();
+    assert!(off(&found).norm() < 3.5 * deviation && deviation < 0.2f64.to_radians(), "{found:?}");
+}
