@@ -147,8 +147,14 @@ impl Statistics {
             1 => "lost once".to_owned(),
             n => format!("lost {n} times"),
         };
+        let used = self.sensors.iter().filter(|sensor| sensor.used).map(|sensor| sensor.sensor.to_string());
+        let used: Vec<String> = used.collect();
+        let sensors = match used.is_empty() {
+            true => String::new(),
+            false => format!("beside the camera: {}\n", used.join(", ")),
+        };
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n",
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{sensors}",
             self.distance_m,
             self.duration_s,
             self.frames_with_pose,
