@@ -21,14 +21,20 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 
 /// A text file a person made: at most 16 MiB of UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
+    read_text_within(path, MOST_TEXT)
+}
+
+/// A text file of at most `most` bytes of UTF-8.
+pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     let mut text = String::new();
     fs::File::open(path)
-        .and_then(|file| file.take(MOST_TEXT + 1).read_to_string(&mut text))
+        .and_then(|file| file.take(most + 1).read_to_string(&mut text))
         .map_err(|error| Error::input(format!("{} cannot be read: {error}", path.display())))?;
-    if text.len() as u64 > MOST_TEXT {
+    if text.len() as u64 > most {
         return Err(Error::input(format!(
-            "{} is larger than 16 MiB; it is not the file meant",
-            path.display()
+            "{} is larger than {} MiB; it is not the file meant",
+            path.display(),
+            most >> 20
         )));
     }
     Ok(text)

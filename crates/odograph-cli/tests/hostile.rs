@@ -14,7 +14,8 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Every file of a whole run.
-const FILES: [&str; 9] = [
+const FILES: [&str; 12] = [
+    "carrier.tum",
     "map.png",
     "map.svg",
     "mosaic.pgw",
@@ -22,6 +23,8 @@ const FILES: [&str; 9] = [
     "report.html",
     "run.toml",
     "stats.json",
+    "trajectory-smoothed.csv",
+    "trajectory-smoothed.tum",
     "trajectory.csv",
     "trajectory.tum",
 ];

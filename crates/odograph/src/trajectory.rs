@@ -1,7 +1,7 @@
 //! What is known of each frame: the values that leave the pipeline and that maps, reports and files are made of.
 
 use crate::geometry::GroundPose;
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -68,6 +68,27 @@ impl Velocity {
     }
 }
 
+/// Position and heading as the pixels of one frame have them, before any filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaneMeasurement {
+    /// World x, metres.
+    pub x_m: f64,
+    /// World y, metres.
+    pub y_m: f64,
+    /// Heading, radians.
+    pub heading_rad: f64,
+    /// Covariance of the three against the keyframe they were measured from: the noise of this frame alone.
+    pub covariance: Matrix3<f64>,
+}
+
+impl PlaneMeasurement {
+    /// A measurement of a pose, with the covariance of (x, y, heading, height, roll, pitch) against its keyframe.
+    pub fn new(pose: &GroundPose, covariance: &Matrix6<f64>) -> Self {
+        let covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        Self { x_m: pose.x_m, y_m: pose.y_m, heading_rad: pose.heading_rad, covariance }
+    }
+}
+
 /// The pose of a frame with everything that says how well it is known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseEstimate {
@@ -78,6 +99,8 @@ pub struct PoseEstimate {
     /// Covariance of (x, y, heading, height, roll, pitch) in metres and radians, against the start of the run; rows of
     /// quantities that the rig holds fixed are zero.
     pub covariance: Matrix6<f64>,
+    /// What was measured, before the filter that made [`PoseEstimate::pose`] of it.
+    pub measured: PlaneMeasurement,
 }
 
 /// One frame as it left the pipeline.

@@ -188,6 +188,10 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64), help_heading = "Effects")]
     seed: u64,
 
+    /// Write what a gyroscope, a compass, a wheel and a range finder on the carrier tell: gyro.csv, heading.csv, wheel.csv, range.csv
+    #[arg(long, help_heading = "Other sensors")]
+    sensors: bool,
+
     /// png: a folder of pictures; y4m: uncompressed video; mjpeg: an AVI of JPEG pictures
     #[arg(long, value_enum, default_value = "png")]
     format: FormatName,
@@ -251,6 +255,10 @@ enum FormatName {
 pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
     let (config, parameters) = scene::from_arguments(&arguments)?;
     let simulation = Simulation::new(config)?;
+    let parameters = match arguments.sensors {
+        true => parameters.with_sensors(&simulation.sensors()?),
+        false => parameters,
+    };
     let output = Output::prepared(&arguments, &simulation)?;
     output.write(&simulation, &parameters)?;
     if !arguments.quiet {

@@ -4,6 +4,7 @@ use super::charts::over_time;
 use super::figures::{Figures, in_words, sigmas, weakest};
 use super::parts::{card, head, number, warnings};
 use odograph::camera::{Camera, Distortion, Rig};
+use odograph::filter::fusion::SensorReport;
 use odograph::mapping::drawing::scale::{duration_text, length_text};
 use odograph::mapping::drawing::svg::{data_uri, escape};
 use odograph::mapping::{MapDrawing, Placement};
@@ -33,6 +34,8 @@ pub struct ReportInput<'a> {
     pub run_toml: &'a str,
     /// What a person should know about the input; sentences.
     pub warnings: &'a [String],
+    /// What became of the sensors beside the camera.
+    pub sensors: &'a [SensorReport],
 }
 
 /// The mosaic as the report shows it.
@@ -59,6 +62,7 @@ pub fn html(input: &ReportInput<'_>) -> String {
     ground(input, &mut page);
     over_time(input.frames, &figures, &mut page);
     doubts(input.frames, &figures, &mut page);
+    sensors(input.sensors, &mut page);
     parameters(input, &mut page);
     let _ = write!(
         page,
@@ -247,6 +251,40 @@ fn doubts(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
             frame.inliers,
             frame.tracks,
             frame.residual_px
+        );
+    }
+    page.push_str("</table></div>\n");
+}
+
+/// What the other sensors brought; nothing where there are none.
+fn sensors(sensors: &[SensorReport], page: &mut String) {
+    if sensors.is_empty() {
+        return;
+    }
+    page.push_str(
+        "<h2>Other sensors</h2>\n<div class=\"box scroll\"><table>\n<tr><th>Sensor</th><th>used</th><th>clock ahead by</th>\
+         <th>found</th></tr>\n",
+    );
+    for report in sensors {
+        let used = report.rejected.map_or("yes".into(), |reason| format!("no: {reason}"));
+        let clock = match report.offset {
+            Some(offset) if offset.sigma_s.is_finite() => {
+                format!("{} ± {} ms", number(1e3 * offset.offset_s, 1), number(2e3 * offset.sigma_s, 1))
+            }
+            Some(_) => "the movement does not tell".into(),
+            None => String::new(),
+        };
+        let found: Vec<String> = report
+            .parameters
+            .iter()
+            .map(|found| format!("{} {} ± {}", found.name, number(found.value, 4), number(2.0 * found.sigma, 4)))
+            .collect();
+        let _ = writeln!(
+            page,
+            "<tr><td>{}</td><td>{}</td><td>{clock}</td><td>{}</td></tr>",
+            report.sensor,
+            escape(&used),
+            escape(&found.join(", "))
         );
     }
     page.push_str("</table></div>\n");

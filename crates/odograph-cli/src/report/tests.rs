@@ -3,7 +3,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use odograph::image::RgbImage;
 use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicOptions};
-use odograph::trajectory::{FrameEstimate, LossReason, PoseEstimate, TrackStatus, Velocity};
+use odograph::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
 use std::f64::consts::TAU;
 
 fn camera() -> Camera {
@@ -39,7 +39,12 @@ fn figure_eight(count: u64) -> Vec<FrameEstimate> {
                 } else {
                     TrackStatus::Lost { reason: LossReason::Bare }
                 },
-                estimate: tracked.then_some(PoseEstimate { pose, velocity, covariance }),
+                estimate: tracked.then_some(PoseEstimate {
+                    pose,
+                    velocity,
+                    covariance,
+                    measured: PlaneMeasurement::new(&pose, &covariance),
+                }),
                 tracks: if tracked { 240 - (40.0 * (3.0 * a).sin()) as usize } else { 7 },
                 inliers: if tracked { 210 - (60.0 * (3.0 * a).sin().abs()) as usize } else { 0 },
                 residual_px: if tracked { 0.12 + 0.05 * (9.0 * a).sin() } else { 0.0 },
@@ -90,6 +95,7 @@ fn report(frames: &[FrameEstimate], title: &str, warnings: &[String]) -> String 
         mosaic: None,
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\n",
         warnings,
+        sensors: &[],
     })
 }
 
@@ -264,6 +270,7 @@ fn a_look() {
         }),
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\nseed = 1\n",
         warnings: &["the video ends in the middle of a frame; 900 of about 905 frames were read".into()],
+        sensors: &[],
     });
     crate::files::write(&folder.join("report.html"), page.as_bytes()).unwrap();
 }

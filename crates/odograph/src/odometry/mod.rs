@@ -18,7 +18,7 @@ use crate::flow::FlowConfig;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 use crate::motion::{MotionConfig, MotionEstimate, MotionModel, Random, RigWander};
-use crate::trajectory::{FrameEstimate, LossReason, PoseEstimate, TrackStatus};
+use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
 use last_pose::LastPose;
@@ -437,7 +437,12 @@ impl Odometry {
             frame: self.frames,
             time_s,
             status: TrackStatus::Tracked,
-            estimate: Some(PoseEstimate { pose, velocity: Default::default(), covariance }),
+            estimate: Some(PoseEstimate {
+                pose,
+                velocity: Default::default(),
+                covariance,
+                measured: PlaneMeasurement::new(&pose, &covariance),
+            }),
             tracks: corners,
             inliers: corners,
             residual_px: 0.0,
@@ -582,9 +587,10 @@ impl Odometry {
                 .insert(ConstantAcceleration::new(time_s, measured, variances, &self.config.filter))
                 .filtered(),
         };
+        let plane = PlaneMeasurement::new(&pose, &estimate.covariance);
         let pose =
             GroundPose { x_m: filtered.x_m, y_m: filtered.y_m, heading_rad: filtered.heading_rad, ..pose };
-        PoseEstimate { pose, velocity: filtered.velocity, covariance: estimate.covariance }
+        PoseEstimate { pose, velocity: filtered.velocity, covariance: estimate.covariance, measured: plane }
     }
 
     /// What the keyframe's own uncertainty does to a pose measured against it: the ground it laid out is shifted, turned about it, and scaled with

@@ -15,6 +15,7 @@ mod path;
 mod patterns;
 mod photograph;
 mod renderer;
+mod sensors;
 mod sequence;
 mod texture;
 
@@ -26,5 +27,6 @@ pub use ground::Ground;
 pub use path::{Path, PathKind};
 pub use photograph::Tiling;
 pub use renderer::Renderer;
+pub use sensors::{SensorErrors, SimulatedSensors};
 pub use sequence::{RenderedFrame, Simulation, SimulationConfig};
 pub use texture::Texture;

@@ -10,9 +10,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Every file that a run writes.
-pub const FILES: [&str; 9] = [
+pub const FILES: [&str; 12] = [
     "trajectory.tum",
     "trajectory.csv",
+    "trajectory-smoothed.tum",
+    "trajectory-smoothed.csv",
+    "carrier.tum",
     "map.svg",
     "map.png",
     "mosaic.png",

@@ -6,10 +6,17 @@ use super::pipeline::Tracked;
 use crate::files;
 use crate::report::{self, ReportInput, ReportMosaic};
 use odograph::error::Result;
+use odograph::filter::fusion::SensorReport;
 use odograph::mapping::{Backdrop, MapDrawing};
 
 /// Writes mosaic, map and report.
-pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut OutputFolder) -> Result<()> {
+pub fn write(
+    plan: &RunPlan,
+    description: &str,
+    tracked: &Tracked,
+    sensors: &[SensorReport],
+    folder: &mut OutputFolder,
+) -> Result<()> {
     let name = plan.source.path.trim_end_matches(['/', '\\']);
     let title = name.rsplit(['/', '\\']).next().unwrap_or(name);
     let mosaic = tracked.mosaic.picture();
@@ -54,6 +61,7 @@ pub fn write(plan: &RunPlan, description: &str, tracked: &Tracked, folder: &mut 
         }),
         run_toml: &plan.text()?,
         warnings: &tracked.warnings,
+        sensors,
     });
     folder.write("report.html", page.as_bytes())
 }

@@ -4,13 +4,17 @@ mod folder;
 mod map;
 mod pipeline;
 mod plan;
+mod sensors;
 mod statistics;
 
 use crate::{Outcome, console};
 use folder::OutputFolder;
 use odograph::error::{Error, Result};
+use odograph::filter::{SmoothedFrame, carrier_path, fusion};
+use odograph::formats::trajectory_file;
 use odograph::motion::MotionModel;
 pub use plan::RunPlan;
+pub use sensors::SensorPlan;
 pub use statistics::Statistics;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -56,6 +60,8 @@ pub struct RunArguments {
     #[arg(long, value_name = "N")]
     pub max_frames: Option<u64>,
     #[command(flatten)]
+    pub sensors: SensorPlan,
+    #[command(flatten)]
     pub output: OutputArguments,
 }
 
@@ -84,6 +90,7 @@ Examples:
   odograph run drive.mp4 --camera camera.yaml --height 1.20 -o drive/
   odograph run frames/ --timestamps frames.txt --camera camera.yaml --rig rig.toml -o drive/
   odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
+  odograph run drive.mp4 --camera camera.yaml --height 1.20 --gyro gyro.csv --wheel wheel.csv -o drive/
   odograph run drive/run.toml -o again/
 
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the
@@ -146,6 +153,7 @@ impl RunArguments {
             end: None,
             every: 1,
             max_frames: None,
+            sensors: SensorPlan::default(),
             output,
         }
     }
@@ -176,6 +184,7 @@ pub fn follow(
     arguments: &OutputArguments,
 ) -> Result<RunReport> {
     let started = Instant::now();
+    let sensors = plan.sensors.read()?;
     let description = source.info().description.clone();
     let mut tracked = pipeline::track(plan, source, &mut folder, arguments)?;
     if tracked.frames.len() < 2 && !tracked.interrupted {
@@ -189,9 +198,23 @@ pub fn follow(
     }
     let failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
-    let statistics = Statistics::new(&tracked, started.elapsed());
+    let fused = fusion::fuse(&tracked.frames, &sensors);
+    let path = fused.smooth(&plan.odometry.filter);
+    tracked.warnings.extend(plan.sensors.warnings(&fused.reports));
+    let reports = fused.reports;
+    tracked.frames = fused.frames;
     folder.write_trajectories(&tracked.frames, &plan.text()?)?;
-    map::write(plan, &description, &tracked, &mut folder)?;
+    folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
+    let smoothed = SmoothedFrame::trajectory(&path);
+    folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
+    let carrier = carrier_path(&path, &plan.rig);
+    folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
+    if fused.moved {
+        // The mosaic was laid while the sensors were not known yet.
+        pipeline::lay_again(plan, &mut tracked);
+    }
+    let statistics = Statistics::new(&tracked, &reports, started.elapsed());
+    map::write(plan, &description, &tracked, &reports, &mut folder)?;
     folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),

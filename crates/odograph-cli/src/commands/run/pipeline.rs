@@ -71,6 +71,34 @@ pub fn track(
     })
 }
 
+/// Lays the mosaic anew, under poses that have changed since. Where the source cannot be read twice it stays as it is, and that is said.
+pub fn lay_again(plan: &RunPlan, tracked: &mut Tracked) {
+    let source = match plan.source.path.as_str() {
+        "-" => Err(Error::input("standard input cannot be read twice")),
+        _ => plan.source.open(),
+    };
+    let mut decoding = match source {
+        Ok(source) => Decoding { source, times: Vec::new() },
+        Err(error) => {
+            tracked.warnings.push(format!(
+                "the mosaic lies where the camera alone puts it, not where the other sensors do: {error}"
+            ));
+            return;
+        }
+    };
+    let mut laying = Laying::new(plan.camera.clone());
+    let mut estimates = tracked.frames.iter().peekable();
+    // Where the recording ends early it did so the first time, and that is told already.
+    while let Ok(Some(frame)) = decoding.next() {
+        while estimates.next_if(|estimate| estimate.frame < frame.number).is_some() {}
+        let Some(estimate) = estimates.next_if(|estimate| estimate.frame == frame.number) else { continue };
+        if let Some(known) = &estimate.estimate {
+            laying.next(Posed { frame, pose: known.pose, segment: estimate.segment });
+        }
+    }
+    tracked.mosaic = laying.finished().0;
+}
+
 /// The three stages in turn.
 fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, laying: &mut Laying) -> Result<()> {
     while let Some(frame) = decoding.next()? {

@@ -1,6 +1,6 @@
 //! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
 
-use super::RunArguments;
+use super::{RunArguments, SensorPlan};
 use crate::files;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -20,6 +20,8 @@ pub struct RunPlan {
     pub source: SourcePlan,
     pub camera: Camera,
     pub rig: Rig,
+    #[serde(default, skip_serializing_if = "SensorPlan::is_empty")]
+    pub sensors: SensorPlan,
     pub odometry: OdometryConfig,
 }
 
@@ -42,7 +44,7 @@ pub struct SourcePlan {
 }
 
 impl SourcePlan {
-    fn open(&self) -> Result<Source> {
+    pub fn open(&self) -> Result<Source> {
         let options = SourceOptions {
             timestamps: self.timestamps.clone(),
             fps: self.fps,
@@ -111,6 +113,7 @@ impl RunPlan {
             source: source_plan,
             camera,
             rig,
+            sensors: arguments.sensors.clone(),
             odometry,
         };
         Ok((plan, source))
@@ -131,6 +134,10 @@ impl RunPlan {
             ("--end", arguments.end.is_some()),
             ("--every", arguments.every != unasked.every),
             ("--max-frames", arguments.max_frames.is_some()),
+            ("--gyro", arguments.sensors.gyro.is_some()),
+            ("--heading", arguments.sensors.heading.is_some()),
+            ("--wheel", arguments.sensors.wheel.is_some()),
+            ("--range", arguments.sensors.range.is_some()),
         ];
         if let Some((option, _)) = given.iter().find(|(_, given)| *given) {
             return Err(Error::usage(format!(

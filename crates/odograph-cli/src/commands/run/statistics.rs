@@ -2,6 +2,7 @@
 
 use super::pipeline::Tracked;
 use odograph::error::{Error, Result};
+use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
 use odograph::trajectory::{TrackStatus, distance_m};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -32,6 +33,52 @@ pub struct Statistics {
     pub peak_memory_bytes: Option<u64>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
+    /// What became of the sensors beside the camera; left out where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<SensorStatistics>,
+}
+
+/// What became of a sensor beside the camera.
+#[derive(Debug, Clone, Serialize)]
+pub struct SensorStatistics {
+    /// Which one.
+    pub sensor: SensorKind,
+    /// Whether it was believed.
+    pub used: bool,
+    /// Why not.
+    pub reason: Option<String>,
+    /// Its clock less the recording's, seconds; 0 where the movement does not tell.
+    pub time_offset_s: Option<f64>,
+    /// One standard deviation of it; `null` where the movement does not tell.
+    pub time_offset_sigma_s: Option<f64>,
+    /// Scale, bias and mounting as found.
+    pub parameters: Vec<SensorParameter>,
+    /// Standard deviation of its integral over a second (gyro, wheel) or of a second's reading (heading, range), radians or metres.
+    pub noise: Option<f64>,
+    /// Seconds in which it was compared with the camera.
+    pub seconds: usize,
+    /// In how many of them it contradicts the camera.
+    pub contradictions: usize,
+    /// Mean normalised innovation squared.
+    pub nis: Option<f64>,
+}
+
+impl SensorStatistics {
+    fn new(report: &SensorReport) -> Self {
+        let offset = report.offset;
+        Self {
+            sensor: report.sensor,
+            used: report.rejected.is_none(),
+            reason: report.rejected.map(|reason| reason.to_string()),
+            time_offset_s: offset.map(|offset| offset.offset_s),
+            time_offset_sigma_s: offset.map(|offset| offset.sigma_s).filter(|sigma_s| sigma_s.is_finite()),
+            parameters: report.parameters.clone(),
+            noise: report.noise,
+            seconds: report.seconds,
+            contradictions: report.contradictions,
+            nis: report.nis,
+        }
+    }
 }
 
 /// How long a stage takes.
@@ -56,8 +103,8 @@ impl StageTime {
 }
 
 impl Statistics {
-    /// The figures of what was tracked in `elapsed`.
-    pub fn new(tracked: &Tracked, elapsed: Duration) -> Self {
+    /// The figures of what was tracked in `elapsed`, beside the sensors.
+    pub fn new(tracked: &Tracked, sensors: &[SensorReport], elapsed: Duration) -> Self {
         let frames = &tracked.frames;
         let posed = |i: usize| frames[i].estimate.is_some();
         let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
@@ -83,6 +130,7 @@ impl Statistics {
             losses: losses as u64,
             peak_memory_bytes: peak_memory_bytes(),
             interrupted: tracked.interrupted,
+            sensors: sensors.iter().map(SensorStatistics::new).collect(),
         }
     }
 
@@ -99,8 +147,14 @@ impl Statistics {
             1 => "lost once".to_owned(),
             n => format!("lost {n} times"),
         };
+        let used = self.sensors.iter().filter(|sensor| sensor.used).map(|sensor| sensor.sensor.to_string());
+        let used: Vec<String> = used.collect();
+        let sensors = match used.is_empty() {
+            true => String::new(),
+            false => format!("beside the camera: {}\n", used.join(", ")),
+        };
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n",
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{sensors}",
             self.distance_m,
             self.duration_s,
             self.frames_with_pose,

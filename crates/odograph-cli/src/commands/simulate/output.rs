@@ -7,7 +7,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use jpeg_encoder::{ColorType, Encoder};
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::write_tum;
-use odograph::formats::{camera_file, rig_file};
+use odograph::filter::fusion::Sensors;
+use odograph::formats::{camera_file, rig_file, sensor_file};
 use odograph::simulation::{RenderedFrame, Simulation};
 use odograph::trajectory::{StampedPose, Trajectory};
 use std::collections::BTreeMap;
@@ -21,13 +22,26 @@ use std::sync::mpsc;
 /// Quality of JPEG pictures; noise and texture survive.
 const JPEG_QUALITY: u8 = 93;
 /// Every file or folder that some run may write.
-const OURS: [&str; 8] =
-    ["frames", "frames.txt", "sim.y4m", "sim.avi", "truth.tum", "camera.yaml", "rig.toml", "simulation.toml"];
+const OURS: [&str; 12] = [
+    "frames",
+    "frames.txt",
+    "sim.y4m",
+    "sim.avi",
+    "truth.tum",
+    "camera.yaml",
+    "rig.toml",
+    "simulation.toml",
+    "gyro.csv",
+    "heading.csv",
+    "wheel.csv",
+    "range.csv",
+];
 
 /// Where to and how.
 pub struct Output {
     folder: PathBuf,
     format: FormatName,
+    sensors: bool,
     threads: usize,
     bar: ProgressBar,
 }
@@ -64,7 +78,7 @@ impl Output {
         if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
             bar.set_style(style);
         }
-        Ok(Self { folder, format: arguments.format, threads, bar })
+        Ok(Self { folder, format: arguments.format, sensors: arguments.sensors, threads, bar })
     }
 
     /// Renders and writes everything; the frames come last into their place, so that a folder with frames is a whole one.
@@ -91,6 +105,27 @@ impl Output {
             ("simulation.toml", parameters),
         ] {
             files::write(&self.folder.join(name), text.as_bytes())?;
+        }
+        self.write_sensors(simulation)
+    }
+
+    /// What the other sensors wrote, or nothing, but then nothing of an earlier run either.
+    fn write_sensors(&self, simulation: &Simulation) -> Result<()> {
+        let records = if self.sensors { simulation.sensors()?.records } else { Sensors::default() };
+        for (name, record) in [
+            ("gyro.csv", records.gyro),
+            ("heading.csv", records.heading),
+            ("wheel.csv", records.wheel),
+            ("range.csv", records.range),
+        ] {
+            let path = self.folder.join(name);
+            match record {
+                Some(record) => files::write(&path, sensor_file::write(&record).as_bytes())?,
+                None if path.exists() => fs::remove_file(&path).map_err(|error| {
+                    Error::output(format!("{} cannot be removed: {error}", path.display()))
+                })?,
+                None => {}
+            }
         }
         Ok(())
     }

@@ -6,10 +6,12 @@ use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
 use odograph::geometry::Pixel;
 use odograph::simulation::{
-    Blackout, Effects, ExposureJumps, Lighting, MovingObject, Path, PathKind, Shadow, SimulationConfig,
+    Blackout, Effects, ExposureJumps, Lighting, MovingObject, Path, PathKind, SensorErrors, Shadow,
+    SimulatedSensors, SimulationConfig,
     Texture, Tiling, Timing, Vibration, Wander,
 };
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
 
@@ -31,6 +33,18 @@ pub struct Parameters {
     path: PathKind,
     rig: Rig,
     effects: Effects,
+    /// The errors of the other sensors, where they are written.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sensors: Option<BTreeMap<&'static str, SensorErrors>>,
+}
+
+impl Parameters {
+    /// Tells the errors that the other sensors have.
+    pub fn with_sensors(self, sensors: &SimulatedSensors) -> Self {
+        let SimulatedSensors { gyro, heading, wheel, range, .. } = *sensors;
+        let errors = [("gyro", gyro), ("heading", heading), ("wheel", wheel), ("range", range)];
+        Self { sensors: Some(BTreeMap::from(errors)), ..self }
+    }
 }
 
 /// `--vibration` as it was typed.
@@ -78,6 +92,7 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
         path: kind,
         rig,
         effects,
+        sensors: None,
     };
     Ok((config, parameters))
 }

@@ -1,5 +1,6 @@
 //! The frames of a run as a table for people and spreadsheets.
 
+use crate::filter::SmoothedFrame;
 use crate::trajectory::FrameEstimate;
 use std::fmt::Write;
 
@@ -45,6 +46,37 @@ pub fn csv_from_frames(frames: &[FrameEstimate]) -> String {
             frame.segment,
             frame.status
         );
+    }
+    text
+}
+
+/// The names of the columns of smoothed frames.
+const SMOOTHED_HEADER: &str = "frame,time_s,x_m,y_m,heading_deg,height_m,roll_deg,pitch_deg,speed_m_s,heading_rate_deg_s,\
+                               sigma_x_m,sigma_y_m,sigma_heading_deg,segment,source";
+
+/// Smoothed frames, one line each, in the units of [`csv_from_frames`]. `source` is `measured`, `bridged` or `sensors`.
+pub fn csv_from_smoothed(path: &[SmoothedFrame]) -> String {
+    let mut text = format!("{SMOOTHED_HEADER}\n");
+    for frame in path {
+        let (pose, velocity) = (&frame.pose, &frame.velocity);
+        let sigma = |index: usize| frame.covariance[(index, index)].max(0.0).sqrt();
+        let _ = write!(text, "{},{}", frame.frame, cell(Some(frame.time_s), 9));
+        for (value, decimals) in [
+            (pose.x_m, 6),
+            (pose.y_m, 6),
+            (pose.heading_rad.to_degrees(), 6),
+            (pose.height_m, 6),
+            (pose.roll_rad.to_degrees(), 6),
+            (pose.pitch_rad.to_degrees(), 6),
+            (velocity.speed_m_s(), 6),
+            (velocity.heading_rad_s.to_degrees(), 6),
+            (sigma(0), 9),
+            (sigma(1), 9),
+            (sigma(2).to_degrees(), 9),
+        ] {
+            let _ = write!(text, ",{}", cell(Some(value), decimals));
+        }
+        let _ = writeln!(text, ",{},{}", frame.segment, frame.source);
     }
     text
 }

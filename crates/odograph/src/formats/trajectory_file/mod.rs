@@ -7,7 +7,7 @@
 mod frames_csv;
 
 pub use crate::trajectory::{StampedPose, Trajectory};
-pub use frames_csv::csv_from_frames;
+pub use frames_csv::{csv_from_frames, csv_from_smoothed};
 
 use crate::error::{Error, Result};
 use crate::trajectory::FrameEstimate;

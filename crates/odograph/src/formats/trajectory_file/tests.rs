@@ -1,6 +1,6 @@
 use super::*;
 use crate::geometry::GroundPose;
-use crate::trajectory::{LossReason, PoseEstimate, TrackStatus, Velocity};
+use crate::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
 use nalgebra::{Matrix6, Vector3};
 use proptest::prelude::*;
 
@@ -12,7 +12,12 @@ fn frames() -> Vec<FrameEstimate> {
         frame: 3,
         time_s: 0.1,
         status: TrackStatus::Tracked,
-        estimate: Some(PoseEstimate { pose, velocity, covariance }),
+        estimate: Some(PoseEstimate {
+            pose,
+            velocity,
+            covariance,
+            measured: PlaneMeasurement::new(&pose, &covariance),
+        }),
         tracks: 120,
         inliers: 100,
         residual_px: 0.125,

@@ -1,6 +1,6 @@
 use super::*;
 use crate::geometry::GroundPose;
-use crate::trajectory::{LossReason, PoseEstimate, TrackStatus, Velocity};
+use crate::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
 use nalgebra::Matrix6;
 use proptest::prelude::*;
 
@@ -10,14 +10,16 @@ fn tracked(number: u64, x_m: f64, y_m: f64, heading_rad: f64, sigma_m: f64) -> F
     covariance[(1, 1)] = 0.3 * sigma_m * sigma_m;
     covariance[(0, 1)] = 0.2 * sigma_m * sigma_m;
     covariance[(1, 0)] = covariance[(0, 1)];
+    let pose = GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(1.0) };
     FrameEstimate {
         frame: number,
         time_s: 100.0 + number as f64 / 30.0,
         status: TrackStatus::Tracked,
         estimate: Some(PoseEstimate {
-            pose: GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(1.0) },
+            pose,
             velocity: Velocity::default(),
             covariance,
+            measured: PlaneMeasurement::new(&pose, &covariance),
         }),
         tracks: 200,
         inliers: 180,

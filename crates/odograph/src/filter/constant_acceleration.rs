@@ -1,30 +1,13 @@
-//! Subsystem 6: estimation improvement. A Kalman filter with constant acceleration for the position and the heading.
+//! A Kalman filter with constant acceleration for the position and the heading.
 //!
 //! The paper's equations (4)–(6): position, velocity and acceleration go over a time step t by
 //! `p ← p + v t + a t² / 2`, `v ← v + a t`, `a ← a`; the position is measured. We take the real time step, the covariance
 //! of the motion measurement, and let the innovations say how much the acceleration changes (white jerk; Y. Bar-Shalom et al.,
 //! "Estimation with Applications to Tracking and Navigation", 2001, §6.2.3).
 
+use super::FilterConfig;
 use crate::trajectory::Velocity;
 use nalgebra::{Matrix3, Vector3};
-use serde::{Deserialize, Serialize};
-
-/// How lively the filter expects the camera to be when it knows nothing yet.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FilterConfig {
-    /// Spectral density of the jerk of x and y, (m/s³)² s. It rises with the innovations and sinks back to this.
-    pub jerk_density: f64,
-    /// Spectral density of the jerk of the heading, (rad/s³)² s.
-    pub heading_jerk_density: f64,
-}
-
-impl Default for FilterConfig {
-    fn default() -> Self {
-        // A slow cart: a tenth of a g built up within about a second.
-        Self { jerk_density: 1.0, heading_jerk_density: 10.0 }
-    }
-}
 
 /// What the filter makes of the measurements so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,12 +34,7 @@ impl ConstantAcceleration {
     /// unknown: up to about 10 m/s (rad/s) and 10 m/s² (rad/s²).
     pub fn new(time_s: f64, measured: [f64; 3], variances: [f64; 3], config: &FilterConfig) -> Self {
         let densities = [config.jerk_density, config.jerk_density, config.heading_jerk_density];
-        let axis = |i: usize| Axis {
-            state: Vector3::new(measured[i], 0.0, 0.0),
-            covariance: Matrix3::from_diagonal(&Vector3::new(variances[i], 100.0, 100.0)),
-            matched: densities[i],
-            least_density: densities[i],
-        };
+        let axis = |i: usize| Axis::new(measured[i], variances[i], densities[i]);
         Self { axes: [axis(0), axis(1), axis(2)], time_s }
     }
 
@@ -91,7 +69,7 @@ impl ConstantAcceleration {
 }
 
 /// A nanometre (nanoradian), squared: keeps the filter regular when a measurement claims to be perfect.
-const SMALLEST_VARIANCE: f64 = 1e-18;
+pub(super) const SMALLEST_VARIANCE: f64 = 1e-18;
 
 /// Weight of the newest innovation in the average: about the last ten frames count.
 const MATCHING_RATE: f64 = 0.1;
@@ -99,8 +77,9 @@ const MATCHING_RATE: f64 = 0.1;
 /// Four standard deviations, squared: by chance once in 16,000 frames.
 const OUT_OF_PROPORTION: f64 = 16.0;
 
+/// One coordinate.
 #[derive(Debug, Clone)]
-struct Axis {
+pub(super) struct Axis {
     /// Position, velocity, acceleration.
     state: Vector3<f64>,
     covariance: Matrix3<f64>,
@@ -110,8 +89,19 @@ struct Axis {
 }
 
 impl Axis {
-    fn update(&mut self, t: f64, measured: f64, variance: f64) {
-        let transition = Matrix3::new(1.0, t, 0.5 * t * t, 0.0, 1.0, t, 0.0, 0.0, 1.0);
+    /// Starts at a measurement, with nothing known of velocity and acceleration.
+    pub(super) fn new(measured: f64, variance: f64, least_density: f64) -> Self {
+        Self {
+            state: Vector3::new(measured, 0.0, 0.0),
+            covariance: unknown_motion(variance),
+            matched: least_density,
+            least_density,
+        }
+    }
+
+    /// Takes a measurement `t` seconds after the last; gives the density of the jerk that was taken for this step.
+    pub(super) fn update(&mut self, t: f64, measured: f64, variance: f64) -> f64 {
+        let transition = transition(t);
         let jerk = white_jerk(t);
         self.state = transition * self.state;
         let carried = transition * self.covariance * transition.transpose();
@@ -127,17 +117,29 @@ impl Axis {
                 self.matched = owed;
             }
         }
-        let predicted = carried + self.matched.max(self.least_density) * jerk;
+        let density = self.matched.max(self.least_density);
+        let predicted = carried + density * jerk;
         let gain = predicted.column(0) / (predicted[(0, 0)] + variance);
         self.state += gain * innovation;
         // Joseph's form stays symmetric and positive.
         let keep = Matrix3::identity() - gain * Vector3::x().transpose();
         self.covariance = keep * predicted * keep.transpose() + gain * gain.transpose() * variance;
+        density
     }
 }
 
+/// Position known to `variance`; velocity and acceleration up to about 10 m/s (rad/s) and 10 m/s² (rad/s²).
+pub(super) fn unknown_motion(variance: f64) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::new(variance, 100.0, 100.0))
+}
+
+/// What a time step does to position, velocity and acceleration.
+pub(super) fn transition(t: f64) -> Matrix3<f64> {
+    Matrix3::new(1.0, t, 0.5 * t * t, 0.0, 1.0, t, 0.0, 0.0, 1.0)
+}
+
 /// Covariance that a white jerk of unit density adds over a time step.
-fn white_jerk(t: f64) -> Matrix3<f64> {
+pub(super) fn white_jerk(t: f64) -> Matrix3<f64> {
     let (t2, t3) = (t * t, t * t * t);
     Matrix3::new(
         t3 * t2 / 20.0,

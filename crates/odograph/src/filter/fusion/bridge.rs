@@ -1,0 +1,105 @@
+//! Gaps: how the camera moved around one, and the frames in it as the sensors tell them.
+
+use super::camera_motion::{Node, Step};
+use super::reckoning::{BodyRates, Reckoned};
+use crate::filter::smoother::{PoseSource, SmoothedFrame};
+use crate::geometry::GroundPose;
+use crate::trajectory::{FrameEstimate, PoseEstimate, Velocity};
+use nalgebra::{Matrix3, Vector3};
+
+/// A stretch of frames without a pose, as the sensors tell it.
+pub struct Bridge {
+    /// The node before it, and the one after it.
+    pub before: usize,
+    pub after: Option<usize>,
+    /// Frames in it, with where they are against the node before.
+    pub frames: Vec<(usize, Reckoned)>,
+    /// Where the node after it, or the last frame, is against the node before.
+    pub end: Reckoned,
+    pub duration_s: f64,
+}
+
+/// So long the camera's movement is averaged on either side of a gap, seconds.
+const RATES_S: f64 = 0.2;
+
+/// How the camera moved just before and just after a gap; where one of the two is not known, as at the other end.
+pub fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [BodyRates; 2] {
+    let mean = |steps: &mut dyn Iterator<Item = &Step>| {
+        let (mut sum, mut duration_s) = (BodyRates::zeros(), 0.0);
+        for step in steps {
+            if duration_s >= RATES_S {
+                break;
+            }
+            sum += Vector3::new(step.ahead_m, step.left_m, step.turn_rad);
+            duration_s += step.duration_s();
+        }
+        (duration_s > 0.0).then(|| sum / duration_s)
+    };
+    // Steps are in the order of the nodes that they start from.
+    let first_after = steps.partition_point(|step| step.from < before + 1);
+    let earlier = mean(&mut steps[..first_after].iter().rev().take_while(|step| step.from + 20 > before));
+    let later = after
+        .and_then(|after| mean(&mut steps[first_after..].iter().take_while(|step| step.from < after + 20)));
+    [earlier.or(later), later.or(earlier)].map(Option::unwrap_or_default)
+}
+
+impl Bridge {
+    /// The frames of the gap between the poses at its ends.
+    pub fn laid(&self, frames: &[FrameEstimate], nodes: &[Node]) -> Vec<SmoothedFrame> {
+        let before = &frames[nodes[self.before].index];
+        let after = self.after.map(|after| &frames[nodes[after].index]);
+        let Some(start) = &before.estimate else { return Vec::new() };
+        let finish = after.and_then(|frame| frame.estimate.as_ref());
+        let plane = |known: &PoseEstimate| {
+            Vector3::new(known.measured.x_m, known.measured.y_m, known.measured.heading_rad)
+        };
+        let origin = plane(start);
+        let (sin, cos) = origin[2].sin_cos();
+        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        // What the reckoning misses the far end by is spread over the gap.
+        let missed =
+            finish.map_or(Vector3::zeros(), |finish| plane(finish) - (origin + turn * self.end.pose));
+        let connected = after.is_some_and(|after| after.segment == before.segment);
+        let covariance = |known: &PoseEstimate| known.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let mut laid: Vec<SmoothedFrame> = Vec::with_capacity(self.frames.len());
+        for (index, reckoned) in &self.frames {
+            let frame = &frames[*index];
+            let share = ((frame.time_s - before.time_s) / self.duration_s).clamp(0.0, 1.0);
+            let at = origin + turn * reckoned.pose + missed * share;
+            let own = turn * reckoned.covariance * turn.transpose();
+            let between = |of: fn(&GroundPose) -> f64| {
+                let from = of(&start.pose);
+                finish.map_or(from, |finish| from + share * (of(&finish.pose) - from))
+            };
+            let covariance = match finish {
+                // Both ends are known: as a Brownian bridge.
+                Some(finish) if connected => {
+                    covariance(start) * (1.0 - share) + covariance(finish) * share + own * (1.0 - share)
+                }
+                _ => covariance(start) + own,
+            };
+            let (then_s, then) = laid.last().map_or((before.time_s, origin), |last: &SmoothedFrame| {
+                (last.time_s, Vector3::new(last.pose.x_m, last.pose.y_m, last.pose.heading_rad))
+            });
+            let rates =
+                if frame.time_s > then_s { (at - then) / (frame.time_s - then_s) } else { Vector3::zeros() };
+            laid.push(SmoothedFrame {
+                frame: frame.frame,
+                time_s: frame.time_s,
+                pose: GroundPose {
+                    x_m: at[0],
+                    y_m: at[1],
+                    heading_rad: at[2],
+                    height_m: between(|pose| pose.height_m),
+                    roll_rad: between(|pose| pose.roll_rad),
+                    pitch_rad: between(|pose| pose.pitch_rad),
+                },
+                velocity: Velocity { x_m_s: rates[0], y_m_s: rates[1], heading_rad_s: rates[2] },
+                covariance,
+                source: PoseSource::Sensors,
+                segment: before.segment,
+            });
+        }
+        laid
+    }
+}

@@ -1,0 +1,375 @@
+//! What a sensor must be multiplied with, shifted by and turned by to tell what the camera sees, and whether it then does.
+
+use super::camera_motion::{Node, Step};
+use super::fit::{Fit, Prior, Row, TimeOffset, fit, median_deviation, time_offset};
+use super::report::Reason;
+use super::series::{Quantity, SensorRecord};
+use nalgebra::{Matrix4, Vector4};
+
+/// A sensor that was compared with the camera.
+#[derive(Debug, Clone)]
+pub struct Calibrated {
+    pub offset: TimeOffset,
+    /// Of a gyroscope: three factors (one of a single axis) and the bias, rad/s. Of a wheel: metres ahead and to the left in the camera's
+    /// frame for a metre of its way, and the place of the camera ahead and to the left of where the wheel measures, metres.
+    pub parameters: Vector4<f64>,
+    pub covariance: Matrix4<f64>,
+    /// Density of the noise of its integral: variance a second.
+    pub density: f64,
+    /// Seconds in which it was compared with the camera, and in how many of them it contradicts.
+    pub seconds: usize,
+    pub contradictions: usize,
+    /// Mean normalised innovation squared over the seconds; 1 for a sensor that is as good as its noise says.
+    pub nis: f64,
+}
+
+/// More comparisons tell nothing new.
+const MOST_ROWS: usize = 5000;
+
+/// 99.9 % of χ² with one degree of freedom.
+pub const CONSISTENT_NIS: f64 = 10.83;
+
+/// A sensor that contradicts the camera in a larger part of the time is not believed in the rest.
+pub const MOST_CONTRADICTIONS: f64 = 0.2;
+
+/// A gyroscope may be off by so much over one second, radians: ten times what the cheapest one is.
+const WORST_TURN_RAD: f64 = 0.05;
+
+/// A wheel may be off by so much over one second: metres, and as a part of its speed.
+const WORST_WAY_M: f64 = 0.02;
+const WORST_WAY_SHARE: f64 = 0.1;
+
+/// The least that the camera must have turned for the axes of a gyroscope to be found, radians, and moved for the scale of a wheel, metres.
+const LEAST_TURN_RAD: f64 = 0.3;
+const LEAST_WAY_M: f64 = 0.3;
+
+/// The least time together, seconds.
+const LEAST_S: f64 = 2.0;
+
+fn thinned(steps: &[Step]) -> Vec<Step> {
+    steps.iter().step_by(steps.len().div_ceil(MOST_ROWS).max(1)).copied().collect()
+}
+
+/// A gyroscope against the camera's turning.
+pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
+    let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
+    let row = |step: &Step, offset_s: f64| {
+        let mut design = Vector4::new(0.0, 0.0, 0.0, -step.duration_s());
+        for channel in 0..channels {
+            design[channel] = record.between(channel, step.from_s + offset_s, step.to_s + offset_s)?;
+        }
+        Some(Row { design, target: step.turn_rad, duration_s: step.duration_s(), second: false })
+    };
+    let turned_rad: f64 = steps.iter().map(|step| step.turn_rad.abs()).sum();
+    if channels == 3 && turned_rad < LEAST_TURN_RAD {
+        return Err(Reason::TooLittleTurning);
+    }
+    // One axis is about the vertical, upright or upside down, and a few percent off at most; three are mounted anyhow.
+    let prior = |sign: f64| match channels {
+        1 => Prior { mean: Vector4::new(sign, 0.0, 0.0, 0.0), sigma: Vector4::new(0.03, 1e-6, 1e-6, 0.5) },
+        _ => Prior { mean: Vector4::zeros(), sigma: Vector4::new(1.0, 1.0, 1.0, 0.5) },
+    };
+    let signs: &[f64] = if channels == 1 { &[1.0, -1.0] } else { &[1.0] };
+    let calibrate = |&sign: &f64| {
+        calibrated(steps, 1, &prior(sign), |step, offset_s| row(step, offset_s).map(|row| vec![row]))
+    };
+    let candidates: Vec<(Calibrated, Vec<Seconds>)> =
+        signs.iter().map(calibrate).collect::<Result<_, _>>()?;
+    let best = candidates.into_iter().min_by(|a, b| a.0.density.total_cmp(&b.0.density));
+    let (found, seconds) = best.ok_or(Reason::NoOverlap)?;
+    let scale = found.parameters.fixed_rows::<3>(0).norm();
+    if found.density.sqrt() > WORST_TURN_RAD || !(0.85..1.15).contains(&scale) {
+        return Err(contradiction(&seconds, WORST_TURN_RAD.powi(2)));
+    }
+    believed(found)
+}
+
+/// A wheel against the camera's way.
+pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
+    let rows = |step: &Step, offset_s: f64| {
+        let way_m = record.between(0, step.from_s + offset_s, step.to_s + offset_s)?;
+        let (turn, duration_s) = (step.turn_rad, step.duration_s());
+        let row = |design, target, second| Row { design, target, duration_s, second };
+        Some(vec![
+            row(Vector4::new(way_m, 0.0, 0.0, -turn), step.ahead_m, false),
+            row(Vector4::new(0.0, way_m, turn, 0.0), step.left_m, true),
+        ])
+    };
+    let moved_m: f64 = steps.iter().map(|step| step.ahead_m.hypot(step.left_m)).sum();
+    if moved_m < LEAST_WAY_M {
+        return Err(Reason::TooLittleMovement);
+    }
+    let prior = Prior { mean: Vector4::zeros(), sigma: Vector4::new(10.0, 10.0, 0.5, 0.5) };
+    let (found, seconds) = calibrated(steps, 2, &prior, rows)?;
+    let duration_s: f64 = steps.iter().map(Step::duration_s).sum();
+    let worst_m = WORST_WAY_M + WORST_WAY_SHARE * moved_m / duration_s;
+    if found.density.sqrt() > worst_m {
+        return Err(contradiction(&seconds, worst_m.powi(2)));
+    }
+    believed(found)
+}
+
+fn believed(found: Calibrated) -> Result<Calibrated, Reason> {
+    if found.contradictions as f64 > MOST_CONTRADICTIONS * found.seconds as f64 {
+        return Err(Reason::Contradicts { seconds: found.contradictions, of: found.seconds });
+    }
+    Ok(found)
+}
+
+/// How often a sensor is further off than the worst of its kind may be, two standard deviations.
+fn contradiction(seconds: &[Seconds], worst_density: f64) -> Reason {
+    let off = |second: &&Seconds| second.sum.powi(2) > 4.0 * worst_density * second.duration_s;
+    Reason::Contradicts { seconds: seconds.iter().filter(off).count(), of: seconds.len() }
+}
+
+/// Residuals of about a second, added up.
+#[derive(Debug, Clone, Copy)]
+struct Seconds {
+    sum: f64,
+    duration_s: f64,
+}
+
+impl Seconds {
+    /// As it would be of exactly one.
+    fn whitened(&self) -> f64 {
+        self.sum / self.duration_s.sqrt()
+    }
+}
+
+/// Offset, parameters and noise; `rows` gives so many rows for each step.
+fn calibrated(
+    steps: &[Step],
+    rows_per_step: usize,
+    prior: &Prior,
+    rows: impl Fn(&Step, f64) -> Option<Vec<Row>>,
+) -> Result<(Calibrated, Vec<Seconds>), Reason> {
+    let few = thinned(steps);
+    let all_rows = |offset_s: f64| few.iter().filter_map(|step| rows(step, offset_s)).flatten().collect();
+    let offset = time_offset(all_rows, prior);
+    let compared: Vec<(Step, Vec<Row>)> =
+        steps.iter().filter_map(|step| rows(step, offset.offset_s).map(|rows| (*step, rows))).collect();
+    if compared.iter().map(|(step, _)| step.duration_s()).sum::<f64>() < LEAST_S {
+        return Err(Reason::NoOverlap);
+    }
+    let flat: Vec<Row> = compared.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
+    let Fit { parameters, covariance, residuals, density: fitted, .. } = fit(&flat, prior, None);
+    // Each direction has its own noise, and the larger one is the sensor's: a wheel says little about the way to the side.
+    let mut density = fitted;
+    let mut directions: Vec<Vec<Seconds>> = Vec::new();
+    for nth in 0..rows_per_step {
+        let of_direction = || residuals.iter().skip(nth).step_by(rows_per_step).copied();
+        let seconds = in_seconds(compared.iter().map(|(step, _)| step).zip(of_direction()));
+        let whitened: Vec<f64> = compared
+            .iter()
+            .zip(of_direction())
+            .map(|((step, _), residual)| residual / step.duration_s().sqrt())
+            .collect();
+        // Errors that last, as those of a slipping wheel, show over a second, not over a frame; few seconds tell them poorly.
+        let lasting: Vec<f64> = seconds.iter().map(Seconds::whitened).collect();
+        let unsure = 1.0 + 2.0 / (lasting.len().max(1) as f64).sqrt();
+        let lasting = median_deviation(&lasting).powi(2) * unsure;
+        density = density.max(median_deviation(&whitened).powi(2)).max(lasting);
+        directions.push(seconds);
+    }
+    let nis = |second: &Seconds| second.whitened().powi(2) / density;
+    let count = directions[0].len();
+    let contradicts = |i: usize| directions.iter().any(|seconds| nis(&seconds[i]) > CONSISTENT_NIS);
+    let all: Vec<f64> = directions.iter().flatten().map(nis).collect();
+    let found = Calibrated {
+        offset,
+        parameters,
+        covariance: covariance * (density / fitted),
+        density,
+        seconds: count,
+        contradictions: (0..count).filter(|&i| contradicts(i)).count(),
+        nis: all.iter().sum::<f64>() / all.len().max(1) as f64,
+    };
+    let worst = |i: usize| {
+        directions.iter().map(|seconds| seconds[i]).max_by(|a, b| a.sum.abs().total_cmp(&b.sum.abs()))
+    };
+    Ok((found, (0..count).filter_map(worst).collect()))
+}
+
+fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a Step, f64)>) -> Vec<Seconds> {
+    let mut seconds = Vec::new();
+    let mut sum = Seconds { sum: 0.0, duration_s: 0.0 };
+    let mut end: Option<(f64, usize)> = None;
+    for (step, residual) in residuals {
+        if end.is_some_and(|(end_s, segment)| end_s != step.from_s || segment != step.segment) {
+            sum = Seconds { sum: 0.0, duration_s: 0.0 }; // a piece that is not a second long
+        }
+        sum.sum += residual;
+        sum.duration_s += step.duration_s();
+        end = Some((step.to_s, step.segment));
+        if sum.duration_s >= 1.0 - 1e-6 {
+            seconds.push(std::mem::replace(&mut sum, Seconds { sum: 0.0, duration_s: 0.0 }));
+        }
+    }
+    seconds
+}
+
+/// What a sensor that tells a state, not a rate, says about the camera's state in about a second.
+#[derive(Debug, Clone, Copy)]
+pub struct Sight {
+    /// The node in the middle.
+    pub node: usize,
+    /// Its reading there, free of the camera's movement meanwhile.
+    pub reading: f64,
+    pub variance: f64,
+}
+
+/// The readings of a compass or range finder, a second each, with the variance that they have among one another.
+#[derive(Debug, Clone)]
+pub struct Sighted {
+    pub offset: TimeOffset,
+    pub sights: Vec<Sight>,
+    /// Standard deviation of a second's reading.
+    pub sigma: f64,
+    /// Variance of a single reading.
+    pub single: f64,
+}
+
+/// Compares the reading of a sensor at a node with what the camera has there; `drift` is the variance of the latter against the start.
+fn sighted(
+    nodes: &[Node],
+    camera: impl Fn(&Node) -> f64,
+    drift: impl Fn(&Node) -> f64,
+    reading: impl Fn(&Node, f64) -> Option<f64>,
+) -> Result<Sighted, Reason> {
+    let stride = nodes.len().div_ceil(MOST_ROWS).max(1);
+    let nothing = Prior { mean: Vector4::zeros(), sigma: Vector4::repeat(1.0) };
+    // Changes over a second: neither the sensor's zero nor the camera's drift is in them.
+    let rows = |offset_s: f64| {
+        let read = nodes.iter().step_by(stride);
+        let differences: Vec<(&Node, f64)> = read
+            .filter_map(|node| reading(node, node.time_s + offset_s).map(|z| (node, z - camera(node))))
+            .collect();
+        let mut earlier = 0;
+        let mut rows = Vec::with_capacity(differences.len());
+        for (node, difference) in &differences {
+            while differences[earlier].0.time_s <= node.time_s - 1.0 {
+                earlier += 1;
+            }
+            let (before, then) = &differences[earlier.saturating_sub(1)];
+            if earlier > 0 && before.segment == node.segment {
+                rows.push(Row {
+                    design: Vector4::zeros(),
+                    target: difference - then,
+                    duration_s: 1.0,
+                    second: false,
+                });
+            }
+        }
+        rows
+    };
+    let offset = time_offset(rows, &nothing);
+    let read: Vec<(usize, f64)> = nodes
+        .iter()
+        .enumerate()
+        .filter_map(|(i, node)| reading(node, node.time_s + offset.offset_s).map(|z| (i, z - camera(node))))
+        .collect();
+    let (mut sights, mut scatters) = (Vec::new(), Vec::new());
+    let mut start = 0;
+    for end in 1..=read.len() {
+        let (first, last) = (&nodes[read[start].0], &nodes[read[end - 1].0]);
+        let next = read.get(end).map(|(i, _)| &nodes[*i]);
+        let full = next.is_none_or(|next| next.segment != first.segment || next.time_s - first.time_s >= 1.0);
+        if !full {
+            continue;
+        }
+        let mean = read[start..end].iter().map(|(_, z)| z).sum::<f64>() / (end - start) as f64;
+        let node = read[(start + end) / 2].0;
+        if last.time_s - first.time_s >= 0.5 {
+            sights.push(Sight { node, reading: mean + camera(&nodes[node]), variance: 0.0 });
+            let square = read[start..end].iter().map(|(_, z)| (z - mean).powi(2)).sum::<f64>();
+            scatters.push(square / (end - start) as f64);
+        }
+        start = end;
+    }
+    if (sights.len() as f64) < LEAST_S {
+        return Err(Reason::NoOverlap);
+    }
+    // The variance of D. Allan, "Statistics of atomic frequency standards", 1966, over 1, 4 and 16 readings, as one reading would have it:
+    // errors that last count more than their number. What the camera's own drift explains is not the sensor's.
+    let lasting = |length: usize| {
+        let means: Vec<(&Node, f64)> = sights
+            .chunks_exact(length)
+            .map(|chunk| {
+                let difference = |sight: &Sight| sight.reading - camera(&nodes[sight.node]);
+                let mean = chunk.iter().map(difference).sum::<f64>() / length as f64;
+                (&nodes[chunk[length / 2].node], mean)
+            })
+            .collect();
+        let pairs = means.windows(2).filter(|pair| pair[0].0.segment == pair[1].0.segment);
+        let (changes, drifts): (Vec<f64>, Vec<f64>) =
+            pairs.map(|pair| (pair[1].1 - pair[0].1, (drift(pair[1].0) - drift(pair[0].0)).max(0.0))).unzip();
+        if changes.len() < 3 && length > 1 {
+            return 0.0;
+        }
+        // The variance of few changes is itself uncertain: what the drift explains is taken three deviations large.
+        let count = changes.len().max(1) as f64;
+        let drift = drifts.iter().sum::<f64>() / count * (1.0 + 3.0 * (2.0 / count).sqrt());
+        0.5 * length as f64 * (median_deviation(&changes).powi(2) - drift)
+    };
+    // Readings of a quarter of a second are taken as one: their errors are not independent of each other.
+    let middle = scatters.len() / 2;
+    let scatter = *scatters.select_nth_unstable_by(middle, f64::total_cmp).1 / 4.0;
+    let variance = [1, 4, 16].map(lasting).into_iter().fold(scatter.max(1e-10), f64::max);
+    sights.iter_mut().for_each(|sight| sight.variance = variance);
+    Ok(Sighted { offset, sights, sigma: variance.sqrt(), single: variance.max(4.0 * scatter) })
+}
+
+/// Each value less the median of its segment: what the zero of the sensor is, is not known.
+fn centred(values: &[(usize, f64)]) -> Vec<f64> {
+    let mut centred = Vec::with_capacity(values.len());
+    for segment in values.chunk_by(|a, b| a.0 == b.0) {
+        let mut sorted: Vec<f64> = segment.iter().map(|(_, value)| *value).collect();
+        let middle = sorted.len() / 2;
+        let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+        centred.extend(segment.iter().map(|(_, value)| value - median));
+    }
+    centred
+}
+
+/// A compass that is further off than this is none, radians.
+const WORST_HEADING_RAD: f64 = 0.35;
+
+/// A range finder that is further off than this part of the height is none.
+const WORST_HEIGHT_SHARE: f64 = 0.05;
+
+/// A compass against the camera's heading.
+pub fn heading(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
+    let found = sighted(
+        nodes,
+        |node| node.heading_rad,
+        |node| node.carried[(2, 2)],
+        |_, time_s| record.at(0, time_s),
+    )?;
+    within(found, nodes, |node| node.heading_rad, WORST_HEADING_RAD)
+}
+
+/// A range finder against the camera's height.
+pub fn range(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
+    let along_axis = record.quantity() == Quantity::AxisDistance;
+    let reading = |node: &Node, time_s: f64| {
+        record.at(0, time_s).map(|z| if along_axis { z * node.tilt_cosine } else { z })
+    };
+    let found = sighted(nodes, |node| node.height_m, |node| node.height_variance, reading)?;
+    let height_m = nodes.iter().map(|node| node.height_m).sum::<f64>() / nodes.len().max(1) as f64;
+    within(found, nodes, |node| node.height_m, WORST_HEIGHT_SHARE * height_m)
+}
+
+fn within(
+    found: Sighted,
+    nodes: &[Node],
+    camera: impl Fn(&Node) -> f64,
+    worst: f64,
+) -> Result<Sighted, Reason> {
+    if found.sigma <= worst {
+        return Ok(found);
+    }
+    let differences: Vec<(usize, f64)> =
+        found.sights.iter().map(|s| (nodes[s.node].segment, s.reading - camera(&nodes[s.node]))).collect();
+    let off = centred(&differences).iter().filter(|difference| difference.abs() > worst).count();
+    Err(Reason::Contradicts { seconds: off.max(1), of: found.sights.len() })
+}

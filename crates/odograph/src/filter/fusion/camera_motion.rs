@@ -1,0 +1,94 @@
+//! The camera's movement in the form in which sensors are compared with it.
+
+use crate::trajectory::FrameEstimate;
+use nalgebra::Matrix3;
+
+/// A measured frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Node {
+    /// Which of the frames.
+    pub index: usize,
+    pub time_s: f64,
+    pub segment: usize,
+    pub x_m: f64,
+    pub y_m: f64,
+    pub heading_rad: f64,
+    pub height_m: f64,
+    /// Cosine of the angle between the optical axis and plumb.
+    pub tilt_cosine: f64,
+    /// Covariance of (x, y, heading) of the ground it was measured against.
+    pub carried: Matrix3<f64>,
+    /// Variance of its height against the start of the run.
+    pub height_variance: f64,
+}
+
+/// The movement from one measured frame to the next of the same segment.
+#[derive(Debug, Clone, Copy)]
+pub struct Step {
+    /// The node it starts from.
+    pub from: usize,
+    pub from_s: f64,
+    pub to_s: f64,
+    /// To where the image's top points, and to the left of it, metres.
+    pub ahead_m: f64,
+    pub left_m: f64,
+    /// Counter-clockwise, radians.
+    pub turn_rad: f64,
+    pub segment: usize,
+}
+
+impl Step {
+    pub fn duration_s(&self) -> f64 {
+        self.to_s - self.from_s
+    }
+}
+
+/// The measured frames, in order of time; of frames at the same moment the first.
+pub fn nodes(frames: &[FrameEstimate]) -> Vec<Node> {
+    let mut nodes: Vec<Node> = Vec::new();
+    for (index, frame) in frames.iter().enumerate() {
+        let Some(known) = &frame.estimate else { continue };
+        if nodes.last().is_some_and(|before| before.time_s >= frame.time_s) {
+            continue;
+        }
+        let (plane, pose) = (&known.measured, &known.pose);
+        nodes.push(Node {
+            index,
+            time_s: frame.time_s,
+            segment: frame.segment,
+            x_m: plane.x_m,
+            y_m: plane.y_m,
+            heading_rad: plane.heading_rad,
+            height_m: pose.height_m,
+            tilt_cosine: pose.roll_rad.cos() * pose.pitch_rad.cos(),
+            carried: known.covariance.fixed_view::<3, 3>(0, 0) - plane.covariance,
+            height_variance: known.covariance[(3, 3)].max(0.0),
+        });
+    }
+    nodes
+}
+
+/// The movements between neighbouring nodes of one segment; none across more than a second, in which much may have happened.
+pub fn steps(nodes: &[Node]) -> Vec<Step> {
+    let pairs = nodes.windows(2).enumerate();
+    let connected = pairs
+        .filter(|(_, pair)| pair[0].segment == pair[1].segment && pair[1].time_s - pair[0].time_s <= 1.0);
+    connected
+        .map(|(from, pair)| {
+            let (a, b) = (&pair[0], &pair[1]);
+            let turn_rad = b.heading_rad - a.heading_rad;
+            // A short arc is its chord seen from half way.
+            let (sin, cos) = (a.heading_rad + 0.5 * turn_rad).sin_cos();
+            let (dx, dy) = (b.x_m - a.x_m, b.y_m - a.y_m);
+            Step {
+                from,
+                from_s: a.time_s,
+                to_s: b.time_s,
+                ahead_m: cos * dx + sin * dy,
+                left_m: cos * dy - sin * dx,
+                turn_rad,
+                segment: a.segment,
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,227 @@
+//! The one estimator: the camera's path, corrected by what the other sensors tell, forward and backward in time.
+//!
+//! An error-state Kalman filter over the measured frames and, on the way back, the smoother of H. Rauch, F. Tung and C. Striebel in the form of
+//! A. Bryson and M. Frazier (G. Bierman, 1973). Its process is the camera's own movement, with the covariance that the camera tells; across a
+//! gap it is what wheel and gyroscope tell. The compass measures the heading and the range finder the height, each with an unknown zero.
+
+use super::calibration::{CONSISTENT_NIS, Sight};
+use super::camera_motion::Node;
+use super::reckoning::Reckoned;
+use crate::geometry::wrap_angle;
+use nalgebra::{Matrix3, SMatrix, SVector};
+
+/// x, y (metres), the correction of the heading (radians), the logarithm of the correction of the scale, the compass's zero (radians) and
+/// the range finder's (metres).
+type State = SVector<f64, 6>;
+type Square = SMatrix<f64, 6, 6>;
+
+/// A measured frame set right.
+#[derive(Debug, Clone, Copy)]
+pub struct Corrected {
+    pub x_m: f64,
+    pub y_m: f64,
+    /// To be added to the camera's heading.
+    pub turn_rad: f64,
+    /// To be multiplied with the camera's height and movements.
+    pub scale: f64,
+    /// Covariance of (x, y, heading) of the ground below it.
+    pub covariance: Matrix3<f64>,
+    /// Variance of the logarithm of the scale.
+    pub scale_variance: f64,
+}
+
+/// How a sensor with readings fared.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Consistency {
+    pub readings: usize,
+    pub contradictions: usize,
+    nis_sum: f64,
+}
+
+impl Consistency {
+    pub fn nis(&self) -> Option<f64> {
+        (self.readings > 0).then(|| self.nis_sum / self.readings as f64)
+    }
+}
+
+/// The path, and what the compass and the range finder were worth; their zeros with variances.
+pub struct Estimate {
+    pub corrected: Vec<Corrected>,
+    pub heading: Consistency,
+    pub range: Consistency,
+    pub heading_zero: (f64, f64),
+    pub range_zero: (f64, f64),
+}
+
+/// One event of the way forward, for the way back.
+enum Event {
+    Moved(Square),
+    Measured { row: State, innovation: f64, spread: f64, gain: State },
+    Node(State, Square),
+}
+
+/// Estimates the path over `nodes`. `gaps[k]` is what the sensors tell of the way from node k − 1 to node k, where that is a gap.
+pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], range: &[Sight]) -> Estimate {
+    let mut forward = Forward::new(&nodes[0]);
+    let (mut headings, mut ranges) = (heading.iter().peekable(), range.iter().peekable());
+    for (k, node) in nodes.iter().enumerate() {
+        if k > 0 {
+            match &gaps[k] {
+                Some(reckoned) => forward.cross(&nodes[k - 1], node, reckoned),
+                None => forward.follow(&nodes[k - 1], node),
+            }
+        }
+        while let Some(sight) = headings.next_if(|sight| sight.node <= k) {
+            let mut row = State::zeros();
+            (row[2], row[4]) = (1.0, 1.0);
+            let expected = node.heading_rad + forward.state[2] + forward.state[4];
+            let innovation = wrap_angle(sight.reading - expected);
+            forward.measure(row, innovation, sight.variance, |forward| &mut forward.heading);
+        }
+        while let Some(sight) = ranges.next_if(|sight| sight.node <= k) {
+            let height_m = node.height_m * forward.state[3].exp();
+            let mut row = State::zeros();
+            (row[3], row[5]) = (height_m, -1.0);
+            let innovation = sight.reading - (height_m - forward.state[5]);
+            forward.measure(row, innovation, sight.variance, |forward| &mut forward.range);
+        }
+        forward.events.push(Event::Node(forward.state, forward.covariance));
+    }
+    forward.back(nodes.len())
+}
+
+struct Forward {
+    state: State,
+    covariance: Square,
+    /// The largest variance that the camera has told of its height so far, as a part of the height.
+    height_variance: f64,
+    events: Vec<Event>,
+    heading: Consistency,
+    range: Consistency,
+}
+
+impl Forward {
+    fn new(first: &Node) -> Self {
+        let mut state = State::zeros();
+        (state[0], state[1]) = (first.x_m, first.y_m);
+        let mut covariance = Square::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&first.carried);
+        // Any direction, any mounting.
+        (covariance[(4, 4)], covariance[(5, 5)]) = (10.0, 10.0);
+        let (heading, range) = Default::default();
+        let height_variance = first.height_variance / first.height_m.powi(2);
+        Self { state, covariance, height_variance, events: Vec::new(), heading, range }
+    }
+
+    /// The camera's own movement.
+    fn follow(&mut self, before: &Node, node: &Node) {
+        let (dx, dy) = (node.x_m - before.x_m, node.y_m - before.y_m);
+        let (sin, cos) = self.state[2].sin_cos();
+        let scale = self.state[3].exp();
+        let (mx, my) = (scale * (cos * dx - sin * dy), scale * (sin * dx + cos * dy));
+        let mut transition = Square::identity();
+        (transition[(0, 2)], transition[(1, 2)]) = (-my, mx);
+        (transition[(0, 3)], transition[(1, 3)]) = (mx, my);
+        self.state[0] += mx;
+        self.state[1] += my;
+        // What the camera's covariance has grown by, beyond what the turning and scaling of known errors makes of it.
+        let mut carry = Matrix3::identity();
+        (carry[(0, 2)], carry[(1, 2)]) = (-dy, dx);
+        let grown = node.carried - carry * before.carried * carry.transpose();
+        let mut noise = Square::zeros();
+        for i in 0..3 {
+            noise[(i, i)] = grown[(i, i)].max(0.0);
+        }
+        // The variance of a frame's own noise goes up and down; what it was known to before it stays known to.
+        let height_variance = self.height_variance.max(node.height_variance / node.height_m.powi(2));
+        noise[(3, 3)] = height_variance - self.height_variance;
+        self.height_variance = height_variance;
+        self.moved(transition, noise);
+    }
+
+    /// A gap, by what the sensors tell of it.
+    fn cross(&mut self, before: &Node, node: &Node, reckoned: &Reckoned) {
+        let heading_rad = before.heading_rad + self.state[2];
+        let (sin, cos) = heading_rad.sin_cos();
+        let (ahead, left) = (reckoned.pose[0], reckoned.pose[1]);
+        let (mx, my) = (cos * ahead - sin * left, sin * ahead + cos * left);
+        let mut transition = Square::identity();
+        (transition[(0, 2)], transition[(1, 2)]) = (-my, mx);
+        self.state[0] += mx;
+        self.state[1] += my;
+        self.state[2] = heading_rad + reckoned.pose[2] - node.heading_rad;
+        let turned = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        let mut noise = Square::zeros();
+        noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&(turned * reckoned.covariance * turned.transpose()));
+        if node.height_variance > 0.0 {
+            // Behind the gap the height is taken to be as before it.
+            noise[(3, 3)] = (HEIGHT_CHANGE_PER_S * (node.time_s - before.time_s)).powi(2);
+        }
+        self.moved(transition, noise);
+    }
+
+    fn moved(&mut self, transition: Square, noise: Square) {
+        self.covariance = transition * self.covariance * transition.transpose() + noise;
+        self.events.push(Event::Moved(transition));
+    }
+
+    fn measure(
+        &mut self,
+        row: State,
+        innovation: f64,
+        variance: f64,
+        consistency: impl Fn(&mut Self) -> &mut Consistency,
+    ) {
+        let across = self.covariance * row;
+        let spread = row.dot(&across) + variance;
+        let nis = innovation * innovation / spread;
+        let counted = consistency(self);
+        counted.readings += 1;
+        counted.nis_sum += nis;
+        if nis > CONSISTENT_NIS {
+            counted.contradictions += 1;
+            return;
+        }
+        let gain = across / spread;
+        self.state += gain * innovation;
+        let keep = Square::identity() - gain * row.transpose();
+        self.covariance = keep * self.covariance * keep.transpose() + gain * gain.transpose() * variance;
+        self.events.push(Event::Measured { row, innovation, spread, gain });
+    }
+
+    fn back(self, count: usize) -> Estimate {
+        let (mut adjoint, mut information) = (State::zeros(), Square::zeros());
+        let mut corrected = Vec::with_capacity(count);
+        let (heading_zero, range_zero) = ([4, 5]).map(|i| (self.state[i], self.covariance[(i, i)])).into();
+        for event in self.events.iter().rev() {
+            match event {
+                Event::Moved(transition) => {
+                    adjoint = transition.transpose() * adjoint;
+                    information = transition.transpose() * information * transition;
+                }
+                Event::Measured { row, innovation, spread, gain } => {
+                    let keep = Square::identity() - gain * row.transpose();
+                    adjoint = keep.transpose() * adjoint - row * (innovation / spread);
+                    information = keep.transpose() * information * keep + row * row.transpose() / *spread;
+                }
+                Event::Node(state, covariance) => {
+                    let state = state - covariance * adjoint;
+                    let covariance = covariance - covariance * information * covariance;
+                    corrected.push(Corrected {
+                        x_m: state[0],
+                        y_m: state[1],
+                        turn_rad: state[2],
+                        scale: state[3].exp(),
+                        covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+                        scale_variance: covariance[(3, 3)].max(0.0),
+                    });
+                }
+            }
+        }
+        corrected.reverse();
+        Estimate { corrected, heading: self.heading, range: self.range, heading_zero, range_zero }
+    }
+}
+
+/// The part by which the height may change in a second unseen, one standard deviation.
+const HEIGHT_CHANGE_PER_S: f64 = 0.02;

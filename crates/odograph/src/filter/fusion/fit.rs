@@ -1,0 +1,158 @@
+//! Linear least squares that outliers do not bend, and the search for a clock's offset over it.
+
+use nalgebra::{Matrix4, Vector4};
+
+/// What one step of the camera says about the parameters of a sensor: `target = design · parameters + noise`, the noise of variance
+/// `duration_s` times some density.
+#[derive(Debug, Clone, Copy)]
+pub struct Row {
+    pub design: Vector4<f64>,
+    pub target: f64,
+    pub duration_s: f64,
+    /// Whether it is of the second of two directions, whose noise may be another one.
+    pub second: bool,
+}
+
+/// What is known of the parameters before: means and standard deviations.
+#[derive(Debug, Clone, Copy)]
+pub struct Prior {
+    pub mean: Vector4<f64>,
+    pub sigma: Vector4<f64>,
+}
+
+/// Parameters with all that says how well they are known.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    pub parameters: Vector4<f64>,
+    pub covariance: Matrix4<f64>,
+    /// What the parameters leave of each row, in its own unit.
+    pub residuals: Vec<f64>,
+    /// Density of the noise: variance a second.
+    pub density: f64,
+    /// Mean loss of a row, in units of the scale it was fitted with.
+    loss: f64,
+}
+
+/// P. Huber, "Robust estimation of a location parameter", 1964: beyond so many standard deviations residuals count in proportion, not squared.
+const HUBER: f64 = 1.5;
+
+/// Fits by iterated weights, with a scale of the noise (square root of its density) that is given or found from the median of the residuals.
+pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
+    let mut parameters = prior.mean;
+    let mut weights = vec![1.0; rows.len()];
+    let mut deviation = scale.unwrap_or(1.0);
+    let mut inverse = Matrix4::identity();
+    let mut whitened = vec![0.0; rows.len()];
+    for _ in 0..6 {
+        let mut normal = Matrix4::from_diagonal(&prior.sigma.map(|sigma| (deviation / sigma).powi(2)));
+        let mut right = Vector4::zeros();
+        for (row, weight) in rows.iter().zip(&weights) {
+            let weight = weight / row.duration_s;
+            normal += row.design * row.design.transpose() * weight;
+            right += row.design * (row.target - row.design.dot(&prior.mean)) * weight;
+        }
+        let Some(factor) = normal.cholesky() else { break };
+        parameters = prior.mean + factor.solve(&right);
+        inverse = factor.inverse();
+        for (residual, row) in whitened.iter_mut().zip(rows) {
+            *residual = (row.target - row.design.dot(&parameters)) / row.duration_s.sqrt();
+        }
+        if scale.is_none() {
+            // The noisier direction's: the other one's residuals are then small, not outliers of the first.
+            let of = |second: bool| {
+                let of_direction = whitened.iter().zip(rows).filter(|(_, row)| row.second == second);
+                median_deviation(&of_direction.map(|(residual, _)| *residual).collect::<Vec<f64>>())
+            };
+            deviation = of(false).max(of(true)).max(1e-9);
+        }
+        for (weight, residual) in weights.iter_mut().zip(&whitened) {
+            let away = residual.abs() / deviation;
+            *weight = if away <= HUBER { 1.0 } else { HUBER / away };
+        }
+    }
+    let loss = |residual: &f64| {
+        let away = residual.abs() / deviation;
+        if away <= HUBER { away * away } else { HUBER * (2.0 * away - HUBER) }
+    };
+    Fit {
+        parameters,
+        covariance: inverse * deviation.powi(2),
+        residuals: whitened
+            .iter()
+            .zip(rows)
+            .map(|(residual, row)| residual * row.duration_s.sqrt())
+            .collect(),
+        density: deviation.powi(2),
+        loss: whitened.iter().map(loss).sum::<f64>() / rows.len().max(1) as f64,
+    }
+}
+
+/// Standard deviation of Gaussian numbers about 0 by the median of their sizes.
+pub fn median_deviation(values: &[f64]) -> f64 {
+    let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
+    if sizes.is_empty() {
+        return 0.0;
+    }
+    let middle = sizes.len() / 2;
+    1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// How far a sensor's clock is ahead of the camera's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimeOffset {
+    /// The sensor's time less the camera's, seconds.
+    pub offset_s: f64,
+    /// One standard deviation; infinite where the movement does not tell, and the offset is taken as 0.
+    pub sigma_s: f64,
+}
+
+/// Clocks further apart than this are not brought together, seconds.
+pub const MOST_OFFSET_S: f64 = 1.0;
+
+/// The grid of the first look, seconds: a tenth of a swing at 5 Hz.
+const COARSE_S: f64 = 0.02;
+
+/// Less sure than this the offset is of no use, seconds.
+const WORST_SIGMA_S: f64 = 0.05;
+
+/// The offset at which the sensor explains the camera's movement best; `rows` gives the comparison at an offset.
+pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior) -> TimeOffset {
+    let unknown = TimeOffset { offset_s: 0.0, sigma_s: f64::INFINITY };
+    let steps = (MOST_OFFSET_S / COARSE_S).round() as i32;
+    let looks: Vec<(f64, usize, Fit)> = (-steps..=steps)
+        .map(|i| {
+            let offset_s = f64::from(i) * COARSE_S;
+            let rows = rows(offset_s);
+            (offset_s, rows.len(), fit(&rows, prior, None))
+        })
+        .collect();
+    let most = looks.iter().map(|look| look.1).max().unwrap_or(0);
+    // An offset that leaves much of the record without a counterpart is not judged by the rest.
+    let eligible = looks.iter().filter(|look| look.1 >= 30 && 10 * look.1 >= 8 * most);
+    let Some(best) = eligible.min_by(|a, b| a.2.density.total_cmp(&b.2.density)) else { return unknown };
+    let scale = best.2.density.sqrt();
+    let loss = |offset_s: f64| fit(&rows(offset_s), prior, Some(scale)).loss;
+    let (mut low, mut high) = (best.0 - COARSE_S, best.0 + COARSE_S);
+    // Golden section (J. Kiefer, 1953), down to a tenth of a millisecond.
+    let golden = 0.5 * (5f64.sqrt() - 1.0);
+    let mut inner = [high - golden * (high - low), low + golden * (high - low)];
+    let mut losses = inner.map(loss);
+    while high - low > 1e-4 {
+        if losses[0] < losses[1] {
+            high = inner[1];
+            inner = [high - golden * (high - low), inner[0]];
+            losses = [loss(inner[0]), losses[0]];
+        } else {
+            low = inner[0];
+            inner = [inner[1], low + golden * (high - low)];
+            losses = [losses[1], loss(inner[1])];
+        }
+    }
+    let offset_s = 0.5 * (low + high);
+    // The curvature over a step that is wider than the kinks between samples.
+    let count = best.1 as f64;
+    let curvature = count * (loss(offset_s - COARSE_S) + loss(offset_s + COARSE_S) - 2.0 * loss(offset_s))
+        / (COARSE_S * COARSE_S);
+    let sigma_s = if curvature > 0.0 { (2.0 / curvature).sqrt() } else { f64::INFINITY };
+    if sigma_s > WORST_SIGMA_S { unknown } else { TimeOffset { offset_s, sigma_s } }
+}

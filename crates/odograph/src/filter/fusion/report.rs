@@ -1,0 +1,195 @@
+//! What became of a sensor.
+
+use super::calibration::{Calibrated, Sighted};
+use super::estimator::Consistency;
+use super::fit::TimeOffset;
+use super::series::{Quantity, SensorRecord};
+use serde::Serialize;
+use std::fmt;
+
+/// The kinds of sensors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SensorKind {
+    /// Rate of turn.
+    Gyro,
+    /// Direction.
+    Heading,
+    /// Speed or way.
+    Wheel,
+    /// Height.
+    Range,
+}
+
+impl fmt::Display for SensorKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Gyro => "gyro",
+            Self::Heading => "heading",
+            Self::Wheel => "wheel",
+            Self::Range => "range",
+        })
+    }
+}
+
+/// Why a sensor was not used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Reason {
+    /// Its times and those of the frames with a pose have less than two seconds in common.
+    NoOverlap,
+    /// The camera turned too little to find how its axes lie.
+    TooLittleTurning,
+    /// The camera moved too little to find its scale.
+    TooLittleMovement,
+    /// It says other than the camera.
+    Contradicts {
+        /// In so many seconds …
+        seconds: usize,
+        /// … of so many.
+        of: usize,
+    },
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoOverlap => f.write_str(
+                "its times and those of the frames with a pose have less than two seconds in common; its clock must count from the same \
+                 moment as the recording's, to within a second",
+            ),
+            Self::TooLittleTurning => f.write_str("the camera turned too little to find how its axes are mounted"),
+            Self::TooLittleMovement => f.write_str("the camera moved too little to find its scale"),
+            Self::Contradicts { seconds, of } => {
+                write!(f, "it contradicts what the camera saw in {seconds} of {of} seconds")
+            }
+        }
+    }
+}
+
+/// A number that was found about a sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SensorParameter {
+    /// What it is, with its unit.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// One standard deviation.
+    pub sigma: f64,
+}
+
+/// What became of a sensor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorReport {
+    /// Which one.
+    pub sensor: SensorKind,
+    /// Why it was not used, if it was not.
+    pub rejected: Option<Reason>,
+    /// How far its clock is ahead.
+    pub offset: Option<TimeOffset>,
+    /// Scale, bias and mounting.
+    pub parameters: Vec<SensorParameter>,
+    /// Its noise: of rates the standard deviation of their integral over one second, of states that of a second's reading; radians or metres.
+    pub noise: Option<f64>,
+    /// Seconds in which it was compared with the camera.
+    pub seconds: usize,
+    /// In how many of them it says other than the camera.
+    pub contradictions: usize,
+    /// Mean normalised innovation squared; about 1 for an honest sensor.
+    pub nis: Option<f64>,
+}
+
+impl SensorReport {
+    pub(super) fn rejected(sensor: SensorKind, reason: Reason) -> Self {
+        let (seconds, contradictions) = match reason {
+            Reason::Contradicts { seconds, of } => (of, seconds),
+            _ => (0, 0),
+        };
+        Self {
+            sensor,
+            rejected: Some(reason),
+            offset: None,
+            parameters: Vec::new(),
+            noise: None,
+            seconds,
+            contradictions,
+            nis: None,
+        }
+    }
+}
+
+fn parameter(name: &'static str, value: f64, variance: f64) -> SensorParameter {
+    SensorParameter { name, value, sigma: variance.max(0.0).sqrt() }
+}
+
+fn calibrated_report(
+    sensor: SensorKind,
+    known: &Calibrated,
+    parameters: Vec<SensorParameter>,
+) -> SensorReport {
+    SensorReport {
+        sensor,
+        rejected: None,
+        offset: Some(known.offset),
+        parameters,
+        noise: Some(known.density.sqrt()),
+        seconds: known.seconds,
+        contradictions: known.contradictions,
+        nis: Some(known.nis),
+    }
+}
+
+/// What became of a gyroscope that is believed.
+pub(super) fn gyro_report(known: &Calibrated, record: Option<&SensorRecord>) -> SensorReport {
+    let (p, c) = (&known.parameters, &known.covariance);
+    let mut parameters = match record.map(SensorRecord::quantity) {
+        Some(Quantity::TurnRates) => ["axis_x", "axis_y", "axis_z"]
+            .iter()
+            .enumerate()
+            .map(|(i, name)| parameter(name, p[i], c[(i, i)]))
+            .collect(),
+        _ => vec![parameter("scale", p[0], c[(0, 0)])],
+    };
+    parameters.push(parameter("bias_rad_s", p[3], c[(3, 3)]));
+    calibrated_report(SensorKind::Gyro, known, parameters)
+}
+
+/// What became of a wheel that is believed.
+pub(super) fn wheel_report(known: &Calibrated) -> SensorReport {
+    let (p, c) = (&known.parameters, &known.covariance);
+    let scale = p[0].hypot(p[1]);
+    let along =
+        (p[0] * p[0] * c[(0, 0)] + 2.0 * p[0] * p[1] * c[(0, 1)] + p[1] * p[1] * c[(1, 1)]) / (scale * scale);
+    let across =
+        (p[1] * p[1] * c[(0, 0)] - 2.0 * p[0] * p[1] * c[(0, 1)] + p[0] * p[0] * c[(1, 1)]) / (scale * scale);
+    let parameters = vec![
+        parameter("scale", scale, along),
+        parameter("direction_rad", p[1].atan2(p[0]), across / (scale * scale)),
+        parameter("camera_ahead_m", p[2], c[(2, 2)]),
+        parameter("camera_left_m", p[3], c[(3, 3)]),
+    ];
+    calibrated_report(SensorKind::Wheel, known, parameters)
+}
+
+/// What became of a compass or range finder that is believed; `zero` is its zero with its variance.
+pub(super) fn sighted_report(
+    sensor: SensorKind,
+    zero_name: &'static str,
+    known: &Sighted,
+    zero: Option<((f64, f64), Consistency)>,
+) -> SensorReport {
+    let (parameters, consistency) = match zero {
+        Some(((value, variance), consistency)) => (vec![parameter(zero_name, value, variance)], consistency),
+        None => (Vec::new(), Consistency::default()),
+    };
+    SensorReport {
+        sensor,
+        rejected: None,
+        offset: Some(known.offset),
+        parameters,
+        noise: Some(known.sigma),
+        seconds: known.sights.len(),
+        contradictions: consistency.contradictions,
+        nis: consistency.nis(),
+    }
+}

@@ -1,0 +1,157 @@
+//! What a sensor wrote down, as a function of time.
+
+use crate::error::{Error, Result};
+
+/// What the numbers of a sensor mean. Angles count counter-clockwise seen from above.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    /// Rate of turn about the vertical, rad/s; one channel.
+    TurnRate,
+    /// Rates of turn about the three axes of a sensor that is mounted anyhow, rad/s; three channels.
+    TurnRates,
+    /// Direction, radians, from any zero; one channel.
+    Heading,
+    /// Speed of a wheel along its way, m/s, negative backwards; one channel.
+    Speed,
+    /// Way of a wheel since any beginning, metres, falling backwards; one channel.
+    Way,
+    /// Height above the ground, metres; one channel.
+    Height,
+    /// Distance to the ground along the camera's optical axis, metres; one channel.
+    AxisDistance,
+}
+
+impl Quantity {
+    fn channels(self) -> usize {
+        if self == Self::TurnRates { 3 } else { 1 }
+    }
+}
+
+/// The record of one sensor. Its clock may be ahead of the camera's or behind it; times rise.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorRecord {
+    quantity: Quantity,
+    times_s: Vec<f64>,
+    channels: Vec<Vec<f64>>,
+    /// For each channel its integral from the first sample on; of [`Quantity::Way`] the way itself.
+    integrals: Vec<Vec<f64>>,
+    /// Longest time between two samples that is not a hole, seconds.
+    longest_step_s: f64,
+}
+
+impl SensorRecord {
+    /// A record of samples `values` (one or three channels, by its quantity) at `times_s`.
+    ///
+    /// Fails where there are fewer than two samples, a number is not finite, a time is not later than the one before, or channels
+    /// differ in length.
+    pub fn new(quantity: Quantity, times_s: Vec<f64>, values: Vec<Vec<f64>>) -> Result<Self> {
+        if times_s.len() < 2 {
+            return Err(Error::input(format!(
+                "a sensor record has {} samples; two are the least",
+                times_s.len()
+            )));
+        }
+        if values.len() != quantity.channels() || values.iter().any(|channel| channel.len() != times_s.len())
+        {
+            return Err(Error::input("the channels of a sensor record do not fit its times"));
+        }
+        if let Some(bad) = times_s.iter().chain(values.iter().flatten()).find(|value| !value.is_finite()) {
+            return Err(Error::input(format!("a sensor record holds {bad}; all its numbers must be finite")));
+        }
+        if let Some(pair) = times_s.windows(2).find(|pair| pair[1] <= pair[0]) {
+            return Err(Error::input(format!(
+                "the time {} s of a sensor record is not later than {} s before it",
+                pair[1], pair[0]
+            )));
+        }
+        let mut channels = values;
+        if quantity == Quantity::Heading {
+            channels.iter_mut().for_each(|channel| unwrap(channel));
+        }
+        let integrals = channels.iter().map(|channel| match quantity {
+            Quantity::Way => channel.clone(),
+            _ => integral(&times_s, channel),
+        });
+        let integrals = integrals.collect();
+        let mut steps: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        steps.sort_unstable_by(f64::total_cmp);
+        // A few lost samples are bridged; a sensor that was silent has nothing to say.
+        let longest_step_s = (5.0 * steps[steps.len() / 2]).max(0.1);
+        Ok(Self { quantity, times_s, channels, integrals, longest_step_s })
+    }
+
+    /// What its numbers mean.
+    pub fn quantity(&self) -> Quantity {
+        self.quantity
+    }
+
+    /// First and last time, seconds.
+    pub fn span_s(&self) -> (f64, f64) {
+        (self.times_s[0], self.times_s[self.times_s.len() - 1])
+    }
+
+    /// The samples: time in seconds and the value of each channel; headings without jumps of whole turns.
+    pub fn samples(&self) -> impl Iterator<Item = (f64, Vec<f64>)> + '_ {
+        let values = |i: usize| self.channels.iter().map(|channel| channel[i]).collect();
+        self.times_s.iter().enumerate().map(move |(i, &time_s)| (time_s, values(i)))
+    }
+
+    /// The value of a channel at a time, between samples on a straight line; nothing outside the record or in a hole of it.
+    pub(super) fn at(&self, channel: usize, time_s: f64) -> Option<f64> {
+        let (i, since_s, step_s) = self.place(time_s)?;
+        let values = &self.channels[channel];
+        Some(values[i] + (values[i + 1] - values[i]) * since_s / step_s)
+    }
+
+    /// The integral of a channel (of [`Quantity::Way`]: the way) from one time to a later one.
+    pub(super) fn between(&self, channel: usize, from_s: f64, to_s: f64) -> Option<f64> {
+        let (from, to) = (self.place(from_s)?, self.place(to_s)?);
+        let hole = |i: usize| self.times_s[i + 1] - self.times_s[i] > self.longest_step_s;
+        // Frames are rarely further apart than a few samples.
+        if (from.0..=to.0).any(hole) {
+            return None;
+        }
+        Some(self.integral_at(channel, to) - self.integral_at(channel, from))
+    }
+
+    fn integral_at(&self, channel: usize, (i, since_s, step_s): (usize, f64, f64)) -> f64 {
+        let (integral, values) = (&self.integrals[channel], &self.channels[channel]);
+        match self.quantity {
+            Quantity::Way => integral[i] + (integral[i + 1] - integral[i]) * since_s / step_s,
+            _ => {
+                let slope = (values[i + 1] - values[i]) / step_s;
+                integral[i] + since_s * (values[i] + 0.5 * slope * since_s)
+            }
+        }
+    }
+
+    /// The sample before a time, the time since it, and the time from it to the next.
+    fn place(&self, time_s: f64) -> Option<(usize, f64, f64)> {
+        let (first_s, last_s) = self.span_s();
+        if !(first_s..=last_s).contains(&time_s) {
+            return None;
+        }
+        let i =
+            self.times_s.partition_point(|&sample_s| sample_s <= time_s).clamp(1, self.times_s.len() - 1) - 1;
+        let step_s = self.times_s[i + 1] - self.times_s[i];
+        (step_s <= self.longest_step_s).then_some((i, time_s - self.times_s[i], step_s))
+    }
+}
+
+/// Whole turns are taken out of the steps between samples.
+fn unwrap(angles: &mut [f64]) {
+    for i in 1..angles.len() {
+        let step = crate::geometry::wrap_angle(angles[i] - angles[i - 1]);
+        angles[i] = angles[i - 1] + step;
+    }
+}
+
+fn integral(times_s: &[f64], values: &[f64]) -> Vec<f64> {
+    let mut sum = 0.0;
+    let mut integral = vec![0.0];
+    for (times_s, values) in times_s.windows(2).zip(values.windows(2)) {
+        sum += 0.5 * (times_s[1] - times_s[0]) * (values[0] + values[1]);
+        integral.push(sum);
+    }
+    integral
+}

@@ -1,0 +1,185 @@
+//! Records of sensors beside the camera as CSV: a line with the names of the columns, then one line a sample.
+//!
+//! | sensor | columns beside `time_s` |
+//! |---|---|
+//! | gyro | `rate_rad_s`, or `x_rad_s`, `y_rad_s` and `z_rad_s` of a sensor mounted anyhow |
+//! | heading | `heading_rad`, counter-clockwise, or `bearing_rad`, clockwise, from any zero |
+//! | wheel | `speed_m_s`, or `distance_m` since any beginning |
+//! | range | `height_m` above the ground, or `distance_m` along the camera's optical axis |
+//!
+//! Angles may be in degrees (`rate_deg_s`, `heading_deg`, …). Values are separated by commas, semicolons or white space; columns of other names
+//! are ignored, and so are empty lines and lines that begin with `#`.
+
+use crate::error::{Error, Result};
+use crate::filter::fusion::{Quantity, SensorKind, SensorRecord};
+use std::fmt::Write;
+
+/// A name that a column may have, what it is multiplied with, and what it then is.
+struct Known {
+    sensor: SensorKind,
+    names: &'static [&'static str],
+    factor: f64,
+    quantity: Quantity,
+}
+
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+const fn known(sensor: SensorKind, names: &'static [&'static str], factor: f64, quantity: Quantity) -> Known {
+    Known { sensor, names, factor, quantity }
+}
+
+const KNOWN: [Known; 12] = [
+    known(SensorKind::Gyro, &["rate_rad_s"], 1.0, Quantity::TurnRate),
+    known(SensorKind::Gyro, &["rate_deg_s"], DEGREE, Quantity::TurnRate),
+    known(SensorKind::Gyro, &["x_rad_s", "y_rad_s", "z_rad_s"], 1.0, Quantity::TurnRates),
+    known(SensorKind::Gyro, &["x_deg_s", "y_deg_s", "z_deg_s"], DEGREE, Quantity::TurnRates),
+    known(SensorKind::Heading, &["heading_rad"], 1.0, Quantity::Heading),
+    known(SensorKind::Heading, &["heading_deg"], DEGREE, Quantity::Heading),
+    known(SensorKind::Heading, &["bearing_rad"], -1.0, Quantity::Heading),
+    known(SensorKind::Heading, &["bearing_deg"], -DEGREE, Quantity::Heading),
+    known(SensorKind::Wheel, &["speed_m_s"], 1.0, Quantity::Speed),
+    known(SensorKind::Wheel, &["distance_m"], 1.0, Quantity::Way),
+    known(SensorKind::Range, &["height_m"], 1.0, Quantity::Height),
+    known(SensorKind::Range, &["distance_m"], 1.0, Quantity::AxisDistance),
+];
+
+/// Reads the record of a sensor.
+///
+/// Fails, naming the line, where the first line does not name the columns of such a sensor, a line has another number of values than
+/// that, a value is not a finite number, or a time is not later than the one before; and where there are fewer than two samples.
+pub fn parse(text: &str, sensor: SensorKind) -> Result<SensorRecord> {
+    let text = text.trim_start_matches('\u{feff}');
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .map(|(index, line)| (index + 1, line.trim()))
+        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+    let (number, header) = lines.next().ok_or_else(|| Error::input("there is nothing in the file"))?;
+    let names: Vec<&str> = words(header).collect();
+    let column = |name: &str| names.iter().position(|known| known.eq_ignore_ascii_case(name));
+    let of_sensor = || KNOWN.iter().filter(|known| known.sensor == sensor);
+    let chosen = of_sensor().find_map(|known| {
+        let columns: Option<Vec<usize>> = known.names.iter().map(|name| column(name)).collect();
+        columns.map(|columns| (known, columns))
+    });
+    let (Some(time), Some((known, columns))) = (column("time_s"), chosen) else {
+        let wanted: Vec<String> = of_sensor().map(|known| known.names.join(",")).collect();
+        return Err(Error::input(format!(
+            "line {number} is {:?}; it must name the columns, time_s and {}",
+            shortened(header),
+            wanted.join(" or ")
+        )));
+    };
+    let mut times_s: Vec<f64> = Vec::new();
+    let mut channels: Vec<Vec<f64>> = vec![Vec::new(); columns.len()];
+    for (number, line) in lines {
+        let values: Vec<&str> = words(line).collect();
+        if values.len() != names.len() {
+            return Err(Error::input(format!(
+                "line {number} has {} values, the first line names {} columns",
+                values.len(),
+                names.len()
+            )));
+        }
+        let value = |column: usize| match values[column].parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(Error::input(format!(
+                "line {number}: {:?} stands where a finite number belongs ({})",
+                shortened(values[column]),
+                names[column]
+            ))),
+        };
+        let time_s = value(time)?;
+        if let Some(before_s) = times_s.last().filter(|&&before_s| before_s >= time_s) {
+            return Err(Error::input(format!(
+                "line {number}: the time {time_s} s is not later than {before_s} s before it; sort the file by time and drop repeated lines"
+            )));
+        }
+        times_s.push(time_s);
+        for (channel, &column) in channels.iter_mut().zip(&columns) {
+            channel.push(known.factor * value(column)?);
+        }
+    }
+    SensorRecord::new(known.quantity, times_s, channels)
+}
+
+/// A record as text that [`parse`] reads, to 1e-6 s and 1e-6 of its unit.
+pub fn write(record: &SensorRecord) -> String {
+    let quantity = record.quantity();
+    let names = KNOWN.iter().find(|known| known.quantity == quantity && known.factor == 1.0);
+    let mut text = format!("time_s,{}\n", names.map_or(String::new(), |known| known.names.join(",")));
+    for (time_s, values) in record.samples() {
+        let _ = write!(text, "{time_s:.6}");
+        for value in values {
+            let _ = write!(text, ",{value:.6}");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn words(line: &str) -> impl Iterator<Item = &str> {
+    line.split(|c: char| c.is_whitespace() || c == ',' || c == ';').filter(|word| !word.is_empty())
+}
+
+fn shortened(text: &str) -> String {
+    text.chars().take(40).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn columns_are_found_by_name_and_turned_into_si_units() {
+        let record =
+            parse("# a compass\ntime_s;note;bearing_deg\n0;1;350\n1;2;10\n", SensorKind::Heading).unwrap();
+        let samples: Vec<(f64, Vec<f64>)> = record.samples().collect();
+        // Clockwise to counter-clockwise, and no jump where north is passed.
+        assert!((samples[1].1[0] - samples[0].1[0] + 20f64.to_radians()).abs() < 1e-12);
+        let three = parse("time_s,x_rad_s,y_rad_s,z_rad_s\n0 1 2 3\n1 4 5 6\n", SensorKind::Gyro).unwrap();
+        assert_eq!(three.quantity(), Quantity::TurnRates);
+        assert_eq!(
+            parse("time_s distance_m\n0 1\n1 2", SensorKind::Wheel).unwrap().quantity(),
+            Quantity::Way
+        );
+        assert_eq!(
+            parse("time_s distance_m\n0 1\n1 2", SensorKind::Range).unwrap().quantity(),
+            Quantity::AxisDistance
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        for (text, part) in [
+            ("", "nothing in the file"),
+            ("1.0,2.0\n", "line 1 is \"1.0,2.0\"; it must name the columns, time_s and rate_rad_s or"),
+            ("time_s,speed_m_s\n", "rate_rad_s"),
+            ("time_s,rate_rad_s\n0,1\n0.1\n", "line 3 has 1 values"),
+            ("time_s,rate_rad_s\n0,1\n0.1,fast\n", "line 3: \"fast\""),
+            ("time_s,rate_rad_s\n0,1\n0.1,inf\n", "line 3: \"inf\""),
+            ("time_s,rate_rad_s\n1,1\n1,2\n", "line 3: the time 1 s is not later than 1 s"),
+            ("time_s,rate_rad_s\n1,1\n", "1 samples"),
+        ] {
+            let error = parse(text, SensorKind::Gyro).unwrap_err();
+            assert!(error.to_string().contains(part), "{text:?}: {error}");
+            assert_eq!(error.kind(), crate::error::ErrorKind::Input);
+            assert!(!error.to_string().contains('\n'));
+        }
+    }
+
+    #[test]
+    fn a_written_record_is_read_back() {
+        let record =
+            SensorRecord::new(Quantity::Speed, vec![0.0, 0.02, 0.5], vec![vec![0.25, -1.5, 0.0]]).unwrap();
+        assert_eq!(parse(&write(&record), SensorKind::Wheel).unwrap(), record);
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_survived(text in ".*", lines in "time_s,height_m\n([0-9]{1,3}[,;\n]){0,20}") {
+            let _ = (parse(&text, SensorKind::Range), parse(&lines, SensorKind::Range));
+        }
+    }
+}
