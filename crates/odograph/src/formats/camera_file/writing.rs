@@ -146,8 +146,8 @@ fn refuse_any(model: &str, coefficients: &[(&str, f64)]) -> Result<()> {
     match coefficients.iter().find(|(_, value)| *value != 0.0) {
         None => Ok(()),
         Some((name, value)) => Err(Error::usage(format!(
-            "{model} has only k1, k2, p1 and p2, but the camera's {name} is {value}; calibrate with the lens model \
-             brown-conrady4, or write another format"
+            "{model} has only k1, k2, p1 and p2, but the camera's {name} is {value}; calibrate with \
+             `--model brown4`, or write another format"
         ))),
     }
 }
@@ -156,7 +156,7 @@ fn refuse_any(model: &str, coefficients: &[(&str, f64)]) -> Result<()> {
 pub(super) fn refuse_double_sphere(camera: &Camera, program: &str) -> Result<()> {
     match camera.distortion() {
         Distortion::DoubleSphere { .. } => Err(Error::usage(format!(
-            "{program} knows no double-sphere lens; write Kalibr's format, or calibrate with the lens model kannala-brandt4"
+            "{program} knows no double-sphere lens; write Kalibr's format, or calibrate with `--model fisheye`"
         ))),
         _ => Ok(()),
     }
