@@ -145,7 +145,7 @@ fn calibrated(
 ) -> Result<(Calibrated, Vec<Seconds>), Reason> {
     let few = thinned(steps);
     let all_rows = |offset_s: f64| few.iter().filter_map(|step| rows(step, offset_s)).flatten().collect();
-    let offset = time_offset(all_rows, prior);
+    let offset = time_offset(all_rows, prior, 1.0);
     let compared: Vec<(Step, Vec<Row>)> =
         steps.iter().filter_map(|step| rows(step, offset.offset_s).map(|rows| (*step, rows))).collect();
     if compared.iter().map(|(step, _)| step.duration_s()).sum::<f64>() < LEAST_S {
@@ -229,20 +229,34 @@ pub struct Sighted {
     pub single: f64,
 }
 
-/// Compares the reading of a sensor at a node with what the camera has there; `drift` is the variance of the latter against the start.
+/// Readings are averaged over so long to find the offset of their clock, seconds.
+const WINDOW_S: f64 = 0.4;
+
+/// Compares the reading of a sensor (times `factor`) at a node with what the camera has there; `drift` is the variance of the latter against the start.
 fn sighted(
+    record: &SensorRecord,
+    factor: impl Fn(&Node) -> f64,
     nodes: &[Node],
     camera: impl Fn(&Node) -> f64,
     drift: impl Fn(&Node) -> f64,
-    reading: impl Fn(&Node, f64) -> Option<f64>,
 ) -> Result<Sighted, Reason> {
+    // For the clock a mean over a while: values between two readings would have less noise than values at one, which draws the offset there.
+    let mean = |node: &Node, time_s: f64| {
+        let (from_s, to_s) = (time_s - 0.5 * WINDOW_S, time_s + 0.5 * WINDOW_S);
+        record.between(0, from_s, to_s).map(|sum| factor(node) * sum / WINDOW_S)
+    };
+    let reading = |node: &Node, time_s: f64| record.at(0, time_s).map(|z| factor(node) * z);
     let stride = nodes.len().div_ceil(MOST_ROWS).max(1);
+    let spacing_s = match nodes {
+        [first, .., last] => (last.time_s - first.time_s) / (nodes.len() - 1) as f64 * stride as f64,
+        _ => WINDOW_S,
+    };
     let nothing = Prior { mean: Vector4::zeros(), sigma: Vector4::repeat(1.0) };
     // Changes over a second: neither the sensor's zero nor the camera's drift is in them.
     let rows = |offset_s: f64| {
         let read = nodes.iter().step_by(stride);
         let differences: Vec<(&Node, f64)> = read
-            .filter_map(|node| reading(node, node.time_s + offset_s).map(|z| (node, z - camera(node))))
+            .filter_map(|node| mean(node, node.time_s + offset_s).map(|z| (node, z - camera(node))))
             .collect();
         let mut earlier = 0;
         let mut rows = Vec::with_capacity(differences.len());
@@ -262,7 +276,7 @@ fn sighted(
         }
         rows
     };
-    let offset = time_offset(rows, &nothing);
+    let offset = time_offset(rows, &nothing, (spacing_s / WINDOW_S).min(1.0));
     let read: Vec<(usize, f64)> = nodes
         .iter()
         .enumerate()
@@ -339,22 +353,15 @@ const WORST_HEIGHT_SHARE: f64 = 0.05;
 
 /// A compass against the camera's heading.
 pub fn heading(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
-    let found = sighted(
-        nodes,
-        |node| node.heading_rad,
-        |node| node.carried[(2, 2)],
-        |_, time_s| record.at(0, time_s),
-    )?;
+    let found = sighted(record, |_| 1.0, nodes, |node| node.heading_rad, |node| node.carried[(2, 2)])?;
     within(found, nodes, |node| node.heading_rad, WORST_HEADING_RAD)
 }
 
 /// A range finder against the camera's height.
 pub fn range(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
     let along_axis = record.quantity() == Quantity::AxisDistance;
-    let reading = |node: &Node, time_s: f64| {
-        record.at(0, time_s).map(|z| if along_axis { z * node.tilt_cosine } else { z })
-    };
-    let found = sighted(nodes, |node| node.height_m, |node| node.height_variance, reading)?;
+    let factor = |node: &Node| if along_axis { node.tilt_cosine } else { 1.0 };
+    let found = sighted(record, factor, nodes, |node| node.height_m, |node| node.height_variance)?;
     let height_m = nodes.iter().map(|node| node.height_m).sum::<f64>() / nodes.len().max(1) as f64;
     within(found, nodes, |node| node.height_m, WORST_HEIGHT_SHARE * height_m)
 }

@@ -115,8 +115,9 @@ const COARSE_S: f64 = 0.02;
 /// Less sure than this the offset is of no use, seconds.
 const WORST_SIGMA_S: f64 = 0.05;
 
-/// The offset at which the sensor explains the camera's movement best; `rows` gives the comparison at an offset.
-pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior) -> TimeOffset {
+/// The offset at which the sensor explains the camera's movement best; `rows` gives the comparison at an offset. Of its rows
+/// the part `independent` has noise of its own.
+pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior, independent: f64) -> TimeOffset {
     let unknown = TimeOffset { offset_s: 0.0, sigma_s: f64::INFINITY };
     let steps = (MOST_OFFSET_S / COARSE_S).round() as i32;
     let looks: Vec<(f64, usize, Fit)> = (-steps..=steps)
@@ -130,6 +131,15 @@ pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior) -> TimeOffset 
     // An offset that leaves much of the record without a counterpart is not judged by the rest.
     let eligible = looks.iter().filter(|look| look.1 >= 30 && 10 * look.1 >= 8 * most);
     let Some(best) = eligible.min_by(|a, b| a.2.density.total_cmp(&b.2.density)) else { return unknown };
+    let count = independent * best.1 as f64;
+    // Where nothing moves noise alone makes one offset look better than the others. The variance of what is left scatters by √(2 / count);
+    // the best of a hundred is three deviations below the middle, and as much again is asked for.
+    let mut densities: Vec<f64> = looks.iter().map(|look| look.2.density).collect();
+    let middle = densities.len() / 2;
+    let usual = *densities.select_nth_unstable_by(middle, f64::total_cmp).1;
+    if usual < best.2.density * (1.0 + 6.0 * (2.0 / count).sqrt()) {
+        return unknown;
+    }
     let scale = best.2.density.sqrt();
     let loss = |offset_s: f64| fit(&rows(offset_s), prior, Some(scale)).loss;
     let (mut low, mut high) = (best.0 - COARSE_S, best.0 + COARSE_S);
@@ -150,7 +160,6 @@ pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior) -> TimeOffset 
     }
     let offset_s = 0.5 * (low + high);
     // The curvature over a step that is wider than the kinks between samples.
-    let count = best.1 as f64;
     let curvature = count * (loss(offset_s - COARSE_S) + loss(offset_s + COARSE_S) - 2.0 * loss(offset_s))
         / (COARSE_S * COARSE_S);
     let sigma_s = if curvature > 0.0 { (2.0 / curvature).sqrt() } else { f64::INFINITY };

@@ -217,6 +217,27 @@ fn without_sensors_and_without_gaps_nothing_changes() {
 }
 
 #[test]
+fn the_clock_of_a_compass_is_found_and_that_of_an_idle_range_finder_is_not_claimed() {
+    for seed in 1..=4 {
+        let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
+        let simulation = drive(eight, 0.5, Effects::default(), Rig::level(0.75), seed);
+        let frames = followed(&simulation, (0.0, 0.0, 0.0));
+        let sensors = simulation.sensors().unwrap();
+        let fusion = fuse(&frames, &Sensors { gyro: None, wheel: None, ..sensors.records });
+        let found = report(&fusion, SensorKind::Heading).offset.unwrap();
+        let off_s = (found.offset_s - sensors.heading.offset_s).abs();
+        assert!(
+            off_s < 0.015 && off_s < 4.0 * found.sigma_s,
+            "{found:?}, truth {}",
+            sensors.heading.offset_s
+        );
+        // The height does not change: nothing tells the range finder's offset.
+        let found = report(&fusion, SensorKind::Range).offset.unwrap();
+        assert!(found.offset_s == 0.0 && found.sigma_s.is_infinite(), "{found:?}");
+    }
+}
+
+#[test]
 fn a_gyroscope_mounted_anyhow_is_found_by_its_three_axes() {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
     let simulation = drive(eight, 0.5, dark(6.0, 8.0), Rig::level(0.75), 5);
