@@ -78,7 +78,7 @@ fn list<'a>(text: &mut String, key: &str, items: impl Iterator<Item = &'a str>) 
 
 fn matrix(text: &mut String, key: &str, rows: usize, data: &[f64]) {
     let numbers = data.iter().map(|&number| real(number)).collect::<Vec<_>>().join(", ");
-    let columns = if rows == 0 { 0 } else { data.len() / rows };
+    let columns = data.len().checked_div(rows).unwrap_or(0);
     let _ = writeln!(
         text,
         "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {numbers} ]"

@@ -29,7 +29,7 @@ pub struct ShownView {
 /// More arrows or dots than this are thinned evenly: the eye sees the same, and the page stays small.
 const MOST_MARKS: usize = 5000;
 
-fn marks<'a>(views: &'a [ShownView], used: bool) -> impl Iterator<Item = &'a Residual> + Clone {
+fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &Residual> + Clone {
     let of = move || {
         views.iter().filter(move |view| view.why_not.is_none() == used).flat_map(|view| &view.residuals)
     };

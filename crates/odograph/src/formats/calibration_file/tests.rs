@@ -9,8 +9,7 @@ fn the_camera_comes_back_and_the_rest_is_there() {
     let truth = Camera::new((320, 240), (300.0, 300.0), (162.0, 118.0), distortion).unwrap();
     let board: Board = "chessboard:7x5:30mm".parse().unwrap();
     let scene = BoardScene::new(&board, &truth, 1);
-    let views: Vec<_> =
-        scene.poses(12, Framing::Whole, 2).iter().map(|pose| scene.true_view(pose)).collect();
+    let views: Vec<_> = scene.poses(12, Framing::Whole, 2).iter().map(|pose| scene.true_view(pose)).collect();
     let config = CalibrationConfig { model: Some(LensModel::BrownConrady4), ..Default::default() };
     let calibration = calibrate(&board, &views, &config).unwrap();
     let text = write(&calibration, &board);
