@@ -1,6 +1,6 @@
 //! `odograph ground` from outside: rigs from pictures of a board and from driving, and what it refuses.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // in a test, what cannot be is a failure of the test
 
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::formats::{camera_file, rig_file};

@@ -3,6 +3,8 @@
 //! `cargo run --example solve_views -- points.txt [model [square] [centred] [bent]]` prints what `odograph calibrate` would
 //! say and how long the solving took.
 
+#![allow(clippy::print_stdout)] // what it prints is what it is for
+
 use odograph::calibration::{Board, BoardView, CalibrationConfig, SeenPoint, calibrate};
 use odograph::error::{Error, Result};
 use odograph::geometry::Pixel;

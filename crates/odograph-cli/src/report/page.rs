@@ -277,7 +277,9 @@ fn sensors(sensors: &[SensorReport], page: &mut String) {
         let found: Vec<String> = report
             .parameters
             .iter()
-            .map(|found| format!("{} {} ± {}", found.name, number(found.value, 4), number(2.0 * found.sigma, 4)))
+            .map(|found| {
+                format!("{} {} ± {}", found.name, number(found.value, 4), number(2.0 * found.sigma, 4))
+            })
             .collect();
         let _ = writeln!(
             page,

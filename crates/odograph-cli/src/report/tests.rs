@@ -3,7 +3,9 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use odograph::image::RgbImage;
 use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicOptions};
-use odograph::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
+use odograph::trajectory::{
+    FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity,
+};
 use std::f64::consts::TAU;
 
 fn camera() -> Camera {
@@ -249,7 +251,8 @@ fn a_look() {
     for (name, path) in odd_paths() {
         let svg =
             MapDrawing { title: &format!("{name} {}", "of a very long name".repeat(8)), ..plain }.svg(&path);
-        crate::files::write(&folder.join(format!("map-{name}.png")), &drawing_png(&svg, 1000).unwrap()).unwrap();
+        crate::files::write(&folder.join(format!("map-{name}.png")), &drawing_png(&svg, 1000).unwrap())
+            .unwrap();
     }
     let png_whole = crate::files::png_from_rgba(whole.width, whole.height, &whole.rgba).unwrap();
     crate::files::write(&folder.join("mosaic.png"), &png_whole).unwrap();

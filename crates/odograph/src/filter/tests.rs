@@ -149,7 +149,7 @@ fn the_carrier_does_not_shake() {
         let [x, y, heading] = way(t);
         [x + 0.004 * (37.7 * t).sin(), y + 0.004 * (56.5 * t).cos(), heading + 0.009 * (45.0 * t).sin()]
     };
-    let rig = Rig { yaw_rad: 0.5236, ..Rig::level(1.0) };
+    let rig = Rig { yaw_rad: std::f64::consts::FRAC_PI_6, ..Rig::level(1.0) };
     let path = smooth(&measured_at(0.0, shaken, 1e-5, 600), &FilterConfig::default());
     let carrier = carrier_path(&path, &rig);
     assert_eq!(carrier.poses.len(), path.len());

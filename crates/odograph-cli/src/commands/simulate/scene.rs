@@ -7,8 +7,7 @@ use odograph::formats::camera_file;
 use odograph::geometry::Pixel;
 use odograph::simulation::{
     Blackout, Effects, ExposureJumps, Lighting, MovingObject, Path, PathKind, SensorErrors, Shadow,
-    SimulatedSensors, SimulationConfig,
-    Texture, Tiling, Timing, Vibration, Wander,
+    SimulatedSensors, SimulationConfig, Texture, Tiling, Timing, Vibration, Wander,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -57,7 +57,7 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         markers_of_point,
         points_of_marker,
         // The tag is to the lower right of its upper left corner, and a square to the upper left; and so on around.
-        black_upper_left: (0..grid.0 * grid.1).map(|i| (i % grid.0 + i / grid.0) % 2 == 0).collect(),
+        black_upper_left: (0..grid.0 * grid.1).map(|i| (i % grid.0 + i / grid.0).is_multiple_of(2)).collect(),
         codes: Codes::new(&bits, layouts, gap_m / tag_m, &WINDOWS),
         plain_m: gap_m.min(0.125 * tag_m),
         spacing_m,

@@ -58,7 +58,7 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         corners_of_marker,
         markers_of_point,
         points_of_marker,
-        black_upper_left: (0..grid.0 * grid.1).map(|i| (i % grid.0 + i / grid.0) % 2 == 0).collect(),
+        black_upper_left: (0..grid.0 * grid.1).map(|i| (i % grid.0 + i / grid.0).is_multiple_of(2)).collect(),
         codes: Codes::new(&bits, layouts, gap_m / marker_m, &WINDOWS),
         plain_m: gap_m,
         spacing_m,

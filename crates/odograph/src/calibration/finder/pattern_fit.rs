@@ -108,8 +108,8 @@ impl Pattern {
         for _ in 0..MOST_STEPS {
             let (step, fit) = self.step(image, at)?;
             at = Pixel::new(at.x + step.0, at.y + step.1);
-            // Not a comparison with `>`: a NaN must end here too.
-            if !(at.distance(start) <= MOST_MOVED_PX) {
+            let moved_px = at.distance(start);
+            if moved_px.is_nan() || moved_px > MOST_MOVED_PX {
                 return None;
             }
             result = Some(PatternFit { pixel: at, ..fit });
@@ -134,7 +134,8 @@ impl Pattern {
         let (mut squares, mut weights) = (0.0, 0.0);
         for y in (at.y - radius).ceil() as usize..=(at.y + radius).floor() as usize {
             let row = image.row(y);
-            for x in (at.x - radius).ceil() as usize..=(at.x + radius).floor() as usize {
+            let (first, last) = ((at.x - radius).ceil() as usize, (at.x + radius).floor() as usize);
+            for (x, &sample) in row.iter().enumerate().take(last + 1).skip(first) {
                 let (dx, dy) = (x as f64 - at.x, y as f64 - at.y);
                 let weight = 1.0 - (dx * dx + dy * dy) / (radius * radius);
                 if weight <= 0.0 {
@@ -142,7 +143,7 @@ impl Pattern {
                 }
                 let (white, by_x, by_y) = self.at(dx, dy)?;
                 let unknowns = SVector::from([1.0, white, by_x, by_y, dx / radius, dy / radius]);
-                let value = f64::from(row[x]);
+                let value = f64::from(sample);
                 normal.syger(weight, &unknowns, &unknowns, 1.0);
                 right.axpy(weight * value, &unknowns, 1.0);
                 squares += weight * value * value;
@@ -153,7 +154,7 @@ impl Pattern {
         let cholesky = normal.cholesky()?;
         let solution = cholesky.solve(&right);
         let contrast = solution[1];
-        if !(contrast > LEAST_CONTRAST) {
+        if contrast.is_nan() || contrast <= LEAST_CONTRAST {
             return None;
         }
         let residual = ((squares - solution.dot(&right)).max(0.0) / weights).sqrt();

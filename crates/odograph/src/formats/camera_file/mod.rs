@@ -12,8 +12,8 @@ mod writing;
 mod yaml;
 
 pub use uncertainty::parse_uncertainty;
-pub use writing::{CameraFormat, write_as};
 pub(super) use writing::number;
+pub use writing::{CameraFormat, write_as};
 
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};

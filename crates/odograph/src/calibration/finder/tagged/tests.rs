@@ -168,8 +168,8 @@ fn images_without_a_board_are_refused() {
         GrayImage::from_samples(width, height, samples.collect()).unwrap()
     };
     let stripes = |step: usize| {
-        let samples =
-            (0..320 * 240).map(|at| if (at % 320 / step + at / 320 / step) % 2 == 0 { 20 } else { 230 });
+        let samples = (0..320 * 240)
+            .map(|at| if (at % 320 / step + at / 320 / step).is_multiple_of(2) { 20 } else { 230 });
         GrayImage::from_samples(320, 240, samples.collect()).unwrap()
     };
     let images = [
