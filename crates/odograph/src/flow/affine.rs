@@ -17,7 +17,7 @@ const ITERATIONS: usize = 8;
 ///
 /// `None` where the patch leaves the image or is deformed so much that it is not the same surface.
 pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Option<(Warp, Track)> {
-    let patch = &template.levels()[0];
+    let patch = template.finest();
     let inverse_hessian = affine_hessian(patch).try_inverse()?;
     let mut warp = *start;
     let mut samples: Samples = [0.0; AREA];
@@ -50,7 +50,7 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
             break;
         }
     }
-    let dissimilarity = unexplained(patch, &samples);
+    let dissimilarity = unexplained(patch, dot(&patch.appearance.contrast, &samples), &samples);
     Some((warp, Track { position: warp.position, dissimilarity }))
 }
 

@@ -33,7 +33,7 @@ pub struct FlowConfig {
     pub levels: usize,
     /// At most this many steps on each level.
     pub iterations: usize,
-    /// A step shorter than this ends a level, pixels of the full image.
+    /// A level ends when the steps still to come would lead less than this far, pixels of the full image.
     pub step_px: f64,
     /// Largest distance between a corner and where it comes back to when it is followed forward and then backward, pixels.
     pub forward_backward_px: f64,

@@ -100,7 +100,7 @@ impl Keyframe {
             camera.ray_from_pixel(Pixel::new(x, y)).and_then(|ray| pose.ground_from_ray(ray))
         };
         let corner = |&place: &(usize, usize)| {
-            let template = Template::new(&pyramid, place)?;
+            let template = Template::of_finest_level(&pyramid, place)?;
             let Pixel { x, y } = template.centre();
             Some(KeyCorner {
                 ground: on_ground(x, y)?,
