@@ -61,9 +61,10 @@ pub struct Corner {
 ///
 /// "Spread" means: the image is divided into cells of equal area and cells take turns, each giving its best corner that
 /// keeps the minimum distance, until N are found. A texture that is strong in one place does not draw all corners there.
+/// The image is at most 65,536 pixels wide and high, as is every camera's.
 pub fn detect(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
-    let mut candidates = local_maxima(image, config, margin_px);
-    spread(&mut candidates, (image.width(), image.height()), config)
+    let candidates = local_maxima(image, config, margin_px);
+    spread(&candidates, (image.width(), image.height()), config)
 }
 
 /// Gradients weaker than this (gray levels per pixel, squared) are 8-bit rounding, not texture.
@@ -133,7 +134,7 @@ fn for_each_row_of_strengths(
 const PER_PRODUCT: f32 = 1.0 / (32.0 * 32.0);
 
 /// Pixels that are stronger than their eight neighbours and strong enough beside the strongest of them, in reading order.
-fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
+fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Ranked> {
     let (width, height) = (image.width(), image.height());
     let margin = margin_px.max(1);
     let mut maxima = Vec::new();
@@ -153,18 +154,19 @@ fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -
         // Ties go to the first in reading order.
         mark_local_maxima(above, here, below, SMALLEST_STRENGTH, &mut marks[..width]);
         for (block, marks) in marks.chunks_exact(MARKS).enumerate() {
-            let mut bits = marks.iter().enumerate().fold(0u64, |bits, (i, &mark)| bits | (u64::from(mark) << i));
+            let mut bits =
+                marks.iter().enumerate().fold(0u64, |bits, (i, &mark)| bits | (u64::from(mark) << i));
             while bits != 0 {
                 let x = block * MARKS + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
                 if (margin..width - margin).contains(&x) {
-                    maxima.push(Corner { x, y, strength: here[x] });
+                    maxima.push(Ranked::new(x, y, here[x]));
                 }
             }
         }
     });
-    let strongest = maxima.iter().map(|c| c.strength).fold(0.0, f32::max);
-    maxima.retain(|c| c.strength >= config.quality * strongest);
+    let strongest = maxima.iter().max().map_or(0.0, |strongest| strongest.strength());
+    maxima.retain(|candidate| candidate.strength() >= config.quality * strongest);
     maxima
 }
 
@@ -184,7 +186,7 @@ fn window_weights(config: &DetectionConfig) -> Vec<f32> {
 }
 
 /// Takes the best candidates cell by cell; see [`detect`].
-fn spread(candidates: &mut [Corner], size: (usize, usize), config: &DetectionConfig) -> Vec<Corner> {
+fn spread(candidates: &[Ranked], size: (usize, usize), config: &DetectionConfig) -> Vec<Corner> {
     if candidates.is_empty() {
         return Vec::new();
     }
@@ -192,21 +194,40 @@ fn spread(candidates: &mut [Corner], size: (usize, usize), config: &DetectionCon
     let cell_px = ((size.0 * size.1) as f64 * 4.0 / config.corners.max(1) as f64).sqrt().max(1.0);
     let columns = (size.0 as f64 / cell_px).ceil() as usize;
     let rows = (size.1 as f64 / cell_px).ceil() as usize;
-    let per_px = 1.0 / cell_px;
-    let cell_of = |corner: &Corner| {
-        let column = ((corner.x as f64 * per_px) as usize).min(columns - 1);
-        let row = ((corner.y as f64 * per_px) as usize).min(rows - 1);
-        row * columns + column
+    let cell_along = |size: usize, cells: usize| -> Vec<usize> {
+        (0..size).map(|at| ((at as f64 / cell_px) as usize).min(cells - 1)).collect()
     };
-    let mut cells: Vec<Cell> = (0..columns * rows).map(|_| Cell::default()).collect();
-    candidates.iter().for_each(|corner| cells[cell_of(corner)].rest.push(Ranked::of(corner)));
+    let (column_of, row_of) = (cell_along(size.0, columns), cell_along(size.1, rows));
+    let cell_of = |candidate: &Ranked| row_of[candidate.y()] * columns + column_of[candidate.x()];
+    // Sorted into the cells by counting.
+    let mut ends = vec![0; columns * rows];
+    candidates.iter().for_each(|candidate| ends[cell_of(candidate)] += 1);
+    let mut total = 0;
+    for end in &mut ends {
+        total += *end;
+        *end = total - *end; // where the cell begins, until it is filled
+    }
+    let mut in_cells = vec![Ranked(0); candidates.len()];
+    for candidate in candidates {
+        let end = &mut ends[cell_of(candidate)];
+        in_cells[*end] = *candidate;
+        *end += 1;
+    }
+    let mut rest = in_cells.as_mut_slice();
+    let mut cells = Vec::with_capacity(ends.len());
+    let mut begin = 0;
+    for end in ends {
+        let (cell, others) = rest.split_at_mut(end - begin);
+        cells.push(Cell { candidates: cell, sorted: 0 });
+        (rest, begin) = (others, end);
+    }
     let mut taken = TakenCorners::new(size, config.minimum_distance_px);
     let mut chosen = Vec::with_capacity(config.corners);
     loop {
         let before = chosen.len();
         for cell in &mut cells {
             while chosen.len() < config.corners {
-                let Some(corner) = cell.next() else { break };
+                let Some(corner) = cell.next().map(Ranked::corner) else { break };
                 if taken.keeps_distance(corner) {
                     taken.take(corner);
                     chosen.push(corner);
@@ -220,47 +241,58 @@ fn spread(candidates: &mut [Corner], size: (usize, usize), config: &DetectionCon
     }
 }
 
-/// A corner as numbers that order as corners do: the stronger is the larger; of equals the first in reading order.
+/// A corner as one number that orders as corners do: the stronger is the larger; of equals the first in reading order. The bits of a
+/// positive strength, which order as it does, then those of the place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Ranked {
-    /// The bits of a positive number order as the number does.
-    strength: u32,
-    place: std::cmp::Reverse<(u32, u32)>,
-}
+struct Ranked(u64);
 
 impl Ranked {
-    fn of(corner: &Corner) -> Self {
-        let place = std::cmp::Reverse((corner.y as u32, corner.x as u32));
-        Self { strength: corner.strength.to_bits(), place }
+    /// Places are below 2¹⁶: no camera has more pixels along a side.
+    fn new(x: usize, y: usize, strength: f32) -> Self {
+        let place = !(((y as u32) << 16) | x as u32);
+        Self((u64::from(strength.to_bits()) << 32) | u64::from(place))
+    }
+
+    fn strength(self) -> f32 {
+        f32::from_bits((self.0 >> 32) as u32)
+    }
+
+    fn x(self) -> usize {
+        (!self.0 & 0xffff) as usize
+    }
+
+    fn y(self) -> usize {
+        (!self.0 >> 16 & 0xffff) as usize
     }
 
     fn corner(self) -> Corner {
-        let std::cmp::Reverse((y, x)) = self.place;
-        Corner { x: x as usize, y: y as usize, strength: f32::from_bits(self.strength) }
+        Corner { x: self.x(), y: self.y(), strength: self.strength() }
     }
 }
 
 /// The corners of one cell, given from the strongest to the weakest; few are asked for, so that few are sorted at a time.
-#[derive(Debug, Default)]
-struct Cell {
-    /// In no order, all weaker than those of `best`.
-    rest: Vec<Ranked>,
-    /// The strongest at the end.
-    best: Vec<Ranked>,
+struct Cell<'a> {
+    /// Those not given yet; the strongest at the end.
+    candidates: &'a mut [Ranked],
+    /// So many at the end are sorted, and stronger than the others.
+    sorted: usize,
 }
 
-impl Cell {
-    fn next(&mut self) -> Option<Corner> {
+impl Cell<'_> {
+    fn next(&mut self) -> Option<Ranked> {
         const AT_A_TIME: usize = 12;
-        if self.best.is_empty() {
-            let from = self.rest.len().saturating_sub(AT_A_TIME);
+        if self.sorted == 0 {
+            let from = self.candidates.len().saturating_sub(AT_A_TIME);
             if from > 0 {
-                self.rest.select_nth_unstable(from);
+                self.candidates.select_nth_unstable(from);
             }
-            self.best.extend(self.rest.drain(from..));
-            self.best.sort_unstable();
+            self.candidates[from..].sort_unstable();
+            self.sorted = self.candidates.len() - from;
         }
-        self.best.pop().map(Ranked::corner)
+        let (strongest, others) = std::mem::take(&mut self.candidates).split_last_mut()?;
+        self.candidates = others;
+        self.sorted -= 1;
+        Some(*strongest)
     }
 }
 

@@ -44,7 +44,7 @@ pub struct FlowConfig {
 
 impl Default for FlowConfig {
     fn default() -> Self {
-        Self { levels: 4, iterations: 12, step_px: 0.004, forward_backward_px: 0.5, dissimilarity: 0.9 }
+        Self { levels: 4, iterations: 12, step_px: 0.001, forward_backward_px: 0.5, dissimilarity: 0.9 }
     }
 }
 

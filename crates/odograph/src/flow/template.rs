@@ -5,6 +5,7 @@ use crate::geometry::Pixel;
 use crate::image::simd::{Appearance, Orthogonal, patch_sums, write_appearance};
 use crate::image::{GrayImage, Pyramid};
 use nalgebra::{Matrix2, Vector2};
+use std::cell::RefCell;
 use std::sync::OnceLock;
 
 /// Patches of a keyframe around one corner, one a pyramid level, with everything about them that does not depend on the
@@ -78,14 +79,52 @@ pub(super) struct LevelTemplate {
     pub centre: Vector2<f64>,
     /// Contrast: samples less their mean. Gradients along x and y, made orthogonal to constants and to the contrast: their product
     /// with an image that differs only by gain and offset is zero.
-    pub appearance: Box<Appearance>,
+    appearance: Memory,
     /// Inverse of the matrix of products of the two gradients.
     pub inverse_hessian: Matrix2<f64>,
     /// Sum of the squared contrast.
     pub contrast_energy: f64,
 }
 
+/// Room for one appearance. A keyframe has hundreds of them, 3 KiB each, and the next one has as many again: they are kept for it, because
+/// memory that is new from the system costs more than what is written into it.
+#[derive(Debug, Clone)]
+struct Memory(Vec<Appearance>);
+
+/// At most so many are kept in a thread: those of a keyframe with its coarser levels.
+const MOST_KEPT: usize = 1024;
+
+thread_local! {
+    static KEPT: RefCell<Vec<Memory>> = const { RefCell::new(Vec::new()) };
+}
+
+impl Memory {
+    /// What is in it means nothing.
+    fn new() -> Self {
+        let kept = KEPT.try_with(|kept| kept.borrow_mut().pop()).ok().flatten();
+        kept.unwrap_or_else(|| Self(vec![Appearance::ZERO]))
+    }
+}
+
+impl Drop for LevelTemplate {
+    fn drop(&mut self) {
+        let appearance = std::mem::take(&mut self.appearance.0);
+        // Nothing is kept where the thread is ending.
+        let _ = KEPT.try_with(|kept| {
+            let mut kept = kept.borrow_mut();
+            if kept.len() < MOST_KEPT {
+                kept.push(Memory(appearance));
+            }
+        });
+    }
+}
+
 impl LevelTemplate {
+    /// Contrast and gradients of the patch; see the field.
+    pub fn appearance(&self) -> &Appearance {
+        &self.appearance.0[0]
+    }
+
     pub fn new(image: &GrayImage, x: f64, y: f64) -> Option<Self> {
         // One sample around the patch is needed for the gradients.
         let (left, top) = ((x - TO_CENTRE).round(), (y - TO_CENTRE).round());
@@ -121,7 +160,8 @@ impl LevelTemplate {
         if weakest < n * 0.01 {
             return None;
         }
-        let mut appearance = Appearance::zero();
+        let inverse_hessian = Matrix2::new(xx, xy, xy, yy).try_inverse()?;
+        let mut appearance = Memory::new();
         let less = Orthogonal {
             mean: mean as f32,
             mean_x: mean_x as f32,
@@ -129,10 +169,10 @@ impl LevelTemplate {
             share_x: share_x as f32,
             share_y: share_y as f32,
         };
-        write_appearance(image, left, top, &less, &mut appearance);
+        appearance.0.iter_mut().for_each(|a| write_appearance(image, left, top, &less, a));
         Some(Self {
             centre: Vector2::new(left as f64 + TO_CENTRE, top as f64 + TO_CENTRE),
-            inverse_hessian: Matrix2::new(xx, xy, xy, yy).try_inverse()?,
+            inverse_hessian,
             appearance,
             contrast_energy,
         })

@@ -109,11 +109,14 @@ fn search(
     let mut product = 0.0;
     for _ in 0..iterations {
         let centre = (expected + shift) / scale;
-        let products = sample_products(image, centre, &prediction.linear, &patch.appearance, &mut samples)
+        let products = sample_products(image, centre, &prediction.linear, patch.appearance(), &mut samples)
             .ok_or(TrackFailure::Outside)?;
         product = products.contrast;
-        let gain = product / patch.contrast_energy;
-        if gain < 0.05 {
+        let mut gain = product / patch.contrast_energy;
+        if level > 0 {
+            // Far from the answer likeness tells nothing of the gain.
+            gain = gain.max(LEAST_COARSE_GAIN);
+        } else if gain < 0.05 {
             return Err(TrackFailure::Unlike); // darkness, or a negative
         }
         let step = prediction.linear * (patch.inverse_hessian * (products.gradient / gain)) * scale;
@@ -123,10 +126,15 @@ fn search(
             return Err(TrackFailure::Diverged); // half a patch: the gradients mean nothing there
         }
         // Near the answer each step is the same part of the one before: what is left after this one is a geometric series.
-        let part = (length / last_step).min(MOST_SHRINKING);
-        let left = if last_step.is_finite() { length * part / (1.0 - part) } else { length };
+        let part = (length / last_step).min(MOST_SHRINKING); // 0 for the first
+        let last_step_known = last_step.is_finite();
+        let steps_left = if last_step_known { part / (1.0 - part) } else { 1.0 };
         last_step = length;
-        if left < step_px {
+        if length * steps_left < step_px {
+            // The steps still to come, where they are known, are taken at once.
+            if last_step_known && part < 0.5 {
+                shift -= step * steps_left;
+            }
             return Ok((shift, unexplained(patch, product, &samples)));
         }
     }
@@ -135,6 +143,9 @@ fn search(
     }
     Ok((shift, unexplained(patch, product, &samples)))
 }
+
+/// No image of the same ground is darker than this part of the keyframe, as far as levels other than the full image are concerned.
+const LEAST_COARSE_GAIN: f64 = 0.5;
 
 /// Steps that shrink more slowly than this, or grow, are taken to shrink by this.
 const MOST_SHRINKING: f64 = 0.9;
@@ -167,8 +178,9 @@ pub fn forward_backward_px(
     let start = Vector2::new(template.centre().x, template.centre().y) + inverse * beside;
     let prediction = Warp { position: Pixel::new(start.x, start.y), linear: inverse };
     let centre = Pixel::new(back.centre.x, back.centre.y);
+    // Nearer than what it is compared with is near enough.
+    let step_px = config.step_px.max(0.05 * config.forward_backward_px);
     let (shift, _) =
-        search(&back, 0, centre, keyframe, &prediction, Vector2::zeros(), config.iterations, config.step_px)
-            .ok()?;
+        search(&back, 0, centre, keyframe, &prediction, Vector2::zeros(), config.iterations, step_px).ok()?;
     Some(shift.norm())
 }

@@ -45,18 +45,17 @@ struct Residual {
 }
 
 impl Residual {
+    /// Of a point that is not seen: no length, and nothing that it could change.
+    const NONE: Self = Self { error: [0.0; 2], by_pose: [[0.0; 6]; 2] };
+
     fn length(&self) -> f64 {
         (self.error[0] * self.error[0] + self.error[1] * self.error[1]).sqrt()
     }
 }
 
 /// `None` where the point is not in front of the lens.
-fn residual(
-    camera: &Camera,
-    observation: &Observation,
-    pose: &GroundPose,
-    axes: &Axes,
-) -> Option<Residual> {
+#[inline]
+fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes: &Axes) -> Option<Residual> {
     let from_camera =
         Vector3::new(observation.ground.x_m - pose.x_m, observation.ground.y_m - pose.y_m, -pose.height_m);
     let p = axes.camera_from_world * from_camera;
@@ -108,7 +107,7 @@ pub struct Step {
     tracks_alone: Matrix6<f64>,
 }
 
-/// One step of Gauss–Newton on all of the observations alike. `None` where they do not determine the unknowns.
+/// One step of Gauss–Newton on a minimal sample of at most four observations. `None` where they do not determine the unknowns.
 pub fn gauss_newton_step(
     camera: &Camera,
     observations: &[Observation],
@@ -116,13 +115,16 @@ pub fn gauss_newton_step(
     unknowns: &Unknowns,
 ) -> Option<GroundPose> {
     let axes = Axes::new(pose);
-    let residuals = observations.iter().map(|observation| (residual(camera, observation, pose, &axes), 1.0));
-    step(residuals, pose, unknowns, None).map(|step| step.pose)
+    let residuals: [Option<Residual>; 4] =
+        std::array::from_fn(|i| observations.get(i).and_then(|seen| residual(camera, seen, pose, &axes)));
+    let residuals = residuals.each_ref().map(|residual| residual.unwrap_or(Residual::NONE));
+    step(&residuals, &[1.0; 4], pose, unknowns, None).map(|step| step.pose)
 }
 
 /// One step of Gauss–Newton from residuals with their weights. `None` where they do not determine the unknowns.
 fn step(
-    residuals: impl Iterator<Item = (Option<Residual>, f64)>,
+    residuals: &[Residual],
+    weights: &[f64],
     pose: &GroundPose,
     unknowns: &Unknowns,
     pull: Option<&Pull>,
@@ -130,9 +132,11 @@ fn step(
     // The upper triangle, row by row.
     let mut sums = [[0.0; 6]; 6];
     let mut slope = [0.0; 6];
-    for (residual, weight) in residuals {
-        let Some(Residual { error, by_pose }) = residual.filter(|_| weight > 0.0) else { continue };
-        for (error, row) in error.into_iter().zip(&by_pose) {
+    for (Residual { error, by_pose }, &weight) in residuals.iter().zip(weights) {
+        if weight <= 0.0 {
+            continue;
+        }
+        for (error, row) in error.iter().zip(by_pose) {
             let weighted = row.map(|entry| weight * entry);
             for i in 0..6 {
                 for j in i..6 {
@@ -192,15 +196,23 @@ pub fn refine(
     let mut scale_px = config.inlier_px;
     let mut information = Matrix6::identity();
     let mut rig_evidence = None;
-    let mut residuals: Vec<Option<Residual>> = vec![None; observations.len()];
+    let mut residuals = vec![Residual::NONE; observations.len()];
     let mut errors = vec![0.0; observations.len()];
     let mut sorted = Vec::with_capacity(observations.len());
     // Each pose is looked at once: what is left of the observations there weighs them and leads to the next.
-    let mut look = |pose: &GroundPose, residuals: &mut [Option<Residual>], errors: &mut [f64]| -> f64 {
+    let mut look = |pose: &GroundPose, residuals: &mut [Residual], errors: &mut [f64]| -> f64 {
         let axes = Axes::new(pose);
         for ((observation, kept), error) in observations.iter().zip(residuals).zip(&mut *errors) {
-            *kept = residual(camera, observation, pose, &axes);
-            *error = kept.map_or(f64::INFINITY, |residual| residual.length());
+            *error = match residual(camera, observation, pose, &axes) {
+                Some(residual) => {
+                    *kept = residual;
+                    residual.length()
+                }
+                None => {
+                    *kept = Residual::NONE;
+                    f64::INFINITY
+                }
+            };
         }
         robust_scale(errors, config.inlier_px, &mut sorted)
     };
@@ -208,8 +220,7 @@ pub fn refine(
     for round in 0..ROUNDS {
         let pull = Pull::new(&prior, scale_px);
         let before = pose;
-        let weighted = residuals.iter().copied().zip(weights.iter().copied());
-        let step = step(weighted, &pose, &unknowns, Some(&pull))?;
+        let step = step(&residuals, &weights, &pose, &unknowns, Some(&pull))?;
         (pose, information) = (step.pose, step.information);
         scale_px = look(&pose, &mut residuals, &mut errors);
         let per_reach = 1.0 / (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));

@@ -1,7 +1,7 @@
 //! Sampling and halving by hand, eight samples at a time.
 
-use super::scalar::{self, row_start, total};
-use super::{Appearance, Grid, PATCH_SIDE, Patch};
+use super::scalar::{self, row_start, rows_about, total};
+use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
@@ -316,6 +316,40 @@ fn store(values: __m256, to: &mut [f32]) {
     let to: &mut [f32; LANES] = to.first_chunk_mut().expect("eight samples");
     // SAFETY: eight samples can be written there.
     unsafe { _mm256_storeu_ps(to.as_mut_ptr(), values) }
+}
+
+/// See [`super::patch_sums`]. Whole numbers: their order means nothing.
+#[target_feature(enable = "avx2")]
+pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
+    let mut singles = [_mm256_setzero_si256(); 3];
+    let mut products = [_mm256_setzero_si256(); 6];
+    let words = |row: &[u8], at: usize| _mm256_cvtepu8_epi16(load_chunk(&row[at..]));
+    for j in 0..PATCH_SIDE {
+        let [above, here, below] = rows_about(image, left, top, j);
+        let sample = words(here, 1);
+        let x = _mm256_sub_epi16(words(here, 2), words(here, 0));
+        let y = _mm256_sub_epi16(words(below, 1), words(above, 1));
+        for (sum, term) in singles.iter_mut().zip([sample, x, y]) {
+            *sum = _mm256_add_epi16(*sum, term); // at most 16 · 255
+        }
+        let pairs = [(sample, sample), (sample, x), (sample, y), (x, x), (x, y), (y, y)];
+        for (sum, (a, b)) in products.iter_mut().zip(pairs) {
+            *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(a, b));
+        }
+    }
+    let one = _mm256_set1_epi16(1);
+    let [sample, x, y] = singles.map(|sum| whole_total(_mm256_madd_epi16(sum, one)));
+    let [sample_sample, sample_x, sample_y, x_x, x_y, y_y] = products.map(|sum| whole_total(sum));
+    PatchSums { sample, x, y, sample_sample, sample_x, sample_y, x_x, x_y, y_y }
+}
+
+/// The sum of eight whole numbers.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn whole_total(values: __m256i) -> i32 {
+    let four = _mm_add_epi32(_mm256_castsi256_si128(values), _mm256_extracti128_si256::<1>(values));
+    let two = _mm_add_epi32(four, _mm_unpackhi_epi64(four, four));
+    _mm_cvtsi128_si32(two) + _mm_extract_epi32::<1>(two)
 }
 
 /// See [`super::blur_and_halve`].

@@ -4,8 +4,8 @@
 //!
 //! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
 //!   reorders or fuses operations on floating-point numbers;
-//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, and the halving of rows are written by
-//!   hand in [`avx2`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
+//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, the sums over patches and the halving of
+//!   rows are written by hand in [`avx2`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
 //!   reference's.
 #![allow(unsafe_code)]
 
@@ -42,10 +42,10 @@ pub struct Appearance {
 
 impl Appearance {
     /// All zero.
-    pub fn zero() -> Box<Self> {
+    pub const ZERO: Self = {
         let zero = [0.0; PATCH_SIDE * PATCH_SIDE];
-        Box::new(Self { contrast: zero, gradient_x: zero, gradient_y: zero })
-    }
+        Self { contrast: zero, gradient_x: zero, gradient_y: zero }
+    };
 }
 
 /// What the hand-written sampling needs: the processor's AVX2, and an image whose offsets fit into 32 bits.
@@ -140,9 +140,14 @@ pub struct Orthogonal {
     pub share_y: f32,
 }
 
-widened! {
-    /// The sums over the patch whose first sample is (`left`, `top`). One sample around the patch is read; panics where that is outside.
-    patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums
+/// The sums over the patch whose first sample is (`left`, `top`). One sample around the patch is read; panics where that is outside.
+pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::patch_sums(image, left, top) };
+    }
+    scalar::patch_sums(image, left, top)
 }
 
 widened! {

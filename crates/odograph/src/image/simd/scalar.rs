@@ -90,31 +90,37 @@ pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
 
 /// The rows of an image about row `j` of the patch whose first sample is (`left`, `top`), one sample wider on both sides.
 #[inline(always)]
-fn rows_about(image: &GrayImage, left: usize, top: usize, j: usize) -> [&[u8]; 3] {
+pub fn rows_about(image: &GrayImage, left: usize, top: usize, j: usize) -> [&[u8]; 3] {
     [top + j - 1, top + j, top + j + 1].map(|y| &image.row(y)[left - 1..][..PATCH_SIDE + 2])
 }
 
 #[inline(always)]
 pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
-    // Eight running sums each: whole numbers, so that their order means nothing.
-    let mut sums = [[0i32; SUMS]; 9];
+    // Running sums, one a column: whole numbers, so that their order means nothing.
+    let mut singles = [[0i16; PATCH_SIDE]; 3];
+    let mut products = [[0i32; PATCH_SIDE]; 6];
     for j in 0..PATCH_SIDE {
         let [above, here, below] = rows_about(image, left, top, j);
-        for half in [0, SUMS] {
-            for i in 0..SUMS {
-                let at = half + i;
-                let sample = i32::from(here[at + 1]);
-                let x = i32::from(here[at + 2]) - i32::from(here[at]);
-                let y = i32::from(below[at + 1]) - i32::from(above[at + 1]);
-                let terms = [sample, x, y, sample * sample, sample * x, sample * y, x * x, x * y, y * y];
-                for (sum, term) in sums.iter_mut().zip(terms) {
-                    sum[i] += term;
-                }
+        let (mut sample, mut x, mut y) = ([0i16; PATCH_SIDE], [0i16; PATCH_SIDE], [0i16; PATCH_SIDE]);
+        for i in 0..PATCH_SIDE {
+            sample[i] = i16::from(here[i + 1]);
+            x[i] = i16::from(here[i + 2]) - i16::from(here[i]);
+            y[i] = i16::from(below[i + 1]) - i16::from(above[i + 1]);
+        }
+        for (sums, terms) in singles.iter_mut().zip([&sample, &x, &y]) {
+            for i in 0..PATCH_SIDE {
+                sums[i] += terms[i];
+            }
+        }
+        let pairs = [(&sample, &sample), (&sample, &x), (&sample, &y), (&x, &x), (&x, &y), (&y, &y)];
+        for (sums, (a, b)) in products.iter_mut().zip(pairs) {
+            for i in 0..PATCH_SIDE {
+                sums[i] += i32::from(a[i]) * i32::from(b[i]);
             }
         }
     }
-    let [sample, x, y, sample_sample, sample_x, sample_y, x_x, x_y, y_y] =
-        sums.map(|sums| sums.iter().sum::<i32>());
+    let [sample, x, y] = singles.map(|sums| sums.iter().map(|&sum| i32::from(sum)).sum());
+    let [sample_sample, sample_x, sample_y, x_x, x_y, y_y] = products.map(|sums| sums.iter().sum());
     PatchSums { sample, x, y, sample_sample, sample_x, sample_y, x_x, x_y, y_y }
 }
 
@@ -214,34 +220,26 @@ pub fn smaller_eigenvalues_of_sums(
     scale: f32,
     out: &mut [f32],
 ) {
-    const BLOCK: usize = 16; // so many places at a time keep their sums in registers
-    let mut place = 0;
-    while place < out.len() {
-        // The last block goes over places a second time where it would not be full.
-        let from = if out.len() >= BLOCK { place.min(out.len() - BLOCK) } else { place };
-        let count = BLOCK.min(out.len() - from);
-        let mut sums = [[0i32; BLOCK]; 3];
-        for (sums, row) in sums.iter_mut().zip([xx, xy, yy]) {
-            if count == BLOCK {
-                for i in 0..window {
-                    let row = &row[from + i..][..BLOCK];
-                    for x in 0..BLOCK {
-                        sums[x] += row[x];
-                    }
-                }
-            } else {
-                for (x, sum) in sums[..count].iter_mut().enumerate() {
-                    *sum = row[from + x..][..window].iter().sum();
-                }
-            }
+    // The usual windows with their number known to the compiler.
+    match window {
+        3 => eigenvalues_of_sums([xx, xy, yy], 3, scale, out),
+        5 => eigenvalues_of_sums([xx, xy, yy], 5, scale, out),
+        _ => eigenvalues_of_sums([xx, xy, yy], window, scale, out),
+    }
+}
+
+#[inline(always)]
+fn eigenvalues_of_sums(rows: [&[i32]; 3], window: usize, scale: f32, out: &mut [f32]) {
+    let n = out.len();
+    let [xx, xy, yy] = rows.map(|row| &row[..n + window - 1]);
+    for (x, out) in out.iter_mut().enumerate() {
+        let (mut a, mut b, mut c) = (0i32, 0i32, 0i32);
+        for i in 0..window {
+            a += xx[x + i];
+            b += xy[x + i];
+            c += yy[x + i];
         }
-        let mut strengths = [0.0f32; BLOCK];
-        for x in 0..BLOCK {
-            let [xx, xy, yy] = [sums[0][x], sums[1][x], sums[2][x]].map(|sum| sum as f32 * scale);
-            strengths[x] = smaller_eigenvalue(xx, xy, yy);
-        }
-        out[from..from + count].copy_from_slice(&strengths[..count]);
-        place = from + count;
+        *out = smaller_eigenvalue(a as f32 * scale, b as f32 * scale, c as f32 * scale);
     }
 }
 

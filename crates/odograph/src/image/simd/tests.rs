@@ -150,7 +150,7 @@ proptest! {
         let image = random_image(28, 28, seed);
         prop_assert_eq!(patch_sums(&image, left, top), scalar::patch_sums(&image, left, top));
         let less = Orthogonal { mean: 120.3, mean_x: 0.7, mean_y: -1.1, share_x: 0.013, share_y: -0.2 };
-        let (mut found, mut expected) = (Appearance::zero(), Appearance::zero());
+        let (mut found, mut expected) = (Appearance::ZERO, Appearance::ZERO);
         write_appearance(&image, left, top, &less, &mut found);
         scalar::write_appearance(&image, left, top, &less, &mut expected);
         prop_assert_eq!(found.contrast, expected.contrast);
