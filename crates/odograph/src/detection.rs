@@ -2,7 +2,10 @@
 //! the smaller eigenvalue of the gradient matrix over a window.
 
 use crate::image::GrayImage;
-use crate::image::simd::{add_weighted, mark_local_maxima, roll_gradient_products, smaller_eigenvalues};
+use crate::image::simd::{
+    add_weighted_products, mark_local_maxima, roll_products, scharr_gradients, smaller_eigenvalues,
+    smaller_eigenvalues_of_sums,
+};
 use serde::{Deserialize, Serialize};
 
 /// Over which window the gradient matrix is summed.
@@ -58,6 +61,7 @@ pub struct Corner {
 ///
 /// "Spread" means: the image is divided into cells of equal area and cells take turns, each giving its best corner that
 /// keeps the minimum distance, until N are found. A texture that is strong in one place does not draw all corners there.
+/// The image is at most 65,536 pixels wide and high, as is every camera's.
 pub fn detect(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
     let candidates = local_maxima(image, config, margin_px);
     spread(&candidates, (image.width(), image.height()), config)
@@ -81,34 +85,45 @@ fn for_each_row_of_strengths(
         return (0..height).for_each(|y| visit(y, &strengths));
     }
     let weights = window_weights(config);
-    // A ring of the products of the last 2 r + 1 rows, and their sums along the columns: whole numbers, which can be kept up by adding
-    // the row that comes and taking off the one that goes, for as long as 32 bits hold them.
-    let rolls = config.window == Window::Rectangular && rows <= 128;
-    let mut ring = vec![[vec![0i32; width], vec![0i32; width], vec![0i32; width]]; rows];
+    // A ring of the gradients of the last 2 r + 1 rows.
+    let mut ring = vec![[vec![0i16; width], vec![0i16; width]]; rows];
+    let mut newest = [vec![0i16; width], vec![0i16; width]];
+    // The sums of their products along the columns: whole numbers, which are kept up by adding the row that comes and taking off the one
+    // that goes, where 32 bits hold the sum over the whole window.
+    let rolls = config.window == Window::Rectangular && rows <= 11;
     let mut totals = [vec![0i32; width], vec![0i32; width], vec![0i32; width]];
-    let mut columns = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
+    let mut columns = if rolls { Default::default() } else { [(); 3].map(|()| vec![0.0f32; width]) };
     (0..first).for_each(|y| visit(y, &strengths));
     for y in 1..height - 1 {
-        let slot = &mut ring[y % rows];
-        roll_products(image, y, slot, &mut totals);
+        let [x_now, y_now] = &mut newest;
+        scharr_gradients(image.row(y - 1), image.row(y), image.row(y + 1), x_now, y_now);
+        if rolls {
+            let [old_x, old_y] = &ring[y % rows];
+            let [xx, xy, yy] = &mut totals;
+            roll_products(x_now, y_now, old_x, old_y, xx, xy, yy);
+        }
+        std::mem::swap(&mut ring[y % rows], &mut newest);
         if y < rows {
             continue;
         }
         let centre = y - radius;
-        for (i, column) in columns.iter_mut().enumerate() {
-            column.fill(0.0);
-            if rolls {
-                add_weighted(&totals[i], weights[0] * PER_PRODUCT, column);
-            } else {
-                for (k, weight) in weights.iter().enumerate() {
-                    // Row centre − radius + k.
-                    add_weighted(&ring[(centre + k - radius) % rows][i], weight * PER_PRODUCT, column);
-                }
-            }
-        }
-        let [xx, xy, yy] = &columns;
         let inner = &mut strengths[first..width - first];
-        smaller_eigenvalues(&xx[1..], &xy[1..], &yy[1..], &weights, inner);
+        if rolls {
+            let [xx, xy, yy] = &totals;
+            let scale = weights[0] * weights[0] * PER_PRODUCT;
+            smaller_eigenvalues_of_sums(&xx[1..], &xy[1..], &yy[1..], rows, scale, inner);
+        } else {
+            let [xx, xy, yy] = &mut columns;
+            for column in [&mut *xx, &mut *xy, &mut *yy] {
+                column.fill(0.0);
+            }
+            for (k, weight) in weights.iter().enumerate() {
+                // Row centre − radius + k.
+                let [x, y] = &ring[(centre + k - radius) % rows];
+                add_weighted_products(x, y, weight * PER_PRODUCT, xx, xy, yy);
+            }
+            smaller_eigenvalues(&xx[1..], &xy[1..], &yy[1..], &weights, inner);
+        }
         visit(centre, &strengths);
     }
     strengths.fill(0.0);
@@ -118,15 +133,8 @@ fn for_each_row_of_strengths(
 /// A product of two Scharr gradients in (gray levels per pixel)².
 const PER_PRODUCT: f32 = 1.0 / (32.0 * 32.0);
 
-fn roll_products(image: &GrayImage, y: usize, slot: &mut [Vec<i32>; 3], totals: &mut [Vec<i32>; 3]) {
-    let [slot_xx, slot_xy, slot_yy] = slot;
-    let [xx, xy, yy] = totals;
-    let (above, here, below) = (image.row(y - 1), image.row(y), image.row(y + 1));
-    roll_gradient_products(above, here, below, slot_xx, slot_xy, slot_yy, xx, xy, yy);
-}
-
-/// Pixels that are stronger than their eight neighbours and strong enough beside the strongest of them, strongest first.
-fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
+/// Pixels that are stronger than their eight neighbours and strong enough beside the strongest of them, in reading order.
+fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Ranked> {
     let (width, height) = (image.width(), image.height());
     let margin = margin_px.max(1);
     let mut maxima = Vec::new();
@@ -134,7 +142,8 @@ fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -
         return maxima;
     }
     let mut last = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
-    let mut marks = vec![0u8; width];
+    // A multiple of the blocks in which marks are looked through.
+    let mut marks = vec![0u8; width.next_multiple_of(MARKS)];
     for_each_row_of_strengths(image, config, |read, strengths| {
         last.rotate_left(1);
         last[2].copy_from_slice(strengths);
@@ -143,22 +152,26 @@ fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -
         };
         let [above, here, below] = &last;
         // Ties go to the first in reading order.
-        mark_local_maxima(above, here, below, SMALLEST_STRENGTH, &mut marks);
-        for (block, marks) in marks.chunks(16).enumerate() {
-            if marks.iter().fold(0, |any, mark| any | mark) == 0 {
-                continue;
+        mark_local_maxima(above, here, below, SMALLEST_STRENGTH, &mut marks[..width]);
+        for (block, marks) in marks.chunks_exact(MARKS).enumerate() {
+            let mut bits =
+                marks.iter().enumerate().fold(0u64, |bits, (i, &mark)| bits | (u64::from(mark) << i));
+            while bits != 0 {
+                let x = block * MARKS + bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                if (margin..width - margin).contains(&x) {
+                    maxima.push(Ranked::new(x, y, here[x]));
+                }
             }
-            let xs = (block * 16..)
-                .zip(marks)
-                .filter(|(x, mark)| **mark != 0 && (margin..width - margin).contains(x));
-            maxima.extend(xs.map(|(x, _)| Corner { x, y, strength: here[x] }));
         }
     });
-    let strongest = maxima.iter().map(|c| c.strength).fold(0.0, f32::max);
-    maxima.retain(|c| c.strength >= config.quality * strongest);
-    maxima.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength).then((a.y, a.x).cmp(&(b.y, b.x))));
+    let strongest = maxima.iter().max().map_or(0.0, |strongest| strongest.strength());
+    maxima.retain(|candidate| candidate.strength() >= config.quality * strongest);
     maxima
 }
+
+/// So many marks are looked through at a time.
+const MARKS: usize = 32;
 
 fn window_weights(config: &DetectionConfig) -> Vec<f32> {
     let n = 2 * config.window_radius_px;
@@ -173,7 +186,7 @@ fn window_weights(config: &DetectionConfig) -> Vec<f32> {
 }
 
 /// Takes the best candidates cell by cell; see [`detect`].
-fn spread(candidates: &[Corner], size: (usize, usize), config: &DetectionConfig) -> Vec<Corner> {
+fn spread(candidates: &[Ranked], size: (usize, usize), config: &DetectionConfig) -> Vec<Corner> {
     if candidates.is_empty() {
         return Vec::new();
     }
@@ -181,21 +194,40 @@ fn spread(candidates: &[Corner], size: (usize, usize), config: &DetectionConfig)
     let cell_px = ((size.0 * size.1) as f64 * 4.0 / config.corners.max(1) as f64).sqrt().max(1.0);
     let columns = (size.0 as f64 / cell_px).ceil() as usize;
     let rows = (size.1 as f64 / cell_px).ceil() as usize;
-    let mut cells: Vec<Vec<Corner>> = vec![Vec::new(); columns * rows];
-    for &corner in candidates {
-        let column = ((corner.x as f64 / cell_px) as usize).min(columns - 1);
-        let row = ((corner.y as f64 / cell_px) as usize).min(rows - 1);
-        cells[row * columns + column].push(corner);
+    let cell_along = |size: usize, cells: usize| -> Vec<usize> {
+        (0..size).map(|at| ((at as f64 / cell_px) as usize).min(cells - 1)).collect()
+    };
+    let (column_of, row_of) = (cell_along(size.0, columns), cell_along(size.1, rows));
+    let cell_of = |candidate: &Ranked| row_of[candidate.y()] * columns + column_of[candidate.x()];
+    // Sorted into the cells by counting.
+    let mut ends = vec![0; columns * rows];
+    candidates.iter().for_each(|candidate| ends[cell_of(candidate)] += 1);
+    let mut total = 0;
+    for end in &mut ends {
+        total += *end;
+        *end = total - *end; // where the cell begins, until it is filled
+    }
+    let mut in_cells = vec![Ranked(0); candidates.len()];
+    for candidate in candidates {
+        let end = &mut ends[cell_of(candidate)];
+        in_cells[*end] = *candidate;
+        *end += 1;
+    }
+    let mut rest = in_cells.as_mut_slice();
+    let mut cells = Vec::with_capacity(ends.len());
+    let mut begin = 0;
+    for end in ends {
+        let (cell, others) = rest.split_at_mut(end - begin);
+        cells.push(Cell { candidates: cell, sorted: 0 });
+        (rest, begin) = (others, end);
     }
     let mut taken = TakenCorners::new(size, config.minimum_distance_px);
-    let mut next = vec![0; cells.len()];
     let mut chosen = Vec::with_capacity(config.corners);
     loop {
         let before = chosen.len();
-        for (cell, next) in cells.iter().zip(&mut next) {
-            while *next < cell.len() && chosen.len() < config.corners {
-                let corner = cell[*next];
-                *next += 1;
+        for cell in &mut cells {
+            while chosen.len() < config.corners {
+                let Some(corner) = cell.next().map(Ranked::corner) else { break };
                 if taken.keeps_distance(corner) {
                     taken.take(corner);
                     chosen.push(corner);
@@ -206,6 +238,61 @@ fn spread(candidates: &[Corner], size: (usize, usize), config: &DetectionConfig)
         if chosen.len() == before {
             return chosen;
         }
+    }
+}
+
+/// A corner as one number that orders as corners do: the stronger is the larger; of equals the first in reading order. The bits of a
+/// positive strength, which order as it does, then those of the place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Ranked(u64);
+
+impl Ranked {
+    /// Places are below 2¹⁶: no camera has more pixels along a side.
+    fn new(x: usize, y: usize, strength: f32) -> Self {
+        let place = !(((y as u32) << 16) | x as u32);
+        Self((u64::from(strength.to_bits()) << 32) | u64::from(place))
+    }
+
+    fn strength(self) -> f32 {
+        f32::from_bits((self.0 >> 32) as u32)
+    }
+
+    fn x(self) -> usize {
+        (!self.0 & 0xffff) as usize
+    }
+
+    fn y(self) -> usize {
+        (!self.0 >> 16 & 0xffff) as usize
+    }
+
+    fn corner(self) -> Corner {
+        Corner { x: self.x(), y: self.y(), strength: self.strength() }
+    }
+}
+
+/// The corners of one cell, given from the strongest to the weakest; few are asked for, so that few are sorted at a time.
+struct Cell<'a> {
+    /// Those not given yet; the strongest at the end.
+    candidates: &'a mut [Ranked],
+    /// So many at the end are sorted, and stronger than the others.
+    sorted: usize,
+}
+
+impl Cell<'_> {
+    fn next(&mut self) -> Option<Ranked> {
+        const AT_A_TIME: usize = 12;
+        if self.sorted == 0 {
+            let from = self.candidates.len().saturating_sub(AT_A_TIME);
+            if from > 0 {
+                self.candidates.select_nth_unstable(from);
+            }
+            self.candidates[from..].sort_unstable();
+            self.sorted = self.candidates.len() - from;
+        }
+        let (strongest, others) = std::mem::take(&mut self.candidates).split_last_mut()?;
+        self.candidates = others;
+        self.sorted -= 1;
+        Some(*strongest)
     }
 }
 

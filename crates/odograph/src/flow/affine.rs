@@ -17,7 +17,7 @@ const ITERATIONS: usize = 8;
 ///
 /// `None` where the patch leaves the image or is deformed so much that it is not the same surface.
 pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Option<(Warp, Track)> {
-    let patch = &template.levels()[0];
+    let patch = template.finest();
     let inverse_hessian = affine_hessian(patch).try_inverse()?;
     let mut warp = *start;
     let mut samples: Samples = [0.0; AREA];
@@ -26,14 +26,14 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
         if !sample(image.base(), Vector2::new(warp.position.x, warp.position.y), &warp.linear, &mut samples) {
             return None;
         }
-        let gain = dot(&patch.appearance.contrast, &samples) / patch.contrast_energy;
+        let gain = dot(&patch.appearance().contrast, &samples) / patch.contrast_energy;
         if gain < 0.05 {
             return None;
         }
         let (mean, _) = mean_and_energy(&samples);
         let mut slope = SVector::<f64, 6>::zeros();
         for (at, &value) in samples.iter().enumerate() {
-            let residual = (f64::from(value) - mean) / gain - f64::from(patch.appearance.contrast[at]);
+            let residual = (f64::from(value) - mean) / gain - f64::from(patch.appearance().contrast[at]);
             slope += steepest_descent(patch, at) * residual;
         }
         let step = inverse_hessian * slope;
@@ -50,13 +50,14 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
             break;
         }
     }
-    let dissimilarity = unexplained(patch, &samples);
+    let dissimilarity = unexplained(patch, dot(&patch.appearance().contrast, &samples), &samples);
     Some((warp, Track { position: warp.position, dissimilarity }))
 }
 
 /// How sample `at` changes with a shift (x, y) and with the four affine terms (xx, xy, yx, yy).
 fn steepest_descent(patch: &LevelTemplate, at: usize) -> SVector<f64, 6> {
-    let (gx, gy) = (f64::from(patch.appearance.gradient_x[at]), f64::from(patch.appearance.gradient_y[at]));
+    let (gx, gy) =
+        (f64::from(patch.appearance().gradient_x[at]), f64::from(patch.appearance().gradient_y[at]));
     let (x, y) = ((at % SIDE) as f64 - TO_CENTRE, (at / SIDE) as f64 - TO_CENTRE);
     SVector::from([gx, gy, gx * x, gx * y, gy * x, gy * y])
 }

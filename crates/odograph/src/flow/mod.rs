@@ -33,7 +33,7 @@ pub struct FlowConfig {
     pub levels: usize,
     /// At most this many steps on each level.
     pub iterations: usize,
-    /// A step shorter than this ends a level, pixels of the full image.
+    /// A level ends when the steps still to come would lead less than this far, pixels of the full image.
     pub step_px: f64,
     /// Largest distance between a corner and where it comes back to when it is followed forward and then backward, pixels.
     pub forward_backward_px: f64,
@@ -44,7 +44,7 @@ pub struct FlowConfig {
 
 impl Default for FlowConfig {
     fn default() -> Self {
-        Self { levels: 4, iterations: 12, step_px: 0.004, forward_backward_px: 0.5, dissimilarity: 0.9 }
+        Self { levels: 4, iterations: 12, step_px: 0.001, forward_backward_px: 0.5, dissimilarity: 0.9 }
     }
 }
 

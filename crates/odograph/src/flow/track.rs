@@ -5,7 +5,7 @@ use super::template::{LevelTemplate, Template};
 use super::{FlowConfig, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
-use crate::image::simd::{dot, mean_and_energy};
+use crate::image::simd::mean_and_energy;
 use nalgebra::Vector2;
 
 /// A template found again.
@@ -44,12 +44,12 @@ pub fn track(
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
     let mut found = None;
-    let levels = levels_for(off_px).min(template.levels().len()).min(image.levels().len());
+    let levels = levels_for(off_px).min(template.levels()).min(image.levels().len());
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
         // A coarse level has only to come near enough for the next.
         let step_px = if level == 0 { config.step_px } else { config.step_px.max(COARSE_STEP_PX) * scale };
-        let patch = &template.levels()[level];
+        let Some(patch) = template.level(level) else { continue };
         let result =
             search(patch, level, template.centre(), image, prediction, shift, config.iterations, step_px);
         match result {
@@ -70,7 +70,7 @@ pub fn track(
     Ok(Track { position, dissimilarity })
 }
 
-/// A step shorter than this ends a level other than the full image, pixels of the level.
+/// Steps that would lead less than this far end a level other than the full image, pixels of the level.
 const COARSE_STEP_PX: f64 = 0.05;
 
 /// What a level finds even where the ground's texture is fine, pixels of the level.
@@ -103,37 +103,57 @@ fn search(
     // The patch of this level is centred on samples of its level, a little beside the template's own centre.
     let offset = patch.centre * scale - Vector2::new(centre.x, centre.y);
     let expected = prediction.at(offset);
+    let image = &image.levels()[level];
     let mut samples: Samples = [0.0; AREA];
     let mut last_step = f64::INFINITY;
+    let mut product = 0.0;
     for _ in 0..iterations {
         let centre = (expected + shift) / scale;
-        let image = &image.levels()[level];
-        let products = sample_products(image, centre, &prediction.linear, &patch.appearance, &mut samples)
+        let products = sample_products(image, centre, &prediction.linear, patch.appearance(), &mut samples)
             .ok_or(TrackFailure::Outside)?;
-        let gain = products.contrast / patch.contrast_energy;
-        if gain < 0.05 {
+        product = products.contrast;
+        let mut gain = product / patch.contrast_energy;
+        if level > 0 {
+            // Far from the answer likeness tells nothing of the gain.
+            gain = gain.max(LEAST_COARSE_GAIN);
+        } else if gain < 0.05 {
             return Err(TrackFailure::Unlike); // darkness, or a negative
         }
         let step = prediction.linear * (patch.inverse_hessian * (products.gradient / gain)) * scale;
         shift -= step;
-        last_step = step.norm();
-        if last_step > 8.0 * scale {
+        let length = step.norm();
+        if length > 8.0 * scale {
             return Err(TrackFailure::Diverged); // half a patch: the gradients mean nothing there
         }
-        if last_step < step_px {
-            break;
+        // Near the answer each step is the same part of the one before: what is left after this one is a geometric series.
+        let part = (length / last_step).min(MOST_SHRINKING); // 0 for the first
+        let last_step_known = last_step.is_finite();
+        let steps_left = if last_step_known { part / (1.0 - part) } else { 1.0 };
+        last_step = length;
+        if length * steps_left < step_px {
+            // The steps still to come, where they are known, are taken at once.
+            if last_step_known && part < 0.5 {
+                shift -= step * steps_left;
+            }
+            return Ok((shift, unexplained(patch, product, &samples)));
         }
     }
     if last_step > 25.0 * step_px && last_step > 0.1 * scale {
         return Err(TrackFailure::Diverged);
     }
-    Ok((shift, unexplained(patch, &samples)))
+    Ok((shift, unexplained(patch, product, &samples)))
 }
 
-/// The part of the contrast of `samples` that gain and offset of the template leave unexplained: √(1 − ρ²), ρ the correlation.
-pub(super) fn unexplained(patch: &LevelTemplate, samples: &Samples) -> f64 {
+/// No image of the same ground is darker than this part of the keyframe, as far as levels other than the full image are concerned.
+const LEAST_COARSE_GAIN: f64 = 0.5;
+
+/// Steps that shrink more slowly than this, or grow, are taken to shrink by this.
+const MOST_SHRINKING: f64 = 0.9;
+
+/// The part of the contrast of `samples` that gain and offset of the template leave unexplained: √(1 − ρ²), ρ the correlation. `product` is
+/// that of the samples with the template's contrast.
+pub(super) fn unexplained(patch: &LevelTemplate, product: f64, samples: &Samples) -> f64 {
     let (_, energy) = mean_and_energy(samples);
-    let product = dot(&patch.appearance.contrast, samples);
     if energy < 1e-6 || product <= 0.0 {
         return 1.0;
     }
@@ -158,8 +178,9 @@ pub fn forward_backward_px(
     let start = Vector2::new(template.centre().x, template.centre().y) + inverse * beside;
     let prediction = Warp { position: Pixel::new(start.x, start.y), linear: inverse };
     let centre = Pixel::new(back.centre.x, back.centre.y);
+    // Nearer than what it is compared with is near enough.
+    let step_px = config.step_px.max(0.05 * config.forward_backward_px);
     let (shift, _) =
-        search(&back, 0, centre, keyframe, &prediction, Vector2::zeros(), config.iterations, config.step_px)
-            .ok()?;
+        search(&back, 0, centre, keyframe, &prediction, Vector2::zeros(), config.iterations, step_px).ok()?;
     Some(shift.norm())
 }

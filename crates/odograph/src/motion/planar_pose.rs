@@ -3,7 +3,7 @@
 use super::{MotionConfig, MotionEstimate, MotionModel, Observation, RigPrior};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Which of (x, y, heading, height, roll, pitch) are solved for: the first `count` of them.
 #[derive(Debug, Clone, Copy)]
@@ -14,6 +14,12 @@ pub struct Unknowns {
 impl Unknowns {
     pub fn new(model: MotionModel) -> Self {
         Self { count: model.unknowns() }
+    }
+
+    /// The matrix with the rows and columns of what is not solved for replaced by those of the identity.
+    fn of(&self, matrix: &Matrix6<f64>) -> Matrix6<f64> {
+        let solved = |i: usize, j: usize| i < self.count && j < self.count;
+        Matrix6::from_fn(|i, j| if solved(i, j) { matrix[(i, j)] } else { f64::from(u8::from(i == j)) })
     }
 }
 
@@ -30,40 +36,51 @@ impl Pull {
     }
 }
 
-/// Where an observation's ground point is seen from `pose`, less where it was seen (pixels), and the derivative of that by the six
-/// numbers of the pose. `None` where the point is not in front of the lens.
-fn residual(
-    camera: &Camera,
-    observation: &Observation,
-    pose: &GroundPose,
-    axes: &Axes,
-) -> Option<(nalgebra::Vector2<f64>, SMatrix<f64, 2, 6>)> {
+/// Where an observation's ground point is seen from a pose, less where it was seen (pixels), and the derivative of that by the six
+/// numbers of the pose.
+#[derive(Debug, Clone, Copy)]
+struct Residual {
+    error: [f64; 2],
+    by_pose: [[f64; 6]; 2],
+}
+
+impl Residual {
+    /// Of a point that is not seen: no length, and nothing that it could change.
+    const NONE: Self = Self { error: [0.0; 2], by_pose: [[0.0; 6]; 2] };
+
+    fn length(&self) -> f64 {
+        (self.error[0] * self.error[0] + self.error[1] * self.error[1]).sqrt()
+    }
+}
+
+/// `None` where the point is not in front of the lens.
+#[inline]
+fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes: &Axes) -> Option<Residual> {
     let from_camera =
         Vector3::new(observation.ground.x_m - pose.x_m, observation.ground.y_m - pose.y_m, -pose.height_m);
     let p = axes.camera_from_world * from_camera;
     if p.z <= 1e-9 {
         return None;
     }
-    let ray = crate::geometry::Ray::new(p.x / p.z, p.y / p.z);
+    let part = 1.0 / p.z;
+    let ray = crate::geometry::Ray::new(p.x * part, p.y * part);
     let (pixel, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
-    let ray_by_point =
-        SMatrix::<f64, 2, 3>::new(1.0 / p.z, 0.0, -p.x / (p.z * p.z), 0.0, 1.0 / p.z, -p.y / (p.z * p.z));
-    // The point moves against the camera; a turn of the camera about a world axis a moves it by −R (a × d).
-    let mut point_by_pose = SMatrix::<f64, 3, 6>::zeros();
-    point_by_pose.set_column(0, &-axes.camera_from_world.column(0));
-    point_by_pose.set_column(1, &-axes.camera_from_world.column(1));
-    point_by_pose.set_column(3, &-axes.camera_from_world.column(2));
-    for (column, axis) in [(2, &axes.heading), (4, &axes.roll), (5, &axes.pitch)] {
-        point_by_pose.set_column(column, &-(axes.camera_from_world * axis.cross(&from_camera)));
-    }
-    let error = nalgebra::Vector2::new(pixel.x - observation.pixel.x, pixel.y - observation.pixel.y);
-    Some((error, pixel_by_ray * ray_by_point * point_by_pose))
+    // One row a coordinate of the pixel. The point moves against the camera; a turn of the camera about a world axis a moves it by
+    // −R (a × d), so that a coordinate whose derivative by the point is g, in world axes, changes by −a · (d × g).
+    let row = |i: usize| {
+        let (by_x, by_y) = (pixel_by_ray[(i, 0)] * part, pixel_by_ray[(i, 1)] * part);
+        let by_point = Vector3::new(by_x, by_y, -(by_x * ray.x + by_y * ray.y));
+        let in_world = axes.camera_from_world.tr_mul(&by_point);
+        let turned = from_camera.cross(&in_world);
+        [-in_world.x, -in_world.y, -turned.z, -in_world.z, -axes.roll.dot(&turned), -axes.pitch.dot(&turned)]
+    };
+    let error = [pixel.x - observation.pixel.x, pixel.y - observation.pixel.y];
+    Some(Residual { error, by_pose: [row(0), row(1)] })
 }
 
-/// The rotation of a pose and the world axes about which its three angles turn.
+/// The rotation of a pose and the world axes about which its angles turn; heading turns about z.
 struct Axes {
     camera_from_world: Matrix3<f64>,
-    heading: Vector3<f64>,
     roll: Vector3<f64>,
     pitch: Vector3<f64>,
 }
@@ -74,7 +91,6 @@ impl Axes {
         let (sin_pitch, cos_pitch) = pose.pitch_rad.sin_cos();
         Self {
             camera_from_world: pose.world_from_camera_rotation().transpose(),
-            heading: Vector3::z(),
             pitch: Vector3::new(-sin_heading, cos_heading, 0.0),
             roll: Vector3::new(cos_heading * cos_pitch, sin_heading * cos_pitch, -sin_pitch),
         }
@@ -91,28 +107,47 @@ pub struct Step {
     tracks_alone: Matrix6<f64>,
 }
 
-/// One step of weighted Gauss–Newton. `None` where the observations do not determine the unknowns.
+/// One step of Gauss–Newton on a minimal sample of at most four observations. `None` where they do not determine the unknowns.
 pub fn gauss_newton_step(
     camera: &Camera,
     observations: &[Observation],
+    pose: &GroundPose,
+    unknowns: &Unknowns,
+) -> Option<GroundPose> {
+    let axes = Axes::new(pose);
+    let residuals: [Option<Residual>; 4] =
+        std::array::from_fn(|i| observations.get(i).and_then(|seen| residual(camera, seen, pose, &axes)));
+    let residuals = residuals.each_ref().map(|residual| residual.unwrap_or(Residual::NONE));
+    step(&residuals, &[1.0; 4], pose, unknowns, None).map(|step| step.pose)
+}
+
+/// One step of Gauss–Newton from residuals with their weights. `None` where they do not determine the unknowns.
+fn step(
+    residuals: &[Residual],
     weights: &[f64],
     pose: &GroundPose,
     unknowns: &Unknowns,
     pull: Option<&Pull>,
 ) -> Option<Step> {
-    let axes = Axes::new(pose);
-    let mut information = Matrix6::zeros();
-    let mut slope = Vector6::zeros();
-    for (observation, &weight) in observations.iter().zip(weights) {
+    // The upper triangle, row by row.
+    let mut sums = [[0.0; 6]; 6];
+    let mut slope = [0.0; 6];
+    for (Residual { error, by_pose }, &weight) in residuals.iter().zip(weights) {
         if weight <= 0.0 {
             continue;
         }
-        if let Some((error, jacobian)) = residual(camera, observation, pose, &axes) {
-            information += weight * jacobian.transpose() * jacobian;
-            slope += weight * jacobian.transpose() * error;
+        for (error, row) in error.iter().zip(by_pose) {
+            let weighted = row.map(|entry| weight * entry);
+            for i in 0..6 {
+                for j in i..6 {
+                    sums[i][j] += weighted[i] * row[j];
+                }
+                slope[i] += weighted[i] * error;
+            }
         }
     }
-    let tracks_alone = information;
+    let tracks_alone = Matrix6::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
+    let mut information = tracks_alone;
     if let Some(prior) = pull {
         let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
         for i in 0..3 {
@@ -120,17 +155,15 @@ pub fn gauss_newton_step(
             slope[3 + i] += prior.weight[i] * (here[i] - prior.mean[i]);
         }
     }
-    let n = unknowns.count;
-    let system = DMatrix::from_fn(n, n, |i, j| information[(i, j)]);
-    let step = system.cholesky()?.solve(&DVector::from_fn(n, |i, _| slope[i]));
-    let at = |i: usize| if i < n { step[i] } else { 0.0 };
+    let slope = Vector6::from_fn(|i, _| if i < unknowns.count { slope[i] } else { 0.0 });
+    let step = unknowns.of(&information).cholesky()?.solve(&slope);
     let next = GroundPose {
-        x_m: pose.x_m - at(0),
-        y_m: pose.y_m - at(1),
-        heading_rad: pose.heading_rad - at(2),
-        height_m: pose.height_m - at(3),
-        roll_rad: pose.roll_rad - at(4),
-        pitch_rad: pose.pitch_rad - at(5),
+        x_m: pose.x_m - step[0],
+        y_m: pose.y_m - step[1],
+        heading_rad: pose.heading_rad - step[2],
+        height_m: pose.height_m - step[3],
+        roll_rad: pose.roll_rad - step[4],
+        pitch_rad: pose.pitch_rad - step[5],
     };
     let sound = next.height_m > 0.0
         && next.roll_rad.abs() < 1.4
@@ -162,17 +195,36 @@ pub fn refine(
     let mut weights: Vec<f64> = agreeing.iter().map(|&agrees| f64::from(u8::from(agrees))).collect();
     let mut scale_px = config.inlier_px;
     let mut information = Matrix6::identity();
-    let mut errors = Vec::new();
     let mut rig_evidence = None;
+    let mut residuals = vec![Residual::NONE; observations.len()];
+    let mut errors = vec![0.0; observations.len()];
+    let mut sorted = Vec::with_capacity(observations.len());
+    // Each pose is looked at once: what is left of the observations there weighs them and leads to the next.
+    let mut look = |pose: &GroundPose, residuals: &mut [Residual], errors: &mut [f64]| -> f64 {
+        let axes = Axes::new(pose);
+        for ((observation, kept), error) in observations.iter().zip(residuals).zip(&mut *errors) {
+            *error = match residual(camera, observation, pose, &axes) {
+                Some(residual) => {
+                    *kept = residual;
+                    residual.length()
+                }
+                None => {
+                    *kept = Residual::NONE;
+                    f64::INFINITY
+                }
+            };
+        }
+        robust_scale(errors, config.inlier_px, &mut sorted)
+    };
+    look(&pose, &mut residuals, &mut errors);
     for round in 0..ROUNDS {
         let pull = Pull::new(&prior, scale_px);
         let before = pose;
-        let step = gauss_newton_step(camera, observations, &weights, &pose, &unknowns, Some(&pull))?;
+        let step = step(&residuals, &weights, &pose, &unknowns, Some(&pull))?;
         (pose, information) = (step.pose, step.information);
-        errors = reprojection_errors(camera, observations, &pose);
-        scale_px = robust_scale(&errors, config.inlier_px);
-        let reach = (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
-        weights = errors.iter().map(|&e| biweight(e / reach)).collect();
+        scale_px = look(&pose, &mut residuals, &mut errors);
+        let per_reach = 1.0 / (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
+        weights.iter_mut().zip(&errors).for_each(|(weight, &error)| *weight = biweight(error * per_reach));
         let moved = (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m) / pose.height_m
             + (pose.heading_rad - before.heading_rad).abs();
         if round >= 2 && config.model == MotionModel::Auto {
@@ -182,8 +234,8 @@ pub fn refine(
             }
             rig_evidence = Some(evidence);
         }
-        // A ten-millionth of the height is a hundred-thousandth of a pixel.
-        if round >= 3 && moved < 1e-8 {
+        // Of the height; less than a ten-thousandth of a pixel, and what is left is less.
+        if round >= 3 && moved < 1e-7 {
             break;
         }
     }
@@ -256,7 +308,7 @@ const SMALLEST_SCALE_PX: f64 = 0.01;
 
 fn covariance(information: &Matrix6<f64>, unknowns: &Unknowns, variance_px2: f64) -> Option<Matrix6<f64>> {
     let n = unknowns.count;
-    let inverse = DMatrix::from_fn(n, n, |i, j| information[(i, j)]).cholesky()?.inverse();
+    let inverse = unknowns.of(information).cholesky()?.inverse();
     Some(Matrix6::from_fn(|i, j| if i < n && j < n { inverse[(i, j)] * variance_px2 } else { 0.0 }))
 }
 
@@ -274,20 +326,10 @@ fn shared_errors(camera: &Camera, pose: &GroundPose, unknowns: &Unknowns) -> Mat
 /// Pixels, one standard deviation.
 const SHARED_ERROR_PX: f64 = 0.01;
 
-fn reprojection_errors(camera: &Camera, observations: &[Observation], pose: &GroundPose) -> Vec<f64> {
-    observations
-        .iter()
-        .map(|observation| {
-            pose.ray_from_ground(observation.ground)
-                .and_then(|ray| camera.pixel_from_ray(ray))
-                .map_or(f64::INFINITY, |pixel| pixel.distance(observation.pixel))
-        })
-        .collect()
-}
-
 /// Standard deviation of one coordinate from the median distance of the observations that could be inliers (Rayleigh: median = 1.1774 σ).
-fn robust_scale(errors: &[f64], inlier_px: f64) -> f64 {
-    let mut within: Vec<f64> = errors.iter().copied().filter(|&e| e < 2.0 * inlier_px).collect();
+fn robust_scale(errors: &[f64], inlier_px: f64, within: &mut Vec<f64>) -> f64 {
+    within.clear();
+    within.extend(errors.iter().copied().filter(|&e| e < 2.0 * inlier_px));
     if within.is_empty() {
         return inlier_px;
     }

@@ -22,6 +22,14 @@ pub fn consensus(
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<(GroundPose, Vec<bool>)> {
+    // The refinement takes height and tilt along; until then they may be a little off.
+    let limit =
+        if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
+    let agreeing = agreeing(camera, observations, prediction, limit);
+    let count = agreeing.iter().filter(|&&agrees| agrees).count();
+    if count >= config.minimum_inliers && count as f64 >= CLEAR * observations.len() as f64 {
+        return Some((*prediction, agreeing));
+    }
     let model = sampled_model(prior, config.model);
     let rays: Vec<Option<Ray>> = observations.iter().map(|o| camera.ray_from_pixel(o.pixel)).collect();
     let usable: Vec<usize> = (0..rays.len()).filter(|&i| rays[i].is_some()).collect();
@@ -49,9 +57,6 @@ pub fn consensus(
             })
             .collect()
     };
-    // The refinement takes height and tilt along; until then they may be a little off.
-    let limit =
-        if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
     let mut best: Option<(f64, GroundPose, Vec<f64>)> = None;
     let mut judge = |pose: GroundPose| -> usize {
         let errors = squared_errors(&pose);
@@ -72,6 +77,28 @@ pub fn consensus(
         }
     }
     best.map(|(_, pose, errors)| (pose, errors.iter().map(|e| *e < limit).collect()))
+}
+
+/// Where at least this part agrees with what was predicted, nothing need be drawn: the refinement finds the rest from there.
+const CLEAR: f64 = 0.8;
+
+/// Which observations lie within the limit, squared pixels, of where a pose has them.
+fn agreeing(camera: &Camera, observations: &[Observation], pose: &GroundPose, limit: f64) -> Vec<bool> {
+    let camera_from_world = pose.world_from_camera_rotation().transpose();
+    let agrees = |observation: &Observation| {
+        let ground = observation.ground;
+        let point = camera_from_world
+            * nalgebra::Vector3::new(ground.x_m - pose.x_m, ground.y_m - pose.y_m, -pose.height_m);
+        if point.z <= 1e-9 {
+            return false;
+        }
+        let seen = camera.pixel_from_ray(Ray::new(point.x / point.z, point.y / point.z));
+        seen.is_some_and(|seen| {
+            let (x, y) = (seen.x - observation.pixel.x, seen.y - observation.pixel.y);
+            x * x + y * y < limit
+        })
+    };
+    observations.iter().map(agrees).collect()
 }
 
 /// Which hypotheses are drawn: `auto` frees what the prior says may differ much from the frame before.
@@ -122,7 +149,7 @@ fn hypothesis(
     let few: Vec<Observation> = sample.iter().map(|&i| observations[i]).collect();
     let mut pose = pose;
     for _ in 0..5 {
-        pose = gauss_newton_step(camera, &few, &[1.0; 4], &pose, &Unknowns::new(model), None)?.pose;
+        pose = gauss_newton_step(camera, &few, &pose, &Unknowns::new(model))?;
     }
     let plausible = pose.height_m > 0.2 * prediction.height_m && pose.height_m < 5.0 * prediction.height_m;
     plausible.then_some(pose)

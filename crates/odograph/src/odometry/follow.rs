@@ -1,7 +1,7 @@
 //! A keyframe's corners found again in a frame, and the movement they speak for.
 
 use super::OdometryConfig;
-use super::keyframe::{Keyframe, Pose};
+use super::keyframe::{KeyCorner, Keyframe, Pose};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
@@ -22,6 +22,9 @@ pub struct Measurement {
     pub found: Vec<Found>,
     /// The part of the keyframe's corners that supports the movement, 0 to 1.
     pub support: f64,
+    /// Whether some of the corners were found first and agreed on a pose from which the others were looked for: what was not found from
+    /// there is not to be found.
+    pub settled: bool,
 }
 
 /// A corner found again.
@@ -30,6 +33,12 @@ pub struct Found {
     /// Which of the keyframe's corners.
     pub corner: usize,
     pub warp: Warp,
+}
+
+impl Found {
+    fn observation(&self, keyframe: &Keyframe) -> Observation {
+        Observation { ground: keyframe.corners[self.corner].ground, pixel: self.warp.position }
+    }
 }
 
 /// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
@@ -43,7 +52,7 @@ pub fn measure(
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     let first = measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, wander, random)?;
-    if config.motion.model == MotionModel::Mean {
+    if config.motion.model == MotionModel::Mean || first.settled {
         return Ok(first);
     }
     // Once more from where it was found: corners that were out of reach are now within.
@@ -68,12 +77,12 @@ pub fn measure_near(
     wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
-    let found = if config.motion.model == MotionModel::Mean {
-        follow_by_eye(keyframe, pyramid, off_px, config)
+    let followed = if config.motion.model == MotionModel::Mean {
+        Followed { found: follow_by_eye(keyframe, pyramid, off_px, config), settled: None }
     } else {
-        follow(keyframe, pyramid, camera, prediction, off_px, config)
+        follow(keyframe, pyramid, camera, prediction, off_px, config, wander, random)
     };
-    judge(keyframe, found, camera, prediction, config, wander, random)
+    judge(keyframe, followed, camera, prediction, config, wander, random)
 }
 
 /// Drops what does not come back to its corner when it is followed backward, and measures again: done where others will be built on
@@ -93,18 +102,24 @@ pub fn confirm(
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
     let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
-    judge(keyframe, found, camera, &measurement.prediction, config, wander, random).unwrap_or(measurement)
+    let followed = Followed { found, settled: measurement.settled.then_some(measurement.estimate.pose) };
+    judge(keyframe, followed, camera, &measurement.prediction, config, wander, random).unwrap_or(measurement)
 }
 
 /// The part of a keyframe's corners which a camera at the measured pose should see that agrees with it, 0 to 1: low where only something
 /// beside the ground was followed.
 pub fn presence(keyframe: &Keyframe, camera: &Camera, estimate: &MotionEstimate) -> f64 {
-    let pose = Pose::new(estimate.pose);
-    let seen = |corner: &&super::keyframe::KeyCorner| {
+    let expected = in_view(keyframe.corners.iter(), camera, &estimate.pose);
+    estimate.inlier_count() as f64 / expected.max(1) as f64
+}
+
+/// How many of the corners a camera at `pose` should see.
+fn in_view<'a>(corners: impl Iterator<Item = &'a KeyCorner>, camera: &Camera, pose: &GroundPose) -> usize {
+    let pose = Pose::new(*pose);
+    let seen = |corner: &&KeyCorner| {
         pose.pixel(camera, corner.ground).is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
     };
-    let expected = keyframe.corners.iter().filter(seen).count();
-    estimate.inlier_count() as f64 / expected.max(1) as f64
+    corners.filter(seen).count()
 }
 
 /// How many of the corners that were found a camera at `pose` would still see.
@@ -120,7 +135,23 @@ pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &
 /// A template nearer to the border than this cannot be found.
 const TEMPLATE_REACH_PX: f64 = 10.0;
 
-/// Searches every corner where and in which shape the predicted pose expects it.
+/// The corners found again, and the pose that the first of them agreed on.
+struct Followed {
+    found: Vec<Found>,
+    settled: Option<GroundPose>,
+}
+
+/// So many corners are looked for first.
+const SCOUTS: usize = 64;
+
+/// They show where all the others are when this part of those in view agrees.
+const SETTLED: f64 = 0.6;
+
+/// From a pose that the scouts agree on, corners are off by less than this, pixels.
+const SETTLED_PX: f64 = 0.75;
+
+/// Searches every corner where and in which shape the predicted pose expects it: some of them first, and the others from the pose that
+/// those speak for. That is off by so little that the full image is enough.
 fn follow(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -128,30 +159,100 @@ fn follow(
     prediction: &GroundPose,
     off_px: f64,
     config: &OdometryConfig,
-) -> Vec<Found> {
-    let pose = Pose::new(*prediction);
-    let search = |(index, corner): (usize, &super::keyframe::KeyCorner)| {
-        let warp = corner.warp(camera, &pose)?;
-        let tracked = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
-            Ok(Track { position, dissimilarity }) if dissimilarity <= config.flow.dissimilarity => {
-                Warp { position, ..warp }
-            }
-            // Second judgement: perhaps only the expected shape was wrong.
-            Ok(Track { position, .. }) => {
-                let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
-                (judged.dissimilarity <= config.flow.dissimilarity).then_some(warp)?
-            }
-            Err(_) => return None,
-        };
-        Some(Found { corner: index, warp: tracked })
+    wander: &RigWander,
+    random: &mut Random,
+) -> Followed {
+    let corners = keyframe.corners.len();
+    let every = corners / SCOUTS;
+    let mut found = Vec::with_capacity(corners);
+    let from = Pose::new(*prediction);
+    let find = |index: usize, from: &Pose, off_px: f64| {
+        find(index, &keyframe.corners[index], keyframe, pyramid, camera, from, off_px, config)
     };
-    keyframe.corners.iter().enumerate().filter_map(search).collect()
+    if every < 2 || off_px <= SETTLED_PX {
+        found.extend((0..corners).filter_map(|index| find(index, &from, off_px)));
+        return Followed { found, settled: None };
+    }
+    let scouts = (0..corners).step_by(every);
+    found.extend(scouts.clone().filter_map(|index| find(index, &from, off_px)));
+    let settled = agreement(keyframe, scouts, &found, camera, prediction, config, wander, random);
+    match settled.map(Pose::new) {
+        Some(from) => {
+            // Scouts that were out of reach are looked for again.
+            let scouts = found.len();
+            let mut next = 0;
+            for index in 0..corners {
+                if found[..scouts].get(next).is_some_and(|scout| scout.corner == index) {
+                    next += 1;
+                } else {
+                    found.extend(find(index, &from, SETTLED_PX));
+                }
+            }
+        }
+        None => {
+            let others = (0..corners).filter(|index| index % every != 0);
+            found.extend(others.filter_map(|index| find(index, &from, off_px)));
+        }
+    }
+    Followed { found, settled }
+}
+
+/// The pose that the scouts agree on, where most of those that should be in view from there do.
+fn agreement(
+    keyframe: &Keyframe,
+    scouts: impl Iterator<Item = usize>,
+    found: &[Found],
+    camera: &Camera,
+    prediction: &GroundPose,
+    config: &OdometryConfig,
+    wander: &RigWander,
+    random: &mut Random,
+) -> Option<GroundPose> {
+    let observations: Vec<Observation> = found.iter().map(|found| found.observation(keyframe)).collect();
+    let prior = wander.prior(prediction, &config.motion);
+    let estimate = estimate(camera, &observations, prediction, &prior, &config.motion, random)?;
+    let expected = in_view(scouts.map(|index| &keyframe.corners[index]), camera, &estimate.pose);
+    let agree = estimate.inlier_count();
+    (agree >= LEAST_SCOUTS && agree as f64 >= SETTLED * expected as f64).then_some(estimate.pose)
+}
+
+/// Fewer than this show nothing.
+const LEAST_SCOUTS: usize = 20;
+
+/// Searches a corner where and in which shape a pose expects it.
+fn find(
+    index: usize,
+    corner: &KeyCorner,
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    pose: &Pose,
+    off_px: f64,
+    config: &OdometryConfig,
+) -> Option<Found> {
+    let warp = corner.warp(camera, pose)?;
+    if off_px > SETTLED_PX {
+        corner.template.add_coarser_levels(&keyframe.pyramid);
+    }
+    let warp = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
+        Ok(Track { position, dissimilarity }) if dissimilarity <= config.flow.dissimilarity => {
+            Warp { position, ..warp }
+        }
+        // Second judgement: perhaps only the expected shape was wrong.
+        Ok(Track { position, .. }) => {
+            let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
+            (judged.dissimilarity <= config.flow.dissimilarity).then_some(warp)?
+        }
+        Err(_) => return None,
+    };
+    Some(Found { corner: index, warp })
 }
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
 /// a model of the camera's rotation.
 fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, off_px: f64, config: &OdometryConfig) -> Vec<Found> {
-    let search = |(index, corner): (usize, &super::keyframe::KeyCorner)| {
+    let search = |(index, corner): (usize, &KeyCorner)| {
+        corner.template.add_coarser_levels(&keyframe.pyramid);
         let Track { position, .. } =
             track(&corner.template, pyramid, &corner.seen, off_px, &config.flow).ok()?;
         let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
@@ -162,28 +263,28 @@ fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, off_px: f64, config: &O
 
 fn judge(
     keyframe: &Keyframe,
-    found: Vec<Found>,
+    followed: Followed,
     camera: &Camera,
     prediction: &GroundPose,
     config: &OdometryConfig,
     wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
+    let Followed { found, settled } = followed;
     if found.len() < config.motion.minimum_inliers {
         return Err(LossReason::Jump);
     }
     let estimate = if config.motion.model == MotionModel::Mean {
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
-        let observe =
-            |f: &Found| Observation { ground: keyframe.corners[f.corner].ground, pixel: f.warp.position };
-        let observations: Vec<Observation> = found.iter().map(observe).collect();
+        let observations: Vec<Observation> = found.iter().map(|found| found.observation(keyframe)).collect();
         let prior = wander.prior(prediction, &config.motion);
-        estimate(camera, &observations, prediction, &prior, &config.motion, random)
+        let near = settled.unwrap_or(*prediction);
+        estimate(camera, &observations, &near, &prior, &config.motion, random)
     };
     let estimate = estimate.ok_or(LossReason::Disagreement)?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
-    Ok(Measurement { estimate, prediction: *prediction, found, support })
+    Ok(Measurement { estimate, prediction: *prediction, found, support, settled: settled.is_some() })
 }
 
 /// The paper's mean vector from the last frame to this one.

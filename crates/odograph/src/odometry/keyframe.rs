@@ -3,10 +3,10 @@
 use crate::camera::Camera;
 use crate::detection::{DetectionConfig, detect};
 use crate::flow::{Template, Warp};
-use crate::geometry::{GroundPoint, GroundPose, Pixel};
+use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
 use crate::motion::{CoarseRegistration, GroundView};
-use nalgebra::{Matrix2, Matrix6};
+use nalgebra::{Matrix2, Matrix6, Vector2};
 use std::collections::VecDeque;
 
 /// Corners this near the border cannot carry a full template with its gradients.
@@ -78,6 +78,42 @@ impl Pose {
     }
 }
 
+/// The rays of a pixel and of those [`WARP_BASE_PX`] right of and below it: the others by one step of Newton's method from where the
+/// derivative at the first puts them, exact to far less than a thousandth of a pixel.
+fn rays_about(camera: &Camera, pixel: Pixel) -> Option<[Ray; 3]> {
+    let ray = camera.ray_from_pixel(pixel)?;
+    let (_, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
+    let ray_by_pixel = pixel_by_ray.try_inverse()?;
+    let beside = |offset: Vector2<f64>| {
+        let guess = ray_by_pixel * offset;
+        let guess = Ray::new(ray.x + guess.x, ray.y + guess.y);
+        let seen = camera.pixel_from_ray(guess)?;
+        let left = ray_by_pixel * Vector2::new(pixel.x + offset.x - seen.x, pixel.y + offset.y - seen.y);
+        Some(Ray::new(guess.x + left.x, guess.y + left.y))
+    };
+    Some([ray, beside(Vector2::new(WARP_BASE_PX, 0.0))?, beside(Vector2::new(0.0, WARP_BASE_PX))?])
+}
+
+/// [`GroundPose::ground_from_ray`] with the rotation worked out once for many rays.
+struct GroundFromRay<'a> {
+    pose: &'a GroundPose,
+    world_from_camera: nalgebra::Matrix3<f64>,
+}
+
+impl<'a> GroundFromRay<'a> {
+    fn new(pose: &'a GroundPose) -> Self {
+        Self { pose, world_from_camera: pose.world_from_camera_rotation() }
+    }
+
+    fn of(&self, ray: Ray) -> Option<GroundPoint> {
+        let direction = self.world_from_camera * ray.vector();
+        (direction.z < -1e-9).then(|| {
+            let reach = -self.pose.height_m / direction.z;
+            GroundPoint::new(self.pose.x_m + reach * direction.x, self.pose.y_m + reach * direction.y)
+        })
+    }
+}
+
 impl Keyframe {
     /// Makes a keyframe of an image at a known pose: finds its corners and lays them on the ground.
     pub fn new(
@@ -96,16 +132,16 @@ impl Keyframe {
 
     fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {
         let KeyframeRecord { pyramid, pose, covariance, places, view, .. } = record;
-        let on_ground = |x: f64, y: f64| {
-            camera.ray_from_pixel(Pixel::new(x, y)).and_then(|ray| pose.ground_from_ray(ray))
-        };
+        let ground_from_ray = GroundFromRay::new(&pose);
         let corner = |&place: &(usize, usize)| {
-            let template = Template::new(&pyramid, place)?;
-            let Pixel { x, y } = template.centre();
+            let template = Template::of_finest_level(&pyramid, place)?;
+            let centre = template.centre();
+            let [ray, right, below] = rays_about(camera, centre)?;
+            let on_ground = |ray| ground_from_ray.of(ray);
             Some(KeyCorner {
-                ground: on_ground(x, y)?,
-                beside: [on_ground(x + WARP_BASE_PX, y)?, on_ground(x, y + WARP_BASE_PX)?],
-                seen: Warp::translation(template.centre()),
+                ground: on_ground(ray)?,
+                beside: [on_ground(right)?, on_ground(below)?],
+                seen: Warp::translation(centre),
                 template,
             })
         };
@@ -181,7 +217,8 @@ impl KeyframeMemory {
     /// Takes out the keyframe of which a camera at `pose` sees most, if that is at least `least` of its image.
     pub fn take_best(&mut self, camera: &Camera, pose: &GroundPose, least: f64) -> Option<Keyframe> {
         let seen = Pose::new(*pose);
-        let overlap = |record: &KeyframeRecord| overlap(record, camera, &seen);
+        let rays = grid_rays(camera);
+        let overlap = |record: &KeyframeRecord| overlap(record, &rays, camera, &seen);
         let best = self
             .records
             .iter()
@@ -235,21 +272,25 @@ impl KeyframeMemory {
     }
 }
 
-/// The part of a coarse grid over a keyframe's image that a camera at `pose` would have in view.
-fn overlap(record: &KeyframeRecord, camera: &Camera, pose: &Pose) -> f64 {
-    const GRID: usize = 8;
+/// Points of a coarse grid over an image, on a side.
+const GRID: usize = 8;
+
+/// What the camera sees at the points of a coarse grid over its image.
+fn grid_rays(camera: &Camera) -> [Option<Ray>; GRID * GRID] {
     let (width, height) = (camera.width() as f64, camera.height() as f64);
-    let mut seen = 0;
-    for j in 0..GRID {
-        for i in 0..GRID {
-            let pixel = Pixel::new(
-                (i as f64 + 0.5) / GRID as f64 * width - 0.5,
-                (j as f64 + 0.5) / GRID as f64 * height - 0.5,
-            );
-            let ground = camera.ray_from_pixel(pixel).and_then(|ray| record.pose.ground_from_ray(ray));
-            let back = ground.and_then(|ground| pose.pixel(camera, ground));
-            seen += usize::from(back.is_some_and(|p| camera.contains(p, MARGIN_PX as f64)));
-        }
-    }
-    seen as f64 / (GRID * GRID) as f64
+    std::array::from_fn(|at| {
+        let along = |i: usize, size: f64| (i as f64 + 0.5) / GRID as f64 * size - 0.5;
+        camera.ray_from_pixel(Pixel::new(along(at % GRID, width), along(at / GRID, height)))
+    })
+}
+
+/// The part of a coarse grid over a keyframe's image that a camera at `pose` would have in view.
+fn overlap(record: &KeyframeRecord, rays: &[Option<Ray>; GRID * GRID], camera: &Camera, pose: &Pose) -> f64 {
+    let ground_from_ray = GroundFromRay::new(&record.pose);
+    let seen = rays.iter().filter(|ray| {
+        let ground = ray.and_then(|ray| ground_from_ray.of(ray));
+        let back = ground.and_then(|ground| pose.pixel(camera, ground));
+        back.is_some_and(|pixel| camera.contains(pixel, MARGIN_PX as f64))
+    });
+    seen.count() as f64 / (GRID * GRID) as f64
 }

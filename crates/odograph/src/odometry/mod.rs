@@ -238,7 +238,7 @@ impl Odometry {
                 &mut random,
             );
             // What others will be built on is searched in full.
-            if near.as_ref().is_ok_and(|near| near.support >= config.keyframe.support) {
+            if near.as_ref().is_ok_and(|near| near.settled || near.support >= config.keyframe.support) {
                 return near;
             }
         }

@@ -1,7 +1,7 @@
 //! Sampling and halving by hand, eight samples at a time.
 
-use super::scalar::{self, row_start, total};
-use super::{Appearance, Grid, PATCH_SIDE, Patch};
+use super::scalar::{self, row_start, rows_about, total};
+use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
@@ -12,10 +12,10 @@ const LANES: usize = 8;
 #[target_feature(enable = "avx2")]
 pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
     let sampler = Sampler::new(image, grid);
-    for (j, row) in samples.chunks_exact_mut(PATCH_SIDE).enumerate() {
-        let [left, right] = sampler.row(row_start(grid, j));
-        store(left, &mut row[..LANES]);
-        store(right, &mut row[LANES..]);
+    match sampler.rows {
+        3 => sampler.sample::<3>(grid, samples),
+        4 => sampler.sample::<4>(grid, samples),
+        _ => sampler.sample::<ANY>(grid, samples),
     }
 }
 
@@ -28,29 +28,17 @@ pub fn sample_and_multiply(
     samples: &mut Patch,
 ) -> [f64; 3] {
     let sampler = Sampler::new(image, grid);
-    let factors = [&appearance.contrast, &appearance.gradient_x, &appearance.gradient_y];
-    let mut sums = [_mm256_setzero_ps(); 3];
-    for (j, row) in samples.chunks_exact_mut(PATCH_SIDE).enumerate() {
-        let halves = sampler.row(row_start(grid, j));
-        for (half, values) in halves.into_iter().enumerate() {
-            let at = half * LANES;
-            store(values, &mut row[at..at + LANES]);
-            for (sum, factor) in sums.iter_mut().zip(factors) {
-                let factor = load(&factor[j * PATCH_SIDE + at..][..LANES]);
-                *sum = _mm256_add_ps(*sum, _mm256_mul_ps(factor, values));
-            }
-        }
+    match sampler.rows {
+        3 => sampler.multiply::<3>(grid, appearance, samples),
+        4 => sampler.multiply::<4>(grid, appearance, samples),
+        _ => sampler.multiply::<ANY>(grid, appearance, samples),
     }
-    let mut totals = [0.0; 3];
-    for (sum, result) in sums.into_iter().zip(&mut totals) {
-        let mut lanes = [0.0f32; LANES];
-        store(sum, &mut lanes);
-        *result = total(lanes);
-    }
-    totals
 }
 
 /// An image made ready for being sampled along rows of one direction.
+///
+/// A grid that is not much turned has eight neighbouring samples on few rows of the image and within few columns: those are loaded
+/// whole and shuffled. Elsewhere, and near the end of the image, samples are gathered one by one, which takes three times as long.
 struct Sampler<'a> {
     samples: &'a [u8],
     width: usize,
@@ -58,7 +46,18 @@ struct Sampler<'a> {
     steps: [[__m256; 2]; 2],
     /// The last place that has a neighbour to the right, below, and right of below.
     last: __m256i,
+    /// How many rows of the image eight samples and those below them lie on, 3 or 4; [`ANY`] where they may lie anywhere.
+    rows: usize,
+    /// Which of eight samples is on the first row, and which in the first column.
+    first_line: __m256i,
+    first_column: __m256i,
 }
+
+/// See [`Sampler::rows`].
+const ANY: usize = 0;
+
+/// Bytes that are shuffled at once.
+const CHUNK: usize = 16;
 
 impl<'a> Sampler<'a> {
     #[target_feature(enable = "avx2")]
@@ -69,26 +68,110 @@ impl<'a> Sampler<'a> {
             _mm256_setr_ps(8., 9., 10., 11., 12., 13., 14., 15.),
         ];
         let [dx, dy] = grid.along_row.map(|step| _mm256_set1_ps(step as f32));
+        let end = |step: f64| _mm256_set1_epi32(if step < 0.0 { LANES as i32 - 1 } else { 0 });
         Self {
             samples,
             width,
             steps: steps.map(|i| [_mm256_mul_ps(dx, i), _mm256_mul_ps(dy, i)]),
             last: _mm256_set1_epi32((samples.len() - width - 2) as i32),
+            rows: rows_of_eight(image, grid),
+            first_line: end(grid.along_row[1]),
+            first_column: end(grid.along_row[0]),
         }
     }
 
-    /// The samples of a row that begins at `start`.
     #[target_feature(enable = "avx2")]
-    fn row(&self, start: (f32, f32)) -> [__m256; 2] {
+    fn sample<const ROWS: usize>(&self, grid: &Grid, samples: &mut Patch) {
+        for (j, row) in samples.chunks_exact_mut(PATCH_SIDE).enumerate() {
+            let [left, right] = self.row::<ROWS>(row_start(grid, j));
+            store(left, &mut row[..LANES]);
+            store(right, &mut row[LANES..]);
+        }
+    }
+
+    #[target_feature(enable = "avx2")]
+    fn multiply<const ROWS: usize>(
+        &self,
+        grid: &Grid,
+        appearance: &Appearance,
+        samples: &mut Patch,
+    ) -> [f64; 3] {
+        let factors = [&appearance.contrast, &appearance.gradient_x, &appearance.gradient_y];
+        let mut sums = [_mm256_setzero_ps(); 3];
+        for (j, row) in samples.chunks_exact_mut(PATCH_SIDE).enumerate() {
+            let halves = self.row::<ROWS>(row_start(grid, j));
+            for (half, values) in halves.into_iter().enumerate() {
+                let at = half * LANES;
+                store(values, &mut row[at..at + LANES]);
+                for (sum, factor) in sums.iter_mut().zip(factors) {
+                    let factor = load(&factor[j * PATCH_SIDE + at..][..LANES]);
+                    *sum = _mm256_add_ps(*sum, _mm256_mul_ps(factor, values));
+                }
+            }
+        }
+        let mut totals = [0.0; 3];
+        for (sum, result) in sums.into_iter().zip(&mut totals) {
+            let mut lanes = [0.0f32; LANES];
+            store(sum, &mut lanes);
+            *result = total(lanes);
+        }
+        totals
+    }
+
+    /// The samples of a row that begins at `start`.
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn row<const ROWS: usize>(&self, start: (f32, f32)) -> [__m256; 2] {
         let (x0, y0) = (_mm256_set1_ps(start.0), _mm256_set1_ps(start.1));
         let [left, right] = &self.steps;
+        let left = (_mm256_add_ps(x0, left[0]), _mm256_add_ps(y0, left[1]));
+        let right = (_mm256_add_ps(x0, right[0]), _mm256_add_ps(y0, right[1]));
+        if ROWS == ANY {
+            return [self.eight(left.0, left.1), self.eight(right.0, right.1)];
+        }
+        self.twice_eight::<ROWS>(left, right)
+    }
+
+    /// The samples at twice eight places, each eight on few rows and within few columns.
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn twice_eight<const ROWS: usize>(&self, left: (__m256, __m256), right: (__m256, __m256)) -> [__m256; 2] {
+        let left = Eight::new(left, self);
+        let right = Eight::new(right, self);
+        // From here the left eight are in the lower half of a register, 16 bits each, and the right eight in the upper half.
+        let columns = as_words(left.columns, right.columns);
+        let lines = as_words(left.lines, right.lines);
+        let twice =
+            _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 0, 2, 2, 4, 4, 6, 6, 8, 8, 10, 10, 12, 12, 14, 14));
+        let neighbours = _mm256_add_epi8(_mm256_shuffle_epi8(columns, twice), _mm256_set1_epi16(0x0100));
+        let row = |k: usize| {
+            let chunk = |at: usize| load_chunk(&self.samples[at + k * self.width..]);
+            let chunks = _mm256_set_m128i(chunk(right.at), chunk(left.at));
+            _mm256_shuffle_epi8(chunks, neighbours)
+        };
+        let (first, second, third) = (row(0), row(1), row(2));
+        let beyond_first = _mm256_cmpgt_epi16(lines, _mm256_setzero_si256());
+        let mut upper = _mm256_blendv_epi8(first, second, beyond_first);
+        let mut lower = _mm256_blendv_epi8(second, third, beyond_first);
+        if ROWS == 4 {
+            let beyond_second = _mm256_cmpgt_epi16(lines, _mm256_set1_epi16(1));
+            upper = _mm256_blendv_epi8(upper, third, beyond_second);
+            lower = _mm256_blendv_epi8(lower, row(3), beyond_second);
+        }
+        let (upper, lower) = (LeftAndStep::new(upper), LeftAndStep::new(lower));
+        let between = |eight: &Eight, upper: (__m256, __m256), lower: (__m256, __m256)| {
+            let upper = _mm256_add_ps(upper.0, _mm256_mul_ps(eight.fx, upper.1));
+            let lower = _mm256_add_ps(lower.0, _mm256_mul_ps(eight.fx, lower.1));
+            _mm256_add_ps(upper, _mm256_mul_ps(eight.fy, _mm256_sub_ps(lower, upper)))
+        };
         [
-            self.eight(_mm256_add_ps(x0, left[0]), _mm256_add_ps(y0, left[1])),
-            self.eight(_mm256_add_ps(x0, right[0]), _mm256_add_ps(y0, right[1])),
+            between(&left, upper.lower_half(), lower.lower_half()),
+            between(&right, upper.upper_half(), lower.upper_half()),
         ]
     }
 
     /// The samples at eight places.
+    #[inline]
     #[target_feature(enable = "avx2")]
     fn eight(&self, x: __m256, y: __m256) -> __m256 {
         let (column, line) = (_mm256_cvttps_epi32(x), _mm256_cvttps_epi32(y));
@@ -118,6 +201,102 @@ impl<'a> Sampler<'a> {
     }
 }
 
+/// On how many rows of the image eight neighbouring samples of a grid and those below them lie; see [`Sampler::rows`].
+fn rows_of_eight(image: &GrayImage, grid: &Grid) -> usize {
+    let steps = (LANES - 1) as f64;
+    let [columns, lines] = grid.along_row.map(|step| steps * step.abs());
+    let rows = match lines {
+        ..0.99 => 3,
+        ..1.99 => 4,
+        _ => return ANY,
+    };
+    let across = (PATCH_SIDE - 1) as f64;
+    let ends = |axis: usize| {
+        let [row, column] = [grid.along_row[axis] * across, grid.along_column[axis] * across];
+        let first = grid.first[axis];
+        (first + row.min(0.0) + column.min(0.0), first + row.max(0.0) + column.max(0.0))
+    };
+    let (x, y) = (ends(0), ends(1));
+    // Neither so where a number is not one. The first of eight is at column 0 of its chunk, the last with its neighbour at most at the end.
+    let fits = columns + 2.0 < CHUNK as f64 && x.0 > -0.5 && y.0 > -0.5 && x.1 < 1e6 && y.1 < 1e6;
+    // One row and one column more than needed, for rounding.
+    let end = |x: f64, y: f64| (y as usize + rows) * image.width() + x as usize + 1 + CHUNK;
+    if fits && end(x.1, y.1) <= image.samples().len() { rows } else { ANY }
+}
+
+/// Eight places of which the first chunk of bytes with all of them begins at `at`, counted from there.
+struct Eight {
+    columns: __m256i,
+    lines: __m256i,
+    fx: __m256,
+    fy: __m256,
+    at: usize,
+}
+
+impl Eight {
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn new((x, y): (__m256, __m256), sampler: &Sampler<'_>) -> Self {
+        let (column, line) = (_mm256_cvttps_epi32(x), _mm256_cvttps_epi32(y));
+        let first_column = _mm256_permutevar8x32_epi32(column, sampler.first_column);
+        let first_line = _mm256_permutevar8x32_epi32(line, sampler.first_line);
+        let at = |first: __m256i| _mm256_cvtsi256_si32(first).max(0) as usize;
+        Self {
+            columns: _mm256_sub_epi32(column, first_column),
+            lines: _mm256_sub_epi32(line, first_line),
+            fx: _mm256_sub_ps(x, _mm256_cvtepi32_ps(column)),
+            fy: _mm256_sub_ps(y, _mm256_cvtepi32_ps(line)),
+            at: at(first_line) * sampler.width + at(first_column),
+        }
+    }
+}
+
+/// Twice eight whole numbers in 16 bits, the left ones in the lower half.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn as_words(left: __m256i, right: __m256i) -> __m256i {
+    let first = _mm256_permute2x128_si256::<0x20>(left, right);
+    let last = _mm256_permute2x128_si256::<0x31>(left, right);
+    _mm256_packs_epi32(first, last)
+}
+
+/// Of pairs of neighbours: the left one, and what the right one has more. Exact in whole numbers as in `f32`.
+struct LeftAndStep {
+    left: __m256i,
+    step: __m256i,
+}
+
+impl LeftAndStep {
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn new(pairs: __m256i) -> Self {
+        let left = _mm256_and_si256(pairs, _mm256_set1_epi16(0xff));
+        Self { left, step: _mm256_maddubs_epi16(pairs, _mm256_set1_epi16(0x01ff)) }
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn lower_half(&self) -> (__m256, __m256) {
+        let wide = |words: __m256i| _mm256_cvtepi16_epi32(_mm256_castsi256_si128(words));
+        (_mm256_cvtepi32_ps(wide(self.left)), _mm256_cvtepi32_ps(wide(self.step)))
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn upper_half(&self) -> (__m256, __m256) {
+        let wide = |words: __m256i| _mm256_cvtepi16_epi32(_mm256_extracti128_si256::<1>(words));
+        (_mm256_cvtepi32_ps(wide(self.left)), _mm256_cvtepi32_ps(wide(self.step)))
+    }
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn load_chunk(from: &[u8]) -> __m128i {
+    let from: &[u8; CHUNK] = from.first_chunk().expect("a chunk");
+    // SAFETY: so many bytes can be read there.
+    unsafe { _mm_loadu_si128(from.as_ptr().cast()) }
+}
+
 /// `left + part · (right − left)`. Differences of bytes are exact in whole numbers as in `f32`.
 #[target_feature(enable = "avx2")]
 fn between(left: __m256i, right: __m256i, part: __m256) -> __m256 {
@@ -137,6 +316,40 @@ fn store(values: __m256, to: &mut [f32]) {
     let to: &mut [f32; LANES] = to.first_chunk_mut().expect("eight samples");
     // SAFETY: eight samples can be written there.
     unsafe { _mm256_storeu_ps(to.as_mut_ptr(), values) }
+}
+
+/// See [`super::patch_sums`]. Whole numbers: their order means nothing.
+#[target_feature(enable = "avx2")]
+pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
+    let mut singles = [_mm256_setzero_si256(); 3];
+    let mut products = [_mm256_setzero_si256(); 6];
+    let words = |row: &[u8], at: usize| _mm256_cvtepu8_epi16(load_chunk(&row[at..]));
+    for j in 0..PATCH_SIDE {
+        let [above, here, below] = rows_about(image, left, top, j);
+        let sample = words(here, 1);
+        let x = _mm256_sub_epi16(words(here, 2), words(here, 0));
+        let y = _mm256_sub_epi16(words(below, 1), words(above, 1));
+        for (sum, term) in singles.iter_mut().zip([sample, x, y]) {
+            *sum = _mm256_add_epi16(*sum, term); // at most 16 · 255
+        }
+        let pairs = [(sample, sample), (sample, x), (sample, y), (x, x), (x, y), (y, y)];
+        for (sum, (a, b)) in products.iter_mut().zip(pairs) {
+            *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(a, b));
+        }
+    }
+    let one = _mm256_set1_epi16(1);
+    let [sample, x, y] = singles.map(|sum| whole_total(_mm256_madd_epi16(sum, one)));
+    let [sample_sample, sample_x, sample_y, x_x, x_y, y_y] = products.map(|sum| whole_total(sum));
+    PatchSums { sample, x, y, sample_sample, sample_x, sample_y, x_x, x_y, y_y }
+}
+
+/// The sum of eight whole numbers.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn whole_total(values: __m256i) -> i32 {
+    let four = _mm_add_epi32(_mm256_castsi256_si128(values), _mm256_extracti128_si256::<1>(values));
+    let two = _mm_add_epi32(four, _mm_unpackhi_epi64(four, four));
+    _mm_cvtsi128_si32(two) + _mm_extract_epi32::<1>(two)
 }
 
 /// See [`super::blur_and_halve`].

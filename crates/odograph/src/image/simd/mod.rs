@@ -4,8 +4,8 @@
 //!
 //! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
 //!   reorders or fuses operations on floating-point numbers;
-//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, and the halving of rows are written by
-//!   hand in [`avx2`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
+//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, the sums over patches and the halving of
+//!   rows are written by hand in [`avx2`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
 //!   reference's.
 #![allow(unsafe_code)]
 
@@ -43,10 +43,10 @@ pub struct Appearance {
 
 impl Appearance {
     /// All zero.
-    pub fn zero() -> Box<Self> {
+    pub const ZERO: Self = {
         let zero = [0.0; PATCH_SIDE * PATCH_SIDE];
-        Box::new(Self { contrast: zero, gradient_x: zero, gradient_y: zero })
-    }
+        Self { contrast: zero, gradient_x: zero, gradient_y: zero }
+    };
 }
 
 /// What the hand-written sampling needs: the processor's AVX2, and an image whose offsets fit into 32 bits.
@@ -116,20 +116,45 @@ widened! {
     mean_and_energy(samples: &Patch) -> (f64, f64)
 }
 
-widened! {
-    /// Copies the patch whose first sample is (`left`, `top`) from an image, with its central differences (gray levels per pixel). One
-    /// sample around the patch is read; panics where that is outside.
-    copy_appearance(image: &GrayImage, left: usize, top: usize, appearance: &mut Appearance)
+/// Sums over a patch of samples, of their central differences along x and y in half gray levels per pixel, and of the products of these.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PatchSums {
+    pub sample: i32,
+    pub x: i32,
+    pub y: i32,
+    pub sample_sample: i32,
+    pub sample_x: i32,
+    pub sample_y: i32,
+    pub x_x: i32,
+    pub x_y: i32,
+    pub y_y: i32,
+}
+
+/// What is taken off samples and gradients to make them orthogonal to constants, and the gradients to the contrast: their means, and then
+/// the gradients' shares of the contrast.
+#[derive(Debug, Clone, Copy)]
+pub struct Orthogonal {
+    pub mean: f32,
+    pub mean_x: f32,
+    pub mean_y: f32,
+    pub share_x: f32,
+    pub share_y: f32,
+}
+
+/// The sums over the patch whose first sample is (`left`, `top`). One sample around the patch is read; panics where that is outside.
+pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::patch_sums(image, left, top) };
+    }
+    scalar::patch_sums(image, left, top)
 }
 
 widened! {
-    /// Takes the mean off every sample.
-    remove_mean(samples: &mut Patch)
-}
-
-widened! {
-    /// Takes `share` times `other` off `samples`.
-    remove_share(samples: &mut Patch, share: f32, other: &Patch)
+    /// Contrast and central differences (gray levels per pixel) of the patch whose first sample is (`left`, `top`), less `less`. One sample
+    /// around the patch is read; panics where that is outside.
+    write_appearance(image: &GrayImage, left: usize, top: usize, less: &Orthogonal, appearance: &mut Appearance)
 }
 
 widened! {
@@ -149,18 +174,31 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
 }
 
 widened! {
-    /// The products of Scharr gradients of a row that `slots` held before are replaced by those of the middle one of three rows, and
-    /// `totals` keeps the sum over all rows' slots. Gradients are in 1/32 gray levels per pixel; the first and last of a row stay.
-    roll_gradient_products(
-        above: &[u8], here: &[u8], below: &[u8],
-        slot_xx: &mut [i32], slot_xy: &mut [i32], slot_yy: &mut [i32],
+    /// Scharr gradients of the middle one of three rows, in 1/32 gray levels per pixel; the first and last of a row stay as they are.
+    scharr_gradients(above: &[u8], here: &[u8], below: &[u8], x: &mut [i16], y: &mut [i16])
+}
+
+widened! {
+    /// Adds the products of a row of gradients to the totals and takes those of an older row off.
+    roll_products(
+        x: &[i16], y: &[i16], old_x: &[i16], old_y: &[i16],
         total_xx: &mut [i32], total_xy: &mut [i32], total_yy: &mut [i32],
     )
 }
 
 widened! {
-    /// `to += weight · from`.
-    add_weighted(from: &[i32], weight: f32, to: &mut [f32])
+    /// The smaller eigenvalue of the gradient matrix at each place of a row: its three entries are the sums of the columns
+    /// `x .. x + window`, times `scale`. Panics unless there are as many columns as `out` and the window need.
+    smaller_eigenvalues_of_sums(
+        xx: &[i32], xy: &[i32], yy: &[i32], window: usize, scale: f32, out: &mut [f32]
+    )
+}
+
+widened! {
+    /// Adds the products of a row of gradients, weighted.
+    add_weighted_products(
+        x: &[i16], y: &[i16], weight: f32, xx: &mut [f32], xy: &mut [f32], yy: &mut [f32],
+    )
 }
 
 widened! {

@@ -2,7 +2,7 @@
 //!
 //! `inline(always)`, so that the copies for wider registers are compiled with these bodies inside.
 
-use super::{Appearance, Grid, PATCH_SIDE, Patch};
+use super::{Appearance, Grid, Orthogonal, PATCH_SIDE, Patch, PatchSums};
 use crate::image::GrayImage;
 
 /// Running sums of a product. Their number is part of the meaning: it fixes the order of additions.
@@ -88,31 +88,64 @@ pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
     (mean, total(sums))
 }
 
+/// The rows of an image about row `j` of the patch whose first sample is (`left`, `top`), one sample wider on both sides.
 #[inline(always)]
-pub fn copy_appearance(image: &GrayImage, left: usize, top: usize, appearance: &mut Appearance) {
+pub fn rows_about(image: &GrayImage, left: usize, top: usize, j: usize) -> [&[u8]; 3] {
+    [top + j - 1, top + j, top + j + 1].map(|y| &image.row(y)[left - 1..][..PATCH_SIDE + 2])
+}
+
+#[inline(always)]
+pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
+    // Running sums, one a column: whole numbers, so that their order means nothing.
+    let mut singles = [[0i16; PATCH_SIDE]; 3];
+    let mut products = [[0i32; PATCH_SIDE]; 6];
     for j in 0..PATCH_SIDE {
-        let row = |y: usize| &image.row(y)[left - 1..][..PATCH_SIDE + 2];
-        let (above, here, below) = (row(top + j - 1), row(top + j), row(top + j + 1));
+        let [above, here, below] = rows_about(image, left, top, j);
+        let (mut sample, mut x, mut y) = ([0i16; PATCH_SIDE], [0i16; PATCH_SIDE], [0i16; PATCH_SIDE]);
+        for i in 0..PATCH_SIDE {
+            sample[i] = i16::from(here[i + 1]);
+            x[i] = i16::from(here[i + 2]) - i16::from(here[i]);
+            y[i] = i16::from(below[i + 1]) - i16::from(above[i + 1]);
+        }
+        for (sums, terms) in singles.iter_mut().zip([&sample, &x, &y]) {
+            for i in 0..PATCH_SIDE {
+                sums[i] += terms[i];
+            }
+        }
+        let pairs = [(&sample, &sample), (&sample, &x), (&sample, &y), (&x, &x), (&x, &y), (&y, &y)];
+        for (sums, (a, b)) in products.iter_mut().zip(pairs) {
+            for i in 0..PATCH_SIDE {
+                sums[i] += i32::from(a[i]) * i32::from(b[i]);
+            }
+        }
+    }
+    let [sample, x, y] = singles.map(|sums| sums.iter().map(|&sum| i32::from(sum)).sum());
+    let [sample_sample, sample_x, sample_y, x_x, x_y, y_y] = products.map(|sums| sums.iter().sum());
+    PatchSums { sample, x, y, sample_sample, sample_x, sample_y, x_x, x_y, y_y }
+}
+
+#[inline(always)]
+pub fn write_appearance(
+    image: &GrayImage,
+    left: usize,
+    top: usize,
+    less: &Orthogonal,
+    appearance: &mut Appearance,
+) {
+    for j in 0..PATCH_SIDE {
+        let [above, here, below] = rows_about(image, left, top, j);
         let contrast = &mut appearance.contrast[j * PATCH_SIDE..][..PATCH_SIDE];
         let gradient_x = &mut appearance.gradient_x[j * PATCH_SIDE..][..PATCH_SIDE];
         let gradient_y = &mut appearance.gradient_y[j * PATCH_SIDE..][..PATCH_SIDE];
         for i in 0..PATCH_SIDE {
-            contrast[i] = f32::from(here[i + 1]);
-            gradient_x[i] = 0.5 * (f32::from(here[i + 2]) - f32::from(here[i]));
-            gradient_y[i] = 0.5 * (f32::from(below[i + 1]) - f32::from(above[i + 1]));
+            let value = f32::from(here[i + 1]) - less.mean;
+            let x = 0.5 * (f32::from(here[i + 2]) - f32::from(here[i]));
+            let y = 0.5 * (f32::from(below[i + 1]) - f32::from(above[i + 1]));
+            contrast[i] = value;
+            gradient_x[i] = x - less.mean_x - less.share_x * value;
+            gradient_y[i] = y - less.mean_y - less.share_y * value;
         }
     }
-}
-
-#[inline(always)]
-pub fn remove_mean(samples: &mut Patch) {
-    let mean = mean(samples) as f32;
-    samples.iter_mut().for_each(|s| *s -= mean);
-}
-
-#[inline(always)]
-pub fn remove_share(samples: &mut Patch, share: f32, other: &Patch) {
-    samples.iter_mut().zip(other).for_each(|(s, o)| *s -= share * o);
 }
 
 #[inline(always)]
@@ -131,9 +164,6 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
     if out.is_empty() {
         return;
     }
-    if out.is_empty() {
-        return;
-    }
     // The largest total, 16 · 16 · 255 + 128, just fits into 16 bits.
     let n = out.len();
     let sums = &sums[..2 * n + 3];
@@ -147,39 +177,90 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
 }
 
 #[inline(always)]
-pub fn roll_gradient_products(
-    above: &[u8],
-    here: &[u8],
-    below: &[u8],
-    slot_xx: &mut [i32],
-    slot_xy: &mut [i32],
-    slot_yy: &mut [i32],
-    total_xx: &mut [i32],
-    total_xy: &mut [i32],
-    total_yy: &mut [i32],
-) {
+pub fn scharr_gradients(above: &[u8], here: &[u8], below: &[u8], x: &mut [i16], y: &mut [i16]) {
     let n = here.len() - 2;
     let [(a0, a1, a2), (h0, _, h2), (b0, b1, b2)] =
         [above, here, below].map(|row| (&row[..n], &row[1..][..n], &row[2..][..n]));
-    let [slot_xx, slot_xy, slot_yy] = [slot_xx, slot_xy, slot_yy].map(|row| &mut row[1..][..n]);
-    let [total_xx, total_xy, total_yy] = [total_xx, total_xy, total_yy].map(|row| &mut row[1..][..n]);
-    for x in 0..n {
-        let v = |row: &[u8]| i32::from(row[x]);
-        let dx = 3 * (v(a2) - v(a0) + v(b2) - v(b0)) + 10 * (v(h2) - v(h0));
-        let dy = 3 * (v(b0) - v(a0) + v(b2) - v(a2)) + 10 * (v(b1) - v(a1));
-        let (xx, xy, yy) = (dx * dx, dx * dy, dy * dy);
-        total_xx[x] += xx - slot_xx[x];
-        total_xy[x] += xy - slot_xy[x];
-        total_yy[x] += yy - slot_yy[x];
-        slot_xx[x] = xx;
-        slot_xy[x] = xy;
-        slot_yy[x] = yy;
+    let [x, y] = [x, y].map(|row| &mut row[1..][..n]);
+    // At most 16 · 255: 16 bits hold them.
+    for i in 0..n {
+        let v = |row: &[u8]| i16::from(row[i]);
+        x[i] = 3 * (v(a2) - v(a0) + v(b2) - v(b0)) + 10 * (v(h2) - v(h0));
+        y[i] = 3 * (v(b0) - v(a0) + v(b2) - v(a2)) + 10 * (v(b1) - v(a1));
     }
 }
 
 #[inline(always)]
-pub fn add_weighted(from: &[i32], weight: f32, to: &mut [f32]) {
-    to.iter_mut().zip(from).for_each(|(to, &from)| *to += weight * from as f32);
+pub fn roll_products(
+    x: &[i16],
+    y: &[i16],
+    old_x: &[i16],
+    old_y: &[i16],
+    total_xx: &mut [i32],
+    total_xy: &mut [i32],
+    total_yy: &mut [i32],
+) {
+    let n = x.len();
+    let (y, old_x, old_y) = (&y[..n], &old_x[..n], &old_y[..n]);
+    let [total_xx, total_xy, total_yy] = [total_xx, total_xy, total_yy].map(|row| &mut row[..n]);
+    for i in 0..n {
+        let [x, y, old_x, old_y] = [x[i], y[i], old_x[i], old_y[i]].map(i32::from);
+        total_xx[i] += x * x - old_x * old_x;
+        total_xy[i] += x * y - old_x * old_y;
+        total_yy[i] += y * y - old_y * old_y;
+    }
+}
+
+#[inline(always)]
+pub fn smaller_eigenvalues_of_sums(
+    xx: &[i32],
+    xy: &[i32],
+    yy: &[i32],
+    window: usize,
+    scale: f32,
+    out: &mut [f32],
+) {
+    // The usual windows with their number known to the compiler.
+    match window {
+        3 => eigenvalues_of_sums([xx, xy, yy], 3, scale, out),
+        5 => eigenvalues_of_sums([xx, xy, yy], 5, scale, out),
+        _ => eigenvalues_of_sums([xx, xy, yy], window, scale, out),
+    }
+}
+
+#[inline(always)]
+fn eigenvalues_of_sums(rows: [&[i32]; 3], window: usize, scale: f32, out: &mut [f32]) {
+    let n = out.len();
+    let [xx, xy, yy] = rows.map(|row| &row[..n + window - 1]);
+    for (x, out) in out.iter_mut().enumerate() {
+        let (mut a, mut b, mut c) = (0i32, 0i32, 0i32);
+        for i in 0..window {
+            a += xx[x + i];
+            b += xy[x + i];
+            c += yy[x + i];
+        }
+        *out = smaller_eigenvalue(a as f32 * scale, b as f32 * scale, c as f32 * scale);
+    }
+}
+
+#[inline(always)]
+pub fn add_weighted_products(
+    x: &[i16],
+    y: &[i16],
+    weight: f32,
+    xx: &mut [f32],
+    xy: &mut [f32],
+    yy: &mut [f32],
+) {
+    let n = x.len();
+    let y = &y[..n];
+    let [xx, xy, yy] = [xx, xy, yy].map(|row| &mut row[..n]);
+    for i in 0..n {
+        let [x, y] = [x[i], y[i]].map(i32::from);
+        xx[i] += weight * (x * x) as f32;
+        xy[i] += weight * (x * y) as f32;
+        yy[i] += weight * (y * y) as f32;
+    }
 }
 
 #[inline(always)]

@@ -65,17 +65,26 @@ proptest! {
     }
 
     #[test]
-    fn sums_over_patches_are_those_of_the_reference(seed in any::<u32>(), share in -1.0..1.0f32) {
+    fn patches_that_are_not_much_turned_are_sampled_as_the_reference_samples_them(
+        width in 40usize..90, height in 40usize..90, seed in any::<u32>(), along in prop::array::uniform2(0.7..1.4f64),
+        across in prop::array::uniform2(-0.3..0.3f64), turned in any::<bool>(), place in prop::array::uniform2(0.0..1.0f64),
+        touching in any::<bool>(),
+    ) {
+        let sign = if turned { -1.0 } else { 1.0 };
+        let linear = [sign * along[0], across[0], across[1], sign * along[1]];
+        let Some(grid) = grid(width, height, linear, place, touching) else { return Ok(()) };
+        let image = random_image(width, height, seed);
+        let (mut expected, mut sampled) = ([0.0; 256], [0.0; 256]);
+        scalar::sample_patch(&image, &grid, &mut expected);
+        sample_patch(&image, &grid, &mut sampled);
+        prop_assert_eq!(sampled, expected);
+    }
+
+    #[test]
+    fn sums_over_patches_are_those_of_the_reference(seed in any::<u32>()) {
         let (a, b) = (random_patch(seed), random_patch(seed ^ 1));
         prop_assert_eq!(dot(&a, &b), scalar::dot(&a, &b));
         prop_assert_eq!(mean_and_energy(&a), scalar::mean_and_energy(&a));
-        let (mut found, mut expected) = (a, a);
-        remove_mean(&mut found);
-        scalar::remove_mean(&mut expected);
-        prop_assert_eq!(found, expected);
-        remove_share(&mut found, share, &b);
-        scalar::remove_share(&mut expected, share, &b);
-        prop_assert_eq!(found, expected);
     }
 
     #[test]
@@ -95,24 +104,35 @@ proptest! {
     #[test]
     fn corner_strengths_are_those_of_the_reference(width in 7usize..90, radius in 1usize..3, seed in any::<u32>()) {
         let rows: Vec<Vec<u8>> = (0..3).map(|i| random(seed ^ i).take(width).collect()).collect();
-        let mut found: Vec<Vec<i32>> = (0..6).map(|i| vec![i; width]).collect();
+        let (mut x, mut y) = (vec![3i16; width], vec![-4i16; width]);
+        let (old_x, old_y) = (y.clone(), x.clone());
+        let (mut expected_x, mut expected_y) = (x.clone(), y.clone());
+        scharr_gradients(&rows[0], &rows[1], &rows[2], &mut x, &mut y);
+        scalar::scharr_gradients(&rows[0], &rows[1], &rows[2], &mut expected_x, &mut expected_y);
+        prop_assert_eq!((&x, &y), (&expected_x, &expected_y));
+        let mut found: Vec<Vec<i32>> = (0..3).map(|i| vec![40 + i; width]).collect();
         let mut expected = found.clone();
-        let roll = |to: &mut Vec<Vec<i32>>, wide: bool| {
-            let [a, b, c, d, e, f] = to.as_mut_slice() else { return };
-            if wide {
-                roll_gradient_products(&rows[0], &rows[1], &rows[2], a, b, c, d, e, f);
-            } else {
-                scalar::roll_gradient_products(&rows[0], &rows[1], &rows[2], a, b, c, d, e, f);
-            }
-        };
-        roll(&mut found, true);
-        roll(&mut expected, false);
+        if let [xx, xy, yy] = found.as_mut_slice() {
+            roll_products(&x, &y, &old_x, &old_y, xx, xy, yy);
+        }
+        if let [xx, xy, yy] = expected.as_mut_slice() {
+            scalar::roll_products(&x, &y, &old_x, &old_y, xx, xy, yy);
+        }
         prop_assert_eq!(&found, &expected);
-        let columns: Vec<Vec<f32>> = found[..3].iter().map(|row| {
-            let mut column = vec![0.5; width];
-            add_weighted(row, 0.01, &mut column);
-            column
-        }).collect();
+        let window = 2 * radius + 1;
+        let (mut strengths, mut expected) = (vec![0.0; width - 2 * radius], vec![0.0; width - 2 * radius]);
+        smaller_eigenvalues_of_sums(&found[0], &found[1], &found[2], window, 0.01, &mut strengths);
+        scalar::smaller_eigenvalues_of_sums(&found[0], &found[1], &found[2], window, 0.01, &mut expected);
+        prop_assert_eq!(&strengths, &expected);
+        let mut columns: Vec<Vec<f32>> = (0..3).map(|_| vec![0.5; width]).collect();
+        let mut expected = columns.clone();
+        if let [xx, xy, yy] = columns.as_mut_slice() {
+            add_weighted_products(&x, &y, 0.01, xx, xy, yy);
+        }
+        if let [xx, xy, yy] = expected.as_mut_slice() {
+            scalar::add_weighted_products(&x, &y, 0.01, xx, xy, yy);
+        }
+        prop_assert_eq!(&columns, &expected);
         let weights = vec![0.2; 2 * radius + 1];
         let (mut strengths, mut expected) = (vec![0.0; width - 2 * radius], vec![0.0; width - 2 * radius]);
         smaller_eigenvalues(&columns[0], &columns[1], &columns[2], &weights, &mut strengths);
@@ -128,9 +148,11 @@ proptest! {
     #[test]
     fn appearances_are_those_of_the_reference(left in 1usize..10, top in 1usize..10, seed in any::<u32>()) {
         let image = random_image(28, 28, seed);
-        let (mut found, mut expected) = (Appearance::zero(), Appearance::zero());
-        copy_appearance(&image, left, top, &mut found);
-        scalar::copy_appearance(&image, left, top, &mut expected);
+        prop_assert_eq!(patch_sums(&image, left, top), scalar::patch_sums(&image, left, top));
+        let less = Orthogonal { mean: 120.3, mean_x: 0.7, mean_y: -1.1, share_x: 0.013, share_y: -0.2 };
+        let (mut found, mut expected) = (Appearance::ZERO, Appearance::ZERO);
+        write_appearance(&image, left, top, &less, &mut found);
+        scalar::write_appearance(&image, left, top, &less, &mut expected);
         prop_assert_eq!(found.contrast, expected.contrast);
         prop_assert_eq!(found.gradient_x, expected.gradient_x);
         prop_assert_eq!(found.gradient_y, expected.gradient_y);
