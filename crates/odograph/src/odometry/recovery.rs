@@ -257,7 +257,13 @@ mod tests {
             rig_evidence: None,
         };
         Found {
-            measurement: Measurement { estimate, prediction: pose, found: vec![], support: 0.5, settled: false },
+            measurement: Measurement {
+                estimate,
+                prediction: pose,
+                found: vec![],
+                support: 0.5,
+                settled: false,
+            },
             remembered: None,
         }
     }
