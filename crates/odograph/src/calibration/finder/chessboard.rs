@@ -109,14 +109,14 @@ fn find_in_level(image: &GrayImage, wanted: (usize, usize), scale: f64) -> Resul
     let mut best = NotFound::NoCorners;
     for seen_lattice in lattices(image, &corners).into_iter().take(4) {
         let mut lattice = seen_lattice.clone();
-        if !is_whole(&lattice, wanted) {
-            complete(image, &mut lattice);
-        }
+        // Also where it is whole: the board seen may be a larger one.
+        complete(image, &mut lattice);
         if let Some(found) = whole_within(&lattice, wanted) {
             return Ok(in_order(&found, wanted));
         }
         // What was seen at once tells the size better than what was looked for beyond it.
-        let lattice = if is_rectangle(&seen_lattice) { seen_lattice } else { without_stray_lines(lattice) };
+        let lattice =
+            if is_rectangle(&seen_lattice) { seen_lattice } else { without_stray_lines(lattice, wanted) };
         let spans = spans(&lattice);
         // Named the way round that is nearer to what was said.
         let as_said = spans.0.abs_diff(wanted.0) + spans.1.abs_diff(wanted.1)
@@ -161,23 +161,30 @@ fn is_whole(lattice: &Lattice, wanted: (usize, usize)) -> bool {
 fn whole_within(lattice: &Lattice, wanted: (usize, usize)) -> Option<Lattice> {
     let mut lattice = lattice.clone();
     while !is_whole(&lattice, wanted) {
-        if lattice.len() <= wanted.0 * wanted.1 || !drop_stray_line(&mut lattice) {
+        if lattice.len() <= wanted.0 * wanted.1 || !drop_stray_line(&mut lattice, 0.5) {
             return None;
         }
     }
     Some(lattice)
 }
 
-/// The lattice less all outer lines that are hardly there.
-fn without_stray_lines(mut lattice: Lattice) -> Lattice {
-    while !is_rectangle(&lattice) && drop_stray_line(&mut lattice) {}
-    lattice
+/// The lattice less all outer lines that are hardly there. Where it is not a part of the wanted board, less all lines that are not whole, if that leaves
+/// most of it.
+fn without_stray_lines(mut lattice: Lattice, wanted: (usize, usize)) -> Lattice {
+    while !is_rectangle(&lattice) && drop_stray_line(&mut lattice, 0.5) {}
+    let spans = spans(&lattice);
+    if spans == wanted || spans == (wanted.1, wanted.0) {
+        return lattice;
+    }
+    let mut whole = lattice.clone();
+    while !is_rectangle(&whole) && 4 * whole.len() > 3 * lattice.len() && drop_stray_line(&mut whole, 1.0) {}
+    if is_rectangle(&whole) && 4 * whole.len() > 3 * lattice.len() { whole } else { lattice }
 }
 
-/// Takes the emptiest outer line away if half of it or more is missing.
+/// Takes the emptiest outer line away if no more than this part of it is there.
 ///
 /// Shadows, frames and reflections make corners in line with a board's; they do not make whole lines of them.
-fn drop_stray_line(lattice: &mut Lattice) -> bool {
+fn drop_stray_line(lattice: &mut Lattice, most: f64) -> bool {
     let ((left, right), (top, bottom)) = extent(lattice);
     let (width, height) = (f64::from(right - left + 1), f64::from(bottom - top + 1));
     let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count() as f64;
@@ -188,7 +195,7 @@ fn drop_stray_line(lattice: &mut Lattice) -> bool {
         (count(&|place| place.1 == bottom) / width, false, bottom),
     ];
     match lines.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)) {
-        Some((part, is_column, at)) if part <= 0.5 => {
+        Some((part, is_column, at)) if part <= most => {
             lattice.retain(|place, _| at != if is_column { place.0 } else { place.1 });
             true
         }
