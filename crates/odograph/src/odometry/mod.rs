@@ -4,6 +4,7 @@
 //! the keyframe, not against the frame before it, until too little of it is left in view; then that frame becomes the next keyframe. So
 //! errors add up once per keyframe, not thirty times a second.
 
+mod candidate;
 mod follow;
 mod keyframe;
 mod last_pose;
@@ -19,6 +20,7 @@ use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 use crate::motion::{MotionConfig, MotionEstimate, MotionModel, Random, RigWander};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
+use candidate::{CONFIRMATIONS, Candidate, MOST_CONFIRMATIONS};
 use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
 use last_pose::LastPose;
@@ -97,20 +99,6 @@ pub struct Odometry {
     /// The pyramid of an earlier frame, whose memory the next one takes over.
     spare: Option<Pyramid>,
 }
-
-/// A keyframe made of a frame that could not be measured, and how often later frames were measured against it.
-#[derive(Debug)]
-struct Candidate {
-    keyframe: Keyframe,
-    last: LastPose,
-    confirmations: usize,
-}
-
-/// So many frames in a row must agree with a candidate before it is believed: a hand passes, the floor stays.
-const CONFIRMATIONS: usize = 3;
-
-/// After so many it is believed even though not every remembered keyframe has been looked for.
-const MOST_CONFIRMATIONS: usize = 8;
 
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
@@ -401,10 +389,22 @@ impl Odometry {
         self.tracks.clear();
         self.lost_frames += 1;
         let reason = if bare { LossReason::Bare } else { reason };
-        if let Some(found) = self.find_candidate(&pyramid, time_s) {
-            return self.begin_segment(pyramid, time_s, found);
-        } else if self.candidate.is_none() {
-            self.candidate = self.propose(pyramid, time_s);
+        match self.confirm_candidate(&pyramid, time_s) {
+            Some(found) if self.candidate_is_believed() => return self.begin_segment(pyramid, time_s, found),
+            Some(found) if found.support < self.config.keyframe.support => {
+                if let Some(candidate) = &mut self.candidate {
+                    candidate.move_on(pyramid, &self.camera, &self.config);
+                }
+            }
+            Some(_) => {}
+            None => {
+                // Laid where the camera would be had it gone on as it went.
+                let last = match &self.last {
+                    Some(last) => last.carried_over_gap(time_s),
+                    None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
+                };
+                self.candidate = Candidate::new(pyramid, last, &self.camera, &self.config);
+            }
         }
         FrameEstimate {
             frame: self.frames,
@@ -451,51 +451,18 @@ impl Odometry {
         }
     }
 
-    /// A keyframe of an unmeasured frame, laid where the camera would be had it gone on as it went.
-    fn propose(&mut self, pyramid: Pyramid, time_s: f64) -> Option<Candidate> {
-        let last = match &self.last {
-            Some(last) => last.carried_over_gap(time_s),
-            None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
-        };
-        let keyframe =
-            Keyframe::new(pyramid, last.pose, last.covariance, &self.camera, &self.config.detection);
-        let enough = keyframe.corners.len() >= 2 * self.config.motion.minimum_inliers;
-        enough.then_some(Candidate { keyframe, last, confirmations: 0 })
+    /// The measurement of a lost frame against the candidate, if there is one.
+    fn confirm_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
+        let mut random = Random::new(self.frames);
+        let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
+        self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, wander, &mut random)
     }
 
-    /// Measures against the candidate; gives the measurement once it has been confirmed often enough.
-    fn find_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
-        let candidate = self.candidate.as_mut()?;
-        let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
-        let mut random = Random::new(self.frames);
-        let confirmed = [candidate.last.extrapolated(time_s), candidate.last.pose].iter().find_map(|from| {
-            let found =
-                follow::measure(&candidate.keyframe, pyramid, camera, from, config, wander, &mut random)
-                    .ok()?;
-            let presence = follow::presence(&candidate.keyframe, camera, &found.estimate);
-            (presence >= CHANCE_PRESENCE).then_some(found)
-        });
-        let Some(measurement) = confirmed else {
-            self.candidate = None;
-            return None;
-        };
-        let (pose, covariance) = (measurement.estimate.pose, candidate.keyframe.covariance);
-        candidate.last = candidate.last.clone().moved(time_s, pose, covariance);
-        candidate.confirmations += 1;
-        // To come back to known ground is better than to begin anew.
+    /// Whether enough frames agreed with the candidate. To come back to known ground is better than to begin anew.
+    fn candidate_is_believed(&self) -> bool {
         let needed =
             if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
-        if candidate.confirmations >= needed {
-            return Some(measurement);
-        }
-        // A fast camera leaves the candidate's ground before it is believed: the next frame goes on from here.
-        if measurement.support < self.config.keyframe.support {
-            let next = Keyframe::new(pyramid.clone(), pose, covariance, &self.camera, &self.config.detection);
-            if next.corners.len() >= 2 * self.config.motion.minimum_inliers {
-                candidate.keyframe = next;
-            }
-        }
-        None
+        self.candidate.as_ref().is_some_and(|candidate| candidate.is_confirmed(needed))
     }
 
     /// The ground is back, but how the camera came here was not measured: a new segment.

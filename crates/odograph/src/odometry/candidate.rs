@@ -1,0 +1,67 @@
+//! The start of a new segment that has not proved itself yet.
+
+use super::follow::{self, Measurement};
+use super::keyframe::Keyframe;
+use super::{CHANCE_PRESENCE, LastPose, OdometryConfig};
+use crate::camera::Camera;
+use crate::image::Pyramid;
+use crate::motion::{Random, RigWander};
+
+/// So many frames in a row must agree with a candidate before it is believed: a hand passes, the floor stays.
+pub const CONFIRMATIONS: usize = 3;
+
+/// After so many it is believed even though not every remembered keyframe has been looked for.
+pub const MOST_CONFIRMATIONS: usize = 8;
+
+/// A keyframe made of a frame that could not be measured, and how often later frames were measured against it.
+#[derive(Debug)]
+pub struct Candidate {
+    pub keyframe: Keyframe,
+    pub last: LastPose,
+    confirmations: usize,
+}
+
+impl Candidate {
+    /// A candidate made of an unmeasured frame, taken where `last` has the camera. `None` where the frame shows too little.
+    pub fn new(pyramid: Pyramid, last: LastPose, camera: &Camera, config: &OdometryConfig) -> Option<Self> {
+        let keyframe = Keyframe::new(pyramid, last.pose, last.covariance, camera, &config.detection);
+        let enough = keyframe.corners.len() >= 2 * config.motion.minimum_inliers;
+        enough.then_some(Self { keyframe, last, confirmations: 0 })
+    }
+
+    /// The next frame measured against the candidate, which it confirms; `None` where it does not agree.
+    pub fn confirm(
+        &mut self,
+        pyramid: &Pyramid,
+        time_s: f64,
+        camera: &Camera,
+        config: &OdometryConfig,
+        wander: &RigWander,
+        random: &mut Random,
+    ) -> Option<Measurement> {
+        let from = [self.last.extrapolated(time_s), self.last.pose];
+        let measurement = from.iter().find_map(|from| {
+            let keyframe = &self.keyframe;
+            let found = follow::measure(keyframe, pyramid, camera, from, config, wander, random).ok()?;
+            let presence = follow::presence(keyframe, camera, &found.estimate);
+            (presence >= CHANCE_PRESENCE).then_some(found)
+        })?;
+        let (pose, covariance) = (measurement.estimate.pose, self.keyframe.covariance);
+        self.last = self.last.clone().moved(time_s, pose, covariance + measurement.estimate.covariance);
+        self.confirmations += 1;
+        Some(measurement)
+    }
+
+    /// Whether so many frames in a row agreed.
+    pub fn is_confirmed(&self, needed: usize) -> bool {
+        self.confirmations >= needed
+    }
+
+    /// A fast camera leaves the candidate's ground before it is believed: the next frame is measured against this one, where it shows enough.
+    pub fn move_on(&mut self, pyramid: Pyramid, camera: &Camera, config: &OdometryConfig) {
+        let next = Keyframe::new(pyramid, self.last.pose, self.last.covariance, camera, &config.detection);
+        if next.corners.len() >= 2 * config.motion.minimum_inliers {
+            self.keyframe = next;
+        }
+    }
+}
