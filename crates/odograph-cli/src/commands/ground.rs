@@ -174,7 +174,10 @@ impl GroundArguments {
 fn figures(measured: &Measured) -> String {
     let MeasuredRig { rig, deviations } = measured.rig;
     let within = |deviation: Option<f64>, unit: f64, name: &str, otherwise: &str| {
-        deviation.map_or(otherwise.to_owned(), |value| format!("± {:.3}{name}", value * unit))
+        deviation.map_or(otherwise.to_owned(), |value| match value * unit {
+            little if little < 0.001 => format!("± less than 0.001{name}"),
+            value => format!("± {value:.3}{name}"),
+        })
     };
     let degrees = |angle: f64, deviation: Option<f64>| {
         format!(
