@@ -67,7 +67,10 @@ pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], ra
     for (k, node) in nodes.iter().enumerate() {
         if k > 0 {
             match &gaps[k] {
-                Some(reckoned) => forward.cross(&nodes[k - 1], node, reckoned),
+                Some(reckoned) => {
+                    let change = height_change(nodes, node.time_s - nodes[k - 1].time_s);
+                    forward.cross(&nodes[k - 1], node, reckoned, change);
+                }
                 None => forward.follow(&nodes[k - 1], node),
             }
         }
@@ -140,7 +143,7 @@ impl Forward {
     }
 
     /// A gap, by what the sensors tell of it.
-    fn cross(&mut self, before: &Node, node: &Node, reckoned: &Reckoned) {
+    fn cross(&mut self, before: &Node, node: &Node, reckoned: &Reckoned, height_change: f64) {
         let heading_rad = before.heading_rad + self.state[2];
         let (sin, cos) = heading_rad.sin_cos();
         let (ahead, left) = (reckoned.pose[0], reckoned.pose[1]);
@@ -155,7 +158,7 @@ impl Forward {
         noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&(turned * reckoned.covariance * turned.transpose()));
         if node.height_variance > 0.0 {
             // Behind the gap the height is taken to be as before it.
-            noise[(3, 3)] = (HEIGHT_CHANGE_PER_S * (node.time_s - before.time_s)).powi(2);
+            noise[(3, 3)] = height_change.powi(2);
         }
         self.moved(transition, noise);
     }
@@ -222,6 +225,26 @@ impl Forward {
         Estimate { corrected, heading: self.heading, range: self.range, heading_zero, range_zero }
     }
 }
+
+/// How much the height may change over a gap of that length, as a part of it: twice what it changes by over such a time where it is seen, but no more
+/// than [`HEIGHT_CHANGE_PER_S`], which is taken where there is not enough to tell.
+fn height_change(nodes: &[Node], gap_s: f64) -> f64 {
+    let most = HEIGHT_CHANGE_PER_S * gap_s;
+    let (mut later, mut squares, mut pairs) = (0, 0.0, 0);
+    for node in nodes {
+        while nodes.get(later).is_some_and(|other| other.time_s < node.time_s + gap_s) {
+            later += 1;
+        }
+        if let Some(other) = nodes.get(later).filter(|other| other.segment == node.segment) {
+            squares += (other.height_m / node.height_m).ln().powi(2);
+            pairs += 1;
+        }
+    }
+    if pairs < ENOUGH_PAIRS { most } else { (2.0 * (squares / f64::from(pairs)).sqrt()).min(most) }
+}
+
+/// Fewer pairs of frames do not tell how the height changes: a second or so of them.
+const ENOUGH_PAIRS: u32 = 30;
 
 /// The part by which the height may change in a second unseen, one standard deviation.
 const HEIGHT_CHANGE_PER_S: f64 = 0.02;
