@@ -5,8 +5,11 @@
 
 pub mod placement;
 pub mod drawing;
+pub mod places;
+pub mod ground_map;
 pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};
+pub use ground_map::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 pub use mosaic::{Mosaic, MosaicOptions, MosaicPicture};
 pub use placement::Placement;
