@@ -8,6 +8,7 @@ pub mod drawing;
 pub mod places;
 pub mod ground_map;
 pub mod plane_motion;
+pub mod graph;
 pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};
