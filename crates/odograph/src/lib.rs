@@ -21,6 +21,7 @@ pub mod trajectory;
 pub mod filter;
 pub mod mapping;
 pub mod odometry;
+pub mod slam;
 pub mod mounting;
 pub mod evaluation;
 pub mod formats;
