@@ -7,6 +7,7 @@
 
 mod footprint;
 mod laying;
+mod relaid;
 mod sampling;
 mod tiles;
 
@@ -16,6 +17,7 @@ use crate::image::{GrayImage, RgbImage};
 use crate::mapping::Placement;
 use footprint::{Footprint, View};
 use laying::{BLOCK, Blocks, Corner, Feather};
+pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
 use sampling::Samples;
 use tiles::{TILE, Tiles};
 
