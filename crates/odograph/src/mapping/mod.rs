@@ -7,6 +7,8 @@ pub mod placement;
 pub mod drawing;
 pub mod places;
 pub mod ground_map;
+pub mod plane_motion;
+pub mod graph;
 pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};

@@ -5,6 +5,7 @@ use crate::detection::{DetectionConfig, detect};
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
+use crate::mapping::KeyframeId;
 use crate::motion::{CoarseRegistration, GroundView};
 use nalgebra::{Matrix2, Matrix6, Vector2};
 use std::collections::VecDeque;
@@ -18,6 +19,8 @@ const WARP_BASE_PX: f64 = 4.0;
 /// An image in use as the reference, with its corners prepared for being found again.
 #[derive(Debug)]
 pub struct Keyframe {
+    /// Its number; one that has not been taken into use yet has none.
+    pub id: Option<KeyframeId>,
     pub pyramid: Pyramid,
     pub pose: GroundPose,
     /// Of the pose against the start of the run, (x, y, heading, height, roll, pitch).
@@ -125,13 +128,13 @@ impl Keyframe {
     ) -> Self {
         let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
         Self::prepare(
-            KeyframeRecord { pyramid, pose, covariance, places, view: None, reachable: true },
+            KeyframeRecord { id: None, pyramid, pose, covariance, places, view: None, reachable: true },
             camera,
         )
     }
 
     fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {
-        let KeyframeRecord { pyramid, pose, covariance, places, view, .. } = record;
+        let KeyframeRecord { id, pyramid, pose, covariance, places, view, .. } = record;
         let ground_from_ray = GroundFromRay::new(&pose);
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&pyramid, place)?;
@@ -146,7 +149,7 @@ impl Keyframe {
             })
         };
         let corners: Vec<KeyCorner> = places.iter().filter_map(corner).collect();
-        Self { corners_at_first: corners.len(), corners, pyramid, pose, covariance, places, view }
+        Self { id, corners_at_first: corners.len(), corners, pyramid, pose, covariance, places, view }
     }
 
     /// Makes the view for coarse registration, where there is none yet.
@@ -178,14 +181,15 @@ impl Keyframe {
 
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(self) -> KeyframeRecord {
-        let Self { pyramid, pose, covariance, places, view, .. } = self;
-        KeyframeRecord { pyramid, pose, covariance, places, view, reachable: true }
+        let Self { id, pyramid, pose, covariance, places, view, .. } = self;
+        KeyframeRecord { id, pyramid, pose, covariance, places, view, reachable: true }
     }
 }
 
 /// A keyframe without its templates: a tenth of the memory.
 #[derive(Debug)]
 pub struct KeyframeRecord {
+    id: Option<KeyframeId>,
     pyramid: Pyramid,
     pose: GroundPose,
     covariance: Matrix6<f64>,
