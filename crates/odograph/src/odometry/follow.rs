@@ -1,7 +1,7 @@
 //! A keyframe's corners found again in a frame, and the movement they speak for.
 
 use super::OdometryConfig;
-use super::keyframe::{KeyCorner, Keyframe, Pose};
+use super::keyframe::{KeyCorner, Keyframe, PatchWarp, Pose};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
@@ -230,7 +230,7 @@ fn find(
     off_px: f64,
     config: &OdometryConfig,
 ) -> Option<Found> {
-    let warp = corner.warp(camera, pose)?;
+    let PatchWarp { warp, bend } = corner.warp(camera, pose)?;
     if off_px > SETTLED_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
@@ -245,7 +245,8 @@ fn find(
         }
         Err(_) => return None,
     };
-    Some(Found { corner: index, warp })
+    let centre = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
+    Some(Found { corner: index, warp: Warp { position: centre, ..warp } })
 }
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
