@@ -11,5 +11,5 @@ pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};
 pub use ground_map::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
-pub use mosaic::{Mosaic, MosaicOptions, MosaicPicture};
+pub use mosaic::{Mosaic, MosaicOptions, MosaicPicture, MosaicTile};
 pub use placement::Placement;
