@@ -13,5 +13,5 @@ pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};
 pub use ground_map::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
-pub use mosaic::{Mosaic, MosaicOptions, MosaicPicture};
+pub use mosaic::{MOSAIC_TILE_PX, MapMosaic, Mosaic, MosaicOptions, MosaicPicture, MosaicSquare, MosaicTile};
 pub use placement::Placement;

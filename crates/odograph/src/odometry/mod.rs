@@ -367,12 +367,12 @@ impl Odometry {
             None => LastPose::still(time_s, estimate.pose, covariance),
         });
         let improved = self.improve(time_s, &estimate);
-        if self.config.motion.model == MotionModel::Mean {
-            self.keep_only(&found, covariance);
-        }
         let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
         let keyframe = support < self.config.keyframe.support || self.leaves_the_keyframe(&found, time_s);
+        if self.config.motion.model == MotionModel::Mean {
+            self.keep_only(&found, covariance); // from here on what was found has other numbers
+        }
         if keyframe {
             self.change_keyframe(pyramid, time_s, &estimate, covariance);
         } else {
