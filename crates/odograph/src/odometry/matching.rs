@@ -7,6 +7,7 @@ use super::keyframe::{GRID, Keyframe, Pose, grid_rays, seen_share};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
+use crate::mapping::places::{PlacesConfig, Signature};
 use crate::mapping::plane_motion::{laid_from, motion_covariance, seen_from};
 use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random, RigWander};
 use nalgebra::{Matrix4, Matrix6, Vector4};
@@ -15,6 +16,13 @@ use nalgebra::{Matrix4, Matrix6, Vector4};
 #[derive(Debug)]
 pub struct Sought {
     keyframe: Keyframe,
+}
+
+impl Sought {
+    /// What it is recognised by.
+    pub fn signature(&self, camera: &Camera, config: &PlacesConfig) -> Signature {
+        Signature::of(&self.keyframe.pyramid, camera, &self.keyframe.pose, config)
+    }
 }
 
 /// A keyframe in whose picture they are looked for.

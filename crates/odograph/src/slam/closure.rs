@@ -5,10 +5,12 @@
 
 use super::SlamConfig;
 use super::candidates::{Candidate, Prior, Strength};
-use crate::geometry::wrap_angle;
+use super::recognition::Recognised;
+use crate::geometry::{GroundPose, wrap_angle};
+use crate::mapping::plane_motion::{laid_from, seen_from};
 use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
 use crate::odometry::matching::{Matcher, Pictured, Sighting, Sought};
-use nalgebra::{Matrix3, Vector3, Vector4};
+use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
 /// A place seen again.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +29,7 @@ pub struct LoopClosure {
 const LEAST_INLIERS: usize = 40;
 
 /// Of a thousand true loops one misses its expected place by more (chi-square, three degrees of freedom).
-const GATE: f64 = 16.3;
+pub const GATE: f64 = 16.3;
 
 /// Another place this much further out may still be the true one, where a pattern repeats.
 const RIVAL_GATE: f64 = 9.0 * GATE;
@@ -58,19 +60,7 @@ pub fn look(
     if misses(&sighting, prior) > GATE {
         return None;
     }
-    let off = sighting.motion - expected;
-    Some(LoopClosure {
-        edge: MapEdge {
-            from: new,
-            to: candidate.id,
-            kind: EdgeKind::Loop,
-            motion: sighting.motion,
-            covariance: sighting.covariance,
-        },
-        inliers: sighting.inliers,
-        presence: sighting.presence,
-        correction_m: off[0].hypot(off[1]),
-    })
+    Some(closure(new, candidate.id, &sighting, sighting.motion - expected))
 }
 
 fn is_clear(found: &Sighting, config: &SlamConfig) -> bool {
@@ -82,7 +72,7 @@ fn misses(sighting: &Sighting, prior: &Prior) -> f64 {
     squared(&sighting.motion, &(prior.reached.covariance + sighting.covariance), &prior.reached.motion)
 }
 
-fn squared(motion: &Vector4<f64>, covariance: &nalgebra::Matrix4<f64>, expected: &Vector4<f64>) -> f64 {
+pub fn squared(motion: &Vector4<f64>, covariance: &Matrix4<f64>, expected: &Vector4<f64>) -> f64 {
     let off = motion - expected;
     let off = Vector3::new(off[0], off[1], wrap_angle(off[2]));
     // A tenth of a millimetre and of a milliradian are beyond what is modelled.
@@ -126,11 +116,59 @@ fn elsewhere(a: &Sighting, b: &Sighting) -> bool {
     off[0].hypot(off[1]) > 0.01 || wrap_angle(off[2]).abs() > 0.02
 }
 
-/// Whether an edge is where a sure way through the graph has it.
-pub fn agrees(edge: &MapEdge, reached: &crate::mapping::graph::Reached, view_m: f64) -> bool {
-    let sigma_m = (0.5 * (reached.covariance[(0, 0)] + reached.covariance[(1, 1)])).sqrt();
-    sigma_m < AGREE_VIEWS * view_m
-        && squared(&edge.motion, &(reached.covariance + edge.covariance), &reached.motion) < GATE
+/// Looks for a place that was recognised by what it looks like. `None` where the corners are not there, or it is not where it may be.
+pub fn look_recognised(
+    matcher: &Matcher,
+    sought: &Sought,
+    pictured: &Pictured,
+    recognised: &Recognised,
+    new: KeyframeId,
+    config: &SlamConfig,
+) -> Option<LoopClosure> {
+    let found = matcher.find(sought, pictured, &recognised.motion, GUESS_OFF_PX)?;
+    if !is_clear(&found, config) {
+        return None;
+    }
+    let prior = recognised.prior.as_ref();
+    if prior.is_some_and(|prior| misses(&found, prior) > GATE) {
+        return None;
+    }
+    let off = prior.map_or(Vector4::zeros(), |prior| found.motion - prior.reached.motion);
+    Some(closure(new, recognised.id, &found, off))
+}
+
+fn closure(new: KeyframeId, old: KeyframeId, found: &Sighting, off: Vector4<f64>) -> LoopClosure {
+    let (motion, covariance) = (found.motion, found.covariance);
+    LoopClosure {
+        edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },
+        inliers: found.inliers,
+        presence: found.presence,
+        correction_m: off[0].hypot(off[1]),
+    }
+}
+
+/// A way of several motions, each with its covariance: where it ends as its beginning sees it.
+pub fn composed(parts: &[(Vector4<f64>, Matrix4<f64>)]) -> (Vector4<f64>, Matrix4<f64>) {
+    let start = GroundPose::level(1.0);
+    let (mut pose, mut covariance) = (start, Matrix4::zeros());
+    for (motion, own) in parts {
+        let next = laid_from(&pose, motion, 1.0);
+        let (dx, dy) = (next.x_m - pose.x_m, next.y_m - pose.y_m);
+        let mut swing = Matrix4::identity();
+        (swing[(0, 2)], swing[(0, 3)], swing[(1, 2)], swing[(1, 3)]) = (-dy, dx, dx, dy);
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let mut turn = Matrix4::identity();
+        (turn[(0, 0)], turn[(0, 1)], turn[(1, 0)], turn[(1, 1)]) = (cos, -sin, sin, cos);
+        covariance = swing * covariance * swing.transpose() + turn * own * turn.transpose();
+        pose = next;
+    }
+    (seen_from(&start, &pose), covariance)
+}
+
+/// Whether an edge is where a way that is sure enough to tell one place from another has it.
+pub fn agrees(edge: &MapEdge, (motion, covariance): &(Vector4<f64>, Matrix4<f64>), view_m: f64) -> bool {
+    let sigma_m = (0.5 * (covariance[(0, 0)] + covariance[(1, 1)])).sqrt();
+    sigma_m < AGREE_VIEWS * view_m && squared(&edge.motion, &(covariance + edge.covariance), motion) < GATE
 }
 
 /// A way less sure than this part of a view cannot tell one place from another.

@@ -92,7 +92,7 @@ fn stretch(references: &[Option<FrameReference>], keyframe: KeyframeId) -> usize
 
 /// Lays the frames that were measured against one keyframe, up to where the next one takes over.
 fn lay(mapper: &Mapper, keyframe: KeyframeId, frames: &mut [FrameEstimate], last: Option<FrameReference>) {
-    let Some(here) = mapper.keyframe(keyframe) else { return };
+    let Some(here) = mapper.of_run(keyframe) else { return };
     let begin = Correction::of(here);
     // The last of them is where the next keyframe has it.
     let next = last.and_then(|last| last.next);
@@ -105,7 +105,7 @@ fn lay(mapper: &Mapper, keyframe: KeyframeId, frames: &mut [FrameEstimate], last
             heading_rad: known.measured.heading_rad,
             ..known.pose
         };
-        let to = Correction::of(mapper.keyframe(id)?).pose(&in_next);
+        let to = Correction::of(mapper.of_run(id)?).pose(&in_next);
         let turns =
             ((to.heading_rad - measured.heading_rad - begin.turn_rad()) / std::f64::consts::TAU).round();
         let to = GroundPose { heading_rad: to.heading_rad - turns * std::f64::consts::TAU, ..to };

@@ -1,16 +1,19 @@
-//! Where the pictures of keyframes are kept.
+//! Where the map is kept as it grows.
 
 use crate::error::{Error, Result};
-use crate::mapping::{KeyframeId, KeyframeImage, KeyframeImages};
+use crate::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 use std::collections::BTreeMap;
 
-/// Images that can be added to.
+/// What a growing map is written into: in memory, or the map file.
 pub trait KeyframeStore: KeyframeImages + Send {
-    /// Keeps the image of a keyframe. Fails where it cannot be written.
-    fn keep(&mut self, keyframe: KeyframeId, image: KeyframeImage) -> Result<()>;
+    /// Keeps a keyframe with its image, and the edges that tie it to the ones before. Fails where it cannot be written.
+    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()>;
+
+    /// Keeps an edge between keyframes that are kept already. Fails where it cannot be written.
+    fn tie(&mut self, edge: &MapEdge) -> Result<()>;
 }
 
-/// Images in memory, as they are: a few hundred kilobytes each.
+/// Images in memory, as they are: a few hundred kilobytes each. The numbers of the map are with the [`super::Mapper`] anyway.
 #[derive(Debug, Default)]
 pub struct MemoryImages {
     images: BTreeMap<KeyframeId, KeyframeImage>,
@@ -24,8 +27,12 @@ impl KeyframeImages for MemoryImages {
 }
 
 impl KeyframeStore for MemoryImages {
-    fn keep(&mut self, keyframe: KeyframeId, image: KeyframeImage) -> Result<()> {
-        self.images.insert(keyframe, image);
+    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, _: &[MapEdge]) -> Result<()> {
+        self.images.insert(keyframe.id, image);
+        Ok(())
+    }
+
+    fn tie(&mut self, _: &MapEdge) -> Result<()> {
         Ok(())
     }
 }

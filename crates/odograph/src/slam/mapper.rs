@@ -4,15 +4,17 @@ use super::SlamConfig;
 use super::candidates::{self, Strength};
 use super::closure::{self, LoopClosure};
 use super::images::KeyframeStore;
+use super::recognition::{recognise, the_other_way};
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::geometry::GroundPose;
+use crate::image::RgbImage;
 use crate::mapping::graph::{Heights, PoseGraph};
-use crate::mapping::places::Signature;
+use crate::mapping::places::{PlaceIndex, PlacesConfig, Signature};
 use crate::mapping::plane_motion::{laid_from, seen_from};
 use crate::mapping::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, MapEdge, MapKeyframe};
 use crate::motion::MotionModel;
-use crate::odometry::matching::{Matcher, Sought};
+use crate::odometry::matching::{Matcher, Pictured, Sought};
 use crate::odometry::{KeyframeEvent, NewKeyframe, OdometryConfig};
 use nalgebra::Matrix6;
 use std::collections::BTreeMap;
@@ -21,9 +23,12 @@ use std::collections::BTreeMap;
 #[derive(Debug)]
 pub struct Mapper {
     config: SlamConfig,
+    heights: Heights,
     matcher: Matcher,
     graph: PoseGraph,
-    map: GroundMap,
+    places: PlaceIndex,
+    places_config: PlacesConfig,
+    pub(super) map: GroundMap,
     /// Where in the map each keyframe is.
     index: BTreeMap<KeyframeId, usize>,
     closures: Vec<LoopClosure>,
@@ -31,6 +36,9 @@ pub struct Mapper {
     pending: Vec<LoopClosure>,
     /// Loops since the last optimisation.
     unsettled: usize,
+    /// The run that is being mapped, and what its keyframes' numbers begin with.
+    session: u32,
+    first: u64,
 }
 
 /// An optimisation while running takes at most so many steps: what is left, the next brings.
@@ -55,9 +63,16 @@ impl Mapper {
             MotionModel::Similarity | MotionModel::Free => Heights::Free,
             _ => Heights::Held,
         };
+        let height_m = rig.first_pose().height_m;
+        let places_config = PlacesConfig::new(camera, height_m);
         Self {
+            heights,
             matcher: Matcher::new(camera, odometry),
-            graph: PoseGraph::new(heights, rig.first_pose().height_m),
+            graph: PoseGraph::new(heights, height_m),
+            places: PlaceIndex::new(&places_config),
+            places_config,
+            session: 0,
+            first: 0,
             map: GroundMap { camera: camera.clone(), rig, keyframes: Vec::new(), edges: Vec::new() },
             index: BTreeMap::new(),
             closures: Vec::new(),
@@ -71,19 +86,71 @@ impl Mapper {
         }
     }
 
+    /// A mapper that continues a map, whose keyframes' images are where those of the new ones will be. The new session's keyframes are numbered
+    /// from `first`, and it is run number `session`; its poses are in the frame of the map as soon as it is recognised ([`Mapper::is_recognised`]).
+    pub fn continuing(
+        map: GroundMap,
+        odometry: &OdometryConfig,
+        config: SlamConfig,
+        session: u32,
+        first: KeyframeId,
+    ) -> Self {
+        let mut mapper = Self::new(&map.camera.clone(), map.rig, odometry, config);
+        mapper.session = session;
+        mapper.first = first.0;
+        for (at, keyframe) in map.keyframes.iter().enumerate() {
+            mapper.index.insert(keyframe.id, at);
+            mapper.places.insert(keyframe.id, &keyframe.signature);
+        }
+        mapper.map = map;
+        mapper.rebuild();
+        mapper
+    }
+
+    /// Whether the session's keyframes are tied to the map that it continues; always where it continues none.
+    pub fn is_recognised(&self) -> bool {
+        let new = self.map.keyframes.iter().find(|keyframe| keyframe.session == self.session);
+        match (self.map.keyframes.first(), new) {
+            (Some(old), Some(new)) => old.id == new.id || self.graph.are_connected(old.id, new.id),
+            _ => true,
+        }
+    }
+
+    /// The run that is being mapped, from 0.
+    pub fn session(&self) -> u32 {
+        self.session
+    }
+
     /// Takes what happened to a keyframe. Fails where an image cannot be kept or read.
-    pub fn take(&mut self, event: KeyframeEvent, images: &mut dyn KeyframeStore) -> Result<()> {
+    ///
+    /// `color` is the picture of a new keyframe's frame, where the source has colour and that frame is at hand.
+    pub fn take(
+        &mut self,
+        event: KeyframeEvent,
+        color: Option<RgbImage>,
+        images: &mut dyn KeyframeStore,
+    ) -> Result<()> {
         match event {
             KeyframeEvent::Made(new) => {
-                let id = self.insert(&new);
-                let gray = new.image;
+                let new = *new;
+                let sought = self.matcher.sought(new.image.clone(), &new.pose);
+                let signature = sought.signature(&self.map.camera, &self.places_config);
+                let id = self.insert(&new, signature);
+                let ties: Vec<MapEdge> = new.tie.map(|tie| self.renumbered(tie)).into_iter().collect();
+                if let Some(keyframe) = self.keyframe(id) {
+                    images.keep(keyframe, KeyframeImage { gray: new.image, color }, &ties)?;
+                }
                 if self.config.loops {
-                    let sought = self.matcher.sought(gray.clone(), &new.pose);
-                    images.keep(id, KeyframeImage { gray, color: None })?;
                     self.close_loops(id, sought, images)?;
                 }
+                if let Some(keyframe) = self.index.get(&id).map(|&at| &self.map.keyframes[at]) {
+                    self.places.insert(id, &keyframe.signature);
+                }
             }
-            KeyframeEvent::Revisited(edge) if self.config.loops => self.add(edge),
+            KeyframeEvent::Revisited(edge) if self.config.loops => {
+                let edge = self.renumbered(edge);
+                self.add(edge, images)?;
+            }
             KeyframeEvent::Revisited(_) => {}
         }
         if self.unsettled > 0 && self.is_due() {
@@ -139,7 +206,7 @@ impl Mapper {
 
     /// Where a pose that was measured against a keyframe is in the map as known now; `None` where there is no such keyframe.
     pub fn in_map(&self, keyframe: KeyframeId, odometry: &GroundPose) -> Option<GroundPose> {
-        let keyframe = self.keyframe(keyframe)?;
+        let keyframe = self.of_run(keyframe)?;
         if keyframe.pose == keyframe.odometry_pose {
             return Some(*odometry);
         }
@@ -155,13 +222,35 @@ impl Mapper {
         })
     }
 
-    pub(super) fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
+    /// A keyframe by its number in the run.
+    pub(super) fn of_run(&self, id: KeyframeId) -> Option<&MapKeyframe> {
+        self.keyframe(KeyframeId(self.first + id.0))
+    }
+
+    /// An edge between keyframes of the run, with their numbers in the map.
+    fn renumbered(&self, edge: MapEdge) -> MapEdge {
+        let [from, to] = [edge.from, edge.to].map(|id| KeyframeId(self.first + id.0));
+        MapEdge { from, to, ..edge }
+    }
+
+    /// The graph anew from the map.
+    pub(super) fn rebuild(&mut self) {
+        self.graph = PoseGraph::new(self.heights, self.map.rig.first_pose().height_m);
+        for keyframe in &self.map.keyframes {
+            self.graph.insert(keyframe.id, keyframe.pose, keyframe.odometry_pose.height_m);
+        }
+        for edge in &self.map.edges {
+            self.graph.tie(edge);
+        }
+    }
+
+    fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
         self.index.get(&id).map(|&at| &self.map.keyframes[at])
     }
 
     /// Lays a new keyframe in the map, where the one it was measured against has it.
-    fn insert(&mut self, new: &NewKeyframe) -> KeyframeId {
-        let id = new.id;
+    fn insert(&mut self, new: &NewKeyframe, signature: Signature) -> KeyframeId {
+        let id = KeyframeId(self.first + new.id.0);
         let pose = match &new.tie {
             Some(tie) if self.is_straightened() => self.in_map(tie.from, &new.pose).unwrap_or(new.pose),
             _ => new.pose,
@@ -170,96 +259,132 @@ impl Mapper {
         self.index.insert(id, self.map.keyframes.len());
         self.map.keyframes.push(MapKeyframe {
             id,
-            session: 0,
+            session: self.session,
             segment: new.segment,
             frame: new.frame,
             time_s: new.time_s,
             odometry_pose: new.pose,
             pose,
             covariance: new.covariance,
-            signature: Signature::default(),
+            signature,
         });
-        if let Some(tie) = new.tie {
+        if let Some(tie) = new.tie.map(|tie| self.renumbered(tie)) {
             self.graph.tie(&tie);
             self.map.edges.push(tie);
         }
         id
     }
 
-    /// Compares a new keyframe with the older ones that it may show again.
+    /// Compares a new keyframe with the older ones that it may show again: those that are near, and where that is not sure, those that look like it.
     fn close_loops(
         &mut self,
         new: KeyframeId,
         mut sought: Sought,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
-        let found = {
+        let near = {
             let known = |id: KeyframeId| self.keyframe(id).map(|keyframe| keyframe.odometry_pose);
             candidates::candidates(&self.graph, new, &known, &self.matcher, &self.config)
         };
-        for candidate in found.into_iter().take(self.config.comparisons) {
-            let Some(pose) = self.keyframe(candidate.id).map(|old| old.odometry_pose) else { continue };
-            let mut pictured = self.matcher.pictured(images.load(candidate.id)?.gray, &pose);
+        let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);
+        for candidate in sure.take(self.config.comparisons) {
+            let Some(mut pictured) = self.pictured(candidate.id, images)? else { continue };
             let closure =
-                closure::look(&self.matcher, &mut sought, &mut pictured, &candidate, new, &self.config);
-            let Some(closure) = closure else { continue };
-            if candidate.prior.strength == Strength::Weak {
-                self.support(closure);
-            } else {
-                self.accept(closure);
-                break;
+                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+            if let Some(closure) = closure {
+                return self.accept(closure, images);
+            }
+        }
+        let recognised = {
+            let Some(keyframe) = self.keyframe(new) else { return Ok(()) };
+            let here = (new, &keyframe.odometry_pose);
+            let least = self.config.least_edges;
+            recognise(&self.places, &keyframe.signature, &self.graph, here, least, &self.matcher)
+        };
+        for place in recognised.iter().take(self.config.comparisons) {
+            let Some(pictured) = self.pictured(place.id, images)? else { continue };
+            let closure =
+                closure::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
+            match closure {
+                Some(closure) if place.stands_alone() => return self.accept(closure, images),
+                Some(closure) => return self.support(closure, images),
+                None => {}
+            }
+        }
+        // The whole pictures compared take longest: only where place is nearly known and appearance did not tell.
+        let doubtful = near.iter().find(|candidate| candidate.prior.strength == Strength::Doubtful);
+        if let Some(candidate) = doubtful
+            && let Some(mut pictured) = self.pictured(candidate.id, images)?
+        {
+            let closure =
+                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+            if let Some(closure) = closure {
+                self.accept(closure, images)?;
             }
         }
         Ok(())
     }
 
+    fn pictured(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<Pictured>> {
+        let Some(pose) = self.keyframe(id).map(|old| old.odometry_pose) else { return Ok(None) };
+        Ok(Some(self.matcher.pictured(images.load(id)?.gray, &pose)))
+    }
+
     /// Accepts a sighting that alone is not enough together with one before that speaks for the same.
-    fn support(&mut self, closure: LoopClosure) {
+    fn support(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
         let second = self.pending.iter().position(|other| self.agree(other, &closure));
-        match second {
-            Some(at) => {
-                let first = self.pending.remove(at);
-                self.accept(first);
-                self.settle(STEPS_ON_THE_WAY);
-                self.accept(closure);
-            }
-            None => {
-                self.pending.push(closure);
-                if self.pending.len() > MOST_PENDING {
-                    self.pending.remove(0);
-                }
-            }
+        if let Some(at) = second {
+            let first = self.pending.remove(at);
+            self.accept(first, images)?;
+            self.settle(STEPS_ON_THE_WAY);
+            return self.accept(closure, images);
         }
+        self.pending.push(closure);
+        if self.pending.len() > MOST_PENDING {
+            self.pending.remove(0);
+        }
+        Ok(())
     }
 
     /// Whether two sightings of different ground say the same about the map: with the first in it, the second is where it should be.
     fn agree(&self, first: &LoopClosure, second: &LoopClosure) -> bool {
-        let places = [first.edge.from, second.edge.from].map(|id| self.keyframe(id).map(|k| k.odometry_pose));
-        let [Some(a), Some(b)] = places else { return false };
-        if (a.x_m - b.x_m).hypot(a.y_m - b.y_m) < APART_VIEWS * self.matcher.view_m(&a) {
+        let (a, b) = (&first.edge, &second.edge);
+        let [Some(here), Some(there)] = [a.from, b.from].map(|id| self.keyframe(id).map(|k| k.odometry_pose))
+        else {
+            return false;
+        };
+        let view_m = self.matcher.view_m(&here);
+        if (here.x_m - there.x_m).hypot(here.y_m - there.y_m) < APART_VIEWS * view_m {
             return false;
         }
-        let mut graph = self.graph.clone();
-        if !graph.tie(&first.edge) {
-            return false;
-        }
-        graph.optimize(STEPS_AT_THE_END);
-        let Some(mut reach) = graph.reach(second.edge.from) else { return false };
-        reach
-            .find(|reached| reached.id == second.edge.to)
-            .is_some_and(|reached| closure::agrees(&second.edge, &reached, self.matcher.view_m(&b)))
+        let way = |from: KeyframeId, to: KeyframeId| {
+            let reached = self.graph.reach(from)?.find(|reached| reached.id == to)?;
+            (!reached.across_gap).then_some((reached.motion, reached.covariance))
+        };
+        let (Some(back), Some(on)) = (way(b.from, a.from), way(a.to, b.to)) else { return false };
+        let composed = closure::composed(&[back, (a.motion, a.covariance), on]);
+        closure::agrees(b, &composed, view_m)
     }
 
-    fn accept(&mut self, closure: LoopClosure) {
-        self.add(closure.edge);
+    fn accept(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
+        let edge = closure.edge;
+        if let Some(old) = self.graph.pose(edge.to) {
+            // A part that nothing measured connects comes to where it is seen.
+            let scale = self.keyframe(edge.to).map_or(1.0, |k| k.pose.height_m / k.odometry_pose.height_m);
+            let seen = laid_from(&old, &the_other_way(&edge.motion), scale);
+            self.graph.bring(edge.from, &seen, edge.to);
+        }
         self.closures.push(closure);
+        self.add(edge, images)
     }
 
-    fn add(&mut self, edge: MapEdge) {
-        if self.graph.tie(&edge) {
-            self.map.edges.push(edge);
-            self.unsettled += 1;
+    fn add(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
+        if !self.graph.tie(&edge) {
+            return Ok(());
         }
+        self.map.edges.push(edge);
+        self.unsettled += 1;
+        images.tie(&edge)
     }
 
     /// Whether the loops since the last optimisation are worth one: where they show the path to be bent, and otherwise in proportion to the map.

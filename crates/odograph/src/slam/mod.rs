@@ -7,8 +7,10 @@
 mod candidates;
 mod closure;
 mod correction;
+mod fused;
 mod images;
 mod mapper;
+mod recognition;
 
 pub use closure::LoopClosure;
 pub use correction::map_frames;
@@ -16,7 +18,7 @@ pub use images::{KeyframeStore, MemoryImages};
 pub use mapper::Mapper;
 
 use crate::camera::{Camera, Rig};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
 use crate::odometry::{FrameReference, Odometry, OdometryConfig};
@@ -42,6 +44,23 @@ pub struct SlamConfig {
 impl Default for SlamConfig {
     fn default() -> Self {
         Self { loops: true, comparisons: 2, least_edges: 4, least_overlap: 0.35, least_presence: 0.5 }
+    }
+}
+
+impl SlamConfig {
+    /// The same parameters, when each lies where it makes sense. Fails, naming the parameter and its value, where one does not.
+    pub fn validated(self) -> Result<Self> {
+        for (name, share) in [("least_overlap", self.least_overlap), ("least_presence", self.least_presence)]
+        {
+            if !(0.1..=1.0).contains(&share) {
+                return Err(Error::usage(format!("slam.{name} is {share}; it must lie between 0.1 and 1")));
+            }
+        }
+        if self.least_edges < 2 {
+            let edges = self.least_edges;
+            return Err(Error::usage(format!("slam.least_edges is {edges}; it must be at least 2")));
+        }
+        Ok(self)
     }
 }
 
@@ -83,7 +102,7 @@ impl Slam {
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<SlamFrame> {
         let odometry = self.odometry.process(image, time_s)?;
         for event in self.odometry.take_keyframe_events() {
-            self.mapper.take(event, self.images.as_mut())?;
+            self.mapper.take(event, None, self.images.as_mut())?;
         }
         let reference = self.odometry.reference();
         let known = odometry.estimate.as_ref().map(|known| known.pose);
