@@ -19,6 +19,11 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// A frame of a source that is read elsewhere: a camera, a stream.
+    pub fn new(number: u64, time_s: f64, picture: Picture) -> Self {
+        Self { number, time_s, name: None, gray: picture.gray, color: picture.color }
+    }
+
     /// True where the source has colour and [`SourceOptions::color`](crate::SourceOptions::color) asked to keep it.
     pub fn has_color(&self) -> bool {
         self.color.is_some()
@@ -40,14 +45,16 @@ impl Frame {
     }
 }
 
-/// A picture as a decoder gives it.
+/// A picture as a decoder or a camera gives it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Picture {
+pub struct Picture {
+    /// The luminance.
     pub gray: GrayImage,
-    pub color: Option<Color>,
+    pub(crate) color: Option<Color>,
 }
 
 impl Picture {
+    /// A picture without colour.
     pub fn gray(gray: GrayImage) -> Self {
         Self { gray, color: None }
     }

@@ -7,6 +7,7 @@
 
 mod footprint;
 mod laying;
+mod relaid;
 mod sampling;
 mod tiles;
 
@@ -16,6 +17,7 @@ use crate::image::{GrayImage, RgbImage};
 use crate::mapping::Placement;
 use footprint::{Footprint, View};
 use laying::{BLOCK, Blocks, Corner, feather};
+pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
 use sampling::Samples;
 use tiles::{TILE, Tiles};
 
@@ -76,6 +78,16 @@ pub struct MosaicPicture {
     pub placement: Placement,
 }
 
+/// A square of the stored ground, [`Mosaic::TILE_SIDE_PX`] pixels a side: column and row count from the world's origin, columns along x and
+/// rows against y.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct MosaicSquare {
+    /// Along x: its left border is at `column · side · resolution`.
+    pub column: i64,
+    /// Against y: its upper border is at y = `-row · side · resolution`.
+    pub row: i64,
+}
+
 /// The ground seen so far.
 #[derive(Debug, Clone)]
 pub struct Mosaic {
@@ -104,6 +116,27 @@ impl Mosaic {
     /// Side of a ground pixel, metres; `None` before the first frame.
     pub fn resolution_m(&self) -> Option<f64> {
         self.resolution_m
+    }
+
+    /// Side of a [`MosaicSquare`], ground pixels.
+    pub const TILE_SIDE_PX: usize = TILE as usize;
+
+    /// Grows with everything that is laid; for [`Mosaic::changed_since`].
+    pub fn revision(&self) -> u64 {
+        self.tiles.revision()
+    }
+
+    /// The tiles that were laid on after a revision. All of them after the resolution has changed.
+    pub fn changed_since(&self, revision: u64) -> impl Iterator<Item = MosaicSquare> {
+        self.tiles.changed_since(revision).map(|(row, column)| MosaicSquare { column, row })
+    }
+
+    /// Red, green, blue and opacity of a tile's pixels in row order, as [`MosaicPicture::rgba`]; `None` where nothing was seen.
+    pub fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        self.tiles.contains(tile.row, tile.column).then(|| {
+            let (left, top) = (tile.column * TILE, tile.row * TILE);
+            self.tiles.rgba(&(left..left + TILE), &(top..top + TILE))
+        })
     }
 
     /// Whether a frame from this pose would show enough that is new, or shown better than so far. Cheap (some hundred
@@ -174,6 +207,7 @@ impl Mosaic {
             return false;
         }
         self.resolution_m = Some(resolution_m);
+        self.tiles.begin_revision();
         (0..halvings).for_each(|_| self.tiles = self.tiles.halved());
         let level = (sample_m.recip() * resolution_m).log2().round().clamp(0.0, 8.0) as u32;
         self.samples.take(image, level);

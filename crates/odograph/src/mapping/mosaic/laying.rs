@@ -1,7 +1,7 @@
 //! How a frame is laid on the ground: block by block, levelled in brightness, feathered.
 
 use super::Mosaic;
-use super::footprint::View;
+use super::footprint::{Look, View};
 use super::tiles::{Lookup, TILE};
 use crate::camera::Camera;
 use crate::geometry::GroundPoint;
@@ -18,9 +18,15 @@ const GAIN_SHARE: f64 = 0.95;
 /// What is known at a corner of a block: where it is in the image, and how well the ground is seen there.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Corner {
-    x: f32,
-    y: f32,
-    quality: f32,
+    pub x: f32,
+    pub y: f32,
+    pub quality: f32,
+}
+
+impl From<Look> for Corner {
+    fn from(look: Look) -> Self {
+        Self { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
+    }
 }
 
 /// The blocks under a footprint: ranges of block columns (along x) and rows (against y).
@@ -37,11 +43,7 @@ impl Mosaic {
         for row in blocks.rows.start..=blocks.rows.end {
             for column in blocks.columns.start..=blocks.columns.end {
                 let look = view.look(GroundPoint::new(column as f64 * side, -(row as f64) * side));
-                self.corners.push(look.map(|look| Corner {
-                    x: look.x as f32,
-                    y: look.y as f32,
-                    quality: look.quality() as f32,
-                }));
+                self.corners.push(look.map(Corner::from));
             }
         }
     }
@@ -112,7 +114,7 @@ impl Mosaic {
                     let pixels = &mut tile[(in_y + j) * TILE as usize + in_x..];
                     let Some(pixels) = pixels.first_chunk_mut::<{ BLOCK as usize }>() else { continue };
                     let places = match corners {
-                        [Some(a), Some(b), Some(c), Some(d)] => Corner::row(a, b, c, d, j),
+                        [Some(a), Some(b), Some(c), Some(d)] => Corner::places(Corner::row(a, b, c, d, j)),
                         _ => row_by_itself(view, resolution_m, left, top + j as i64),
                     };
                     laid |= lay_eight(&frame, &places, pixels);
@@ -156,19 +158,35 @@ impl Corner {
         Self { x: mix(self.x, other.x), y: mix(self.y, other.y), quality: mix(self.quality, other.quality) }
     }
 
-    /// Where the pixels of row `j` are in a block with the corners a b / c d.
-    fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> Places {
+    /// The first pixel centre of row `j` in a block with the corners a b / c d, and the step to the next.
+    pub fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> (Self, Self) {
         let down = (j as f32 + 0.5) / BLOCK as f32;
         let (left, right) = (a.mix(c, down), b.mix(d, down));
-        let along = |left: f32, right: f32| {
-            let step = (right - left) / BLOCK as f32;
-            let first = left + step * 0.5;
-            std::array::from_fn(|i| first + step * i as f32)
+        let part = |a: f32, b: f32| (b - a) / BLOCK as f32;
+        let step = Self {
+            x: part(left.x, right.x),
+            y: part(left.y, right.y),
+            quality: part(left.quality, right.quality),
         };
+        (left.plus(step, 0.5), step)
+    }
+
+    #[inline]
+    pub fn plus(self, step: Self, times: f32) -> Self {
+        Self {
+            x: self.x + step.x * times,
+            y: self.y + step.y * times,
+            quality: self.quality + step.quality * times,
+        }
+    }
+
+    /// The pixels of a row from its first in equal steps.
+    fn places((first, step): (Self, Self)) -> Places {
+        let along = |first: f32, step: f32| std::array::from_fn(|i| first + step * i as f32);
         Places {
-            x: along(left.x, right.x),
-            y: along(left.y, right.y),
-            quality: along(left.quality, right.quality),
+            x: along(first.x, step.x),
+            y: along(first.y, step.y),
+            quality: along(first.quality, step.quality),
         }
     }
 }
