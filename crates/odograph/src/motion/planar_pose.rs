@@ -1,6 +1,7 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
 use super::{MotionConfig, MotionEstimate, MotionModel, Observation, RigPrior};
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
@@ -36,13 +37,15 @@ impl Pull {
     }
 }
 
-/// Where an observation's ground point is seen from a pose, less where it was seen (pixels), and the derivative of that by the six
-/// numbers of the pose.
+/// Where an observation's ground point is seen from a pose, less where it was seen, whitened (pixels of a usual track), and the derivative of
+/// that by the six numbers of the pose.
 #[derive(Debug, Clone, Copy)]
 struct Residual {
     error: [f64; 2],
     by_pose: [[f64; 6]; 2],
 }
+
+stored!(Residual);
 
 impl Residual {
     /// Of a point that is not seen: no length, and nothing that it could change.
@@ -74,8 +77,15 @@ fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes:
         let turned = from_camera.cross(&in_world);
         [-in_world.x, -in_world.y, -turned.z, -in_world.z, -axes.roll.dot(&turned), -axes.pitch.dot(&turned)]
     };
-    let error = [pixel.x - observation.pixel.x, pixel.y - observation.pixel.y];
-    Some(Residual { error, by_pose: [row(0), row(1)] })
+    let [[xx, yx], [xy, yy]] = observation.whitening.data.0; // by columns
+    let whitened = |x: f64, y: f64| [xx * x + xy * y, yx * x + yy * y];
+    let (first, second) = (row(0), row(1));
+    let mut by_pose = [[0.0; 6]; 2];
+    for i in 0..6 {
+        [by_pose[0][i], by_pose[1][i]] = whitened(first[i], second[i]);
+    }
+    let error = whitened(pixel.x - observation.pixel.x, pixel.y - observation.pixel.y);
+    Some(Residual { error, by_pose })
 }
 
 /// The rotation of a pose and the world axes about which its angles turn; heading turns about z.
@@ -192,13 +202,13 @@ pub fn refine(
         heading_rad: prediction.heading_rad + wrap_angle(start.heading_rad - prediction.heading_rad),
         ..*start
     };
-    let mut weights: Vec<f64> = agreeing.iter().map(|&agrees| f64::from(u8::from(agrees))).collect();
+    let mut weights: Buffer<f64> = agreeing.iter().map(|&agrees| f64::from(u8::from(agrees))).collect();
     let mut scale_px = config.inlier_px;
     let mut information = Matrix6::identity();
     let mut rig_evidence = None;
-    let mut residuals = vec![Residual::NONE; observations.len()];
-    let mut errors = vec![0.0; observations.len()];
-    let mut sorted = Vec::with_capacity(observations.len());
+    let mut residuals = Buffer::of(Residual::NONE, observations.len());
+    let mut errors = Buffer::of(0.0, observations.len());
+    let mut sorted = Buffer::new();
     // Each pose is looked at once: what is left of the observations there weighs them and leads to the next.
     let mut look = |pose: &GroundPose, residuals: &mut [Residual], errors: &mut [f64]| -> f64 {
         let axes = Axes::new(pose);
@@ -239,7 +249,7 @@ pub fn refine(
             break;
         }
     }
-    let inliers: Vec<bool> = weights.iter().map(|&w| w > 0.0).collect();
+    let inliers: Buffer<bool> = weights.iter().map(|&w| w > 0.0).collect();
     let count = inliers.iter().filter(|&&i| i).count();
     if count <= unknowns.count {
         return None;

@@ -1,7 +1,8 @@
 //! A keyframe's corners found again in a frame, and the movement they speak for.
 
 use super::OdometryConfig;
-use super::keyframe::{KeyCorner, Keyframe, Pose};
+use super::keyframe::{KeyCorner, Keyframe, PatchWarp, Pose};
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
@@ -10,7 +11,7 @@ use crate::motion::{
     MotionEstimate, MotionModel, Observation, Random, RigWander, estimate, mean_displacement,
 };
 use crate::trajectory::LossReason;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix2, Matrix6};
 
 /// A frame measured against a keyframe.
 #[derive(Debug, Clone)]
@@ -19,7 +20,7 @@ pub struct Measurement {
     /// Where it was looked for.
     pub prediction: GroundPose,
     /// The corners found again, in step with the estimate's inliers.
-    pub found: Vec<Found>,
+    pub found: Buffer<Found>,
     /// The part of the keyframe's corners that supports the movement, 0 to 1.
     pub support: f64,
     /// Whether some of the corners were found first and agreed on a pose from which the others were looked for: what was not found from
@@ -33,13 +34,36 @@ pub struct Found {
     /// Which of the keyframe's corners.
     pub corner: usize,
     pub warp: Warp,
+    /// Of the position, from the noise of the samples, pixels².
+    pub covariance_px2: Matrix2<f64>,
 }
 
-impl Found {
-    fn observation(&self, keyframe: &Keyframe) -> Observation {
-        Observation { ground: keyframe.corners[self.corner].ground, pixel: self.warp.position }
-    }
+/// What was found, weighed by how well each patch holds in each direction.
+fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
+    let covariance = |found: &Found| found.covariance_px2 + SHARED_PX2 * Matrix2::identity();
+    let mut variances: Buffer<f64> = found.iter().map(|found| 0.5 * covariance(found).trace()).collect();
+    let middle = variances.len() / 2;
+    let usual_px2 = match variances.is_empty() {
+        true => 1.0,
+        false => *variances.select_nth_unstable_by(middle, f64::total_cmp).1,
+    };
+    let observation = |found: &Found| {
+        let information = covariance(found).try_inverse().map(|inverse| usual_px2 * inverse);
+        let whitening = information.and_then(|information| information.cholesky());
+        Observation {
+            ground: keyframe.corners[found.corner].ground,
+            pixel: found.warp.position,
+            whitening: whitening.map_or(Matrix2::identity(), |root| root.l().transpose()),
+        }
+    };
+    found.iter().map(observation).collect()
 }
+
+/// What a track is off even without noise (interpolation, what the shape of its warp leaves), pixels²: 0.02 px. More exact than that no track is
+/// taken to be, so that where all are good all count alike.
+const SHARED_PX2: f64 = 4e-4;
+
+stored!(Found);
 
 /// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
 pub fn measure(
@@ -101,7 +125,7 @@ pub fn confirm(
         forward_backward_px(template, &keyframe.pyramid, pyramid, &found.warp, &config.flow)
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
-    let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
+    let found: Buffer<Found> = measurement.found.iter().filter(comes_back).copied().collect();
     let followed = Followed { found, settled: measurement.settled.then_some(measurement.estimate.pose) };
     judge(keyframe, followed, camera, &measurement.prediction, config, wander, random).unwrap_or(measurement)
 }
@@ -137,7 +161,7 @@ const TEMPLATE_REACH_PX: f64 = 10.0;
 
 /// The corners found again, and the pose that the first of them agreed on.
 struct Followed {
-    found: Vec<Found>,
+    found: Buffer<Found>,
     settled: Option<GroundPose>,
 }
 
@@ -164,7 +188,7 @@ fn follow(
 ) -> Followed {
     let corners = keyframe.corners.len();
     let every = corners / SCOUTS;
-    let mut found = Vec::with_capacity(corners);
+    let mut found = Buffer::new();
     let from = Pose::new(*prediction);
     let find = |index: usize, from: &Pose, off_px: f64| {
         find(index, &keyframe.corners[index], keyframe, pyramid, camera, from, off_px, config)
@@ -208,7 +232,7 @@ fn agreement(
     wander: &RigWander,
     random: &mut Random,
 ) -> Option<GroundPose> {
-    let observations: Vec<Observation> = found.iter().map(|found| found.observation(keyframe)).collect();
+    let observations = observations(keyframe, found);
     let prior = wander.prior(prediction, &config.motion);
     let estimate = estimate(camera, &observations, prediction, &prior, &config.motion, random)?;
     let expected = in_view(scouts.map(|index| &keyframe.corners[index]), camera, &estimate.pose);
@@ -230,33 +254,40 @@ fn find(
     off_px: f64,
     config: &OdometryConfig,
 ) -> Option<Found> {
-    let warp = corner.warp(camera, pose)?;
+    let PatchWarp { warp, bend } = corner.warp(camera, pose)?;
     if off_px > SETTLED_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
-    let warp = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
-        Ok(Track { position, dissimilarity }) if dissimilarity <= config.flow.dissimilarity => {
-            Warp { position, ..warp }
+    let (warp, covariance_px2) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
+        Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
+            (Warp { position: found.position, ..warp }, found.covariance_px2)
         }
         // Second judgement: perhaps only the expected shape was wrong.
         Ok(Track { position, .. }) => {
             let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
-            (judged.dissimilarity <= config.flow.dissimilarity).then_some(warp)?
+            (judged.dissimilarity <= config.flow.dissimilarity).then_some((warp, judged.covariance_px2))?
         }
         Err(_) => return None,
     };
-    Some(Found { corner: index, warp })
+    let centre = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
+    Some(Found { corner: index, warp: Warp { position: centre, ..warp }, covariance_px2 })
 }
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
 /// a model of the camera's rotation.
-fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, off_px: f64, config: &OdometryConfig) -> Vec<Found> {
+fn follow_by_eye(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    off_px: f64,
+    config: &OdometryConfig,
+) -> Buffer<Found> {
     let search = |(index, corner): (usize, &KeyCorner)| {
         corner.template.add_coarser_levels(&keyframe.pyramid);
         let Track { position, .. } =
             track(&corner.template, pyramid, &corner.seen, off_px, &config.flow).ok()?;
         let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
-        (judged.dissimilarity <= config.flow.dissimilarity).then_some(Found { corner: index, warp })
+        let found = Found { corner: index, warp, covariance_px2: judged.covariance_px2 };
+        (judged.dissimilarity <= config.flow.dissimilarity).then_some(found)
     };
     keyframe.corners.iter().enumerate().filter_map(search).collect()
 }
@@ -277,7 +308,7 @@ fn judge(
     let estimate = if config.motion.model == MotionModel::Mean {
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
-        let observations: Vec<Observation> = found.iter().map(|found| found.observation(keyframe)).collect();
+        let observations = observations(keyframe, &found);
         let prior = wander.prior(prediction, &config.motion);
         let near = settled.unwrap_or(*prediction);
         estimate(camera, &observations, &near, &prior, &config.motion, random)
