@@ -184,6 +184,11 @@ impl Mapper {
         }
     }
 
+    /// The map alone.
+    pub fn into_map(self) -> GroundMap {
+        self.map
+    }
+
     /// The map as it is.
     pub fn map(&self) -> &GroundMap {
         &self.map
@@ -332,6 +337,9 @@ impl Mapper {
 
     /// Accepts a sighting that alone is not enough together with one before that speaks for the same.
     fn support(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
+        if self.config.sightings < 2 {
+            return self.accept(closure, images);
+        }
         let second = self.pending.iter().position(|other| self.agree(other, &closure));
         if let Some(at) = second {
             let first = self.pending.remove(at);
