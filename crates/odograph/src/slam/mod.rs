@@ -5,6 +5,7 @@
 //! gives is the same with a map and without, and the mapping may run behind, on a thread of its own.
 
 mod candidates;
+mod closing;
 mod closure;
 mod correction;
 mod fused;
