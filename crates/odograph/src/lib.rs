@@ -9,6 +9,7 @@
 //! modules above it.
 
 pub mod error;
+pub mod buffer;
 pub mod geometry;
 pub mod image;
 pub mod camera;

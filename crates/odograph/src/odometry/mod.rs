@@ -351,7 +351,8 @@ impl Odometry {
             let corner = corners.get(found.corner)?.template.centre();
             Some(TrackView { pixel: found.warp.position, corner, inlier })
         };
-        self.tracks = found.iter().zip(&estimate.inliers).filter_map(view).collect();
+        self.tracks.clear();
+        self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
         self.wander.learn(&estimate);
         if let Some(keyframe) = &self.keyframe {
             let presence = follow::presence(keyframe, &self.camera, &estimate);

@@ -1,6 +1,7 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
 mod folder;
+mod many;
 mod map;
 mod mapping;
 mod pipeline;
@@ -21,12 +22,16 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 /// Follow a recorded drive: writes the trajectory, the map, a mosaic of the ground and a report.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct RunArguments {
     /// A video, a folder of pictures, `-` for Y4M on standard input, or the run.toml of an earlier run.
     #[arg(value_name = "SOURCE")]
     pub source: String,
+    /// More recordings by the same camera, or SOURCE a folder of videos: each goes into a folder of its own in -o, as many at a time as
+    /// there are cores.
+    #[arg(value_name = "MORE")]
+    pub more: Vec<String>,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
@@ -106,6 +111,7 @@ Examples:
   odograph run drive.mp4 --camera camera.yaml --height 1.20 --gyro gyro.csv --wheel wheel.csv -o drive/
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
+  odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
 
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the
 recording (what there is has been written).";
@@ -156,6 +162,7 @@ impl RunArguments {
     pub fn over(output: OutputArguments) -> Self {
         Self {
             source: String::new(),
+            more: Vec::new(),
             camera: None,
             height: None,
             rig: None,
@@ -176,6 +183,9 @@ impl RunArguments {
 
 /// Runs the command.
 pub fn run(arguments: RunArguments) -> Result<Outcome> {
+    if let Some(recordings) = many::recordings(&arguments)? {
+        return many::run(&recordings, &arguments);
+    }
     let folder = OutputFolder::new(&arguments.output.output, arguments.output.force)?;
     let (plan, source) = RunPlan::new(&arguments)?;
     let report = follow(&plan, source, folder, &arguments.output)?;
