@@ -10,12 +10,12 @@ mod sensors;
 mod statistics;
 
 use crate::{Outcome, console};
-use folder::OutputFolder;
+pub use folder::OutputFolder;
 use odograph::error::{Error, Result};
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
 use odograph::formats::trajectory_file;
 use odograph::motion::MotionModel;
-pub use plan::RunPlan;
+pub use plan::{RunPlan, SourcePlan};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
 use std::path::PathBuf;
@@ -86,6 +86,12 @@ pub struct OutputArguments {
     /// The map: continued where there is one, otherwise begun. [default: a new map.gpkg in the folder]
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
+    /// The map is looked into, not written: a command that only asks where the camera is.
+    #[arg(skip)]
+    pub map_is_read_only: bool,
+    /// Fewer frames than this are no recording.
+    #[arg(skip = 2_usize)]
+    pub least_frames: usize,
     /// Threads to use; the results are the same for any number. [default: as many as help]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
@@ -192,6 +198,8 @@ pub struct RunReport {
     pub statistics: Statistics,
     pub warnings: Vec<String>,
     pub folder: PathBuf,
+    /// Whether the path is in the frame of the map that was continued; always where none was.
+    pub recognised: bool,
 }
 
 /// Follows a source by a plan and writes everything into the folder. What ends the recording early is an error only after all that was
@@ -206,7 +214,7 @@ pub fn follow(
     let sensors = plan.sensors.read()?;
     let description = source.info().description.clone();
     let mut tracked = pipeline::track(plan, source, &mut folder, arguments)?;
-    if tracked.frames.len() < 2 && !tracked.interrupted {
+    if tracked.frames.len() < arguments.least_frames && !tracked.interrupted {
         let too_few = if tracked.frames.is_empty() { "no frame" } else { "only one frame" };
         return Err(tracked.failure.unwrap_or_else(|| {
             Error::input(format!(
@@ -246,12 +254,18 @@ pub fn follow(
     folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),
-        None => Ok(RunReport { statistics, warnings: tracked.warnings, folder: folder.path().to_owned() }),
+        None => Ok(RunReport {
+            statistics,
+            recognised: tracked.mapping.warning().is_none(),
+            warnings: tracked.warnings,
+            folder: folder.path().to_owned(),
+        }),
     }
 }
 
 impl RunReport {
-    fn outcome(&self) -> Outcome {
+    /// How the run ended.
+    pub fn outcome(&self) -> Outcome {
         // With less than half of the frames posed the path is not the recording's path.
         if 2 * self.statistics.frames_with_pose < self.statistics.frames {
             Outcome::TrackingFailed
