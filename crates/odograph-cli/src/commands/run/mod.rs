@@ -1,5 +1,6 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
+mod budget;
 mod folder;
 mod many;
 mod map;
@@ -64,6 +65,10 @@ pub struct RunArguments {
     /// Take at most so many frames.
     #[arg(long, value_name = "N")]
     pub max_frames: Option<u64>,
+    /// What a frame may take, milliseconds: fewer corners are followed where that is needed. Measures the machine once; run.toml and
+    /// stats.json say what was given up.
+    #[arg(long, value_name = "MS", allow_negative_numbers = true)]
+    pub budget_ms: Option<f64>,
     #[command(flatten)]
     pub sensors: SensorPlan,
     #[command(flatten)]
@@ -160,6 +165,7 @@ impl RunArguments {
             end: None,
             every: 1,
             max_frames: None,
+            budget_ms: None,
             sensors: SensorPlan::default(),
             output,
         }
@@ -223,7 +229,7 @@ pub fn follow(
         // The mosaic was laid while the sensors were not known yet.
         pipeline::lay_again(plan, &mut tracked);
     }
-    let statistics = Statistics::new(&tracked, &reports, started.elapsed());
+    let statistics = Statistics::new(&tracked, plan.budget, &reports, started.elapsed());
     map::write(plan, &description, &tracked, &reports, &mut folder)?;
     folder.finish(&statistics)?;
     match failure {
