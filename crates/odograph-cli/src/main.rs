@@ -23,6 +23,7 @@ struct Arguments {
 enum Command {
     Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
+    Localize(commands::localize::LocalizeArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
     Board(commands::board::BoardArguments),
@@ -30,6 +31,7 @@ enum Command {
     Calibrate(commands::calibrate::CalibrateArguments),
     Camera(commands::camera::CameraArguments),
     Ground(commands::ground::GroundArguments),
+    Map(commands::map::MapArguments),
 }
 
 /// How a command that did not fail ended.
@@ -50,6 +52,7 @@ fn main() -> ExitCode {
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),
+        Command::Localize(arguments) => commands::localize::localize(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
         Command::Board(arguments) => commands::board::board(arguments),
@@ -57,6 +60,7 @@ fn main() -> ExitCode {
         Command::Calibrate(arguments) => commands::calibrate::calibrate(arguments),
         Command::Camera(arguments) => commands::camera::camera(arguments),
         Command::Ground(arguments) => commands::ground::ground(arguments),
+        Command::Map(arguments) => commands::map::map(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
