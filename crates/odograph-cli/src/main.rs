@@ -31,6 +31,7 @@ enum Command {
     Calibrate(commands::calibrate::CalibrateArguments),
     Camera(commands::camera::CameraArguments),
     Ground(commands::ground::GroundArguments),
+    Map(commands::map::MapArguments),
 }
 
 /// How a command that did not fail ended.
@@ -59,6 +60,7 @@ fn main() -> ExitCode {
         Command::Calibrate(arguments) => commands::calibrate::calibrate(arguments),
         Command::Camera(arguments) => commands::camera::camera(arguments),
         Command::Ground(arguments) => commands::ground::ground(arguments),
+        Command::Map(arguments) => commands::map::map(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

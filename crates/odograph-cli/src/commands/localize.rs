@@ -104,6 +104,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         rig,
         sensors: SensorPlan::default(),
         odometry,
+        budget: None,
         // Where nothing is written that a mistake could bend, the first sure sighting is the answer.
         slam: SlamConfig { sightings: if arguments.read_only { 1 } else { 2 }, ..SlamConfig::default() },
     };

@@ -1,5 +1,6 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
+mod budget;
 mod folder;
 mod many;
 mod map;
@@ -65,6 +66,10 @@ pub struct RunArguments {
     /// Take at most so many frames.
     #[arg(long, value_name = "N")]
     pub max_frames: Option<u64>,
+    /// What a frame may take, milliseconds: fewer corners are followed where that is needed. Measures the machine once; run.toml and
+    /// stats.json say what was given up.
+    #[arg(long, value_name = "MS", allow_negative_numbers = true)]
+    pub budget_ms: Option<f64>,
     #[command(flatten)]
     pub sensors: SensorPlan,
     /// Do not look for ground that was seen before: the path is what odometry alone has.
@@ -174,6 +179,7 @@ impl RunArguments {
             end: None,
             every: 1,
             max_frames: None,
+            budget_ms: None,
             sensors: SensorPlan::default(),
             no_loops: false,
             output,
@@ -249,7 +255,7 @@ pub fn follow(
         // The mosaic was laid while sensors and loops were not known yet.
         pipeline::lay_again(plan, &mut tracked);
     }
-    let statistics = Statistics::new(&tracked, &reports, loops, started.elapsed());
+    let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     map::write(plan, &description, &tracked, &reports, &mut folder)?;
     tracked.mapping.close()?;
     folder.finish(&statistics)?;
