@@ -231,7 +231,7 @@ pub fn follow(
     }
     let failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
-    folder.write("odometry.tum", trajectory_file::tum_from_frames(&tracked.frames).as_bytes())?;
+    let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, &sensors);
     let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references)?;
@@ -244,6 +244,7 @@ pub fn follow(
     let reports = fused.reports;
     tracked.frames = fused.frames;
     folder.write_trajectories(&tracked.frames, &plan.text()?)?;
+    folder.write("odometry.tum", at_once.as_bytes())?;
     tracked.mapping.write_path(&tracked.frames)?;
     folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
     let smoothed = SmoothedFrame::trajectory(&path);
