@@ -23,6 +23,7 @@ struct Arguments {
 enum Command {
     Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
+    Localize(commands::localize::LocalizeArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
     Board(commands::board::BoardArguments),
@@ -51,6 +52,7 @@ fn main() -> ExitCode {
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),
+        Command::Localize(arguments) => commands::localize::localize(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
         Command::Board(arguments) => commands::board::board(arguments),

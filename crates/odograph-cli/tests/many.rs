@@ -24,7 +24,9 @@ fn a_folder_of_videos_is_followed_as_each_would_be_alone() {
     for (name, seed) in [("one", 1), ("two", 2)] {
         done(
             here,
-            &format!("simulate -o {name} --format y4m --path straight --length 0.5 --duration 1 --fps 20 --size 240x180 --height 0.75 --seed {seed} --quiet"),
+            &format!(
+                "simulate -o {name} --format y4m --path straight --length 0.5 --duration 1 --fps 20 --size 240x180 --height 0.75 --seed {seed} --quiet"
+            ),
         );
         fs::rename(here.join(format!("{name}/sim.y4m")), here.join(format!("videos/{name}.y4m"))).unwrap();
     }

@@ -6,6 +6,7 @@ pub mod camera;
 pub mod demo;
 pub mod evaluate;
 pub mod ground;
+pub mod localize;
 pub mod map;
 pub mod run;
 pub mod simulate;
