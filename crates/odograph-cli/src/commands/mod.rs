@@ -3,9 +3,12 @@
 pub mod board;
 pub mod calibrate;
 pub mod camera;
+pub mod cameras;
 pub mod demo;
 pub mod evaluate;
 pub mod ground;
+pub mod live;
 pub mod run;
 pub mod simulate;
 pub mod undistort;
+pub mod view;

@@ -1,19 +1,21 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
-mod folder;
+pub(super) mod folder;
 mod map;
-mod pipeline;
+pub(super) mod pipeline;
 mod plan;
 mod sensors;
-mod statistics;
+pub(super) mod statistics;
 
 use crate::{Outcome, console};
 use folder::OutputFolder;
 use odograph::error::{Error, Result};
+use odograph::filter::fusion::Sensors;
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
 use odograph::formats::trajectory_file;
 use odograph::motion::MotionModel;
-pub use plan::RunPlan;
+use pipeline::Tracked;
+pub use plan::{RunPlan, SourcePlan};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
 use std::path::PathBuf;
@@ -100,7 +102,7 @@ recording (what there is has been written).";
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FieldOfView(pub f64, pub f64);
 
-fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
+pub(super) fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
     let sides = text
         .split_once(['x', 'X', '×'])
         .and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?)));
@@ -186,7 +188,19 @@ pub fn follow(
     let started = Instant::now();
     let sensors = plan.sensors.read()?;
     let description = source.info().description.clone();
-    let mut tracked = pipeline::track(plan, source, &mut folder, arguments)?;
+    let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
+    finish(plan, &description, tracked, &sensors, &mut folder, started)
+}
+
+/// Improves what was tracked and writes everything into the folder.
+pub(super) fn finish(
+    plan: &RunPlan,
+    description: &str,
+    mut tracked: Tracked,
+    sensors: &Sensors,
+    folder: &mut OutputFolder,
+    started: Instant,
+) -> Result<RunReport> {
     if tracked.frames.len() < 2 && !tracked.interrupted {
         let too_few = if tracked.frames.is_empty() { "no frame" } else { "only one frame" };
         return Err(tracked.failure.unwrap_or_else(|| {
@@ -198,7 +212,7 @@ pub fn follow(
     }
     let failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
-    let fused = fusion::fuse(&tracked.frames, &sensors);
+    let fused = fusion::fuse(&tracked.frames, sensors);
     let path = fused.smooth(&plan.odometry.filter);
     tracked.warnings.extend(plan.sensors.warnings(&fused.reports));
     let reports = fused.reports;
@@ -214,7 +228,7 @@ pub fn follow(
         pipeline::lay_again(plan, &mut tracked);
     }
     let statistics = Statistics::new(&tracked, &reports, started.elapsed());
-    map::write(plan, &description, &tracked, &reports, &mut folder)?;
+    map::write(plan, description, &tracked, &reports, folder)?;
     folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),
@@ -223,7 +237,7 @@ pub fn follow(
 }
 
 impl RunReport {
-    fn outcome(&self) -> Outcome {
+    pub fn outcome(&self) -> Outcome {
         // With less than half of the frames posed the path is not the recording's path.
         if 2 * self.statistics.frames_with_pose < self.statistics.frames {
             Outcome::TrackingFailed

@@ -1,6 +1,7 @@
 //! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
 
 use super::folder::OutputFolder;
+use super::statistics::LiveStatistics;
 use super::{OutputArguments, RunPlan};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -23,6 +24,8 @@ pub struct Tracked {
     pub warnings: Vec<String>,
     pub times: StageTimes,
     pub interrupted: bool,
+    /// How a live run kept up with its source.
+    pub live: Option<LiveStatistics>,
     /// What ended the recording before its end, if anything did.
     pub failure: Option<Error>,
 }
@@ -67,6 +70,7 @@ pub fn track(
         warnings: decoding.source.take_warnings(),
         times: StageTimes { decode: decoding.times, track: tracking.times, map: map_times },
         interrupted: interrupt::asked(),
+        live: None,
         failure: outcome.err(),
     })
 }
@@ -185,10 +189,10 @@ struct Tracking<'a> {
 }
 
 /// A frame with its pose, for the mosaic.
-struct Posed {
-    frame: Frame,
-    pose: GroundPose,
-    segment: usize,
+pub struct Posed {
+    pub frame: Frame,
+    pub pose: GroundPose,
+    pub segment: usize,
 }
 
 impl Tracking<'_> {
@@ -207,7 +211,7 @@ impl Tracking<'_> {
 }
 
 /// Stage three: the mosaic.
-struct Laying {
+pub struct Laying {
     camera: Camera,
     mosaic: Mosaic,
     times: Vec<Duration>,
@@ -216,11 +220,17 @@ struct Laying {
 }
 
 impl Laying {
-    fn new(camera: Camera) -> Self {
+    pub fn new(camera: Camera) -> Self {
         Self { camera, mosaic: Mosaic::new(Default::default()), times: Vec::new(), before: None }
     }
 
-    fn next(&mut self, posed: Posed) {
+    /// The ground so far.
+    pub fn mosaic(&self) -> &Mosaic {
+        &self.mosaic
+    }
+
+    /// Lays a frame where it shows something new.
+    pub fn next(&mut self, posed: Posed) {
         let started = Instant::now();
         if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
             self.lay(&before);
@@ -242,7 +252,7 @@ impl Laying {
     }
 
     /// The mosaic with the last frame on it.
-    fn finished(mut self) -> (Mosaic, Vec<Duration>) {
+    pub fn finished(mut self) -> (Mosaic, Vec<Duration>) {
         if let Some(before) = self.before.take() {
             self.lay(&before);
         }
