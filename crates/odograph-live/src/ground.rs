@@ -1,7 +1,7 @@
 //! The ground under the path, in squares that a page fetches as they change.
 
 use odograph::error::{Error, Result};
-use odograph::mapping::{Mosaic, MosaicTile, Placement};
+use odograph::mapping::{Mosaic, MosaicSquare, Placement};
 use std::sync::{Mutex, PoisonError};
 
 /// What there is of the ground.
@@ -18,9 +18,9 @@ pub trait Ground: Send + Sync {
     /// What there is; `None` while there is nothing.
     fn state(&self) -> Option<GroundState>;
     /// The squares that changed after a revision.
-    fn changed_since(&self, revision: u64) -> Vec<MosaicTile>;
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare>;
     /// Red, green, blue and opacity of a square; `None` where nothing was seen.
-    fn tile_rgba(&self, tile: MosaicTile) -> Option<Vec<u8>>;
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>>;
 }
 
 /// A mosaic that grows while it is looked at.
@@ -31,11 +31,11 @@ impl Ground for Mutex<Mosaic> {
         Some(GroundState { metres_per_pixel, revision: mosaic.revision() })
     }
 
-    fn changed_since(&self, revision: u64) -> Vec<MosaicTile> {
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
         self.lock().unwrap_or_else(PoisonError::into_inner).changed_since(revision).collect()
     }
 
-    fn tile_rgba(&self, tile: MosaicTile) -> Option<Vec<u8>> {
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         self.lock().unwrap_or_else(PoisonError::into_inner).tile_rgba(tile)
     }
 }
@@ -45,11 +45,11 @@ impl Ground for Box<dyn Ground> {
         (**self).state()
     }
 
-    fn changed_since(&self, revision: u64) -> Vec<MosaicTile> {
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
         (**self).changed_since(revision)
     }
 
-    fn tile_rgba(&self, tile: MosaicTile) -> Option<Vec<u8>> {
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         (**self).tile_rgba(tile)
     }
 }
@@ -88,7 +88,7 @@ impl Ground for GroundPicture {
         Some(GroundState { metres_per_pixel: self.placement.metres_per_pixel, revision: 1 })
     }
 
-    fn changed_since(&self, revision: u64) -> Vec<MosaicTile> {
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
         if revision >= 1 {
             return Vec::new();
         }
@@ -96,11 +96,11 @@ impl Ground for GroundPicture {
         let (left, top) = self.corner();
         let rows = top.div_euclid(side)..=(top + self.height - 1).div_euclid(side);
         let columns = left.div_euclid(side)..=(left + self.width - 1).div_euclid(side);
-        let tiles = rows.flat_map(|row| columns.clone().map(move |column| MosaicTile { column, row }));
+        let tiles = rows.flat_map(|row| columns.clone().map(move |column| MosaicSquare { column, row }));
         tiles.filter(|&tile| self.tile_rgba(tile).is_some()).collect()
     }
 
-    fn tile_rgba(&self, tile: MosaicTile) -> Option<Vec<u8>> {
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         let side = Mosaic::TILE_SIDE_PX as i64;
         let (left, top) = self.corner();
         // Where the square lies in the picture.
@@ -150,7 +150,7 @@ mod tests {
         let placement = Placement { metres_per_pixel: 0.01, x_m: -0.995, y_m: 0.005 };
         let ground = GroundPicture::new(rgba.clone(), width, height, placement).unwrap();
         let tiles = ground.changed_since(0);
-        let at = |column, row| MosaicTile { column, row };
+        let at = |column, row| MosaicSquare { column, row };
         assert_eq!(tiles, [at(-1, -1), at(0, -1), at(-1, 0), at(0, 0)]);
         assert!(ground.changed_since(1).is_empty());
         let side = Mosaic::TILE_SIDE_PX as i64;

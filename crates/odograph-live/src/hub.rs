@@ -2,7 +2,7 @@
 
 use crate::ground::Ground;
 use crate::record::TrackRecord;
-use odograph::mapping::MosaicTile;
+use odograph::mapping::MosaicSquare;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -147,7 +147,7 @@ pub struct News {
     /// New marks.
     pub marks: Vec<Mark>,
     /// Squares of the ground that changed, and the side of a ground pixel, metres.
-    pub ground: Option<(f64, Vec<MosaicTile>)>,
+    pub ground: Option<(f64, Vec<MosaicSquare>)>,
 }
 
 impl Hub {
@@ -357,7 +357,7 @@ impl Viewer {
         news
     }
 
-    fn ground_news(&mut self) -> Option<(f64, Vec<MosaicTile>)> {
+    fn ground_news(&mut self) -> Option<(f64, Vec<MosaicSquare>)> {
         let state = self.hub.ground.state()?;
         let cursor = &mut self.cursor;
         if state.metres_per_pixel != cursor.metres_per_pixel {

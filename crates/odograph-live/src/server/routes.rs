@@ -6,7 +6,7 @@ use super::deadline::Deadlined;
 use super::http::{ANSWER_PATIENCE, Answer, Method, Refusal, Request};
 use crate::ground::tile_png;
 use crate::record::TrackRecord;
-use odograph::mapping::MosaicTile;
+use odograph::mapping::MosaicSquare;
 use serde_json::json;
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -131,9 +131,9 @@ fn post(shared: &Shared, request: &Request, path: &str) -> Answer {
 }
 
 /// `/tiles/COLUMN/ROW.png`.
-fn tile(path: &str) -> Option<MosaicTile> {
+fn tile(path: &str) -> Option<MosaicSquare> {
     let (column, row) = path.strip_prefix("/tiles/")?.strip_suffix(".png")?.split_once('/')?;
-    Some(MosaicTile { column: column.parse().ok()?, row: row.parse().ok()? })
+    Some(MosaicSquare { column: column.parse().ok()?, row: row.parse().ok()? })
 }
 
 /// The files that are there, and their sizes in bytes.

@@ -2,7 +2,7 @@
 
 use super::patch::{AREA, SIDE, Samples, TO_CENTRE, sample};
 use super::template::{LevelTemplate, Template};
-use super::track::unexplained;
+use super::track::{covariance, unexplained};
 use super::{Track, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
@@ -51,7 +51,8 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
         }
     }
     let dissimilarity = unexplained(patch, dot(&patch.appearance().contrast, &samples), &samples);
-    Some((warp, Track { position: warp.position, dissimilarity }))
+    let covariance_px2 = covariance(patch, &warp.linear, dissimilarity);
+    Some((warp, Track { position: warp.position, dissimilarity, covariance_px2 }))
 }
 
 /// How sample `at` changes with a shift (x, y) and with the four affine terms (xx, xy, yx, yy).

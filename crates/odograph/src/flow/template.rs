@@ -80,7 +80,9 @@ pub(super) struct LevelTemplate {
     /// Contrast: samples less their mean. Gradients along x and y, made orthogonal to constants and to the contrast: their product
     /// with an image that differs only by gain and offset is zero.
     appearance: Memory,
-    /// Inverse of the matrix of products of the two gradients.
+    /// The matrix of products of the two gradients.
+    pub hessian: Matrix2<f64>,
+    /// Its inverse.
     pub inverse_hessian: Matrix2<f64>,
     /// Sum of the squared contrast.
     pub contrast_energy: f64,
@@ -160,7 +162,8 @@ impl LevelTemplate {
         if weakest < n * 0.01 {
             return None;
         }
-        let inverse_hessian = Matrix2::new(xx, xy, xy, yy).try_inverse()?;
+        let hessian = Matrix2::new(xx, xy, xy, yy);
+        let inverse_hessian = hessian.try_inverse()?;
         let mut appearance = Memory::new();
         let less = Orthogonal {
             mean: mean as f32,
@@ -172,6 +175,7 @@ impl LevelTemplate {
         appearance.0.iter_mut().for_each(|a| write_appearance(image, left, top, &less, a));
         Some(Self {
             centre: Vector2::new(left as f64 + TO_CENTRE, top as f64 + TO_CENTRE),
+            hessian,
             inverse_hessian,
             appearance,
             contrast_energy,

@@ -6,7 +6,7 @@ use super::{FlowConfig, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
 use crate::image::simd::mean_and_energy;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 /// A template found again.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +15,8 @@ pub struct Track {
     pub position: Pixel,
     /// The part of its contrast that is left unexplained after gain and offset, 0 to 1.
     pub dissimilarity: f64,
+    /// Covariance of the position as far as the noise of the samples goes, pixels²: large along an edge that is only straight.
+    pub covariance_px2: Matrix2<f64>,
 }
 
 /// Why a template was not found again.
@@ -67,8 +69,35 @@ pub fn track(
     }
     let dissimilarity = found.ok_or(TrackFailure::Outside)?;
     let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
-    Ok(Track { position, dissimilarity })
+    let covariance_px2 = covariance(template.finest(), &prediction.linear, dissimilarity);
+    Ok(Track { position, dissimilarity, covariance_px2 })
 }
+
+/// The covariance of where a patch is found under a warp of this shape, pixels²: what is left unexplained is noise, and the gradients weigh it.
+/// Half of the noise is the template's own; what it adds to the gradients holds nothing and is taken off.
+pub(super) fn covariance(patch: &LevelTemplate, linear: &Matrix2<f64>, dissimilarity: f64) -> Matrix2<f64> {
+    let part = (dissimilarity * dissimilarity).min(MOST_NOISE);
+    let noise = part / (1.0 - part) * patch.contrast_energy / AREA as f64;
+    let [[xx, xy], [_, yy]] = patch.hessian.data.0;
+    // Eigenvalues, and the direction of the larger one.
+    let (middle, half) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
+    let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
+    let variance = |held: f64| noise / (held - GRADIENT_NOISE * AREA as f64 * noise).max(LEAST_HELD * held);
+    let (across, along) = (variance(middle + half), variance((middle - half).max(1e-9)));
+    let (sin, cos) = angle.sin_cos();
+    let (over, under) = (Vector2::new(cos, sin), Vector2::new(-sin, cos));
+    let of_template = across * over * over.transpose() + along * under * under.transpose();
+    linear * of_template * linear.transpose()
+}
+
+/// What is unexplained counts as noise up to this part of the contrast: beyond, it is something else.
+const MOST_NOISE: f64 = 0.9;
+
+/// Variance of a central difference of the template over that of what is left unexplained, which is the noise of two images.
+const GRADIENT_NOISE: f64 = 0.25;
+
+/// The part of the squared gradients in a direction that counts even where noise alone would have made as many.
+const LEAST_HELD: f64 = 0.05;
 
 /// Steps that would lead less than this far end a level other than the full image, pixels of the level.
 const COARSE_STEP_PX: f64 = 0.05;

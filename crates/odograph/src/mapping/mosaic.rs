@@ -7,6 +7,7 @@
 
 mod footprint;
 mod laying;
+mod relaid;
 mod sampling;
 mod tiles;
 
@@ -16,6 +17,7 @@ use crate::image::{GrayImage, RgbImage};
 use crate::mapping::Placement;
 use footprint::{Footprint, View};
 use laying::{BLOCK, Blocks, Corner, Feather};
+pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
 use sampling::Samples;
 use tiles::{TILE, Tiles};
 
@@ -79,7 +81,7 @@ pub struct MosaicPicture {
 /// A square of the stored ground, [`Mosaic::TILE_SIDE_PX`] pixels a side: column and row count from the world's origin, columns along x and
 /// rows against y.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct MosaicTile {
+pub struct MosaicSquare {
     /// Along x: its left border is at `column · side · resolution`.
     pub column: i64,
     /// Against y: its upper border is at y = `-row · side · resolution`.
@@ -116,7 +118,7 @@ impl Mosaic {
         self.resolution_m
     }
 
-    /// Side of a [`MosaicTile`], ground pixels.
+    /// Side of a [`MosaicSquare`], ground pixels.
     pub const TILE_SIDE_PX: usize = TILE as usize;
 
     /// Grows with everything that is laid; for [`Mosaic::changed_since`].
@@ -125,12 +127,12 @@ impl Mosaic {
     }
 
     /// The tiles that were laid on after a revision. All of them after the resolution has changed.
-    pub fn changed_since(&self, revision: u64) -> impl Iterator<Item = MosaicTile> {
-        self.tiles.changed_since(revision).map(|(row, column)| MosaicTile { column, row })
+    pub fn changed_since(&self, revision: u64) -> impl Iterator<Item = MosaicSquare> {
+        self.tiles.changed_since(revision).map(|(row, column)| MosaicSquare { column, row })
     }
 
     /// Red, green, blue and opacity of a tile's pixels in row order, as [`MosaicPicture::rgba`]; `None` where nothing was seen.
-    pub fn tile_rgba(&self, tile: MosaicTile) -> Option<Vec<u8>> {
+    pub fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         self.tiles.contains(tile.row, tile.column).then(|| {
             let (left, top) = (tile.column * TILE, tile.row * TILE);
             self.tiles.rgba(&(left..left + TILE), &(top..top + TILE))

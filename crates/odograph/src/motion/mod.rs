@@ -19,7 +19,7 @@ pub use rig_prior::{RigPrior, RigWander};
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
-use nalgebra::Matrix6;
+use nalgebra::{Matrix2, Matrix6};
 use serde::{Deserialize, Serialize};
 
 /// What may change between frames.
@@ -101,6 +101,9 @@ pub struct Observation {
     pub ground: GroundPoint,
     /// Where the track is in the present frame.
     pub pixel: Pixel,
+    /// What a distance from there is multiplied with to be as uncertain in every direction as that of a usual track: the identity weighs both
+    /// coordinates alike, a track on a straight edge counts across it only.
+    pub whitening: Matrix2<f64>,
 }
 
 /// A measured pose.

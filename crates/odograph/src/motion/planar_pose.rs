@@ -36,8 +36,8 @@ impl Pull {
     }
 }
 
-/// Where an observation's ground point is seen from a pose, less where it was seen (pixels), and the derivative of that by the six
-/// numbers of the pose.
+/// Where an observation's ground point is seen from a pose, less where it was seen, whitened (pixels of a usual track), and the derivative of
+/// that by the six numbers of the pose.
 #[derive(Debug, Clone, Copy)]
 struct Residual {
     error: [f64; 2],
@@ -74,8 +74,15 @@ fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes:
         let turned = from_camera.cross(&in_world);
         [-in_world.x, -in_world.y, -turned.z, -in_world.z, -axes.roll.dot(&turned), -axes.pitch.dot(&turned)]
     };
-    let error = [pixel.x - observation.pixel.x, pixel.y - observation.pixel.y];
-    Some(Residual { error, by_pose: [row(0), row(1)] })
+    let [[xx, yx], [xy, yy]] = observation.whitening.data.0; // by columns
+    let whitened = |x: f64, y: f64| [xx * x + xy * y, yx * x + yy * y];
+    let (first, second) = (row(0), row(1));
+    let mut by_pose = [[0.0; 6]; 2];
+    for i in 0..6 {
+        [by_pose[0][i], by_pose[1][i]] = whitened(first[i], second[i]);
+    }
+    let error = whitened(pixel.x - observation.pixel.x, pixel.y - observation.pixel.y);
+    Some(Residual { error, by_pose })
 }
 
 /// The rotation of a pose and the world axes about which its angles turn; heading turns about z.

@@ -29,7 +29,7 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
                     pixel.y + noise_px * gaussian * angle.sin(),
                 )
             };
-            seen.push(Observation { ground, pixel });
+            seen.push(Observation { ground, pixel, whitening: nalgebra::Matrix2::identity() });
         }
     }
     seen

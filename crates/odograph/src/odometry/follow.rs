@@ -1,7 +1,7 @@
 //! A keyframe's corners found again in a frame, and the movement they speak for.
 
 use super::OdometryConfig;
-use super::keyframe::{KeyCorner, Keyframe, Pose};
+use super::keyframe::{KeyCorner, Keyframe, PatchWarp, Pose};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
@@ -10,7 +10,7 @@ use crate::motion::{
     MotionEstimate, MotionModel, Observation, Random, RigWander, estimate, mean_displacement,
 };
 use crate::trajectory::LossReason;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix2, Matrix6};
 
 /// A frame measured against a keyframe.
 #[derive(Debug, Clone)]
@@ -33,13 +33,34 @@ pub struct Found {
     /// Which of the keyframe's corners.
     pub corner: usize,
     pub warp: Warp,
+    /// Of the position, from the noise of the samples, pixels².
+    pub covariance_px2: Matrix2<f64>,
 }
 
-impl Found {
-    fn observation(&self, keyframe: &Keyframe) -> Observation {
-        Observation { ground: keyframe.corners[self.corner].ground, pixel: self.warp.position }
-    }
+/// What was found, weighed by how well each patch holds in each direction.
+fn observations(keyframe: &Keyframe, found: &[Found]) -> Vec<Observation> {
+    let covariance = |found: &Found| found.covariance_px2 + SHARED_PX2 * Matrix2::identity();
+    let mut variances: Vec<f64> = found.iter().map(|found| 0.5 * covariance(found).trace()).collect();
+    let middle = variances.len() / 2;
+    let usual_px2 = match variances.is_empty() {
+        true => 1.0,
+        false => *variances.select_nth_unstable_by(middle, f64::total_cmp).1,
+    };
+    let observation = |found: &Found| {
+        let information = covariance(found).try_inverse().map(|inverse| usual_px2 * inverse);
+        let whitening = information.and_then(|information| information.cholesky());
+        Observation {
+            ground: keyframe.corners[found.corner].ground,
+            pixel: found.warp.position,
+            whitening: whitening.map_or(Matrix2::identity(), |root| root.l().transpose()),
+        }
+    };
+    found.iter().map(observation).collect()
 }
+
+/// What a track is off even without noise (interpolation, what the shape of its warp leaves), pixels²: 0.02 px. More exact than that no track is
+/// taken to be, so that where all are good all count alike.
+const SHARED_PX2: f64 = 4e-4;
 
 /// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
 pub fn measure(
@@ -208,7 +229,7 @@ fn agreement(
     wander: &RigWander,
     random: &mut Random,
 ) -> Option<GroundPose> {
-    let observations: Vec<Observation> = found.iter().map(|found| found.observation(keyframe)).collect();
+    let observations = observations(keyframe, found);
     let prior = wander.prior(prediction, &config.motion);
     let estimate = estimate(camera, &observations, prediction, &prior, &config.motion, random)?;
     let expected = in_view(scouts.map(|index| &keyframe.corners[index]), camera, &estimate.pose);
@@ -230,22 +251,23 @@ fn find(
     off_px: f64,
     config: &OdometryConfig,
 ) -> Option<Found> {
-    let warp = corner.warp(camera, pose)?;
+    let PatchWarp { warp, bend } = corner.warp(camera, pose)?;
     if off_px > SETTLED_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
-    let warp = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
-        Ok(Track { position, dissimilarity }) if dissimilarity <= config.flow.dissimilarity => {
-            Warp { position, ..warp }
+    let (warp, covariance_px2) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
+        Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
+            (Warp { position: found.position, ..warp }, found.covariance_px2)
         }
         // Second judgement: perhaps only the expected shape was wrong.
         Ok(Track { position, .. }) => {
             let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
-            (judged.dissimilarity <= config.flow.dissimilarity).then_some(warp)?
+            (judged.dissimilarity <= config.flow.dissimilarity).then_some((warp, judged.covariance_px2))?
         }
         Err(_) => return None,
     };
-    Some(Found { corner: index, warp })
+    let centre = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
+    Some(Found { corner: index, warp: Warp { position: centre, ..warp }, covariance_px2 })
 }
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
@@ -256,7 +278,8 @@ fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, off_px: f64, config: &O
         let Track { position, .. } =
             track(&corner.template, pyramid, &corner.seen, off_px, &config.flow).ok()?;
         let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
-        (judged.dissimilarity <= config.flow.dissimilarity).then_some(Found { corner: index, warp })
+        let found = Found { corner: index, warp, covariance_px2: judged.covariance_px2 };
+        (judged.dissimilarity <= config.flow.dissimilarity).then_some(found)
     };
     keyframe.corners.iter().enumerate().filter_map(search).collect()
 }
@@ -277,7 +300,7 @@ fn judge(
     let estimate = if config.motion.model == MotionModel::Mean {
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
-        let observations: Vec<Observation> = found.iter().map(|found| found.observation(keyframe)).collect();
+        let observations = observations(keyframe, &found);
         let prior = wander.prior(prediction, &config.motion);
         let near = settled.unwrap_or(*prediction);
         estimate(camera, &observations, &near, &prior, &config.motion, random)

@@ -5,6 +5,7 @@ use crate::detection::{DetectionConfig, detect};
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
+use crate::mapping::KeyframeId;
 use crate::motion::{CoarseRegistration, GroundView};
 use nalgebra::{Matrix2, Matrix6, Vector2};
 use std::collections::VecDeque;
@@ -12,12 +13,19 @@ use std::collections::VecDeque;
 /// Corners this near the border cannot carry a full template with its gradients.
 const MARGIN_PX: usize = 9;
 
-/// Half the base over which the shape of a predicted warp is differenced, pixels: about the reach of a patch.
-const WARP_BASE_PX: f64 = 4.0;
+/// Three points this far around the centre of a corner, a third of a turn apart, show where and in which shape its patch is expected, pixels. In their
+/// mean a curvature of the warp (a lens is never straight) shifts as much as in the mean of the whole patch, of which the samples are
+/// (16² − 1) / 12 px² from the middle along either side: their squared distance is twice that of both.
+const RING_PX: f64 = 6.519_202_405_202_649;
+
+/// Of the ring's points, (right, down) in units of its radius.
+const RING: [(f64, f64); 3] = [(1.0, 0.0), (-0.5, 0.866_025_403_784_438_6), (-0.5, -0.866_025_403_784_438_6)];
 
 /// An image in use as the reference, with its corners prepared for being found again.
 #[derive(Debug)]
 pub struct Keyframe {
+    /// Its number; one that has not been taken into use yet has none.
+    pub id: Option<KeyframeId>,
     pub pyramid: Pyramid,
     pub pose: GroundPose,
     /// Of the pose against the start of the run, (x, y, heading, height, roll, pitch).
@@ -37,26 +45,38 @@ pub struct KeyCorner {
     pub template: Template,
     /// Where its centre lies on the ground.
     pub ground: GroundPoint,
-    /// Where the keyframe points [`WARP_BASE_PX`] right of and below the centre lie.
-    beside: [GroundPoint; 2],
+    /// Where the points of the ring around the centre lie.
+    ring: [GroundPoint; 3],
     /// How it was last found.
     pub seen: Warp,
 }
 
 impl KeyCorner {
     /// Where and in which shape the corner is expected by a camera at `pose`; `None` where it would be out of sight.
-    pub fn warp(&self, camera: &Camera, pose: &Pose) -> Option<Warp> {
-        let position = pose.pixel(camera, self.ground)?;
-        let right = pose.pixel(camera, self.beside[0])?;
-        let below = pose.pixel(camera, self.beside[1])?;
-        let linear = Matrix2::new(
-            right.x - position.x,
-            below.x - position.x,
-            right.y - position.y,
-            below.y - position.y,
-        ) / WARP_BASE_PX;
-        Some(Warp { position, linear })
+    pub fn warp(&self, camera: &Camera, pose: &Pose) -> Option<PatchWarp> {
+        let centre = pose.pixel(camera, self.ground)?;
+        let mut mean = Vector2::zeros();
+        let mut linear = Matrix2::zeros();
+        for (point, (right, down)) in self.ring.iter().zip(RING) {
+            let pixel = pose.pixel(camera, *point)?;
+            let from_centre = Vector2::new(pixel.x - centre.x, pixel.y - centre.y);
+            mean += from_centre / 3.0;
+            // Least squares over the ring.
+            linear += from_centre * Vector2::new(right, down).transpose() * (2.0 / (3.0 * RING_PX));
+        }
+        let position = Pixel::new(centre.x + mean.x, centre.y + mean.y);
+        Some(PatchWarp { warp: Warp { position, linear }, bend: mean })
     }
+}
+
+/// How the patch of a corner is expected.
+#[derive(Debug, Clone, Copy)]
+pub struct PatchWarp {
+    /// Of the patch as a whole.
+    pub warp: Warp,
+    /// How far the patch as a whole is from where its centre is, pixels: Lucas–Kanade finds the whole patch, and what lies on the ground is its
+    /// centre. Left out, a lens that bends lines makes every way as much longer as its curvature changes along it.
+    pub bend: Vector2<f64>,
 }
 
 /// A pose with its rotation worked out once for many points.
@@ -78,20 +98,21 @@ impl Pose {
     }
 }
 
-/// The rays of a pixel and of those [`WARP_BASE_PX`] right of and below it: the others by one step of Newton's method from where the
-/// derivative at the first puts them, exact to far less than a thousandth of a pixel.
-fn rays_about(camera: &Camera, pixel: Pixel) -> Option<[Ray; 3]> {
+/// The rays of a pixel and of the ring around it: the others by one step of Newton's method from where the derivative at the first puts them,
+/// exact to far less than a thousandth of a pixel.
+fn rays_about(camera: &Camera, pixel: Pixel) -> Option<(Ray, [Ray; 3])> {
     let ray = camera.ray_from_pixel(pixel)?;
     let (_, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
     let ray_by_pixel = pixel_by_ray.try_inverse()?;
-    let beside = |offset: Vector2<f64>| {
+    let beside = |(right, down): (f64, f64)| {
+        let offset = RING_PX * Vector2::new(right, down);
         let guess = ray_by_pixel * offset;
         let guess = Ray::new(ray.x + guess.x, ray.y + guess.y);
         let seen = camera.pixel_from_ray(guess)?;
         let left = ray_by_pixel * Vector2::new(pixel.x + offset.x - seen.x, pixel.y + offset.y - seen.y);
         Some(Ray::new(guess.x + left.x, guess.y + left.y))
     };
-    Some([ray, beside(Vector2::new(WARP_BASE_PX, 0.0))?, beside(Vector2::new(0.0, WARP_BASE_PX))?])
+    Some((ray, [beside(RING[0])?, beside(RING[1])?, beside(RING[2])?]))
 }
 
 /// [`GroundPose::ground_from_ray`] with the rotation worked out once for many rays.
@@ -125,28 +146,28 @@ impl Keyframe {
     ) -> Self {
         let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
         Self::prepare(
-            KeyframeRecord { pyramid, pose, covariance, places, view: None, reachable: true },
+            KeyframeRecord { id: None, pyramid, pose, covariance, places, view: None, reachable: true },
             camera,
         )
     }
 
     fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {
-        let KeyframeRecord { pyramid, pose, covariance, places, view, .. } = record;
+        let KeyframeRecord { id, pyramid, pose, covariance, places, view, .. } = record;
         let ground_from_ray = GroundFromRay::new(&pose);
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&pyramid, place)?;
             let centre = template.centre();
-            let [ray, right, below] = rays_about(camera, centre)?;
+            let (ray, [first, second, third]) = rays_about(camera, centre)?;
             let on_ground = |ray| ground_from_ray.of(ray);
             Some(KeyCorner {
                 ground: on_ground(ray)?,
-                beside: [on_ground(right)?, on_ground(below)?],
+                ring: [on_ground(first)?, on_ground(second)?, on_ground(third)?],
                 seen: Warp::translation(centre),
                 template,
             })
         };
         let corners: Vec<KeyCorner> = places.iter().filter_map(corner).collect();
-        Self { corners_at_first: corners.len(), corners, pyramid, pose, covariance, places, view }
+        Self { id, corners_at_first: corners.len(), corners, pyramid, pose, covariance, places, view }
     }
 
     /// Makes the view for coarse registration, where there is none yet.
@@ -178,14 +199,15 @@ impl Keyframe {
 
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(self) -> KeyframeRecord {
-        let Self { pyramid, pose, covariance, places, view, .. } = self;
-        KeyframeRecord { pyramid, pose, covariance, places, view, reachable: true }
+        let Self { id, pyramid, pose, covariance, places, view, .. } = self;
+        KeyframeRecord { id, pyramid, pose, covariance, places, view, reachable: true }
     }
 }
 
 /// A keyframe without its templates: a tenth of the memory.
 #[derive(Debug)]
 pub struct KeyframeRecord {
+    id: Option<KeyframeId>,
     pyramid: Pyramid,
     pose: GroundPose,
     covariance: Matrix6<f64>,

@@ -2,7 +2,7 @@
 
 use crate::commands::run::pipeline::{Laying, Posed};
 use odograph::camera::Camera;
-use odograph::mapping::{Mosaic, MosaicTile};
+use odograph::mapping::{Mosaic, MosaicSquare};
 use odograph_live::Ground;
 use odograph_live::ground::GroundState;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -66,11 +66,11 @@ impl Ground for LiveGround {
         })?
     }
 
-    fn changed_since(&self, revision: u64) -> Vec<MosaicTile> {
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
         self.with(|mosaic| mosaic.changed_since(revision).collect()).unwrap_or_default()
     }
 
-    fn tile_rgba(&self, tile: MosaicTile) -> Option<Vec<u8>> {
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         self.with(|mosaic| mosaic.tile_rgba(tile))?
     }
 }

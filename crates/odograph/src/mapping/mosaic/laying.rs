@@ -1,7 +1,7 @@
 //! How a frame is laid on the ground: block by block, levelled in brightness, feathered.
 
 use super::Mosaic;
-use super::footprint::View;
+use super::footprint::{Look, View};
 use super::tiles::{Lookup, TILE};
 use crate::camera::Camera;
 use crate::geometry::GroundPoint;
@@ -19,9 +19,15 @@ const GAIN_SHARE: f64 = 0.95;
 /// What is known at a corner of a block: where it is in the image, and how well the ground is seen there.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Corner {
-    x: f32,
-    y: f32,
-    quality: f32,
+    pub x: f32,
+    pub y: f32,
+    pub quality: f32,
+}
+
+impl From<Look> for Corner {
+    fn from(look: Look) -> Self {
+        Self { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
+    }
 }
 
 /// The blocks under a footprint: ranges of block columns (along x) and rows (against y).
@@ -38,11 +44,7 @@ impl Mosaic {
         for row in blocks.rows.start..=blocks.rows.end {
             for column in blocks.columns.start..=blocks.columns.end {
                 let look = view.look(GroundPoint::new(column as f64 * side, -(row as f64) * side));
-                self.corners.push(look.map(|look| Corner {
-                    x: look.x as f32,
-                    y: look.y as f32,
-                    quality: look.quality() as f32,
-                }));
+                self.corners.push(look.map(Corner::from));
             }
         }
     }
@@ -125,7 +127,7 @@ impl Mosaic {
                                 let x_m = (left as f64 + i as f64 + 0.5) * resolution_m;
                                 let y_m = -(top as f64 + j as f64 + 0.5) * resolution_m;
                                 let Some(look) = view.look(GroundPoint::new(x_m, y_m)) else { continue };
-                                Corner { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
+                                Corner::from(look)
                             }
                         };
                         let Some(weight) = feather.weight(at.x, at.y, at.quality) else { continue };
@@ -192,7 +194,7 @@ impl Corner {
     }
 
     /// The first pixel centre of row `j` in a block with the corners a b / c d, and the step to the next.
-    fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> (Self, Self) {
+    pub fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> (Self, Self) {
         let down = (j as f32 + 0.5) / BLOCK as f32;
         let (left, right) = (a.mix(c, down), b.mix(d, down));
         let part = |a: f32, b: f32| (b - a) / BLOCK as f32;
@@ -205,7 +207,7 @@ impl Corner {
     }
 
     #[inline]
-    fn plus(self, step: Self, times: f32) -> Self {
+    pub fn plus(self, step: Self, times: f32) -> Self {
         Self {
             x: self.x + step.x * times,
             y: self.y + step.y * times,

@@ -237,7 +237,7 @@ fn changed_tiles_put_together_are_the_picture() {
     let mut opaque = 0;
     for (k, pixel) in picture.rgba.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
         let (x, y) = (left + (k % picture.width) as i64, top + (k / picture.width) as i64);
-        let tile = MosaicTile { column: x.div_euclid(side), row: y.div_euclid(side) };
+        let tile = MosaicSquare { column: x.div_euclid(side), row: y.div_euclid(side) };
         let at = 4 * (y.rem_euclid(side) * side + x.rem_euclid(side)) as usize;
         assert_eq!(&held[&tile][at..at + 4], pixel, "{x} {y}");
         opaque += 1;
