@@ -19,7 +19,8 @@ export class GroundMap {
     this.changed = true;
     this.onUnfollow = () => {};
     this.listen();
-    new ResizeObserver(() => this.resize()).observe(canvas);
+    // What is resized is empty: it is drawn again before anybody sees it.
+    new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas);
     this.resize();
   }
 

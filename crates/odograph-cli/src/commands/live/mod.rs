@@ -153,7 +153,10 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let info = source.source.info().clone();
     let name = arguments.source.trim_end_matches(['/', '\\']);
     let introduction = Introduction {
-        title: name.rsplit(['/', '\\']).next().unwrap_or(name).to_owned(),
+        title: match name.rsplit(['/', '\\']).next() {
+            Some("-") => "standard input".to_owned(),
+            last => last.unwrap_or(name).to_owned(),
+        },
         source: info.description.clone(),
         width: info.width,
         height: info.height,

@@ -18,6 +18,8 @@ const LITTLE_SPACE: u64 = 200 << 20;
 /// The folder of a live run.
 pub struct Recorder {
     folder: OutputFolder,
+    /// `run.toml`, until it is written with the first frame: a run without any leaves nothing behind.
+    plan: Option<String>,
     flushed: Instant,
     space_looked: Option<Instant>,
     little_space: Option<String>,
@@ -26,11 +28,11 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Records into a folder. The plan is in it from the beginning.
-    pub fn new(mut folder: OutputFolder, plan: &RunPlan) -> Result<Self> {
-        folder.write("run.toml", plan.text()?.as_bytes())?;
+    /// Records into a folder. The plan is in it from the first frame on.
+    pub fn new(folder: OutputFolder, plan: &RunPlan) -> Result<Self> {
         Ok(Self {
             folder,
+            plan: Some(plan.text()?),
             flushed: Instant::now(),
             space_looked: None,
             little_space: None,
@@ -44,7 +46,11 @@ impl Recorder {
         if self.stopped.is_some() {
             return;
         }
-        let mut written = self.folder.record(frame);
+        let mut written = match self.plan.take() {
+            Some(plan) => self.folder.write("run.toml", plan.as_bytes()),
+            None => Ok(()),
+        };
+        written = written.and_then(|()| self.folder.record(frame));
         if written.is_ok() && self.flushed.elapsed() >= FLUSHED_EVERY {
             self.flushed = Instant::now();
             written = self.folder.flush();
