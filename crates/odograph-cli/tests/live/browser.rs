@@ -115,7 +115,7 @@ impl Browser {
     /// Waits until an expression is true.
     pub fn wait(&mut self, tab: &Tab, expression: &str) {
         let until = Instant::now() + PATIENCE;
-        while self.evaluate(tab, &format!("Boolean({expression})")) != json!(true) {
+        while self.evaluate(tab, &format!("Boolean(document.body && ({expression}))")) != json!(true) {
             if Instant::now() > until {
                 let page =
                     self.evaluate(tab, "JSON.stringify(document.body.dataset) + document.body.innerText");

@@ -120,10 +120,15 @@ pub fn statistics(folder: &Path) -> Value {
     serde_json::from_slice(&fs::read(folder.join("stats.json")).unwrap()).unwrap()
 }
 
-/// Frames of the drive's first seconds as JPEG pictures.
-pub fn pieces() -> Vec<Vec<u8>> {
-    let options = SourceOptions { end_s: Some(5.0), every: 2, ..SourceOptions::default() };
-    let mut source = odograph_video::open(format!("{DEMO}/drive.mp4"), &options).unwrap();
+/// The first seconds of the drive.
+fn beginning(every: u64) -> odograph_video::Source {
+    let options = SourceOptions { end_s: Some(4.0), every, ..SourceOptions::default() };
+    odograph_video::open(format!("{DEMO}/drive.mp4"), &options).unwrap()
+}
+
+/// Every other frame of the drive's first seconds as JPEG pictures.
+pub fn pictures() -> Vec<Vec<u8>> {
+    let mut source = beginning(2);
     let mut pictures = Vec::new();
     while let Some(frame) = source.next_frame().unwrap() {
         let mut jpeg = Vec::new();
@@ -132,4 +137,15 @@ pub fn pieces() -> Vec<Vec<u8>> {
         pictures.push(jpeg);
     }
     pictures
+}
+
+/// The drive's first seconds without compression: what costs almost nothing to read comes faster than it can be tracked.
+pub fn write_uncompressed(path: &Path) {
+    let mut file = fs::File::create(path).unwrap();
+    file.write_all(b"YUV4MPEG2 W640 H480 F30:1 Cmono\n").unwrap();
+    let mut source = beginning(1);
+    while let Some(frame) = source.next_frame().unwrap() {
+        file.write_all(b"FRAME\n").unwrap();
+        file.write_all(frame.gray.samples()).unwrap();
+    }
 }

@@ -108,7 +108,7 @@ impl HttpMjpeg {
                         continue;
                     }
                     Ok(false) => "the stream ended".to_owned(),
-                    Err(error) => error.to_string(),
+                    Err(error) => in_words(error).to_string(),
                 },
             };
             self.connection = None;
@@ -169,6 +169,20 @@ impl LiveSource for HttpMjpeg {
 
 /// Connects, asks, and reads the head of the answer.
 fn connect(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
+    ask(url).map_err(in_words)
+}
+
+/// What a time that has run out is called differs between systems, and none of the names says it.
+fn in_words(error: io::Error) -> io::Error {
+    match error.kind() {
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
+            io::Error::new(io::ErrorKind::TimedOut, format!("nothing came for {} s", PATIENCE.as_secs()))
+        }
+        _ => error,
+    }
+}
+
+fn ask(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
     let addresses = (url.host.as_str(), url.port).to_socket_addrs()?;
     let mut last = io::Error::other("there is no such host");
     let stream = addresses
