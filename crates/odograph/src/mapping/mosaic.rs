@@ -16,7 +16,7 @@ use crate::geometry::GroundPose;
 use crate::image::{GrayImage, RgbImage};
 use crate::mapping::Placement;
 use footprint::{Footprint, View};
-use laying::{BLOCK, Blocks, Corner, Feather};
+use laying::{BLOCK, Blocks, Corner, feather};
 pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
 use sampling::Samples;
 use tiles::{TILE, Tiles};
@@ -150,15 +150,15 @@ impl Mosaic {
         let Some(resolution_m) = self.resolution_m else {
             return true;
         };
-        let feather = Feather::new(camera);
+        let feather = feather(camera);
         let (mut seen, mut new, mut better) = (0, 0, 0);
         for point in footprint.ground_points(&view) {
             let Some(look) = view.look(point) else { continue };
             seen += 1;
-            let weight = feather.weight(look.x as f32, look.y as f32, look.quality() as f32).unwrap_or(1);
+            let weight = feather.weight(look.x as f32, look.y as f32, look.quality() as f32).max(1);
             match self.tiles.weight(address(point.x_m, resolution_m), address(-point.y_m, resolution_m)) {
                 0 => new += 1,
-                before if 2 * u16::from(before) < u16::from(weight) => better += 1,
+                before if 2 * i32::from(before) < weight => better += 1,
                 _ => {}
             }
         }

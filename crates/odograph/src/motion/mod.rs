@@ -17,6 +17,7 @@ pub use mean::mean_displacement;
 pub use random::Random;
 pub use rig_prior::{RigPrior, RigWander};
 
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use nalgebra::{Matrix2, Matrix6};
@@ -106,6 +107,8 @@ pub struct Observation {
     pub whitening: Matrix2<f64>,
 }
 
+stored!(Observation);
+
 /// A measured pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionEstimate {
@@ -114,7 +117,7 @@ pub struct MotionEstimate {
     /// Covariance of (x, y, heading, height, roll, pitch) given the ground points; zero rows for what the model holds fixed.
     pub covariance: Matrix6<f64>,
     /// For each observation, whether it agrees.
-    pub inliers: Vec<bool>,
+    pub inliers: Buffer<bool>,
     /// Root mean square distance of the inliers from their re-projections, pixels.
     pub residual_px: f64,
     /// Height, roll and pitch as the tracks alone have them, without the prior, and the variance of each; only where all three were

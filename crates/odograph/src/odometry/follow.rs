@@ -2,6 +2,7 @@
 
 use super::OdometryConfig;
 use super::keyframe::{KeyCorner, Keyframe, PatchWarp, Pose};
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
@@ -19,7 +20,7 @@ pub struct Measurement {
     /// Where it was looked for.
     pub prediction: GroundPose,
     /// The corners found again, in step with the estimate's inliers.
-    pub found: Vec<Found>,
+    pub found: Buffer<Found>,
     /// The part of the keyframe's corners that supports the movement, 0 to 1.
     pub support: f64,
     /// Whether some of the corners were found first and agreed on a pose from which the others were looked for: what was not found from
@@ -38,9 +39,9 @@ pub struct Found {
 }
 
 /// What was found, weighed by how well each patch holds in each direction.
-fn observations(keyframe: &Keyframe, found: &[Found]) -> Vec<Observation> {
+fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
     let covariance = |found: &Found| found.covariance_px2 + SHARED_PX2 * Matrix2::identity();
-    let mut variances: Vec<f64> = found.iter().map(|found| 0.5 * covariance(found).trace()).collect();
+    let mut variances: Buffer<f64> = found.iter().map(|found| 0.5 * covariance(found).trace()).collect();
     let middle = variances.len() / 2;
     let usual_px2 = match variances.is_empty() {
         true => 1.0,
@@ -61,6 +62,8 @@ fn observations(keyframe: &Keyframe, found: &[Found]) -> Vec<Observation> {
 /// What a track is off even without noise (interpolation, what the shape of its warp leaves), pixels²: 0.02 px. More exact than that no track is
 /// taken to be, so that where all are good all count alike.
 const SHARED_PX2: f64 = 4e-4;
+
+stored!(Found);
 
 /// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
 pub fn measure(
@@ -122,7 +125,7 @@ pub fn confirm(
         forward_backward_px(template, &keyframe.pyramid, pyramid, &found.warp, &config.flow)
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
-    let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
+    let found: Buffer<Found> = measurement.found.iter().filter(comes_back).copied().collect();
     let followed = Followed { found, settled: measurement.settled.then_some(measurement.estimate.pose) };
     judge(keyframe, followed, camera, &measurement.prediction, config, wander, random).unwrap_or(measurement)
 }
@@ -158,7 +161,7 @@ const TEMPLATE_REACH_PX: f64 = 10.0;
 
 /// The corners found again, and the pose that the first of them agreed on.
 struct Followed {
-    found: Vec<Found>,
+    found: Buffer<Found>,
     settled: Option<GroundPose>,
 }
 
@@ -185,7 +188,7 @@ fn follow(
 ) -> Followed {
     let corners = keyframe.corners.len();
     let every = corners / SCOUTS;
-    let mut found = Vec::with_capacity(corners);
+    let mut found = Buffer::new();
     let from = Pose::new(*prediction);
     let find = |index: usize, from: &Pose, off_px: f64| {
         find(index, &keyframe.corners[index], keyframe, pyramid, camera, from, off_px, config)
@@ -272,7 +275,12 @@ fn find(
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
 /// a model of the camera's rotation.
-fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, off_px: f64, config: &OdometryConfig) -> Vec<Found> {
+fn follow_by_eye(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    off_px: f64,
+    config: &OdometryConfig,
+) -> Buffer<Found> {
     let search = |(index, corner): (usize, &KeyCorner)| {
         corner.template.add_coarser_levels(&keyframe.pyramid);
         let Track { position, .. } =

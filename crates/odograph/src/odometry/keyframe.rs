@@ -116,17 +116,17 @@ fn rays_about(camera: &Camera, pixel: Pixel) -> Option<(Ray, [Ray; 3])> {
 }
 
 /// [`GroundPose::ground_from_ray`] with the rotation worked out once for many rays.
-struct GroundFromRay<'a> {
+pub struct GroundFromRay<'a> {
     pose: &'a GroundPose,
     world_from_camera: nalgebra::Matrix3<f64>,
 }
 
 impl<'a> GroundFromRay<'a> {
-    fn new(pose: &'a GroundPose) -> Self {
+    pub fn new(pose: &'a GroundPose) -> Self {
         Self { pose, world_from_camera: pose.world_from_camera_rotation() }
     }
 
-    fn of(&self, ray: Ray) -> Option<GroundPoint> {
+    pub fn of(&self, ray: Ray) -> Option<GroundPoint> {
         let direction = self.world_from_camera * ray.vector();
         (direction.z < -1e-9).then(|| {
             let reach = -self.pose.height_m / direction.z;
@@ -295,10 +295,10 @@ impl KeyframeMemory {
 }
 
 /// Points of a coarse grid over an image, on a side.
-const GRID: usize = 8;
+pub const GRID: usize = 8;
 
 /// What the camera sees at the points of a coarse grid over its image.
-fn grid_rays(camera: &Camera) -> [Option<Ray>; GRID * GRID] {
+pub fn grid_rays(camera: &Camera) -> [Option<Ray>; GRID * GRID] {
     let (width, height) = (camera.width() as f64, camera.height() as f64);
     std::array::from_fn(|at| {
         let along = |i: usize, size: f64| (i as f64 + 0.5) / GRID as f64 * size - 0.5;
@@ -308,7 +308,12 @@ fn grid_rays(camera: &Camera) -> [Option<Ray>; GRID * GRID] {
 
 /// The part of a coarse grid over a keyframe's image that a camera at `pose` would have in view.
 fn overlap(record: &KeyframeRecord, rays: &[Option<Ray>; GRID * GRID], camera: &Camera, pose: &Pose) -> f64 {
-    let ground_from_ray = GroundFromRay::new(&record.pose);
+    seen_share(&record.pose, rays, camera, pose)
+}
+
+/// The part of a coarse grid over the image of a camera at `at` that a camera at `pose` would have in view.
+pub fn seen_share(at: &GroundPose, rays: &[Option<Ray>; GRID * GRID], camera: &Camera, pose: &Pose) -> f64 {
+    let ground_from_ray = GroundFromRay::new(at);
     let seen = rays.iter().filter(|ray| {
         let ground = ray.and_then(|ray| ground_from_ray.of(ray));
         let back = ground.and_then(|ground| pose.pixel(camera, ground));

@@ -10,6 +10,7 @@ mod keyframe;
 mod keyframe_event;
 mod last_pose;
 mod limits;
+pub(crate) mod matching;
 mod recovery;
 
 use crate::camera::{Camera, Rig};
@@ -63,6 +64,14 @@ pub struct KeyframeConfig {
 impl Default for KeyframeConfig {
     fn default() -> Self {
         Self { support: 0.5, revisit: 0.75, remembered: 32 }
+    }
+}
+
+impl OdometryConfig {
+    /// With what depends on the size of the image: blur, rolling shutters and what stands a little above the ground grow with it.
+    fn for_camera(mut self, camera: &Camera) -> Self {
+        self.motion.inlier_px *= (camera.width() as f64 / 640.0).max(1.0);
+        self
     }
 }
 
@@ -129,9 +138,7 @@ impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         let first_pose = rig.validated()?.first_pose();
-        let mut config = config.validated()?;
-        // Blur, rolling shutters and what stands a little above the ground grow with the image.
-        config.motion.inlier_px *= (camera.width() as f64 / 640.0).max(1.0);
+        let config = config.validated()?.for_camera(&camera);
         Ok(Self {
             recovery: Recovery::new(&camera),
             camera,
@@ -344,7 +351,8 @@ impl Odometry {
             let corner = corners.get(found.corner)?.template.centre();
             Some(TrackView { pixel: found.warp.position, corner, inlier })
         };
-        self.tracks = found.iter().zip(&estimate.inliers).filter_map(view).collect();
+        self.tracks.clear();
+        self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
         self.wander.learn(&estimate);
         if let Some(keyframe) = &self.keyframe {
             let presence = follow::presence(keyframe, &self.camera, &estimate);

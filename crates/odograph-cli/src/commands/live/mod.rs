@@ -132,6 +132,7 @@ impl LiveArguments {
                 output,
                 force: self.force,
                 threads: None,
+                map: None,
                 quiet: self.quiet,
                 json: self.json,
             })
@@ -170,8 +171,9 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     {
         console::complain(&format!("look at {url}"));
     }
+    let mapping = run::mapping::Mapping::new(&plan, folder.path(), &run_arguments.output)?;
     let recorder = Recorder::new(folder, &plan)?;
-    let result = pipeline::follow(&plan, source, &watch, &laying, serving.hub(), recorder, outputs);
+    let result = pipeline::follow(&plan, source, &watch, &laying, serving.hub(), mapping, recorder, outputs);
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
     let report = match result {
         Ok(report) => report,

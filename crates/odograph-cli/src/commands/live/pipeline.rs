@@ -5,17 +5,19 @@ use super::latency::Latencies;
 use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
-use crate::commands::run::pipeline::{Posed, StageTimes, Tracked};
+use crate::commands::run::mapping::Mapping;
+use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, number_as_source};
 use crate::commands::run::statistics::LiveStatistics;
 use crate::commands::run::{self, RunPlan, RunReport};
 use crate::interrupt;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::image::GrayImage;
-use odograph::odometry::{Odometry, TrackView};
+use odograph::odometry::{FrameReference, KeyframeEvent, Odometry, TrackView};
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, LiveSource, Newest, Policy, Taken, Watch};
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
+use odograph_video::Frame;
 use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -24,6 +26,8 @@ use std::time::{Duration, Instant};
 const QUEUE: usize = 2;
 /// Frames that wait to be laid on the ground.
 const LAYING_QUEUE: usize = 4;
+/// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is waited for.
+const MAPPING_QUEUE: usize = 64;
 /// How long to wait for a frame before looking at everything else.
 const PATIENCE: Duration = Duration::from_millis(100);
 /// How often the page hears how the run goes.
@@ -38,14 +42,19 @@ pub fn follow(
     watch: &Watch,
     ground: &LiveGround,
     hub: &Arc<Hub>,
+    mapping: Mapping,
     recorder: Recorder,
     outputs: Outputs,
 ) -> Result<RunReport> {
     let started = Instant::now();
+    let repeatable = opened.repeatable;
     let description = opened.source.info().description.clone();
+    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    odometry.tell_keyframes();
     let mut following = Following {
-        odometry: Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?,
+        odometry,
         frames: Vec::new(),
+        references: Vec::new(),
         times: StageTimes::default(),
         latencies: Latencies::default(),
         distance_m: 0.0,
@@ -54,12 +63,13 @@ pub fn follow(
         hub,
         watch,
         queue: Arc::new(Newest::new(opened.policy, QUEUE)),
-        laying: Newest::new(opened.policy, LAYING_QUEUE),
-        views: Newest::new(Policy::NewestWins, 1),
+        policy: opened.policy,
+        not_laid: 0,
         status_told: None,
     };
     let ended = capture(opened.source, Arc::clone(&following.queue));
-    let outcome = following.run(ground);
+    let mut mapping = mapping;
+    let outcome = following.run(ground, &mut mapping);
     watch.end();
     following.queue.close();
     let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
@@ -70,10 +80,13 @@ pub fn follow(
     let tracked = Tracked {
         keyframes: following.odometry.keyframes(),
         frames: following.frames,
+        references: following.references,
         mosaic: mosaic.clone(),
+        mapping,
         warnings: farewell.warnings,
         times: following.times,
         interrupted: interrupt::asked() || hub.stop_asked(),
+        repeatable,
         live: Some(live),
         failure: outcome.err().or(farewell.failure),
     };
@@ -117,13 +130,27 @@ fn capture(
 }
 
 /// Closes the queues of the threads beside however tracking ends, so that they end too.
-struct Closing<'a>(&'a Newest<Posed>, &'a Newest<Sight>);
+struct Closing<'a>(&'a Beside);
 
 impl Drop for Closing<'_> {
     fn drop(&mut self) {
-        self.0.close();
-        self.1.close();
+        self.0.laying.close();
+        self.0.mapping.close();
+        self.0.views.close();
     }
+}
+
+/// What happened to the keyframes with a frame, and the frame, whose colours the map keeps.
+struct Happened {
+    events: Vec<KeyframeEvent>,
+    frame: Frame,
+}
+
+/// The queues to the threads beside tracking.
+struct Beside {
+    laying: Newest<Posed>,
+    mapping: Newest<Happened>,
+    views: Newest<Sight>,
 }
 
 /// A picture to be shown.
@@ -137,6 +164,7 @@ struct Sight {
 struct Following<'a> {
     odometry: Odometry,
     frames: Vec<FrameEstimate>,
+    references: Vec<Option<FrameReference>>,
     times: StageTimes,
     latencies: Latencies,
     distance_m: f64,
@@ -145,45 +173,55 @@ struct Following<'a> {
     hub: &'a Hub,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
-    laying: Newest<Posed>,
-    views: Newest<Sight>,
+    policy: Policy,
+    not_laid: u64,
     status_told: Option<Instant>,
 }
 
 impl Following<'_> {
     /// Tracks until the end. What was measured stays, whatever ends it.
-    fn run(&mut self, ground: &LiveGround) -> Result<()> {
-        // The queues are shared with the threads beside, the rest is not.
-        let laying = Arc::new(std::mem::replace(&mut self.laying, Newest::new(Policy::Wait, 1)));
-        let views = Arc::new(std::mem::replace(&mut self.views, Newest::new(Policy::Wait, 1)));
+    fn run(&mut self, ground: &LiveGround, mapping: &mut Mapping) -> Result<()> {
+        let beside = Beside {
+            laying: Newest::new(self.policy, LAYING_QUEUE),
+            mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
+            views: Newest::new(Policy::NewestWins, 1),
+        };
+        let (beside, hub) = (&beside, self.hub);
         let outcome = thread::scope(|scope| {
-            scope.spawn({
-                let laying = Arc::clone(&laying);
-                move || each(&laying, |posed| ground.lay(posed))
+            scope.spawn(move || each(&beside.laying, |posed| ground.lay(posed)));
+            scope.spawn(move || {
+                each(&beside.views, |sight: Sight| {
+                    if let Some(view) = View::new(sight.record, &sight.gray, &sight.tracks) {
+                        hub.show_view(view);
+                    }
+                });
             });
-            scope.spawn({
-                let (views, hub) = (Arc::clone(&views), self.hub);
-                move || {
-                    each(&views, |sight: Sight| {
-                        if let Some(view) = View::new(sight.record, &sight.gray, &sight.tracks) {
-                            hub.show_view(view);
-                        }
-                    })
-                }
+            let mapper = scope.spawn(move || {
+                let mut failure = None;
+                each(&beside.mapping, |happened: Happened| {
+                    // A map that cannot be written (the disk is full) ends; tracking does not.
+                    if failure.is_none() {
+                        failure = mapping.take(happened.events, Some(&happened.frame)).err();
+                    }
+                });
+                failure
             });
-            let _ending = Closing(&laying, &views);
-            self.track_all(&laying, &views)
+            let outcome = {
+                let _ending = Closing(beside);
+                self.track_all(beside)
+            };
+            let unmapped =
+                mapper.join().unwrap_or_else(|_| Some(Error::output("the map ended unexpectedly")));
+            outcome.and(unmapped.map_or(Ok(()), Err))
         });
-        if let Some(laying) = Arc::into_inner(laying) {
-            self.laying = laying;
-        }
+        self.not_laid = beside.laying.counts().1;
         outcome
     }
 
-    fn track_all(&mut self, laying: &Newest<Posed>, views: &Newest<Sight>) -> Result<()> {
+    fn track_all(&mut self, beside: &Beside) -> Result<()> {
         while !interrupt::asked() && !self.hub.stop_asked() {
             match self.queue.take(PATIENCE) {
-                Taken::Item((captured, decoding)) => self.track(captured, decoding, laying, views)?,
+                Taken::Item((captured, decoding)) => self.track(captured, decoding, beside)?,
                 Taken::Nothing => {}
                 Taken::End => break,
             }
@@ -200,17 +238,12 @@ impl Following<'_> {
         Ok(())
     }
 
-    fn track(
-        &mut self,
-        captured: Captured,
-        decoding: Duration,
-        laying: &Newest<Posed>,
-        views: &Newest<Sight>,
-    ) -> Result<()> {
+    fn track(&mut self, captured: Captured, decoding: Duration, beside: &Beside) -> Result<()> {
         let Captured { frame, at } = captured;
         let begun = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        let mut events = self.odometry.take_keyframe_events();
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
         self.times.track.push(begun.elapsed());
@@ -220,14 +253,19 @@ impl Following<'_> {
         let record = self.hub.add_record(&TrackRecord::new(&estimate, first_time_s, Some(latency_ms)));
         if self.hub.viewers() > 0 {
             let tracks = self.odometry.tracks().to_vec();
-            views.give(Sight { record, gray: frame.gray.clone(), tracks });
+            beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
         }
         self.distance_m += self.step_m(&estimate);
         let pose = estimate.estimate.as_ref().map(|known| known.pose);
         let segment = estimate.segment;
         self.frames.push(estimate);
+        self.references.push(self.odometry.reference());
+        if !events.is_empty() {
+            number_as_source(&mut events, &self.frames);
+            beside.mapping.give(Happened { events, frame: frame.clone() });
+        }
         if let Some(pose) = pose {
-            laying.give(Posed { frame, pose, segment });
+            beside.laying.give(Posed { frame, pose, segment });
         }
         Ok(())
     }
@@ -265,7 +303,7 @@ impl Following<'_> {
         LiveStatistics {
             frames_captured,
             frames_dropped,
-            frames_not_laid: self.laying.counts().1,
+            frames_not_laid: self.not_laid,
             reconnects: self.watch.reconnects(),
             latency_median_ms,
             latency_p99_ms,

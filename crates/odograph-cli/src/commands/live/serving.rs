@@ -56,12 +56,7 @@ impl Serving {
         let options = ServerOptions {
             token,
             folder: folder.map(Path::to_owned),
-            files: FILES
-                .iter()
-                .copied()
-                .chain(["marks.csv", "map.gpkg", "odometry.tum"])
-                .map(str::to_owned)
-                .collect(),
+            files: FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect(),
         };
         let server = Server::start(address, Arc::clone(&hub), options)?;
         Ok(Self { hub, server: Some(server) })

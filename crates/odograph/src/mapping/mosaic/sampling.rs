@@ -1,6 +1,7 @@
 //! The frame that is being laid, made as coarse as the ground it is laid on, and sampled between its pixels.
 
 use super::MosaicSource;
+use crate::image::simd::ground::{Feather, Laid};
 
 /// A frame's samples, one or three channels, halved `level` times.
 #[derive(Debug, Clone, Default)]
@@ -46,6 +47,11 @@ impl Samples {
             self.halve();
         }
         (self.right, self.bottom) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
+    }
+
+    /// The frame ready to be laid, its samples multiplied with `gains`; `None` where it has too few of them.
+    pub fn laid<const N: usize>(&self, feather: Feather, gains: [f32; N]) -> Option<Laid<'_, N>> {
+        Laid::new(&self.samples, (self.width, self.height), self.scale, feather, gains)
     }
 
     fn halve(&mut self) {
