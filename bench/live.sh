@@ -18,7 +18,7 @@ timeout "$seconds" ffmpeg -nostdin -v error "${pace[@]}" -stream_loop -1 -i "$de
 "$program" live - --camera "$demo/camera.yaml" --rig "$demo/rig.toml" --serve 127.0.0.1:0 -o "$folder/run" \
     <"$folder/frames" >/dev/null 2>"$folder/told" &
 process=$!
-until url=$(grep -o 'http://[^ ]*' "$folder/told"); do sleep 0.2; done
+until url=$(grep -o 'http://[^ ]*' "$folder/told" 2>/dev/null); do sleep 0.2; done
 begun=$SECONDS
 while kill -0 "$process" 2>/dev/null; do
     memory=$(awk '/VmRSS/ { print $2 }' "/proc/$process/status" 2>/dev/null || true)
