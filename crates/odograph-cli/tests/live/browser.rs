@@ -114,6 +114,8 @@ impl Browser {
 
     /// Waits until an expression is true.
     pub fn wait(&mut self, tab: &Tab, expression: &str) {
+        // A browser draws only the tab that is in front.
+        self.call(Some(&tab.session), "Page.bringToFront", json!({}));
         let until = Instant::now() + PATIENCE;
         while self.evaluate(tab, &format!("Boolean(document.body && ({expression}))")) != json!(true) {
             if Instant::now() > until {
@@ -136,6 +138,7 @@ impl Browser {
     /// Keeps a picture of a tab where `ODOGRAPH_SCREENSHOTS` names a folder, to be looked at.
     pub fn picture(&mut self, tab: &Tab, name: &str) {
         let Some(folder) = std::env::var_os("ODOGRAPH_SCREENSHOTS") else { return };
+        self.call(Some(&tab.session), "Page.bringToFront", json!({}));
         let shot = self.call(Some(&tab.session), "Page.captureScreenshot", json!({ "format": "png" }));
         let path = std::path::Path::new(&folder).join(format!("{name}.png"));
         std::fs::write(path, base64(shot["data"].as_str().unwrap())).unwrap();
