@@ -81,7 +81,7 @@ fn a_source_too_fast_is_followed_late_never_and_dropped_frames_are_counted() {
     let mut datagram = [0; 4096];
     let length = listener.recv(&mut datagram).unwrap();
     let first: serde_json::Value = serde_json::from_slice(&datagram[..length]).unwrap();
-    assert_eq!((&first["frame"], &first["status"]), (&json!(0), &json!("tracked")));
+    assert!(first["frame"].is_u64() && first["status"] == json!("tracked"), "{first}");
 }
 
 /// A phone: sends the frames of the drive over HTTP as fast as they are taken, hangs up in the middle, and is there again.

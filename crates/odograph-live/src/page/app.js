@@ -119,13 +119,12 @@ function showFigures() {
   set("sigma", sigma < 1000 ? sigma.toFixed(1) : (sigma / 1000).toFixed(2));
   $("sigma-unit").textContent = sigma < 1000 ? "mm" : "m";
   $("distance").textContent = distance(at).toFixed(2);
-  const clock = t => `${Math.floor(t / 60)}:${(t % 60).toFixed(1).padStart(4, "0")}`;
+  const clock = t => { const tenths = Math.round(10 * t); return `${Math.floor(tenths / 600)}:${(tenths % 600 / 10).toFixed(1).padStart(4, "0")}`; };
   const text = `${clock(track.get(at, "t"))} / ${clock(track.get(track.count - 1, "t"))}`;
   $("clock").textContent = text;
   $("time").value = at;
   $("time").setAttribute("aria-valuetext", text);
   document.body.dataset.at = at;
-  document.body.dataset.tiles = map.tileCount;
 }
 
 // ---- time

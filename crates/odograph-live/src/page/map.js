@@ -65,7 +65,7 @@ export class GroundMap {
       const image = new Image();
       layer.version = (layer.version || 0) + 1;
       image.src = `/tiles/${tile.column}/${tile.row}.png?v=${layer.version}`;
-      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; }, () => {}).finally(() => {
+      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; }, () => {}).finally(() => {
         this.fetching--;
         if (!layer.wanted.size && !this.fetching && this.layers.length > 1) { this.layers = [this.layers.at(-1)]; this.changed = true; }
         this.fetchTiles();

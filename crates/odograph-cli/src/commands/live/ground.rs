@@ -13,7 +13,7 @@ use std::time::Duration;
 pub struct LiveGround(Arc<Mutex<State>>);
 
 enum State {
-    Growing(Laying),
+    Growing(Box<Laying>),
     /// Taken for writing.
     Away,
     Finished(Mosaic),
@@ -21,7 +21,7 @@ enum State {
 
 impl LiveGround {
     pub fn new(camera: Camera) -> Self {
-        Self(Arc::new(Mutex::new(State::Growing(Laying::new(camera)))))
+        Self(Arc::new(Mutex::new(State::Growing(Box::new(Laying::new(camera))))))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
