@@ -4,7 +4,7 @@ use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
 use std::ffi::OsString;
 use std::fs;
-use std::io::{Read, Write};
+use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// Writes a whole file beside its place, then renames it there. On failure nothing is left behind.
@@ -16,6 +16,22 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     written.map_err(|error| {
         let _ = fs::remove_file(&beside);
         Error::output(format!("{} cannot be written: {error}", path.display()))
+    })
+}
+
+/// Writes a file that need not fit into memory: `fill` writes it beside its place, then it is renamed there. On failure nothing is left behind.
+pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>) -> Result<()> {
+    let beside = beside(path);
+    let cannot =
+        |error: std::io::Error| Error::output(format!("{} cannot be written: {error}", path.display()));
+    let written = fs::File::create(&beside).map_err(cannot).and_then(|file| {
+        let mut output = BufWriter::with_capacity(1 << 20, file);
+        fill(&mut output)?;
+        output.flush().and_then(|()| output.get_ref().sync_data()).map_err(cannot)?;
+        fs::rename(&beside, path).map_err(cannot)
+    });
+    written.inspect_err(|_| {
+        let _ = fs::remove_file(&beside);
     })
 }
 

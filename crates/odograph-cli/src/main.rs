@@ -26,6 +26,7 @@ enum Command {
     Live(commands::live::LiveArguments),
     View(commands::view::ViewArguments),
     Cameras(commands::cameras::CamerasArguments),
+    Localize(commands::localize::LocalizeArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
     Board(commands::board::BoardArguments),
@@ -33,6 +34,7 @@ enum Command {
     Calibrate(commands::calibrate::CalibrateArguments),
     Camera(commands::camera::CameraArguments),
     Ground(commands::ground::GroundArguments),
+    Map(commands::map::MapArguments),
 }
 
 /// How a command that did not fail ended.
@@ -56,6 +58,7 @@ fn main() -> ExitCode {
         Command::Live(arguments) => commands::live::live(arguments),
         Command::View(arguments) => commands::view::view(arguments),
         Command::Cameras(arguments) => commands::cameras::cameras(arguments),
+        Command::Localize(arguments) => commands::localize::localize(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),
         Command::Board(arguments) => commands::board::board(arguments),
@@ -63,6 +66,7 @@ fn main() -> ExitCode {
         Command::Calibrate(arguments) => commands::calibrate::calibrate(arguments),
         Command::Camera(arguments) => commands::camera::camera(arguments),
         Command::Ground(arguments) => commands::ground::ground(arguments),
+        Command::Map(arguments) => commands::map::map(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

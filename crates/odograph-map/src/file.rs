@@ -2,6 +2,7 @@
 
 use crate::complaint::{Complaint, Told};
 use crate::schema;
+use crate::thinning::{Thinning, thinning};
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::mapping::{GroundMap, KeyframeImages};
@@ -198,6 +199,20 @@ impl MapFile {
             self.load(keyframe.id)?;
         }
         Ok(())
+    }
+
+    /// Takes out the keyframes that the map can best do without, until there are at most so many, and composes what tied it together through them.
+    pub fn thin(&mut self, most_keyframes: usize) -> Result<Thinning> {
+        let thinning = thinning(&self.map()?, most_keyframes);
+        self.remove_keyframes(&thinning.gone, &thinning.edges)?;
+        Ok(thinning)
+    }
+
+    /// Gives back the room of what was taken out: the file is written anew, as small as it can be.
+    pub fn compact(&mut self) -> Result<()> {
+        self.connection
+            .execute_batch("VACUUM; PRAGMA wal_checkpoint(TRUNCATE);")
+            .while_writing(&self.complaint)
     }
 
     /// Folds the log into the file, so that the map is one file again. Dropping a map does the same where it can, without a word where it

@@ -88,7 +88,9 @@ pub(crate) fn decode(
         DecoderOptions::default().set_strict_mode(true).set_max_width(size.0).set_max_height(size.1);
     let mut decoder =
         JpegDecoder::new_with_options(ZCursor::new(&stored.jpeg), options.jpeg_set_out_colorspace(space));
-    let samples = decoder.decode().map_err(|error| format!("cannot be decoded: {error:?}"))?;
+    let samples = decoder.decode().map_err(|error| {
+        format!("cannot be decoded: {}", format!("{error:?}").replace('\n', " ").trim_end())
+    })?;
     let info = decoder.info().ok_or("cannot be decoded")?;
     let found = (usize::from(info.width), usize::from(info.height));
     let channels = if stored.colored { 3 } else { 1 };

@@ -9,7 +9,7 @@ use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use nalgebra::Matrix6;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
-use odograph::mapping::places::{GroundFeature, Signature};
+use odograph::mapping::places::Signature;
 use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 use rusqlite::{Connection, OptionalExtension, Row, params};
 
@@ -113,8 +113,8 @@ impl MapFile {
             }
             let covariance =
                 symmetric_from_bytes(&covariance).ok_or_else(|| bad("a covariance that is none"))?;
-            let signature = signature_from_bytes(&signature.ok_or_else(|| bad("no signature"))?)
-                .ok_or_else(|| bad("a signature that is damaged"))?;
+            let signature = Signature::from_bytes(&signature.ok_or_else(|| bad("no signature"))?)
+                .map_err(|error| self.complaint.input(format!("keyframe {}: {error}", keyframe.id.0)))?;
             keyframes.push(MapKeyframe { covariance, signature, ..keyframe });
         }
         Ok(keyframes)
@@ -195,7 +195,7 @@ fn insert(connection: &Connection, keyframe: &MapKeyframe, image: &StoredImage) 
     ])?;
     connection
         .prepare_cached("INSERT INTO odograph_signature VALUES (?1, ?2)")?
-        .execute(params![id, bytes_from_signature(&keyframe.signature)])?;
+        .execute(params![id, keyframe.signature.to_bytes()])?;
     connection.prepare_cached("INSERT INTO odograph_image VALUES (?1, ?2, ?3, ?4, ?5)")?.execute(params![
         id,
         image.colored,
@@ -270,37 +270,4 @@ fn read(row: &Row<'_>) -> rusqlite::Result<(MapKeyframe, Vec<u8>, Option<Vec<u8>
         signature: Signature::default(),
     };
     Ok((keyframe, row.get(17)?, row.get(18)?))
-}
-
-/// Bytes of a feature: descriptor, position, direction.
-const FEATURE: usize = 32 + 8 + 4;
-
-fn bytes_from_signature(signature: &Signature) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(FEATURE * signature.features.len());
-    for feature in &signature.features {
-        feature.descriptor.iter().for_each(|word| bytes.extend_from_slice(&word.to_le_bytes()));
-        for number in [feature.position_m[0], feature.position_m[1], feature.direction_rad] {
-            bytes.extend_from_slice(&number.to_le_bytes());
-        }
-    }
-    bytes
-}
-
-fn signature_from_bytes(bytes: &[u8]) -> Option<Signature> {
-    if !bytes.len().is_multiple_of(FEATURE) {
-        return None;
-    }
-    let feature = |bytes: &[u8]| {
-        let word = |at: usize| bytes[at..at + 8].try_into().map(u64::from_le_bytes).unwrap_or_default();
-        let number = |at: usize| bytes[at..at + 4].try_into().map_or(f32::NAN, f32::from_le_bytes);
-        let feature = GroundFeature {
-            descriptor: [word(0), word(8), word(16), word(24)],
-            position_m: [number(32), number(36)],
-            direction_rad: number(40),
-        };
-        let [x, y] = feature.position_m;
-        [x, y, feature.direction_rad].iter().all(|value| value.is_finite()).then_some(feature)
-    };
-    let features: Option<Vec<_>> = bytes.chunks_exact(FEATURE).map(feature).collect();
-    features.map(|features| Signature { features })
 }

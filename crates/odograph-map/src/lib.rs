@@ -14,7 +14,9 @@ mod mosaic;
 mod numbers;
 mod paths;
 mod schema;
+mod thinning;
 
 pub use file::{MapFile, Session};
 pub use mosaic::MosaicLayer;
 pub use paths::PathFrame;
+pub use thinning::Thinning;

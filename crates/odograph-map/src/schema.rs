@@ -112,9 +112,11 @@ pub(crate) fn make(connection: &Connection) -> rusqlite::Result<()> {
     geopackage::list_layer(connection, "paths", "features", "the way of the camera")?;
     geopackage::list_geometry(connection, "paths", "LINESTRING")?;
     geopackage::list_layer(connection, "mosaic", "tiles", "what the ground looks like")?;
+    // With a table of attributes among the layers, other programs leave the tables alone that are not listed.
+    geopackage::list_layer(connection, "odograph_session", "attributes", "the runs that made the map")?;
     for (table, _) in MAP_TABLES.iter().filter(|(table, _)| table.starts_with("odograph_")) {
         connection.execute(
-            "INSERT INTO gpkg_extensions VALUES (?1, NULL, 'odograph_map', 'docs/map_file.md of odograph', 'read-write')",
+            "INSERT INTO gpkg_extensions VALUES (?1, NULL, 'odograph_map', 'docs/map_file.md of odograph', 'write-only')",
             [table],
         )?;
     }

@@ -3,7 +3,7 @@
 //! `cargo run --release -p odograph --example slam [-- WORD…]` runs the drives whose line contains one of the words, or all but the long one, which
 //! must be named: `kilometre`.
 //!
-//! A camera of 640x480 with a mild barrel lens, 2 gray levels of noise, 0.75 m above the ground; where a line says so, the rig that
+//! A camera of 640x480 with a mild barrel lens, 2 gray levels of noise, 0.75 m above the ground; a poor picture is one of 320x240 with 10. Where a line says so, the rig that
 //! the program is told is a little off, which is what bends paths in practice.
 
 #![allow(clippy::print_stdout)] // the table is what it is for
@@ -26,6 +26,7 @@ struct Drive {
     speed_m_s: f64,
     size: (usize, usize),
     height_m: f64,
+    noise_gray: f64,
 }
 
 fn camera((width, height): (usize, usize)) -> Result<Camera> {
@@ -47,6 +48,7 @@ fn camera((width, height): (usize, usize)) -> Result<Camera> {
 fn drives() -> Vec<Drive> {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 2.0 };
     let lanes = PathKind::Lanes { length_m: 4.0, spacing_m: 0.4, count: 6 };
+    let large = PathKind::FigureEight { length_m: 8.0, laps: 2.0 };
     let drive = |name, texture, path, untold| Drive {
         name,
         texture,
@@ -55,6 +57,7 @@ fn drives() -> Vec<Drive> {
         speed_m_s: 0.6,
         size: (640, 480),
         height_m: 0.75,
+        noise_gray: 2.0,
     };
     let degree = 1f64.to_radians();
     vec![
@@ -65,6 +68,26 @@ fn drives() -> Vec<Drive> {
         drive("lanes", "grass", lanes, (0.0, 0.0)),
         drive("lanes, rig off", "grass", lanes, (0.3 * degree, -0.2 * degree)),
         drive("lanes, rig off", "concrete", lanes, (0.3 * degree, -0.2 * degree)),
+        Drive {
+            size: (320, 240),
+            noise_gray: 10.0,
+            ..drive("lanes, poor picture", "concrete", lanes, (0.0, 0.0))
+        },
+        Drive {
+            size: (320, 240),
+            noise_gray: 10.0,
+            ..drive("lanes, poor picture", "carpet", lanes, (0.0, 0.0))
+        },
+        Drive {
+            size: (320, 240),
+            noise_gray: 10.0,
+            ..drive("large eight, poor picture", "asphalt", large, (0.0, 0.0))
+        },
+        Drive {
+            size: (320, 240),
+            noise_gray: 10.0,
+            ..drive("large eight, poor picture", "tiles", large, (0.0, 0.0))
+        },
         Drive {
             speed_m_s: 2.0,
             size: (320, 240),
@@ -120,7 +143,7 @@ fn line(drive: &Drive) -> Result<String> {
         rig,
         texture: Texture::named(drive.texture).unwrap_or(Texture::Asphalt),
         path: Path::new(drive.path, drive.speed_m_s, 1.0, true)?,
-        effects: Effects { noise_gray: 2.0, ..Effects::default() },
+        effects: Effects { noise_gray: drive.noise_gray, ..Effects::default() },
         fps: if drive.size.0 < 640 { 15.0 } else { 30.0 },
         duration_s: None,
         colored: false,

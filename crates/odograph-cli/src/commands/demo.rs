@@ -66,6 +66,8 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
             output: folder.clone(),
             force: true, // the demo's own folder
             map: None,
+            map_is_read_only: false,
+            least_frames: 2,
             threads: arguments.threads,
             quiet: arguments.quiet,
             json: arguments.json,

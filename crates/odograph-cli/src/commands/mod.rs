@@ -8,6 +8,8 @@ pub mod demo;
 pub mod evaluate;
 pub mod ground;
 pub mod live;
+pub mod localize;
+pub mod map;
 pub mod run;
 pub mod simulate;
 pub mod undistort;

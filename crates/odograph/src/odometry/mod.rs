@@ -119,6 +119,9 @@ pub struct Odometry {
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
 
+/// Where this part of the corners in view is found and agrees, what is missing lies out of view: to search again would find nothing.
+const NEARLY_ALL: f64 = 0.95;
+
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
 const DOUBTFUL_PRESENCE: f64 = 0.55;
 
@@ -242,8 +245,13 @@ impl Odometry {
                 wander,
                 &mut random,
             );
-            // What others will be built on is searched in full.
-            if near.as_ref().is_ok_and(|near| near.settled || near.support >= config.keyframe.support) {
+            // What others will be built on is searched in full, unless that could not find more.
+            let found_enough = |near: &Measurement| {
+                near.settled
+                    || near.support >= config.keyframe.support
+                    || follow::presence(keyframe, camera, &near.estimate) >= NEARLY_ALL
+            };
+            if near.as_ref().is_ok_and(found_enough) {
                 return near;
             }
         }

@@ -1,10 +1,8 @@
 //! The mapper: keyframes go in as they are made, loops are found, and the map is kept straight.
 
 use super::SlamConfig;
-use super::candidates::{self, Strength};
-use super::closure::{self, LoopClosure};
+use super::closure::LoopClosure;
 use super::images::KeyframeStore;
-use super::recognition::{recognise, the_other_way};
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::geometry::GroundPose;
@@ -14,7 +12,7 @@ use crate::mapping::places::{PlaceIndex, PlacesConfig, Signature};
 use crate::mapping::plane_motion::{laid_from, seen_from};
 use crate::mapping::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, MapEdge, MapKeyframe};
 use crate::motion::MotionModel;
-use crate::odometry::matching::{Matcher, Pictured, Sought};
+use crate::odometry::matching::Matcher;
 use crate::odometry::{KeyframeEvent, NewKeyframe, OdometryConfig};
 use nalgebra::Matrix6;
 use std::collections::BTreeMap;
@@ -22,39 +20,33 @@ use std::collections::BTreeMap;
 /// Makes the map of keyframes. What comes out depends on what goes in alone.
 #[derive(Debug)]
 pub struct Mapper {
-    config: SlamConfig,
+    pub(super) config: SlamConfig,
     heights: Heights,
-    matcher: Matcher,
-    graph: PoseGraph,
-    places: PlaceIndex,
+    pub(super) matcher: Matcher,
+    pub(super) graph: PoseGraph,
+    pub(super) places: PlaceIndex,
     places_config: PlacesConfig,
     pub(super) map: GroundMap,
     /// Where in the map each keyframe is.
     index: BTreeMap<KeyframeId, usize>,
-    closures: Vec<LoopClosure>,
+    pub(super) closures: Vec<LoopClosure>,
     /// Sightings for which one is not enough.
-    pending: Vec<LoopClosure>,
+    pub(super) pending: Vec<LoopClosure>,
     /// Loops since the last optimisation.
-    unsettled: usize,
+    pub(super) unsettled: usize,
     /// The run that is being mapped, and what its keyframes' numbers begin with.
     session: u32,
     first: u64,
 }
 
 /// An optimisation while running takes at most so many steps: what is left, the next brings.
-const STEPS_ON_THE_WAY: usize = 2;
+pub(super) const STEPS_ON_THE_WAY: usize = 2;
 
 /// At the end there is time.
 const STEPS_AT_THE_END: usize = 60;
 
 /// A loop that misses by more than this many variances is worth an optimisation at once.
 const MISFIT: f64 = 9.0;
-
-/// Two sightings speak for each other only when they are of different ground: so many views apart at least.
-const APART_VIEWS: f64 = 0.3;
-
-/// Sightings that found no second are forgotten beyond this number, the oldest first.
-const MOST_PENDING: usize = 16;
 
 impl Mapper {
     /// A mapper without a map yet.
@@ -184,6 +176,11 @@ impl Mapper {
         }
     }
 
+    /// The map alone.
+    pub fn into_map(self) -> GroundMap {
+        self.map
+    }
+
     /// The map as it is.
     pub fn map(&self) -> &GroundMap {
         &self.map
@@ -244,7 +241,7 @@ impl Mapper {
         }
     }
 
-    fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
+    pub(super) fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
         self.index.get(&id).map(|&at| &self.map.keyframes[at])
     }
 
@@ -275,118 +272,6 @@ impl Mapper {
         id
     }
 
-    /// Compares a new keyframe with the older ones that it may show again: those that are near, and where that is not sure, those that look like it.
-    fn close_loops(
-        &mut self,
-        new: KeyframeId,
-        mut sought: Sought,
-        images: &mut dyn KeyframeStore,
-    ) -> Result<()> {
-        let near = {
-            let known = |id: KeyframeId| self.keyframe(id).map(|keyframe| keyframe.odometry_pose);
-            candidates::candidates(&self.graph, new, &known, &self.matcher, &self.config)
-        };
-        let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);
-        for candidate in sure.take(self.config.comparisons) {
-            let Some(mut pictured) = self.pictured(candidate.id, images)? else { continue };
-            let closure =
-                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
-            if let Some(closure) = closure {
-                return self.accept(closure, images);
-            }
-        }
-        let recognised = {
-            let Some(keyframe) = self.keyframe(new) else { return Ok(()) };
-            let here = (new, &keyframe.odometry_pose);
-            let least = self.config.least_edges;
-            recognise(&self.places, &keyframe.signature, &self.graph, here, least, &self.matcher)
-        };
-        for place in recognised.iter().take(self.config.comparisons) {
-            let Some(pictured) = self.pictured(place.id, images)? else { continue };
-            let closure =
-                closure::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
-            match closure {
-                Some(closure) if place.stands_alone() => return self.accept(closure, images),
-                Some(closure) => return self.support(closure, images),
-                None => {}
-            }
-        }
-        // The whole pictures compared take longest: only where place is nearly known and appearance did not tell.
-        let doubtful = near.iter().find(|candidate| candidate.prior.strength == Strength::Doubtful);
-        if let Some(candidate) = doubtful
-            && let Some(mut pictured) = self.pictured(candidate.id, images)?
-        {
-            let closure =
-                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
-            if let Some(closure) = closure {
-                self.accept(closure, images)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn pictured(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<Pictured>> {
-        let Some(pose) = self.keyframe(id).map(|old| old.odometry_pose) else { return Ok(None) };
-        Ok(Some(self.matcher.pictured(images.load(id)?.gray, &pose)))
-    }
-
-    /// Accepts a sighting that alone is not enough together with one before that speaks for the same.
-    fn support(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
-        let second = self.pending.iter().position(|other| self.agree(other, &closure));
-        if let Some(at) = second {
-            let first = self.pending.remove(at);
-            self.accept(first, images)?;
-            self.settle(STEPS_ON_THE_WAY);
-            return self.accept(closure, images);
-        }
-        self.pending.push(closure);
-        if self.pending.len() > MOST_PENDING {
-            self.pending.remove(0);
-        }
-        Ok(())
-    }
-
-    /// Whether two sightings of different ground say the same about the map: with the first in it, the second is where it should be.
-    fn agree(&self, first: &LoopClosure, second: &LoopClosure) -> bool {
-        let (a, b) = (&first.edge, &second.edge);
-        let [Some(here), Some(there)] = [a.from, b.from].map(|id| self.keyframe(id).map(|k| k.odometry_pose))
-        else {
-            return false;
-        };
-        let view_m = self.matcher.view_m(&here);
-        if (here.x_m - there.x_m).hypot(here.y_m - there.y_m) < APART_VIEWS * view_m {
-            return false;
-        }
-        let way = |from: KeyframeId, to: KeyframeId| {
-            let reached = self.graph.reach(from)?.find(|reached| reached.id == to)?;
-            (!reached.across_gap).then_some((reached.motion, reached.covariance))
-        };
-        let (Some(back), Some(on)) = (way(b.from, a.from), way(a.to, b.to)) else { return false };
-        let composed = closure::composed(&[back, (a.motion, a.covariance), on]);
-        closure::agrees(b, &composed, view_m)
-    }
-
-    fn accept(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
-        let edge = closure.edge;
-        if let Some(old) = self.graph.pose(edge.to) {
-            // A part that nothing measured connects comes to where it is seen.
-            let scale = self.keyframe(edge.to).map_or(1.0, |k| k.pose.height_m / k.odometry_pose.height_m);
-            let seen = laid_from(&old, &the_other_way(&edge.motion), scale);
-            self.graph.bring(edge.from, &seen, edge.to);
-        }
-        self.closures.push(closure);
-        self.add(edge, images)
-    }
-
-    fn add(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
-        if !self.graph.tie(&edge) {
-            return Ok(());
-        }
-        self.map.edges.push(edge);
-        self.unsettled += 1;
-        images.tie(&edge)
-    }
-
     /// Whether the loops since the last optimisation are worth one: where they show the path to be bent, and otherwise in proportion to the map.
     fn is_due(&self) -> bool {
         let last = self.map.edges.iter().rev().filter(|edge| edge.kind == EdgeKind::Loop);
@@ -395,7 +280,7 @@ impl Mapper {
     }
 
     /// Optimises, and takes the poses over into the map.
-    fn settle(&mut self, steps: usize) {
+    pub(super) fn settle(&mut self, steps: usize) {
         if !self.is_straightened() {
             return;
         }

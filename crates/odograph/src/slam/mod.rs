@@ -5,17 +5,20 @@
 //! gives is the same with a map and without, and the mapping may run behind, on a thread of its own.
 
 mod candidates;
+mod closing;
 mod closure;
 mod correction;
 mod fused;
 mod images;
 mod mapper;
+mod merge;
 mod recognition;
 
 pub use closure::LoopClosure;
 pub use correction::map_frames;
 pub use images::{KeyframeStore, MemoryImages};
 pub use mapper::Mapper;
+pub use merge::{Merged, merge, optimize};
 
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
@@ -39,11 +42,21 @@ pub struct SlamConfig {
     pub least_overlap: f64,
     /// The part of the corners in view that must be found again.
     pub least_presence: f64,
+    /// So many sightings of different ground, one or two, must agree before parts of a map that nothing sure connects are tied. One is for
+    /// saying where a camera is; for a map that is kept, two.
+    pub sightings: usize,
 }
 
 impl Default for SlamConfig {
     fn default() -> Self {
-        Self { loops: true, comparisons: 2, least_edges: 4, least_overlap: 0.35, least_presence: 0.5 }
+        Self {
+            loops: true,
+            comparisons: 2,
+            least_edges: 4,
+            least_overlap: 0.35,
+            least_presence: 0.5,
+            sightings: 2,
+        }
     }
 }
 
@@ -56,9 +69,17 @@ impl SlamConfig {
                 return Err(Error::usage(format!("slam.{name} is {share}; it must lie between 0.1 and 1")));
             }
         }
-        if self.least_edges < 2 {
-            let edges = self.least_edges;
-            return Err(Error::usage(format!("slam.least_edges is {edges}; it must be at least 2")));
+        for (name, number, range) in [
+            ("comparisons", self.comparisons, 1..=1000),
+            ("least_edges", self.least_edges, 2..=1000),
+            ("sightings", self.sightings, 1..=2),
+        ] {
+            if !range.contains(&number) {
+                let (least, most) = range.into_inner();
+                return Err(Error::usage(format!(
+                    "slam.{name} is {number}; it must lie between {least} and {most}"
+                )));
+            }
         }
         Ok(self)
     }

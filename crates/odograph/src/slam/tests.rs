@@ -1,1 +1,259 @@
+use super::*;
+use crate::mapping::{GroundMap, KeyframeId, KeyframeImages};
+use crate::motion::Random;
+use crate::simulation::{Ground, Renderer, Texture};
+use crate::trajectory::TrackStatus;
 
+const HEIGHT_M: f64 = 0.75;
+const FRAME_S: f64 = 1.0 / 15.0;
+
+/// A camera that sees 0.96 m across and 0.72 m along, and the ground below it.
+struct World {
+    camera: Camera,
+    ground: Box<dyn Fn(&GroundPose) -> GrayImage>,
+    noise: u32,
+}
+
+fn camera() -> Camera {
+    Camera::new((320, 240), (250.0, 250.0), (160.0, 119.5), crate::camera::Distortion::None).unwrap()
+}
+
+impl World {
+    fn new(texture: &str) -> Self {
+        let camera = camera();
+        let renderer = Renderer::new(&camera);
+        let texture = Texture::named(texture).unwrap();
+        let ground = Ground::new(texture, renderer.footprint_m(HEIGHT_M), false, 3).unwrap();
+        Self { camera, ground: Box::new(move |pose| renderer.gray_view(&ground, pose)), noise: 3 }
+    }
+
+    /// A floor of the same tile again and again.
+    fn repeating(tile_m: f64) -> Self {
+        const CELLS: usize = 24;
+        let mut random = Random::new(11);
+        let tile: Vec<f64> = (0..CELLS * CELLS).map(|_| 40.0 + random.below(170) as f64).collect();
+        let at = move |x_m: f64, y_m: f64| {
+            let cell = |value: f64| (value / tile_m).rem_euclid(1.0) * CELLS as f64;
+            let (x, y) = (cell(x_m), cell(y_m));
+            let (i, j) = (x as usize, y as usize);
+            let (a, b) = (x - i as f64, y - j as f64);
+            let sample = |i: usize, j: usize| tile[(j % CELLS) * CELLS + i % CELLS];
+            (1.0 - b) * ((1.0 - a) * sample(i, j) + a * sample(i + 1, j))
+                + b * ((1.0 - a) * sample(i, j + 1) + a * sample(i + 1, j + 1))
+        };
+        let view = move |pose: &GroundPose| {
+            let camera = camera();
+            let mut image = GrayImage::new(320, 240);
+            for (index, sample) in image.samples_mut().iter_mut().enumerate() {
+                let pixel = crate::geometry::Pixel::new((index % 320) as f64, (index / 320) as f64);
+                let place = camera.ray_from_pixel(pixel).and_then(|ray| pose.ground_from_ray(ray)).unwrap();
+                *sample = at(place.x_m, place.y_m) as u8;
+            }
+            image
+        };
+        Self { camera: camera(), ground: Box::new(view), noise: 3 }
+    }
+
+    fn image(&self, pose: Option<GroundPose>, number: u64) -> GrayImage {
+        let Some(pose) = pose else { return GrayImage::new(320, 240) };
+        let mut image = (self.ground)(&pose);
+        let mut random = Random::new(number);
+        for sample in image.samples_mut() {
+            let noise: i32 =
+                (0..4).map(|_| random.below(self.noise as usize) as i32 - self.noise as i32 / 2).sum();
+            *sample = (i32::from(*sample) + noise).clamp(0, 255) as u8;
+        }
+        image
+    }
+
+    /// Drives over the poses; `None` is darkness. Odometry remembers no keyframes, so what is seen again is for the map to find.
+    fn drive(&self, mapper: &mut Mapper, images: &mut MemoryImages, poses: &[Option<GroundPose>]) -> Driven {
+        let mut odometry = Odometry::new(self.camera.clone(), Rig::level(HEIGHT_M), config()).unwrap();
+        odometry.tell_keyframes();
+        let (mut frames, mut references) = (Vec::new(), Vec::new());
+        for (number, pose) in poses.iter().enumerate() {
+            let image = self.image(*pose, number as u64);
+            frames.push(odometry.process(image, number as f64 * FRAME_S).unwrap());
+            references.push(odometry.reference());
+            for event in odometry.take_keyframe_events() {
+                mapper.take(event, None, images).unwrap();
+            }
+        }
+        mapper.finish();
+        let straight = map_frames(mapper, &frames, &references);
+        Driven { frames, straight }
+    }
+
+    fn mapper(&self) -> Mapper {
+        Mapper::new(&self.camera, Rig::level(HEIGHT_M), &config(), SlamConfig::default())
+    }
+}
+
+fn config() -> OdometryConfig {
+    let mut config = OdometryConfig::default();
+    config.keyframe.remembered = 0;
+    config
+}
+
+struct Driven {
+    frames: Vec<FrameEstimate>,
+    straight: Vec<FrameEstimate>,
+}
+
+fn at(x_m: f64, y_m: f64, heading_rad: f64) -> Option<GroundPose> {
+    Some(GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(HEIGHT_M) })
+}
+
+/// Straight on in steps of 4 cm.
+fn along(from: (f64, f64), heading_rad: f64, count: usize) -> impl Iterator<Item = Option<GroundPose>> {
+    let (sin, cos) = heading_rad.sin_cos();
+    (0..count).map(move |i| at(from.0 + 0.04 * i as f64 * cos, from.1 + 0.04 * i as f64 * sin, heading_rad))
+}
+
+/// How far the frames from one on are from the truth, millimetres: the most; infinite where there is none.
+fn worst_mm(frames: &[FrameEstimate], truth: &[Option<GroundPose>]) -> f64 {
+    let off = frames.iter().zip(truth).filter_map(|(frame, truth)| {
+        let (found, truth) = (frame.estimate.as_ref()?.pose, truth.as_ref()?);
+        Some(1e3 * (found.x_m - truth.x_m).hypot(found.y_m - truth.y_m))
+    });
+    off.reduce(f64::max).unwrap_or(f64::INFINITY)
+}
+
+#[test]
+fn without_loops_nothing_is_changed() {
+    let world = World::new("asphalt");
+    let poses: Vec<_> = along((0.0, 0.0), 0.0, 40).collect();
+    let mut mapper = world.mapper();
+    let driven = world.drive(&mut mapper, &mut MemoryImages::default(), &poses);
+    assert!(mapper.map().keyframes.len() > 3 && mapper.closures().is_empty());
+    assert_eq!(driven.frames, driven.straight);
+}
+
+#[test]
+fn ground_seen_again_after_darkness_ties_the_path_together() {
+    let world = World::new("asphalt");
+    let mut poses: Vec<_> = along((0.0, 0.0), 0.0, 60).collect();
+    poses.extend([None; 20]);
+    // Meanwhile the camera was turned round and carried to another place along its way.
+    let dark = poses.len();
+    poses.extend(along((2.0, 0.1), 2.9, 45));
+    let mut mapper = world.mapper();
+    let driven = world.drive(&mut mapper, &mut MemoryImages::default(), &poses);
+    let last = &driven.frames[driven.frames.len() - 1];
+    assert_eq!((last.status, last.segment), (TrackStatus::Tracked, 1));
+    let (before, after) = (
+        worst_mm(&driven.frames[dark..], &poses[dark..]),
+        worst_mm(&driven.straight[dark..], &poses[dark..]),
+    );
+    assert!(!mapper.closures().is_empty());
+    // A pixel is 3 mm.
+    assert!(
+        before > 300.0 && after < 3.0,
+        "{before} mm in the dark's wake, {after} mm after it is recognised"
+    );
+}
+
+#[test]
+fn a_floor_of_equal_tiles_does_not_fool_it() {
+    let world = World::repeating(0.31);
+    let mut poses: Vec<_> = along((0.0, 0.0), 0.0, 50).collect();
+    poses.extend([None; 20]);
+    poses.extend(along((1.17, 0.13), 0.4, 45));
+    let mut mapper = world.mapper();
+    let driven = world.drive(&mut mapper, &mut MemoryImages::default(), &poses);
+    assert!(driven.frames.iter().any(|frame| frame.segment == 1), "the ground is followed again");
+    assert!(mapper.closures().is_empty(), "{:?}", mapper.closures());
+}
+
+#[test]
+fn a_second_drive_is_recognised_in_the_map_of_the_first() {
+    let world = World::new("carpet");
+    let mut images = MemoryImages::default();
+    let mut first = world.mapper();
+    world.drive(&mut first, &mut images, &along((0.0, 0.0), 0.0, 60).collect::<Vec<_>>());
+    let map: GroundMap = first.into_map();
+    let next = KeyframeId(map.keyframes.len() as u64);
+    let mut second = Mapper::continuing(map.clone(), &config(), SlamConfig::default(), 1, next);
+    let poses: Vec<_> = along((2.1, 0.15), -2.5, 40).collect();
+    let driven = world.drive(&mut second, &mut images, &poses);
+    assert!(second.is_recognised());
+    let off_mm = worst_mm(&driven.straight, &poses);
+    assert!(off_mm < 3.0, "{off_mm} mm");
+    let still = second.map().keyframes.iter().zip(&map.keyframes).take(map.keyframes.len());
+    for (now, before) in still {
+        let moved_m = (now.pose.x_m - before.pose.x_m).hypot(now.pose.y_m - before.pose.y_m);
+        assert!(moved_m < 2e-3, "keyframe {:?} moved by {moved_m} m", now.id);
+    }
+
+    // The same as two maps that are joined.
+    let mut alone = world.mapper();
+    let mut alone_images = MemoryImages::default();
+    world.drive(&mut alone, &mut alone_images, &poses);
+    let other = alone.into_map();
+    let mut joined = Mapper::continuing(map.clone(), &config(), SlamConfig::default(), 1, next);
+    let merged = merge(&mut joined, &mut images, &other, &mut alone_images).unwrap();
+    assert_eq!(merged.keyframes, other.keyframes.len());
+    assert!(merged.ties >= 2, "{merged:?}");
+    let place = joined.map().keyframes.last().unwrap();
+    let truth = poses[place.frame as usize].unwrap();
+    let off_mm = 1e3 * (place.pose.x_m - truth.x_m).hypot(place.pose.y_m - truth.y_m);
+    assert!(off_mm < 3.0, "{off_mm} mm");
+    assert!(images.load(KeyframeId(0)).is_ok());
+}
+
+#[test]
+fn a_map_elsewhere_is_not_recognised() {
+    let world = World::new("asphalt");
+    let mut images = MemoryImages::default();
+    let mut first = world.mapper();
+    world.drive(&mut first, &mut images, &along((0.0, 0.0), 0.0, 40).collect::<Vec<_>>());
+    let map = first.into_map();
+    let next = KeyframeId(map.keyframes.len() as u64);
+    let mut second = Mapper::continuing(map, &config(), SlamConfig::default(), 1, next);
+    world.drive(&mut second, &mut images, &along((20.0, 5.0), 1.0, 30).collect::<Vec<_>>());
+    assert!(!second.is_recognised() && second.closures().is_empty());
+}
+
+#[test]
+fn lanes_that_see_each_other_come_out_straight() {
+    // A poor picture: seven gray levels of noise.
+    let world = World { noise: 14, ..World::new("concrete") };
+    let mut poses = Vec::new();
+    for lane in 0..6 {
+        let y = 0.35 * f64::from(lane);
+        let (from, step) = if lane % 2 == 0 { (0.0, 0.05) } else { (4.0, -0.05) };
+        poses.extend((0..=80).map(|i| at(from + step * f64::from(i), y, 0.0)));
+        if lane < 5 {
+            poses.extend((1..7).map(|i| at(from + 80.0 * step, y + 0.05 * f64::from(i), 0.0)));
+        }
+    }
+    let mut mapper = world.mapper();
+    let driven = world.drive(&mut mapper, &mut MemoryImages::default(), &poses);
+    let (without, with) = (worst_mm(&driven.frames, &poses), worst_mm(&driven.straight, &poses));
+    assert!(with < 0.4 * without && with < 2.0, "{without} mm without loops, {with} mm with");
+    // No steps: from frame to frame the correction changes by far less than a pixel of 3 mm.
+    let correction = |i: usize| {
+        let (a, b) =
+            (driven.frames[i].estimate.as_ref().unwrap(), driven.straight[i].estimate.as_ref().unwrap());
+        (b.pose.x_m - a.pose.x_m, b.pose.y_m - a.pose.y_m)
+    };
+    for i in 1..poses.len() {
+        let (now, before) = (correction(i), correction(i - 1));
+        let step_mm = 1e3 * (now.0 - before.0).hypot(now.1 - before.1);
+        assert!(step_mm < 0.5, "a step of {step_mm} mm at frame {i}");
+    }
+}
+
+#[test]
+fn the_map_pose_follows_the_frame_as_it_comes() {
+    let world = World::new("asphalt");
+    let images = Box::new(MemoryImages::default());
+    let rig = Rig::level(HEIGHT_M);
+    let mut slam = Slam::new(world.camera.clone(), rig, config(), SlamConfig::default(), images).unwrap();
+    for (number, pose) in along((0.0, 0.0), 0.0, 12).enumerate() {
+        let frame = slam.process(world.image(pose, number as u64), number as f64 * FRAME_S).unwrap();
+        assert_eq!(frame.map_pose, frame.odometry.estimate.map(|known| known.pose));
+    }
+    let (mapper, _) = slam.finish();
+    assert!(!mapper.map().keyframes.is_empty());
+}

@@ -133,6 +133,8 @@ impl LiveArguments {
                 force: self.force,
                 threads: None,
                 map: None,
+                map_is_read_only: false,
+                least_frames: 2,
                 quiet: self.quiet,
                 json: self.json,
             })
@@ -173,7 +175,17 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     }
     let mapping = run::mapping::Mapping::new(&plan, folder.path(), &run_arguments.output)?;
     let recorder = Recorder::new(folder, &plan)?;
-    let result = pipeline::follow(&plan, source, &watch, &laying, serving.hub(), mapping, recorder, outputs);
+    let result = pipeline::follow(
+        &plan,
+        source,
+        &watch,
+        &laying,
+        serving.hub(),
+        &run_arguments.output,
+        mapping,
+        recorder,
+        outputs,
+    );
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
     let report = match result {
         Ok(report) => report,

@@ -8,7 +8,7 @@ use super::recorder::Recorder;
 use crate::commands::run::mapping::Mapping;
 use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, number_as_source};
 use crate::commands::run::statistics::LiveStatistics;
-use crate::commands::run::{self, RunPlan, RunReport};
+use crate::commands::run::{self, OutputArguments, RunPlan, RunReport};
 use crate::interrupt;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
@@ -42,6 +42,7 @@ pub fn follow(
     watch: &Watch,
     ground: &LiveGround,
     hub: &Arc<Hub>,
+    arguments: &OutputArguments,
     mapping: Mapping,
     recorder: Recorder,
     outputs: Outputs,
@@ -92,7 +93,7 @@ pub fn follow(
     };
     ground.show(mosaic);
     let mut folder = following.recorder.into_folder();
-    run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, started)
+    run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)
 }
 
 /// What a source left when it ended.

@@ -8,7 +8,7 @@ use odograph::filter::fusion::Fusion;
 use odograph::geometry::GroundPoint;
 use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 use odograph::odometry::{FrameReference, KeyframeEvent};
-use odograph::slam::{KeyframeStore, Mapper, map_frames};
+use odograph::slam::{KeyframeStore, Mapper, MemoryImages, map_frames};
 use odograph::trajectory::FrameEstimate;
 use odograph_map::{MapFile, PathFrame};
 use odograph_video::Frame;
@@ -51,9 +51,13 @@ impl Mapping {
             rig: plan.rig,
             source: plan.source.path.clone(),
             session: 0,
+            kept: arguments.map_is_read_only.then(MemoryImages::default),
         };
         let mapper = if continued {
-            let mut there = MapFile::open(&file.path)?;
+            let mut there = match arguments.map_is_read_only {
+                true => MapFile::open_read_only(&file.path)?,
+                false => MapFile::open(&file.path)?,
+            };
             if *there.camera() != plan.camera {
                 return Err(Error::input(format!(
                     "{} was made with another camera than this run's; give the camera file that it was made with, or \
@@ -63,7 +67,11 @@ impl Mapping {
             }
             let map = there.map()?;
             let first = there.next_keyframe()?;
-            file.session = there.begin_session(&plan.source.path)?;
+            file.session = if arguments.map_is_read_only {
+                there.sessions()?.iter().map(|session| session.id + 1).max().unwrap_or(0)
+            } else {
+                there.begin_session(&plan.source.path)?
+            };
             file.file = Some(there);
             Mapper::continuing(map, &plan.odometry, plan.slam, file.session, first)
         } else {
@@ -157,7 +165,8 @@ impl Mapping {
 
     /// Puts the path of the run into the file.
     pub fn write_path(&mut self, frames: &[FrameEstimate]) -> Result<()> {
-        let Some(file) = &mut self.file.file else { return Ok(()) };
+        let writable = self.file.kept.is_none();
+        let Some(file) = self.file.file.as_mut().filter(|_| writable) else { return Ok(()) };
         let posed = |frame: &FrameEstimate| {
             let pose = frame.estimate.as_ref()?.pose;
             Some(PathFrame { frame: frame.frame, segment: frame.segment, time_s: frame.time_s, pose })
@@ -166,9 +175,12 @@ impl Mapping {
         file.set_path(self.file.session, &frames)
     }
 
-    /// Ends the file.
+    /// Ends the file. Takes away the map of an earlier run where this one is in its place and saw no ground.
     pub fn close(&mut self) -> Result<()> {
-        self.file.file.take().map_or(Ok(()), MapFile::close)
+        match self.file.file.take() {
+            Some(file) => file.close(),
+            None => MapFile::remove(&self.file.path),
+        }
     }
 }
 
@@ -198,6 +210,8 @@ struct GrowingFile {
     rig: Rig,
     source: String,
     session: u32,
+    /// The new keyframes, where the file is not to be written.
+    kept: Option<MemoryImages>,
 }
 
 impl GrowingFile {
@@ -216,7 +230,7 @@ impl GrowingFile {
     }
 
     fn set_poses(&mut self, keyframes: &[MapKeyframe]) -> Result<()> {
-        let Some(file) = &mut self.file else { return Ok(()) };
+        let Some(file) = self.file.as_mut().filter(|_| self.kept.is_none()) else { return Ok(()) };
         let poses: Vec<_> =
             keyframes.iter().map(|keyframe| (keyframe.id, keyframe.pose, keyframe.covariance)).collect();
         file.set_poses(&poses)
@@ -225,16 +239,25 @@ impl GrowingFile {
 
 impl KeyframeImages for GrowingFile {
     fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        if let Some(image) = self.kept.as_mut().and_then(|kept| kept.load(keyframe).ok()) {
+            return Ok(image);
+        }
         self.open()?.load(keyframe)
     }
 }
 
 impl KeyframeStore for GrowingFile {
     fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()> {
-        self.open()?.add_keyframe(keyframe, &image, ties)
+        match &mut self.kept {
+            Some(kept) => kept.keep(keyframe, image, ties),
+            None => self.open()?.add_keyframe(keyframe, &image, ties),
+        }
     }
 
     fn tie(&mut self, edge: &MapEdge) -> Result<()> {
-        self.open()?.add_edges(std::slice::from_ref(edge))
+        match &mut self.kept {
+            Some(_) => Ok(()),
+            None => self.open()?.add_edges(std::slice::from_ref(edge)),
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
+mod budget;
 pub(super) mod folder;
 mod many;
 mod map;
@@ -10,7 +11,7 @@ mod sensors;
 pub(super) mod statistics;
 
 use crate::{Outcome, console};
-use folder::OutputFolder;
+pub use folder::OutputFolder;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
@@ -67,6 +68,10 @@ pub struct RunArguments {
     /// Take at most so many frames.
     #[arg(long, value_name = "N")]
     pub max_frames: Option<u64>,
+    /// What a frame may take, milliseconds: fewer corners are followed where that is needed. Measures the machine once; run.toml and
+    /// stats.json say what was given up.
+    #[arg(long, value_name = "MS", allow_negative_numbers = true)]
+    pub budget_ms: Option<f64>,
     #[command(flatten)]
     pub sensors: SensorPlan,
     /// Do not look for ground that was seen before: the path is what odometry alone has.
@@ -88,6 +93,12 @@ pub struct OutputArguments {
     /// The map: continued where there is one, otherwise begun. [default: a new map.gpkg in the folder]
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
+    /// The map is looked into, not written: a command that only asks where the camera is.
+    #[arg(skip)]
+    pub map_is_read_only: bool,
+    /// Fewer frames than this are no recording.
+    #[arg(skip = 2_usize)]
+    pub least_frames: usize,
     /// Threads to use; the results are the same for any number. [default: as many as help]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
@@ -170,6 +181,7 @@ impl RunArguments {
             end: None,
             every: 1,
             max_frames: None,
+            budget_ms: None,
             sensors: SensorPlan::default(),
             no_loops: false,
             output,
@@ -194,6 +206,8 @@ pub struct RunReport {
     pub statistics: Statistics,
     pub warnings: Vec<String>,
     pub folder: PathBuf,
+    /// Whether the path is in the frame of the map that was continued; always where none was.
+    pub recognised: bool,
 }
 
 /// Follows a source by a plan and writes everything into the folder. What ends the recording early is an error only after all that was
@@ -208,7 +222,7 @@ pub fn follow(
     let sensors = plan.sensors.read()?;
     let description = source.info().description.clone();
     let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
-    finish(plan, &description, tracked, &sensors, &mut folder, started)
+    finish(plan, &description, tracked, &sensors, &mut folder, arguments, started)
 }
 
 /// Improves what was tracked and writes everything into the folder.
@@ -218,9 +232,10 @@ pub(super) fn finish(
     mut tracked: Tracked,
     sensors: &Sensors,
     folder: &mut OutputFolder,
+    arguments: &OutputArguments,
     started: Instant,
 ) -> Result<RunReport> {
-    if tracked.frames.len() < 2 && !tracked.interrupted {
+    if tracked.frames.len() < arguments.least_frames && !tracked.interrupted {
         let too_few = if tracked.frames.is_empty() { "no frame" } else { "only one frame" };
         return Err(tracked.failure.unwrap_or_else(|| {
             Error::input(format!(
@@ -254,17 +269,23 @@ pub(super) fn finish(
         // The mosaic was laid while sensors and loops were not known yet.
         pipeline::lay_again(plan, &mut tracked);
     }
-    let statistics = Statistics::new(&tracked, &reports, loops, started.elapsed());
+    let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     map::write(plan, description, &tracked, &reports, folder)?;
     tracked.mapping.close()?;
     folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),
-        None => Ok(RunReport { statistics, warnings: tracked.warnings, folder: folder.path().to_owned() }),
+        None => Ok(RunReport {
+            statistics,
+            recognised: tracked.mapping.warning().is_none(),
+            warnings: tracked.warnings,
+            folder: folder.path().to_owned(),
+        }),
     }
 }
 
 impl RunReport {
+    /// How the run ended.
     pub fn outcome(&self) -> Outcome {
         // With less than half of the frames posed the path is not the recording's path.
         if 2 * self.statistics.frames_with_pose < self.statistics.frames {

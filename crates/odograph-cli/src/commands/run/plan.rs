@@ -1,5 +1,6 @@
 //! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
 
+use super::budget::{self, Budget};
 use super::{RunArguments, SensorPlan};
 use crate::files;
 use odograph::camera::{Camera, Rig};
@@ -23,6 +24,9 @@ pub struct RunPlan {
     pub rig: Rig,
     #[serde(default, skip_serializing_if = "SensorPlan::is_empty")]
     pub sensors: SensorPlan,
+    /// The budget that the parameters were chosen for, where there was one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
     pub odometry: OdometryConfig,
     #[serde(default)]
     pub slam: SlamConfig,
@@ -122,12 +126,17 @@ impl RunPlan {
         }
         let mut odometry = OdometryConfig::default();
         odometry.motion.model = MotionModel::from(arguments.motion);
+        let budget = match arguments.budget_ms {
+            Some(frame_ms) => Some(budget::fit(&mut odometry, size, frame_ms)?),
+            None => None,
+        };
         let plan = Self {
             odograph: env!("CARGO_PKG_VERSION").to_owned(),
             source: source_plan,
             camera,
             rig,
             sensors: arguments.sensors.clone(),
+            budget,
             odometry,
             slam: SlamConfig { loops: !arguments.no_loops, ..SlamConfig::default() },
         };
@@ -149,6 +158,7 @@ impl RunPlan {
             ("--end", arguments.end.is_some()),
             ("--every", arguments.every != unasked.every),
             ("--max-frames", arguments.max_frames.is_some()),
+            ("--budget-ms", arguments.budget_ms.is_some()),
             ("--gyro", arguments.sensors.gyro.is_some()),
             ("--heading", arguments.sensors.heading.is_some()),
             ("--wheel", arguments.sensors.wheel.is_some()),

@@ -1,5 +1,6 @@
 //! The figures of a run: `stats.json` and the summary.
 
+use super::budget::Budget;
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use odograph::error::{Error, Result};
@@ -34,6 +35,9 @@ pub struct Statistics {
     pub loops: LoopStatistics,
     /// The most memory the program had, bytes; `null` where the system does not tell.
     pub peak_memory_bytes: Option<u64>,
+    /// What was given up for a budget, and whether it was kept; left out where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub budget: Option<BudgetStatistics>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
     /// How the run kept up with its source; left out of runs over recordings.
@@ -61,6 +65,22 @@ pub struct LiveStatistics {
     pub latency_p99_ms: f64,
     /// From capture to pose, milliseconds, the slowest frame.
     pub latency_most_ms: f64,
+}
+
+/// A budget for the time of a frame, and what became of it.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct BudgetStatistics {
+    #[serde(flatten)]
+    pub given_up: Budget,
+    /// Frames that took longer to track than that.
+    pub frames_over: u64,
+}
+
+impl BudgetStatistics {
+    fn new(budget: Budget, track: &[Duration]) -> Self {
+        let over = track.iter().filter(|time| 1e3 * time.as_secs_f64() > budget.frame_ms).count();
+        Self { given_up: budget, frames_over: over as u64 }
+    }
 }
 
 /// What became of a sensor beside the camera.
@@ -131,6 +151,7 @@ impl Statistics {
     /// The figures of what was tracked in `elapsed`, beside the sensors.
     pub fn new(
         tracked: &Tracked,
+        budget: Option<Budget>,
         sensors: &[SensorReport],
         loops: LoopStatistics,
         elapsed: Duration,
@@ -164,6 +185,7 @@ impl Statistics {
             losses: losses as u64,
             loops,
             peak_memory_bytes: peak_memory_bytes(),
+            budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
             interrupted: tracked.interrupted,
             live: tracked.live,
             sensors: sensors.iter().map(SensorStatistics::new).collect(),

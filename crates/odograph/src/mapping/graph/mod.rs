@@ -16,12 +16,13 @@
 mod edge;
 mod marginals;
 mod normal_equations;
+mod parts;
 mod reach;
 
 pub use reach::{Reach, Reached};
 
 use super::ground_map::{EdgeKind, KeyframeId, MapEdge};
-use super::plane_motion::{laid_from, seen_from};
+use super::plane_motion::seen_from;
 use crate::geometry::GroundPose;
 use edge::{Linearized, Weighted};
 use nalgebra::{DVector, Matrix4, Vector2, Vector4};
@@ -163,51 +164,6 @@ impl PoseGraph {
         Some(motion)
     }
 
-    /// Takes a keyframe, and all that is connected with it by measurement, to `pose`, unless `fixed` is among them; says whether anything was moved.
-    /// So parts of a map that a recognition ties come near each other before they are optimised.
-    pub fn bring(&mut self, keyframe: KeyframeId, pose: &GroundPose, fixed: KeyframeId) -> bool {
-        let (Some(&start), Some(&fixed)) = (self.index.get(&keyframe), self.index.get(&fixed)) else {
-            return false;
-        };
-        let mut part = vec![false; self.nodes.len()];
-        part[start] = true;
-        let mut open = vec![start];
-        while let Some(at) = open.pop() {
-            for edge in self.edges_at[at].iter().map(|&edge| &self.edges[edge]) {
-                let other = edge.other(at);
-                if edge.kind != EdgeKind::Gap && !part[other] {
-                    part[other] = true;
-                    open.push(other);
-                }
-            }
-        }
-        if part[fixed] {
-            return false;
-        }
-        let before = self.nodes[start].pose;
-        let scale = match self.heights {
-            Heights::Held => 1.0,
-            Heights::Free => pose.height_m / before.height_m,
-        };
-        for (node, _) in self.nodes.iter_mut().zip(part).filter(|(_, part)| *part) {
-            let laid = laid_from(pose, &seen_from(&before, &node.pose), scale);
-            let height_m = node.pose.height_m * scale;
-            node.pose = GroundPose {
-                x_m: laid.x_m,
-                y_m: laid.y_m,
-                heading_rad: laid.heading_rad,
-                height_m,
-                ..node.pose
-            };
-        }
-        true
-    }
-
-    /// Whether measurements or gaps connect two keyframes.
-    pub fn are_connected(&self, a: KeyframeId, b: KeyframeId) -> bool {
-        self.reach(a).is_some_and(|mut reach| reach.any(|reached| reached.id == b))
-    }
-
     /// Moves the keyframes to where the edges agree best, in at most `steps` steps. The first keyframe of every connected part stays.
     pub fn optimize(&mut self, steps: usize) -> Optimization {
         let mut outcome = Optimization { steps: 0, cost: (0.0, 0.0), converged: true };
@@ -341,31 +297,6 @@ impl PoseGraph {
             node.pose.height_m *= change[3].exp();
         }
         self.turn_per_m += equations.of_mount(change);
-    }
-
-    /// For every keyframe, whether it is the first of those that are connected with it.
-    fn first_of_each_part(&self) -> Vec<bool> {
-        let mut first = vec![false; self.nodes.len()];
-        let mut seen = vec![false; self.nodes.len()];
-        let mut open = Vec::new();
-        for start in 0..self.nodes.len() {
-            if seen[start] {
-                continue;
-            }
-            first[start] = true;
-            seen[start] = true;
-            open.push(start);
-            while let Some(at) = open.pop() {
-                for &edge in &self.edges_at[at] {
-                    let other = self.edges[edge].other(at);
-                    if !seen[other] {
-                        seen[other] = true;
-                        open.push(other);
-                    }
-                }
-            }
-        }
-        first
     }
 
     /// Covariance of (x, y, heading, ln height) of every keyframe in the order in which they came, against the first of its part: the inverse of the

@@ -3,6 +3,7 @@
 use super::view::View;
 use super::{GroundFeature, MOST_FEATURES, PlacesConfig};
 use crate::detection::{Corner, DetectionConfig, detect};
+use crate::image::GrayImage;
 use crate::motion::Random;
 use std::sync::LazyLock;
 
@@ -14,6 +15,9 @@ const DIRECTION_REACH: isize = 9;
 
 /// Samples are means over squares of this many spots to either side, which takes out noise and what a turn by less than a step moves.
 const SMOOTHING: usize = 2;
+
+/// Reach of the surroundings whose mean is taken off, spots.
+const SURROUNDINGS: usize = 15;
 
 /// How many of `config.features` a picture of the usual size gives at most and at least, where it shows more or less ground.
 const MORE_GROUND: (f64, f64) = (0.1, 1.7);
@@ -30,16 +34,17 @@ pub(super) fn features(view: &View, config: &PlacesConfig) -> Vec<GroundFeature>
         ..DetectionConfig::default()
     };
     let margin = REACH + SMOOTHING + 1;
-    let corners = detect(&view.image, &detection, margin);
     let smooth = Smooth::new(view);
+    let corners = detect(&smooth.image(), &detection, margin);
     let seen = corners.iter().filter(|corner| view.sees((corner.x, corner.y), margin as f32));
     seen.map(|corner| smooth.feature(view, corner)).collect()
 }
 
-/// The view with every sample the sum over the square around it.
+/// The view with every sample the sum over the square around it, less the mean of such sums further around: light that changes slowly over
+/// the picture would turn all directions its way.
 struct Smooth {
     width: usize,
-    sums: Vec<u16>,
+    sums: Vec<i16>,
     /// Offsets of a disc's places, with their weights for the moment to the right and down.
     disc: Vec<(isize, f32, f32)>,
 }
@@ -47,26 +52,24 @@ struct Smooth {
 impl Smooth {
     fn new(view: &View) -> Self {
         let (width, height) = (view.image.width(), view.image.height());
-        let side = 2 * SMOOTHING + 1;
-        // At most 255 · 5 · 5, which 16 bits hold. Sums stand at the middle of their squares; the border, which is never asked, stays 0.
-        let mut sums = vec![0u16; width * height];
-        let mut columns = vec![0u16; width];
-        for row in 0..height {
-            let add = |columns: &mut [u16], row: usize| {
-                columns.iter_mut().zip(view.image.row(row)).for_each(|(sum, &s)| *sum += u16::from(s));
-            };
-            add(&mut columns, row);
-            if row + 1 < side {
-                continue;
-            }
-            let out = &mut sums[(row - SMOOTHING) * width..][SMOOTHING..width - SMOOTHING];
-            for (out, window) in out.iter_mut().zip(columns.windows(side)) {
-                *out = window.iter().sum();
-            }
-            let oldest = view.image.row(row + 1 - side);
-            columns.iter_mut().zip(oldest).for_each(|(sum, &s)| *sum -= u16::from(s));
-        }
+        let samples: Vec<i32> = view.image.samples().iter().map(|&sample| i32::from(sample)).collect();
+        let near = box_sums(&samples, width, height, SMOOTHING);
+        let far = box_sums(&samples, width, height, SURROUNDINGS);
+        let near_area = (2 * SMOOTHING + 1).pow(2) as f32;
+        let share = near_area / (2 * SURROUNDINGS + 1).pow(2) as f32;
+        let sums =
+            near.iter().zip(&far).map(|(&near, &far)| (near as f32 - share * far as f32) as i16).collect();
         Self { width, sums, disc: disc(width) }
+    }
+
+    /// In gray levels around 128, so strengthened that they deviate from it by some tens.
+    fn image(&self) -> GrayImage {
+        let squares: f64 = self.sums.iter().map(|&sum| f64::from(sum) * f64::from(sum)).sum();
+        let deviation = (squares / self.sums.len() as f64).sqrt() as f32;
+        let gain = 32.0 / deviation.max(50.0);
+        let samples = self.sums.iter().map(|&sum| (128.5 + gain * f32::from(sum)).clamp(0.0, 255.0) as u8);
+        GrayImage::from_samples(self.width, self.sums.len() / self.width, samples.collect())
+            .unwrap_or(GrayImage::new(0, 0))
     }
 
     fn feature(&self, view: &View, corner: &Corner) -> GroundFeature {
@@ -99,7 +102,8 @@ impl Smooth {
     fn descriptor(&self, centre: usize, cos: f32, sin: f32) -> [u64; 4] {
         let sample = |[along, across]: [f32; 2]| {
             let (x, y) = (cos * along - sin * across, sin * along + cos * across);
-            let (right, down) = ((-y).round_ties_even() as isize, (-x).round_ties_even() as isize);
+            // Rounded to the nearest by cutting off what is made positive first.
+            let (right, down) = ((64.5 - y) as isize - 64, (64.5 - x) as isize - 64);
             self.sums[(centre as isize + down * self.width as isize + right) as usize]
         };
         let mut words = [0u64; 4];
@@ -140,10 +144,42 @@ static COMPARISONS: LazyLock<[[[f32; 2]; 2]; 256]> = LazyLock::new(|| {
     std::array::from_fn(|_| {
         loop {
             let pair = [place(), place()];
+            // All ground is brighter along the direction, which is what the direction says; comparisons across it tell one place from another.
             // Nearer places share most of what they are means of.
-            if (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]) >= 4.0 {
+            if (pair[0][0] - pair[1][0]).abs() <= 2.0 && (pair[0][1] - pair[1][1]).abs() >= 4.0 {
                 return pair;
             }
         }
     })
 });
+
+/// Sums over squares of `reach` to either side of every sample. Beyond the border, the outermost samples go on.
+fn box_sums(samples: &[i32], width: usize, height: usize, reach: usize) -> Vec<i32> {
+    let side = 2 * reach + 1;
+    let row = |y: isize| {
+        let y = y.clamp(0, height as isize - 1) as usize;
+        &samples[y * width..][..width]
+    };
+    let mut sums = vec![0; width * height];
+    // The sums of columns, with what goes on beyond the border on both sides.
+    let mut columns = vec![0i32; width + 2 * reach];
+    for y in -(reach as isize)..=(reach as isize) {
+        columns[reach..reach + width].iter_mut().zip(row(y)).for_each(|(sum, sample)| *sum += sample);
+    }
+    for (y, out) in sums.chunks_exact_mut(width).enumerate() {
+        let (first, last) = (columns[reach], columns[reach + width - 1]);
+        columns[..reach].fill(first);
+        columns[reach + width..].fill(last);
+        let mut sum: i32 = columns[..side - 1].iter().sum();
+        for (x, out) in out.iter_mut().enumerate() {
+            sum += columns[x + side - 1];
+            *out = sum;
+            sum -= columns[x];
+        }
+        let y = y as isize;
+        let (enters, leaves) = (row(y + 1 + reach as isize), row(y - reach as isize));
+        let change = enters.iter().zip(leaves);
+        columns[reach..reach + width].iter_mut().zip(change).for_each(|(sum, (a, b))| *sum += a - b);
+    }
+    sums
+}

@@ -47,23 +47,26 @@ pub struct PlaceHypothesis {
     pub matches: usize,
     /// Features that lie on the ground which both pictures show, of the picture with fewer of them.
     pub shared: usize,
-    /// The most matches that another motion over the same keyframe has: many where the ground repeats itself.
+    /// How many matches the best other motion over the same keyframe has: many where the ground repeats itself.
     pub rival_matches: usize,
+    /// What the matches are worth: each one over how many features of its own picture look like it. What repeats is worth little.
+    pub worth: f64,
+    /// What the matches of the best other motion over the same keyframe are worth.
+    pub rival_worth: f64,
     /// Root mean square distance between matched features, metres.
     pub residual_m: f64,
-    /// By this hypotheses are ordered: matches less those of the rival, as a number of standard deviations.
+    /// By this hypotheses are ordered: the worth of its matches less that of its rival's, as a number of standard deviations.
     pub score: f64,
 }
 
 impl PlaceHypothesis {
     /// Whether the place is proved: matches enough, enough of those that there should be, and far more than any other motion has.
     pub fn is_sure(&self) -> bool {
-        const LEAST: usize = 12;
+        const LEAST_WORTH: f64 = 8.0;
         const LEAST_SHARE: f64 = 0.15;
-        let matches = self.matches as f64;
-        self.matches >= LEAST
-            && matches >= LEAST_SHARE * self.shared as f64
-            && matches >= 2.0 * self.rival_matches as f64
+        self.worth >= LEAST_WORTH
+            && self.matches as f64 >= LEAST_SHARE * self.shared as f64
+            && self.worth >= 2.0 * self.rival_worth
     }
 }
 
@@ -131,13 +134,13 @@ impl PlaceIndex {
                 Some((slot.keyframe?, slot, support)).filter(|_| support.matches >= LEAST_MATCHES)
             })
             .collect();
-        found.sort_by_key(|(keyframe, _, support)| (Reverse(support.matches), *keyframe));
+        found.sort_by(|a, b| b.2.worth.total_cmp(&a.2.worth).then(a.0.cmp(&b.0)));
         found.truncate(most);
         let mut hypotheses: Vec<_> = found
             .into_iter()
             .map(|(keyframe, slot, support)| {
-                let rival_matches = rival(&query, &slot.features, &support);
-                let (matches, rival) = (support.matches as f64, rival_matches as f64);
+                let rival = rival(&query, &slot.features, &support);
+                let (worth, rival_worth) = (support.worth.into(), rival.map_or(0.0, |r| r.worth.into()));
                 let Placing { shift, heading_rad, scale } = support.placing;
                 let [x, y] = shift.map(|spots| f64::from(spots) * self.spot_m);
                 PlaceHypothesis {
@@ -145,9 +148,11 @@ impl PlaceIndex {
                     motion: Vector4::new(x, y, f64::from(heading_rad), f64::from(scale).ln()),
                     matches: support.matches,
                     shared: support.shared,
-                    rival_matches,
+                    rival_matches: rival.map_or(0, |rival| rival.matches),
+                    worth,
+                    rival_worth,
                     residual_m: f64::from(support.residual) * self.spot_m,
-                    score: (matches - rival) / (matches + rival).sqrt(),
+                    score: (worth - rival_worth) / (worth + rival_worth).sqrt(),
                 }
             })
             .collect();
@@ -192,8 +197,7 @@ impl PlaceIndex {
             let descriptor = &query.features[number].descriptor;
             for other in self.buckets.features(address) {
                 let there = &self.slots[other.slot()].features.features[other.feature()];
-                let difference = difference(descriptor, &there.descriptor);
-                if difference <= MOST_DIFFERENCE {
+                if let Some(difference) = difference(descriptor, &there.descriptor, MOST_DIFFERENCE) {
                     alike.push((other, number, difference));
                 }
             }

@@ -161,8 +161,15 @@ impl Buckets {
     }
 }
 
-/// In how many of their 256 bits two descriptors differ.
+/// In how many of their 256 bits two descriptors differ, where those are at most `most`. Unrelated ones are known by their first half: they
+/// are told apart there if it alone shows two thirds of what is allowed to the whole, and half is what alike ones show.
 #[inline]
-pub(super) fn difference(a: &[u64; 4], b: &[u64; 4]) -> u32 {
-    a.iter().zip(b).map(|(a, b)| (a ^ b).count_ones()).sum()
+pub(super) fn difference(a: &[u64; 4], b: &[u64; 4], most: u32) -> Option<u32> {
+    let differing = |word: usize| (a[word] ^ b[word]).count_ones();
+    let first = differing(0) + differing(1);
+    if 3 * first > 2 * most {
+        return None;
+    }
+    let all = first + differing(2) + differing(3);
+    (all <= most).then_some(all)
 }

@@ -5,7 +5,10 @@ use super::lookup::difference;
 use std::f32::consts::{PI, TAU};
 
 /// Descriptors that differ in more bits than this do not show the same. Unrelated ones differ in 128 on the average.
-pub(super) const MOST_DIFFERENCE: u32 = 76;
+pub(super) const MOST_DIFFERENCE: u32 = 60;
+
+/// Descriptors of one picture that differ in no more bits than this could be taken for each other.
+const LOOKALIKE_DIFFERENCE: u32 = 40;
 
 /// Directions of the same pattern agree within this, radians.
 const DIRECTION_TOLERANCE: f32 = 0.45;
@@ -33,6 +36,8 @@ pub(super) struct Match {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Features {
     pub features: Vec<GroundFeature>,
+    /// What a match of each is worth: one over the number of features of the picture that look like it, itself included.
+    pub worth: Vec<f32>,
     low: [f32; 2],
     high: [f32; 2],
 }
@@ -62,7 +67,17 @@ impl Features {
                 high[k] = high[k].max(feature.position_m[k]);
             }
         }
-        Self { features, low, high }
+        let mut alike = vec![1u16; features.len()];
+        for (i, a) in features.iter().enumerate() {
+            for (j, b) in features.iter().enumerate().take(i) {
+                if difference(&a.descriptor, &b.descriptor, LOOKALIKE_DIFFERENCE).is_some() {
+                    alike[i] += 1;
+                    alike[j] += 1;
+                }
+            }
+        }
+        let worth = alike.into_iter().map(|alike| 1.0 / f32::from(alike)).collect();
+        Self { features, worth, low, high }
     }
 
     pub fn position(&self, at: usize) -> [f32; 2] {
@@ -170,6 +185,8 @@ pub(super) struct Support {
     pub placing: Placing,
     /// Features of both pictures found in each other's place.
     pub matches: usize,
+    /// The sum of what these are worth.
+    pub worth: f32,
     /// Features of the picture that shows fewer of them on the ground that both show.
     pub shared: usize,
     /// Root mean square distance of matched features, spots.
@@ -222,6 +239,7 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
     Some(Support {
         placing,
         matches: matches.len(),
+        worth: matches.iter().map(|m| query.worth[m.query].min(keyframe.worth[m.keyframe])).sum(),
         shared: here.min(there).max(matches.len()),
         residual: (squares / matches.len().max(1) as f32).sqrt(),
     })
@@ -257,9 +275,12 @@ fn find_matches(
             {
                 continue;
             }
-            let difference = difference(&feature.descriptor, &other.descriptor);
-            if difference < best.difference {
+            let allowed = best.difference - 1;
+            if let Some(difference) = difference(&feature.descriptor, &other.descriptor, allowed) {
                 best = Match { keyframe: candidate, difference, ..best };
+                if difference == 0 {
+                    break;
+                }
             }
         }
         if best.difference <= MOST_DIFFERENCE {
@@ -270,42 +291,48 @@ fn find_matches(
     matches.dedup_by_key(|m| m.keyframe);
 }
 
-/// The most matches that any other placing finds between the two pictures, of those that many single matches vote for. A pattern that repeats has one.
-pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> usize {
+/// The support of the best other placing of the two pictures, of those that most single matches vote for. Where a pattern repeats there is one.
+pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Option<Support> {
+    const MOST_TRIED: usize = 8;
     let middle: [f32; 2] = std::array::from_fn(|k| 0.5 * (query.low[k] + query.high[k]));
     let mut votes = Vec::new();
     for feature in &query.features {
         for other in &keyframe.features {
-            if difference(&feature.descriptor, &other.descriptor) > MOST_DIFFERENCE {
+            if difference(&feature.descriptor, &other.descriptor, MOST_DIFFERENCE).is_none() {
                 continue;
             }
             let heading_rad = turned(other.direction_rad - feature.direction_rad);
             let turn = Placing { shift: [0.0; 2], heading_rad, scale: 1.0 };
             let off = turn.apply(std::array::from_fn(|k| middle[k] - feature.position_m[k]));
-            let placed: [f32; 2] = std::array::from_fn(|k| other.position_m[k] + off[k]);
-            votes.push((bin(placed, heading_rad), placed, heading_rad));
+            let middle: [f32; 2] = std::array::from_fn(|k| other.position_m[k] + off[k]);
+            votes.push(Vote { bin: bin(middle, heading_rad), middle, heading_rad });
         }
     }
-    votes.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.2.total_cmp(&b.2)).then(a.1[0].total_cmp(&b.1[0])));
-    let mut groups: Vec<_> = votes.chunk_by(|a, b| a.0 == b.0).collect();
-    groups.sort_by_key(|group| (std::cmp::Reverse(group.len()), group[0].0));
-    let mut most = 0;
-    for group in groups.into_iter().take(24) {
-        let count = group.len() as f32;
-        if count < 2.0 {
-            break;
-        }
-        let mean =
-            |value: &dyn Fn(&([i16; 3], [f32; 2], f32)) -> f32| group.iter().map(value).sum::<f32>() / count;
-        let heading_rad = mean(&|vote| vote.2);
-        let turn = Placing { shift: [0.0; 2], heading_rad, scale: 1.0 };
+    votes.sort_unstable_by(|a, b| {
+        let by_place = a.middle[0].total_cmp(&b.middle[0]).then(a.middle[1].total_cmp(&b.middle[1]));
+        a.bin.cmp(&b.bin).then(by_place).then(a.heading_rad.total_cmp(&b.heading_rad))
+    });
+    let mut groups: Vec<_> = votes.chunk_by(|a, b| a.bin == b.bin).filter(|group| group.len() > 1).collect();
+    groups.sort_by_key(|group| (std::cmp::Reverse(group.len()), group[0].bin));
+    let other = |group: &[Vote]| {
+        let mean = |value: fn(&Vote) -> f32| group.iter().map(value).sum::<f32>() / group.len() as f32;
+        let turn = Placing { shift: [0.0; 2], heading_rad: mean(|vote| vote.heading_rad), scale: 1.0 };
         let [x, y] = turn.apply(middle);
-        let placing = Placing { shift: [mean(&|v| v.1[0]) - x, mean(&|v| v.1[1]) - y], ..turn };
-        let found = support(query, keyframe, placing);
-        let other = found.filter(|found| found.placing.differs(&best.placing, middle));
-        most = most.max(other.map_or(0, |found| found.matches));
-    }
-    most
+        let placing = Placing { shift: [mean(|v| v.middle[0]) - x, mean(|v| v.middle[1]) - y], ..turn };
+        // Votes for the placing itself fall into the bins around it, too.
+        let other = |placing: &Placing| placing.differs(&best.placing, middle);
+        let found = if other(&placing) { support(query, keyframe, placing) } else { None };
+        found.filter(|found| other(&found.placing))
+    };
+    let found = groups.into_iter().take(MOST_TRIED).filter_map(other);
+    found.max_by(|a, b| a.worth.total_cmp(&b.worth).then(a.matches.cmp(&b.matches)))
+}
+
+/// Where one match alone would put the middle of the query, and which way.
+struct Vote {
+    bin: [i16; 3],
+    middle: [f32; 2],
+    heading_rad: f32,
 }
 
 /// The bin of a vote: 20 spots and 15° wide.

@@ -2,7 +2,8 @@
 //!
 //! Where two keyframes show the same ground, the ratio of their brightness is known; all those ratios together are settled by least squares in the
 //! logarithms of the gains, held to 1 by a weak prior (M. Brown and D. G. Lowe, "Automatic panoramic image stitching using invariant features", 2007,
-//! section 6; there in the gains themselves).
+//! section 6; there in the gains themselves). Most lenses darken towards the corners of the image, and the same for every keyframe: where two keyframes see
+//! the same ground at different distances from the middle, that shows, and is taken out first.
 
 use super::super::footprint::View;
 use super::Laid;
@@ -18,12 +19,48 @@ const CELLS: (usize, usize) = (24, 18);
 const MOST_OVERLAPS: usize = 12;
 /// Cells that two keyframes must share to be compared.
 const LEAST_CELLS: usize = 12;
+/// Spots whose brightness differs by more than this (a logarithm) after exposure are shadows or something that moved.
+const FARTHEST_LOG: f64 = 0.3;
+/// Where keyframes see each other's ground in the same place of the image, nothing is known of the lens: as if a spread of so much had shown no darkening.
+const SPREAD_PRIOR: f64 = 1.0;
 /// The square of how well a ratio is known (1 %) over how far exposure strays (20 %).
 const PRIOR: f64 = 0.0025;
 
-/// The gain of each keyframe and channel that brings all to the same brightness.
+/// The gain of each keyframe and channel that brings all to the same brightness, and how the lens darkens.
 #[derive(Debug)]
-pub(super) struct Gains(Vec<[f32; 3]>);
+pub(super) struct Gains {
+    of: Vec<[f32; 3]>,
+    darkening: Darkening,
+}
+
+/// How a lens darkens: the logarithm of the brightness changes by `log_at_corner` times the square of the distance from the middle, in half diagonals.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Darkening {
+    middle: [f32; 2],
+    by_half_diagonal: f32,
+    log_at_corner: f32,
+}
+
+impl Darkening {
+    fn none(camera: &Camera) -> Self {
+        let (width, height) = (camera.width() as f32, camera.height() as f32);
+        let middle = [0.5 * (width - 1.0), 0.5 * (height - 1.0)];
+        Self { middle, by_half_diagonal: 2.0 / width.hypot(height), log_at_corner: 0.0 }
+    }
+
+    /// The square of a pixel's distance from the middle of the image, in half diagonals.
+    #[inline]
+    fn square(&self, x: f32, y: f32) -> f32 {
+        let (x, y) = (x - self.middle[0], y - self.middle[1]);
+        (x * x + y * y) * self.by_half_diagonal * self.by_half_diagonal
+    }
+
+    /// What a pixel's brightness is to be multiplied by.
+    #[inline]
+    pub fn gain(&self, x: f32, y: f32) -> f32 {
+        (-self.log_at_corner * self.square(x, y)).exp()
+    }
+}
 
 /// Two keyframes that show the same ground: the logarithm of the first's brightness over the second's, by channel.
 struct Overlap {
@@ -42,15 +79,34 @@ impl Gains {
         for laid in keyframes {
             thumbnails.push(Thumbnail::of(&images.load(laid.id)?));
         }
-        let overlaps = overlaps(camera, keyframes, &thumbnails);
+        let pairs = pairs(keyframes);
+        let mut darkening = Darkening::none(camera);
+        darkening.log_at_corner = log_at_corner(camera, keyframes, &thumbnails, &pairs, darkening);
+        thumbnails.iter_mut().for_each(|thumbnail| thumbnail.brighten(camera, darkening));
+        let overlaps: Vec<Overlap> = pairs
+            .iter()
+            .filter_map(|&(one, other)| {
+                let shared = shared(
+                    camera,
+                    (&keyframes[one], &keyframes[other]),
+                    (&thumbnails[one], &thumbnails[other]),
+                );
+                Some(Overlap { one, other, log_ratio: median(&shared)? })
+            })
+            .collect();
         let logs: [Vec<f64>; 3] = std::array::from_fn(|channel| solve(keyframes.len(), &overlaps, channel));
         let gain = |k: usize| [0, 1, 2].map(|channel| logs[channel][k].exp().clamp(0.25, 4.0) as f32);
-        Ok(Self((0..keyframes.len()).map(gain).collect()))
+        Ok(Self { of: (0..keyframes.len()).map(gain).collect(), darkening })
     }
 
     /// The gains of a keyframe's channels.
     pub fn of(&self, keyframe: usize) -> [f32; 3] {
-        self.0[keyframe]
+        self.of[keyframe]
+    }
+
+    /// How the lens darkens.
+    pub fn darkening(&self) -> Darkening {
+        self.darkening
     }
 }
 
@@ -81,6 +137,15 @@ impl Thumbnail {
         Self((0..CELLS.0 * CELLS.1).map(cell).collect())
     }
 
+    /// Takes out what the lens darkens.
+    fn brighten(&mut self, camera: &Camera, darkening: Darkening) {
+        for (k, cell) in self.0.iter_mut().enumerate() {
+            let pixel = centre_of(camera, k);
+            let gain = darkening.gain(pixel.x as f32, pixel.y as f32);
+            cell.iter_mut().for_each(|value| *value *= gain);
+        }
+    }
+
     /// The brightness at a share of the image's width and height; `None` outside the centres of the outermost cells.
     fn at(&self, x: f64, y: f64) -> Option<[f64; 3]> {
         let (x, y) = (x * CELLS.0 as f64 - 0.5, y * CELLS.1 as f64 - 0.5);
@@ -100,8 +165,17 @@ impl Thumbnail {
     }
 }
 
-/// The pairs of keyframes that show the same ground.
-fn overlaps(camera: &Camera, keyframes: &[Laid], thumbnails: &[Thumbnail]) -> Vec<Overlap> {
+/// The pixel in the middle of a thumbnail's cell.
+fn centre_of(camera: &Camera, cell: usize) -> Pixel {
+    let (column, row) = (cell % CELLS.0, cell / CELLS.0);
+    Pixel::new(
+        (column as f64 + 0.5) / CELLS.0 as f64 * camera.width() as f64 - 0.5,
+        (row as f64 + 0.5) / CELLS.1 as f64 * camera.height() as f64 - 0.5,
+    )
+}
+
+/// The pairs of keyframes that may show the same ground.
+fn pairs(keyframes: &[Laid]) -> Vec<(usize, usize)> {
     let centre = |k: usize| {
         let [left, bottom, right, top] = keyframes[k].bounds;
         (0.5 * (left + right), 0.5 * (bottom + top))
@@ -121,53 +195,81 @@ fn overlaps(camera: &Camera, keyframes: &[Laid], thumbnails: &[Thumbnail]) -> Ve
         let mut others: Vec<usize> =
             neighbours.filter_map(|key| squares.get(&key)).flatten().copied().filter(|&k| k < one).collect();
         others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
-        for other in others.into_iter().take(MOST_OVERLAPS) {
-            let pair = (&keyframes[one], &keyframes[other]);
-            if let Some(log_ratio) = log_ratio(camera, pair, (&thumbnails[one], &thumbnails[other])) {
-                found.push(Overlap { one, other, log_ratio });
-            }
-        }
+        found.extend(others.into_iter().take(MOST_OVERLAPS).map(|other| (one, other)));
     }
     found
 }
 
-/// The median logarithm of the ratio of brightness over the cells that two keyframes share.
-fn log_ratio(
+/// A spot of ground that two keyframes show: where each has it in its image, and the logarithms of the ratios of their brightness by channel.
+struct Shared {
+    pixels: [[f32; 2]; 2],
+    log_ratio: [f64; 3],
+}
+
+/// The spots that two keyframes share, one for each cell of the first.
+fn shared(
     camera: &Camera,
     (one, other): (&Laid, &Laid),
     thumbnails: (&Thumbnail, &Thumbnail),
-) -> Option<[f64; 3]> {
-    let view = View::new(camera, &other.pose)?;
+) -> Vec<Shared> {
+    let Some(view) = View::new(camera, &other.pose) else { return Vec::new() };
     let (width, height) = (camera.width() as f64, camera.height() as f64);
-    let mut ratios: [Vec<f64>; 3] = Default::default();
-    for row in 0..CELLS.1 {
-        for column in 0..CELLS.0 {
-            let share = ((column as f64 + 0.5) / CELLS.0 as f64, (row as f64 + 0.5) / CELLS.1 as f64);
-            let pixel = Pixel::new(share.0 * width - 0.5, share.1 * height - 0.5);
-            let Some(ground) = camera.ray_from_pixel(pixel).and_then(|ray| one.pose.ground_from_ray(ray))
-            else {
-                continue;
-            };
-            let Some(look) = view.look(ground) else { continue };
-            let Some(seen) = thumbnails.1.at((look.x + 0.5) / width, (look.y + 0.5) / height) else {
-                continue;
-            };
-            let own = thumbnails.0.0[row * CELLS.0 + column].map(f64::from);
-            for channel in 0..3 {
-                let (a, b) = (own[channel], seen[channel]);
-                if a.min(b) > 8.0 && a.max(b) < 247.0 {
-                    ratios[channel].push((a / b).ln());
-                }
+    let spot = |(k, own): (usize, &[f32; 3])| {
+        let pixel = centre_of(camera, k);
+        let look = view.look(one.pose.ground_from_ray(camera.ray_from_pixel(pixel)?)?)?;
+        let seen = thumbnails.1.at((look.x + 0.5) / width, (look.y + 0.5) / height)?;
+        let known =
+            (0..3).all(|c| f64::from(own[c]).min(seen[c]) > 8.0 && f64::from(own[c]).max(seen[c]) < 247.0);
+        known.then(|| Shared {
+            pixels: [[pixel.x as f32, pixel.y as f32], [look.x as f32, look.y as f32]],
+            log_ratio: [0, 1, 2].map(|c| (f64::from(own[c]) / seen[c]).ln()),
+        })
+    };
+    thumbnails.0.0.iter().enumerate().filter_map(spot).collect()
+}
+
+/// The median logarithm of each channel's ratio; `None` where too little is shared.
+fn median(shared: &[Shared]) -> Option<[f64; 3]> {
+    (shared.len() >= LEAST_CELLS).then(|| {
+        [0, 1, 2].map(|channel| {
+            let mut ratios: Vec<f64> = shared.iter().map(|spot| spot.log_ratio[channel]).collect();
+            let middle = ratios.len() / 2;
+            *ratios.select_nth_unstable_by(middle, f64::total_cmp).1
+        })
+    })
+}
+
+/// How much darker the lens is in the corners, as a logarithm: the slope of the ratio of brightness over the difference of the squared distances from the
+/// middle, over all spots that two keyframes share; the median ratio of each pair is its exposure and no matter of the lens.
+fn log_at_corner(
+    camera: &Camera,
+    keyframes: &[Laid],
+    thumbnails: &[Thumbnail],
+    pairs: &[(usize, usize)],
+    lens: Darkening,
+) -> f32 {
+    let (mut squares, mut products) = (SPREAD_PRIOR, 0.0);
+    for &(one, other) in pairs {
+        let spots =
+            shared(camera, (&keyframes[one], &keyframes[other]), (&thumbnails[one], &thumbnails[other]));
+        let Some(exposure) = median(&spots) else { continue };
+        let apart = |spot: &Shared| {
+            f64::from(
+                lens.square(spot.pixels[0][0], spot.pixels[0][1])
+                    - lens.square(spot.pixels[1][0], spot.pixels[1][1]),
+            )
+        };
+        let mean = spots.iter().map(apart).sum::<f64>() / spots.len() as f64;
+        for spot in &spots {
+            // Green stands for all.
+            let off = spot.log_ratio[1] - exposure[1];
+            if off.abs() < FARTHEST_LOG {
+                squares += (apart(spot) - mean).powi(2);
+                products += (apart(spot) - mean) * off;
             }
         }
     }
-    if ratios.iter().any(|ratios| ratios.len() < LEAST_CELLS) {
-        return None;
-    }
-    Some(ratios.map(|mut ratios| {
-        let middle = ratios.len() / 2;
-        *ratios.select_nth_unstable_by(middle, f64::total_cmp).1
-    }))
+    (products / squares).clamp(-1.5, 0.5) as f32
 }
 
 /// The logarithms of one channel's gains: least squares of `gain(one) − gain(other) + log_ratio` over all overlaps and of the gains themselves, by

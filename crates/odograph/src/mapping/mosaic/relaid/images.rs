@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::mapping::{KeyframeId, KeyframeImage, KeyframeImages};
 
 /// Bytes of images that are kept: some hundred of a small camera, a dozen of a large one.
-const KEPT_BYTES: usize = 96 << 20;
+const KEPT_BYTES: usize = 32 << 20;
 
 /// Images by keyframe, the one used last at the end.
 #[derive(Debug, Default)]

@@ -142,7 +142,7 @@ impl MapMosaic {
             let laid = &self.keyframes[index];
             let Some(view) = View::new(&self.camera, &laid.pose) else { continue };
             let image = self.images.get(laid.id, images)?;
-            self.patch.lay(image, &view, laid.bounds, self.gains.of(index));
+            self.patch.lay(image, &view, laid.bounds, self.gains.of(index), self.gains.darkening());
         }
         Ok(Some(self.patch.tiles()))
     }
@@ -195,6 +195,3 @@ fn tiles(keyframes: &[Laid], resolution_m: f64) -> Option<(Range<i64>, Range<i64
     let wide = |a: Range<i64>, b: Range<i64>| a.start.min(b.start)..a.end.max(b.end);
     keyframes.iter().map(one).reduce(|a, b| (wide(a.0, b.0), wide(a.1, b.1)))
 }
-
-#[cfg(test)]
-mod tests;

@@ -9,6 +9,7 @@ use super::super::footprint::View;
 use super::super::sampling::Samples;
 use super::super::tiles::TILE;
 use super::super::{BLOCK, MosaicSource};
+use super::exposure::Darkening;
 use super::{MosaicTile, PATCH};
 use crate::geometry::GroundPoint;
 use crate::mapping::KeyframeImage;
@@ -51,8 +52,16 @@ impl Patch {
         self.sums.resize(SIDE * SIDE, Sums::default());
     }
 
-    /// Lays an image that shows the ground within `bounds` (least x and y, greatest x and y, metres), each channel multiplied by its gain.
-    pub fn lay(&mut self, image: &KeyframeImage, view: &View<'_>, bounds: [f64; 4], gains: [f32; 3]) {
+    /// Lays an image that shows the ground within `bounds` (least x and y, greatest x and y, metres), each channel multiplied by its gain, and what
+    /// the lens darkens taken out.
+    pub fn lay(
+        &mut self,
+        image: &KeyframeImage,
+        view: &View<'_>,
+        bounds: [f64; 4],
+        gains: [f32; 3],
+        darkening: Darkening,
+    ) {
         let level = (self.resolution_m / view.centre_resolution_m()).log2().round().clamp(0.0, 8.0) as u32;
         let source = match &image.color {
             Some(color) => MosaicSource::Rgb(color),
@@ -66,8 +75,8 @@ impl Patch {
         let blocks = self.blocks_within(bounds);
         self.find_corners(view, &blocks);
         match self.samples.channels() {
-            1 => self.lay_channels::<1>(view, &blocks, gains),
-            _ => self.lay_channels::<3>(view, &blocks, gains),
+            1 => self.lay_channels::<1>(view, &blocks, gains, darkening),
+            _ => self.lay_channels::<3>(view, &blocks, gains, darkening),
         }
     }
 
@@ -98,7 +107,13 @@ impl Patch {
         }
     }
 
-    fn lay_channels<const N: usize>(&mut self, view: &View<'_>, blocks: &[usize; 4], gains: [f32; 3]) {
+    fn lay_channels<const N: usize>(
+        &mut self,
+        view: &View<'_>,
+        blocks: &[usize; 4],
+        gains: [f32; 3],
+        darkening: Darkening,
+    ) {
         let [left, right, top, bottom] = *blocks;
         let stride = right.saturating_sub(left) + 1;
         let (width, height) = self.samples.full_size();
@@ -133,7 +148,13 @@ impl Patch {
                         let Some(weight) = border.weight(seen) else { continue };
                         let Some(sample) = self.samples.at::<N>(seen.x, seen.y) else { continue };
                         let coarse = self.coarse.nearest_at::<N>(seen.x, seen.y);
-                        self.sums[(y + j) * SIDE + x + i].add(sample, coarse, weight, &gains);
+                        let lens = darkening.gain(seen.x, seen.y);
+                        self.sums[(y + j) * SIDE + x + i].add(
+                            sample,
+                            coarse,
+                            weight,
+                            &gains.map(|gain| gain * lens),
+                        );
                     }
                 }
             }

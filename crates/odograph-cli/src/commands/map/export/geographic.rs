@@ -1,0 +1,164 @@
+//! The paths and keyframes of a map in longitude and latitude: GeoJSON (RFC 7946), KML 2.2, GPX 1.1.
+
+use super::anchor::{Anchor, Place};
+use crate::files;
+use odograph::error::{Error, Result};
+use odograph_map::{MapFile, PathFrame};
+use std::fmt::Write;
+use std::path::Path;
+
+/// The forms with places on Earth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GeographicForm {
+    GeoJson,
+    Kml,
+    Gpx,
+}
+
+/// A stretch of path without a gap.
+struct Line {
+    session: u32,
+    source: String,
+    segment: usize,
+    start_s: f64,
+    end_s: f64,
+    places: Vec<Place>,
+}
+
+/// A keyframe on Earth.
+struct Point {
+    id: u64,
+    session: u32,
+    time_s: f64,
+    place: Place,
+}
+
+/// Writes all sessions and says what was written.
+pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor) -> Result<String> {
+    let mut lines = Vec::new();
+    for session in file.sessions()? {
+        let frames = file.path_of(session.id)?;
+        for stretch in frames.chunk_by(|a, b| a.segment == b.segment).filter(|stretch| stretch.len() > 1) {
+            let place = |frame: &PathFrame| anchor.place(frame.pose.x_m, frame.pose.y_m);
+            lines.push(Line {
+                session: session.id,
+                source: session.source.clone(),
+                segment: stretch[0].segment,
+                start_s: stretch[0].time_s,
+                end_s: stretch[stretch.len() - 1].time_s,
+                places: stretch.iter().map(place).collect(),
+            });
+        }
+    }
+    let keyframes = file.map()?.keyframes;
+    if lines.is_empty() && keyframes.is_empty() {
+        return Err(Error::input(format!("{} has no path and no keyframe to write", file.path().display())));
+    }
+    let points: Vec<Point> = keyframes
+        .iter()
+        .map(|keyframe| Point {
+            id: keyframe.id.0,
+            session: keyframe.session,
+            time_s: keyframe.time_s,
+            place: anchor.place(keyframe.pose.x_m, keyframe.pose.y_m),
+        })
+        .collect();
+    let text = match form {
+        GeographicForm::GeoJson => geojson(&lines, &points)?,
+        GeographicForm::Kml => kml(&lines),
+        GeographicForm::Gpx => gpx(&lines),
+    };
+    files::write(path, text.as_bytes())?;
+    Ok(format!("{} stretches of path, {} keyframes", lines.len(), points.len()))
+}
+
+/// Longitude and latitude in degrees, to a tenth of a millimetre.
+fn degrees(place: &Place) -> (String, String) {
+    (format!("{:.9}", place.longitude_rad.to_degrees()), format!("{:.9}", place.latitude_rad.to_degrees()))
+}
+
+fn geojson(lines: &[Line], points: &[Point]) -> Result<String> {
+    let position = |place: &Place| {
+        let (longitude, latitude) = degrees(place);
+        format!("[{longitude},{latitude}]")
+    };
+    let mut features = Vec::new();
+    for line in lines {
+        let source = serde_json::to_string(&line.source)
+            .map_err(|error| Error::output(format!("a name cannot be written as JSON: {error}")))?;
+        let positions: Vec<String> = line.places.iter().map(position).collect();
+        features.push(format!(
+            "{{\"type\":\"Feature\",\"properties\":{{\"session\":{},\"source\":{source},\"segment\":{},\"start_s\":{:?},\"end_s\":{:?}}},\
+             \"geometry\":{{\"type\":\"LineString\",\"coordinates\":[{}]}}}}",
+            line.session,
+            line.segment,
+            line.start_s,
+            line.end_s,
+            positions.join(",")
+        ));
+    }
+    for point in points {
+        features.push(format!(
+            "{{\"type\":\"Feature\",\"properties\":{{\"keyframe\":{},\"session\":{},\"time_s\":{:?}}},\
+             \"geometry\":{{\"type\":\"Point\",\"coordinates\":{}}}}}",
+            point.id,
+            point.session,
+            point.time_s,
+            position(&point.place)
+        ));
+    }
+    Ok(format!("{{\"type\":\"FeatureCollection\",\"features\":[\n{}\n]}}\n", features.join(",\n")))
+}
+
+fn kml(lines: &[Line]) -> String {
+    let mut text = String::from(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\">\n<Document>\n",
+    );
+    for line in lines {
+        let _ = write!(
+            text,
+            "<Placemark><name>{} ({})</name><LineString><tessellate>1</tessellate><coordinates>",
+            escaped(&line.source),
+            line.segment
+        );
+        for place in &line.places {
+            let (longitude, latitude) = degrees(place);
+            let _ = write!(text, "{longitude},{latitude} ");
+        }
+        text.push_str("</coordinates></LineString></Placemark>\n");
+    }
+    text + "</Document>\n</kml>\n"
+}
+
+fn gpx(lines: &[Line]) -> String {
+    let mut text = String::from(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<gpx version=\"1.1\" creator=\"odograph\" \
+         xmlns=\"http://www.topografix.com/GPX/1/1\">\n",
+    );
+    for session in lines.chunk_by(|a, b| a.session == b.session) {
+        let _ = writeln!(text, "<trk><name>{}</name>", escaped(&session[0].source));
+        for line in session {
+            text.push_str("<trkseg>\n");
+            for place in &line.places {
+                let (longitude, latitude) = degrees(place);
+                let _ = writeln!(text, "<trkpt lat=\"{latitude}\" lon=\"{longitude}\"/>");
+            }
+            text.push_str("</trkseg>\n");
+        }
+        text.push_str("</trk>\n");
+    }
+    text + "</gpx>\n"
+}
+
+/// Text inside of XML; what XML cannot hold at all is left out.
+fn escaped(text: &str) -> String {
+    let kept = text.chars().filter(|c| !c.is_control());
+    kept.map(|c| match c {
+        '&' => "&amp;".to_owned(),
+        '<' => "&lt;".to_owned(),
+        '>' => "&gt;".to_owned(),
+        '"' => "&quot;".to_owned(),
+        other => other.to_string(),
+    })
+    .collect()
+}

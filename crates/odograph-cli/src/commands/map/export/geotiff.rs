@@ -1,0 +1,141 @@
+//! The mosaic as a GeoTIFF (OGC 19-008): the tiles as they are in the map, so that no more than one is in memory.
+
+use super::anchor::Anchor;
+use crate::files;
+use odograph::error::{Error, Result};
+use odograph::mapping::MOSAIC_TILE_PX;
+use odograph_map::{MapFile, MosaicLayer};
+use std::path::Path;
+use tiff::TiffError;
+use tiff::encoder::compression::{CompressionAlgorithm, Deflate, DeflateLevel};
+use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKind};
+use tiff::tags::Tag;
+
+/// Red, green, blue and opacity.
+const CHANNELS: usize = 4;
+
+/// Writes the whole picture at its finest and says what was written.
+pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path, anchor: Option<&Anchor>) -> Result<String> {
+    let side = MOSAIC_TILE_PX as u64;
+    let [columns, rows] =
+        [&layer.columns, &layer.rows].map(|range| range.start / side..range.end.div_ceil(side));
+    let (width, height) = ((columns.end - columns.start) * side, (rows.end - rows.start) * side);
+    let left_m = layer.left_m + (columns.start * side) as f64 * layer.resolution_m;
+    let top_m = layer.top_m - (rows.start * side) as f64 * layer.resolution_m;
+    files::write_with(path, |output| {
+        let broken =
+            |error: TiffError| Error::output(format!("{} cannot be written: {error}", path.display()));
+        let mut encoder = TiffEncoder::new_big(output).map_err(broken)?;
+        let mut directory = encoder.image_directory().map_err(broken)?;
+        let (mut offsets, mut lengths) = (Vec::new(), Vec::new());
+        for row in rows.clone() {
+            for column in columns.clone() {
+                // A tile that is nowhere is transparent: GDAL's sparse tiles.
+                let (offset, length) = match file.mosaic_tile(layer.finest, column, row)? {
+                    Some(rgba) => put_tile(&mut directory, &rgba).map_err(broken)?,
+                    None => (0, 0),
+                };
+                offsets.push(offset);
+                lengths.push(length);
+            }
+        }
+        describe(&mut directory, (width, height), &offsets, &lengths)
+            .and_then(|()| place(&mut directory, (left_m, top_m), layer.resolution_m, anchor))
+            .and_then(|()| directory.finish())
+            .map_err(broken)
+    })?;
+    let system =
+        anchor.map_or("metres of the map".to_owned(), |anchor| format!("EPSG:{}", anchor.utm_code()));
+    Ok(format!("{width}x{height} px of {:.2} mm, {system}", 1000.0 * layer.resolution_m))
+}
+
+fn put_tile<W: std::io::Write + std::io::Seek, K: TiffKind>(
+    directory: &mut DirectoryEncoder<'_, W, K>,
+    rgba: &[u8],
+) -> std::result::Result<(u64, u64), TiffError> {
+    let mut compressed = Vec::new();
+    Deflate::with_level(DeflateLevel::Fast).write_to(&mut compressed, &differences(rgba))?;
+    let offset = directory.write_data(compressed.as_slice())?;
+    Ok((offset, compressed.len() as u64))
+}
+
+/// Each sample less its left neighbour: TIFF's horizontal predictor.
+fn differences(rgba: &[u8]) -> Vec<u8> {
+    let mut samples = rgba.to_vec();
+    for row in samples.chunks_exact_mut(CHANNELS * MOSAIC_TILE_PX) {
+        for at in (CHANNELS..row.len()).rev() {
+            row[at] = row[at].wrapping_sub(row[at - CHANNELS]);
+        }
+    }
+    samples
+}
+
+fn describe<W: std::io::Write + std::io::Seek, K: TiffKind>(
+    directory: &mut DirectoryEncoder<'_, W, K>,
+    (width, height): (u64, u64),
+    offsets: &[u64],
+    lengths: &[u64],
+) -> std::result::Result<(), TiffError> {
+    const DEFLATE: u16 = 8;
+    const RGB: u16 = 2;
+    const HORIZONTAL: u16 = 2;
+    const UNASSOCIATED_OPACITY: u16 = 2;
+    directory.write_tag(Tag::ImageWidth, width as u32)?;
+    directory.write_tag(Tag::ImageLength, height as u32)?;
+    directory.write_tag(Tag::BitsPerSample, [8_u16; CHANNELS].as_slice())?;
+    directory.write_tag(Tag::Compression, DEFLATE)?;
+    directory.write_tag(Tag::PhotometricInterpretation, RGB)?;
+    directory.write_tag(Tag::SamplesPerPixel, CHANNELS as u16)?;
+    directory.write_tag(Tag::PlanarConfiguration, 1_u16)?;
+    directory.write_tag(Tag::Predictor, HORIZONTAL)?;
+    directory.write_tag(Tag::TileWidth, MOSAIC_TILE_PX as u32)?;
+    directory.write_tag(Tag::TileLength, MOSAIC_TILE_PX as u32)?;
+    directory.write_tag(Tag::TileOffsets, offsets)?;
+    directory.write_tag(Tag::TileByteCounts, lengths)?;
+    directory.write_tag(Tag::ExtraSamples, UNASSOCIATED_OPACITY)
+}
+
+/// Where the picture lies: in metres of the map, or, where the map is anchored, in the UTM zone of its place.
+fn place<W: std::io::Write + std::io::Seek, K: TiffKind>(
+    directory: &mut DirectoryEncoder<'_, W, K>,
+    (left_m, top_m): (f64, f64),
+    metres_per_pixel: f64,
+    anchor: Option<&Anchor>,
+) -> std::result::Result<(), TiffError> {
+    const MODEL: u16 = 1024;
+    const RASTER: u16 = 1025;
+    const PROJECTED_SYSTEM: u16 = 3072;
+    const PROJECTED_UNITS: u16 = 3076;
+    const USER_DEFINED: u16 = 32_767;
+    const PROJECTED: u16 = 1;
+    const PIXEL_IS_AREA: u16 = 1;
+    const METRE: u16 = 9001;
+    let keys = match anchor {
+        None => {
+            directory
+                .write_tag(Tag::ModelPixelScaleTag, [metres_per_pixel, metres_per_pixel, 0.0].as_slice())?;
+            directory.write_tag(Tag::ModelTiepointTag, [0.0, 0.0, 0.0, left_m, top_m, 0.0].as_slice())?;
+            [(MODEL, USER_DEFINED), (RASTER, PIXEL_IS_AREA), (PROJECTED_UNITS, METRE)]
+        }
+        Some(anchor) => {
+            // Over the size of a map the projection is a straight line: east and north of the corner, and a step along x and y of the map.
+            let at = |x_m: f64, y_m: f64| anchor.utm(x_m, y_m);
+            let ((east, north), (right, down)) =
+                (at(left_m, top_m), (at(left_m + 1.0, top_m), at(left_m, top_m - 1.0)));
+            let step = |to: (f64, f64)| (metres_per_pixel * (to.0 - east), metres_per_pixel * (to.1 - north));
+            let (right, down) = (step(right), step(down));
+            let transformation = [
+                [right.0, down.0, 0.0, east],
+                [right.1, down.1, 0.0, north],
+                [0.0, 0.0, 0.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ];
+            directory.write_tag(Tag::ModelTransformationTag, transformation.concat().as_slice())?;
+            [(MODEL, PROJECTED), (RASTER, PIXEL_IS_AREA), (PROJECTED_SYSTEM, anchor.utm_code())]
+        }
+    };
+    // Version 1.1.0 and the number of keys, then each key with its value in place.
+    let mut directory_of_keys = vec![1, 1, 0, keys.len() as u16];
+    keys.iter().for_each(|&(key, value)| directory_of_keys.extend([key, 0, 1, value]));
+    directory.write_tag(Tag::GeoKeyDirectoryTag, directory_of_keys.as_slice())
+}

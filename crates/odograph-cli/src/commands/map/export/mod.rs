@@ -1,0 +1,200 @@
+//! `odograph map export`: a map as other programs read it, in the form that the output's name asks for.
+
+mod anchor;
+mod colmap;
+mod geographic;
+mod geotiff;
+mod picture;
+mod ply;
+mod trajectory;
+
+use super::check_free;
+use crate::{Outcome, console};
+use anchor::{Anchor, AnchorArgument};
+use geographic::GeographicForm;
+use odograph::error::{Error, Result};
+use odograph_map::{MapFile, PathFrame};
+use std::path::{Path, PathBuf};
+use trajectory::TrajectoryForm;
+
+/// Write a map for other programs; the name of the output says for which.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct ExportArguments {
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// .tif, .png or .ply: the mosaic; .tum, .kitti or .csv: the path; .geojson, .kml or .gpx: the path on Earth; a folder: COLMAP's text model with
+    /// its images.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Where the map is on Earth: "LAT,LON,HEADING" of its origin (heading: compass degrees of the map's x), or twice "X,Y=LAT,LON".
+    #[arg(long, value_name = "ANCHOR", allow_hyphen_values = true, value_parser = clap::value_parser!(AnchorArgument))]
+    anchor: Vec<AnchorArgument>,
+    /// The session whose path is written. [default: the only one]
+    #[arg(long, value_name = "N")]
+    session: Option<u32>,
+    /// Points in a .ply at most; the mosaic is taken as coarse as that needs.
+    #[arg(long, value_name = "N", default_value_t = 2_000_000)]
+    max_points: usize,
+    /// Overwrite what is there.
+    #[arg(long)]
+    force: bool,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph map export drive/map.gpkg -o floor.tif                                   # mosaic, metres of the map
+  odograph map export drive/map.gpkg --anchor 48.2082,16.3738,93.5 -o floor.tif     # mosaic, UTM
+  odograph map export drive/map.gpkg --anchor 0,0=48.2082,16.3738 --anchor 12.5,-3=48.2083,16.3739 -o path.geojson
+  odograph map export drive/map.gpkg -o colmap/                                     # cameras, images, points";
+
+/// The forms of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PictureForm {
+    GeoTiff,
+    Png,
+}
+
+impl PictureForm {
+    /// The form that a file's name asks for.
+    pub fn of(path: &Path) -> Result<Self> {
+        match Form::of(path)? {
+            Form::Picture(form) => Ok(form),
+            _ => Err(Error::usage(format!(
+                "{} is not the name of a picture; give a .tif or a .png",
+                path.display()
+            ))),
+        }
+    }
+}
+
+/// What can be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    Picture(PictureForm),
+    Ply,
+    Trajectory(TrajectoryForm),
+    Geographic(GeographicForm),
+    Colmap,
+}
+
+impl Form {
+    fn of(path: &Path) -> Result<Self> {
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+        match extension.as_deref() {
+            Some("tif" | "tiff") => Ok(Self::Picture(PictureForm::GeoTiff)),
+            Some("png") => Ok(Self::Picture(PictureForm::Png)),
+            Some("ply") => Ok(Self::Ply),
+            Some("tum") => Ok(Self::Trajectory(TrajectoryForm::Tum)),
+            Some("kitti") => Ok(Self::Trajectory(TrajectoryForm::Kitti)),
+            Some("csv") => Ok(Self::Trajectory(TrajectoryForm::Csv)),
+            Some("geojson" | "json") => Ok(Self::Geographic(GeographicForm::GeoJson)),
+            Some("kml") => Ok(Self::Geographic(GeographicForm::Kml)),
+            Some("gpx") => Ok(Self::Geographic(GeographicForm::Gpx)),
+            None => Ok(Self::Colmap),
+            Some(other) => Err(Error::usage(format!(
+                "{}: a map cannot be written as .{other}; there are .tif, .png, .ply, .tum, .kitti, .csv, .geojson, .kml, .gpx and a \
+                 folder for COLMAP",
+                path.display()
+            ))),
+        }
+    }
+
+    /// Whether the form can say where on Earth the map is.
+    fn takes_anchor(self) -> bool {
+        matches!(self, Self::Picture(PictureForm::GeoTiff) | Self::Geographic(_))
+    }
+}
+
+/// Runs the command.
+pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
+    let form = Form::of(&arguments.output)?;
+    if !arguments.anchor.is_empty() && !form.takes_anchor() {
+        return Err(Error::usage(
+            "--anchor is for .tif, .geojson, .kml and .gpx; the other forms have no place on Earth",
+        ));
+    }
+    let anchor = Anchor::of(&arguments.anchor)?;
+    if form != Form::Colmap || arguments.output.is_file() {
+        check_free(&arguments.output, arguments.force)?;
+    }
+    let mut file = MapFile::open_read_only(&arguments.map)?;
+    let output = arguments.output.as_path();
+    let told = match form {
+        Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
+        Form::Ply => ply::write(&file, output, arguments.max_points)?,
+        Form::Trajectory(form) => trajectory::write(&path_asked(&file, arguments.session)?, output, form)?,
+        Form::Geographic(form) => {
+            let anchor = anchor.ok_or_else(|| {
+                Error::usage(format!(
+                    "{} needs to know where on Earth the map is; give --anchor LAT,LON,HEADING, or two of --anchor X,Y=LAT,LON",
+                    output.display()
+                ))
+            })?;
+            geographic::write(&file, output, form, &anchor)?
+        }
+        Form::Colmap => colmap::write(&mut file, output, arguments.force)?,
+    };
+    if !arguments.quiet {
+        console::print(&format!("{told}\nLook at {}\n", output.display()))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// Writes the mosaic that a map has.
+pub fn write_picture(
+    file: &MapFile,
+    path: &Path,
+    form: PictureForm,
+    anchor: Option<&Anchor>,
+) -> Result<String> {
+    let layer = file.mosaic()?.ok_or_else(|| {
+        Error::input(format!(
+            "{} has no mosaic yet; odograph map mosaic {} lays it",
+            file.path().display(),
+            file.path().display()
+        ))
+    })?;
+    match form {
+        PictureForm::GeoTiff => geotiff::write(file, &layer, path, anchor),
+        PictureForm::Png => picture::write(file, &layer, path),
+    }
+}
+
+/// The path of the session asked for, or of the only one; of the keyframes where the map has no path yet.
+fn path_asked(file: &MapFile, session: Option<u32>) -> Result<Vec<PathFrame>> {
+    let sessions = file.sessions()?;
+    let session = match (session, sessions.as_slice()) {
+        (Some(session), known) if known.iter().any(|known| known.id == session) => session,
+        (None, [only]) => only.id,
+        (asked, known) => {
+            let numbers: Vec<String> = known.iter().map(|session| session.id.to_string()).collect();
+            let asked = asked
+                .map_or("--session is not given".to_owned(), |asked| format!("there is no session {asked}"));
+            return Err(Error::usage(format!(
+                "{}: {asked}; the map has the sessions {}",
+                file.path().display(),
+                numbers.join(", ")
+            )));
+        }
+    };
+    let path = file.path_of(session)?;
+    if !path.is_empty() {
+        return Ok(path);
+    }
+    let keyframes = file.map()?.keyframes;
+    Ok(keyframes
+        .iter()
+        .filter(|keyframe| keyframe.session == session)
+        .map(|keyframe| PathFrame {
+            frame: keyframe.frame,
+            segment: keyframe.segment,
+            time_s: keyframe.time_s,
+            pose: keyframe.pose,
+        })
+        .collect())
+}

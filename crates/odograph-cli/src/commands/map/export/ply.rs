@@ -1,0 +1,71 @@
+//! The mosaic as coloured points (PLY, binary): the ground where it was seen, and above it the cameras.
+
+use crate::files;
+use odograph::error::{Error, Result};
+use odograph_map::{MapFile, MosaicLayer};
+use std::io::Write;
+use std::path::Path;
+
+/// The colour of the points that are cameras.
+const CAMERA: [u8; 3] = [255, 0, 0];
+
+/// Writes at most so many points of ground, one for each keyframe besides, and says what was written.
+pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> {
+    let keyframes = file.map()?.keyframes;
+    let layer = file.mosaic()?;
+    let level = layer.as_ref().map(|layer| chosen(file, layer, most_points)).transpose()?;
+    let ground = level.map_or(0, |(_, points)| points);
+    if ground == 0 && keyframes.is_empty() {
+        return Err(Error::input(format!(
+            "{} has no mosaic and no keyframe to write",
+            file.path().display()
+        )));
+    }
+    files::write_with(path, |output| {
+        let broken =
+            |error: std::io::Error| Error::output(format!("{} cannot be written: {error}", path.display()));
+        write!(
+            output,
+            "ply\nformat binary_little_endian 1.0\ncomment metres; the ground is z = 0, cameras are red\nelement vertex {}\n\
+             property double x\nproperty double y\nproperty double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
+             end_header\n",
+            ground + keyframes.len() as u64
+        )
+        .map_err(broken)?;
+        if let (Some(layer), Some((level, _))) = (&layer, level) {
+            let (width, _, placement) = layer.picture_at(level);
+            file.each_tile_row(layer, level, &mut |first_row, rows| {
+                for (k, pixel) in rows.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
+                    let (column, row) = (k % width as usize, first_row + k / width as usize);
+                    let point = placement.ground_from_pixel(column as f64, row as f64);
+                    output.write_all(&vertex([point.x_m, point.y_m, 0.0], &pixel[..3])).map_err(broken)?;
+                }
+                Ok(())
+            })?;
+        }
+        keyframes.iter().try_for_each(|keyframe| {
+            let pose = &keyframe.pose;
+            output.write_all(&vertex([pose.x_m, pose.y_m, pose.height_m], &CAMERA)).map_err(broken)
+        })
+    })?;
+    Ok(format!("{ground} points of ground, {} cameras", keyframes.len()))
+}
+
+fn vertex(position: [f64; 3], color: &[u8]) -> Vec<u8> {
+    position.iter().flat_map(|value| value.to_le_bytes()).chain(color.iter().copied()).collect()
+}
+
+/// The finest level that shows ground in few enough pixels, and in how many.
+fn chosen(file: &MapFile, layer: &MosaicLayer, most_points: usize) -> Result<(u32, u64)> {
+    for level in (0..=layer.finest).rev() {
+        let mut points = 0;
+        file.each_tile_row(layer, level, &mut |_, rows| {
+            points += rows.chunks_exact(4).filter(|pixel| pixel[3] > 0).count() as u64;
+            Ok(())
+        })?;
+        if points <= most_points as u64 || level == 0 {
+            return Ok((level, points));
+        }
+    }
+    Ok((0, 0))
+}

@@ -1,0 +1,222 @@
+//! `odograph map info`: what a map holds.
+
+use crate::{Outcome, console};
+use odograph::error::{Error, Result};
+use odograph::mapping::{EdgeKind, GroundMap, KeyframeId};
+use odograph_map::{MapFile, PathFrame};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Tell what a map holds.
+#[derive(Debug, clap::Args)]
+pub struct InfoArguments {
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// Print JSON instead of text.
+    #[arg(long)]
+    json: bool,
+    /// Look through the whole file for damage, every image included; slow on a large map.
+    #[arg(long)]
+    check: bool,
+}
+
+/// What is told.
+#[derive(Debug, Serialize)]
+struct MapInfo {
+    file: String,
+    bytes: u64,
+    image_bytes: u64,
+    camera: odograph::camera::Camera,
+    rig: odograph::camera::Rig,
+    sessions: Vec<SessionInfo>,
+    keyframes: usize,
+    odometry_edges: usize,
+    gap_edges: usize,
+    loop_edges: usize,
+    /// Pieces of the map that no edge ties to each other.
+    pieces: usize,
+    features: usize,
+    /// Least x and y, greatest x and y of the keyframes.
+    extent_m: Option<[f64; 4]>,
+    mosaic: Option<MosaicInfo>,
+}
+
+#[derive(Debug, Serialize)]
+struct SessionInfo {
+    id: u32,
+    source: String,
+    keyframes: usize,
+    frames: usize,
+    path_m: f64,
+    start_s: Option<f64>,
+    end_s: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct MosaicInfo {
+    metres_per_pixel: f64,
+    width_px: u64,
+    height_px: u64,
+    levels: u32,
+}
+
+/// Runs the command.
+pub fn info(arguments: &InfoArguments) -> Result<Outcome> {
+    let mut file = MapFile::open_read_only(&arguments.map)?;
+    if arguments.check {
+        file.check()?;
+    }
+    let info = gathered(&file)?;
+    if arguments.json {
+        let text = serde_json::to_string_pretty(&info).map_err(|error| {
+            Error::output(format!("the facts about the map cannot be written as JSON: {error}"))
+        })?;
+        console::print(&(text + "\n"))?;
+    } else {
+        console::print(&described(&info, arguments.check))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn gathered(file: &MapFile) -> Result<MapInfo> {
+    let map = file.map()?;
+    let sessions = file
+        .sessions()?
+        .into_iter()
+        .map(|session| {
+            let path = file.path_of(session.id)?;
+            Ok(SessionInfo {
+                id: session.id,
+                source: session.source,
+                keyframes: map.keyframes.iter().filter(|keyframe| keyframe.session == session.id).count(),
+                frames: path.len(),
+                path_m: length_m(&path),
+                start_s: path.first().map(|frame| frame.time_s),
+                end_s: path.last().map(|frame| frame.time_s),
+            })
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let mosaic = file.mosaic()?.map(|layer| {
+        let (width_px, height_px, _) = layer.picture_at(layer.finest);
+        MosaicInfo { metres_per_pixel: layer.resolution_m, width_px, height_px, levels: layer.finest + 1 }
+    });
+    let edges = |kind| map.edges.iter().filter(|edge| edge.kind == kind).count();
+    Ok(MapInfo {
+        file: file.path().display().to_string(),
+        bytes: std::fs::metadata(file.path()).map_or(0, |metadata| metadata.len()),
+        image_bytes: file.image_bytes()?.1,
+        camera: map.camera.clone(),
+        rig: map.rig,
+        sessions,
+        keyframes: map.keyframes.len(),
+        odometry_edges: edges(EdgeKind::Odometry),
+        gap_edges: edges(EdgeKind::Gap),
+        loop_edges: edges(EdgeKind::Loop),
+        pieces: pieces(&map),
+        features: map.keyframes.iter().map(|keyframe| keyframe.signature.features.len()).sum(),
+        extent_m: extent_m(&map),
+        mosaic,
+    })
+}
+
+/// Length of the path, metres; what was not measured does not count.
+fn length_m(path: &[PathFrame]) -> f64 {
+    let step =
+        |two: &[PathFrame]| (two[1].pose.x_m - two[0].pose.x_m).hypot(two[1].pose.y_m - two[0].pose.y_m);
+    path.windows(2).filter(|two| two[0].segment == two[1].segment).map(step).sum()
+}
+
+fn extent_m(map: &GroundMap) -> Option<[f64; 4]> {
+    map.keyframes
+        .iter()
+        .map(|keyframe| [keyframe.pose.x_m, keyframe.pose.y_m, keyframe.pose.x_m, keyframe.pose.y_m])
+        .reduce(|a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])])
+}
+
+/// How many pieces the edges leave of the map.
+fn pieces(map: &GroundMap) -> usize {
+    let place: BTreeMap<KeyframeId, usize> =
+        map.keyframes.iter().enumerate().map(|(index, keyframe)| (keyframe.id, index)).collect();
+    let mut leader: Vec<usize> = (0..place.len()).collect();
+    let find = |leader: &mut Vec<usize>, mut of: usize| {
+        while leader[of] != of {
+            leader[of] = leader[leader[of]];
+            of = leader[of];
+        }
+        of
+    };
+    let mut pieces = place.len();
+    for edge in &map.edges {
+        let (Some(&from), Some(&to)) = (place.get(&edge.from), place.get(&edge.to)) else { continue };
+        let (from, to) = (find(&mut leader, from), find(&mut leader, to));
+        if from != to {
+            leader[from] = to;
+            pieces -= 1;
+        }
+    }
+    pieces
+}
+
+fn described(info: &MapInfo, checked: bool) -> String {
+    let mut text = String::new();
+    let megabytes = |bytes: u64| bytes as f64 / 1e6;
+    let _ = writeln!(
+        text,
+        "{}: {:.1} MB, {:.1} MB of them images",
+        info.file,
+        megabytes(info.bytes),
+        megabytes(info.image_bytes)
+    );
+    let _ = writeln!(
+        text,
+        "camera     {}x{}, focal lengths {:.1} and {:.1} px, {:.3} m above the ground",
+        info.camera.width(),
+        info.camera.height(),
+        info.camera.focal_px().0,
+        info.camera.focal_px().1,
+        info.rig.height_m
+    );
+    let _ = writeln!(
+        text,
+        "keyframes  {} in {} piece{}, {} features",
+        info.keyframes,
+        info.pieces,
+        if info.pieces == 1 { "" } else { "s" },
+        info.features
+    );
+    let _ = writeln!(
+        text,
+        "edges      {} odometry, {} gaps, {} loops",
+        info.odometry_edges, info.gap_edges, info.loop_edges
+    );
+    if let Some([left, bottom, right, top]) = info.extent_m {
+        let _ = writeln!(text, "extent     x {left:.2} to {right:.2} m, y {bottom:.2} to {top:.2} m");
+    }
+    match &info.mosaic {
+        Some(mosaic) => {
+            let _ = writeln!(
+                text,
+                "mosaic     {}x{} px of {:.2} mm, {} levels",
+                mosaic.width_px,
+                mosaic.height_px,
+                1000.0 * mosaic.metres_per_pixel,
+                mosaic.levels
+            );
+        }
+        None => text.push_str("mosaic     none; odograph map mosaic lays it\n"),
+    }
+    for session in &info.sessions {
+        let _ = writeln!(
+            text,
+            "session {}  {}: {} keyframes, {} frames, {:.2} m",
+            session.id, session.source, session.keyframes, session.frames, session.path_m
+        );
+    }
+    if checked {
+        text.push_str("checked    no damage found\n");
+    }
+    text
+}

@@ -1,0 +1,46 @@
+//! `odograph map`: what can be done with a map file.
+
+mod export;
+mod info;
+mod mosaic;
+mod thin;
+
+use crate::Outcome;
+use odograph::error::{Error, Result};
+use std::path::Path;
+
+/// Look into a map, write it for other programs, lay its mosaic, make it smaller.
+#[derive(Debug, clap::Args)]
+pub struct MapArguments {
+    #[command(subcommand)]
+    command: MapCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum MapCommand {
+    Info(info::InfoArguments),
+    Export(export::ExportArguments),
+    Mosaic(mosaic::MosaicArguments),
+    Thin(thin::ThinArguments),
+}
+
+/// Runs the command.
+pub fn map(arguments: MapArguments) -> Result<Outcome> {
+    match arguments.command {
+        MapCommand::Info(arguments) => info::info(&arguments),
+        MapCommand::Export(arguments) => export::export(&arguments),
+        MapCommand::Mosaic(arguments) => mosaic::mosaic(&arguments),
+        MapCommand::Thin(arguments) => thin::thin(&arguments),
+    }
+}
+
+/// Refuses to write over what is there.
+fn check_free(path: &Path, force: bool) -> Result<()> {
+    if path.exists() && !force {
+        return Err(Error::usage(format!(
+            "{} is already there; choose another name or give --force",
+            path.display()
+        )));
+    }
+    Ok(())
+}

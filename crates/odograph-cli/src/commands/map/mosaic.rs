@@ -1,0 +1,77 @@
+//! `odograph map mosaic`: the picture of the ground, laid anew.
+
+use super::{check_free, export};
+use crate::{Outcome, console, interrupt};
+use indicatif::{ProgressBar, ProgressStyle};
+use odograph::error::{Error, Result};
+use odograph_map::MapFile;
+use std::path::PathBuf;
+
+/// Lay the mosaic of a map anew, at the resolution that is asked for, and keep it in the map.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct MosaicArguments {
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// Write the picture too: .tif (GeoTIFF) or .png (with a world file).
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Side of a ground pixel, metres. [default: what a pixel in the middle of an image sees]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    resolution: Option<f64>,
+    /// Overwrite the picture where it is there.
+    #[arg(long)]
+    force: bool,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph map mosaic drive/map.gpkg -o floor.tif
+  odograph map mosaic drive/map.gpkg --resolution 0.005 -o floor.png";
+
+/// Runs the command.
+pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
+    if let Some(resolution) = arguments.resolution.filter(|r| !(r.is_finite() && *r > 0.0)) {
+        return Err(Error::usage(format!(
+            "--resolution is {resolution}; it must be a positive number of metres"
+        )));
+    }
+    let form = arguments.output.as_deref().map(export::PictureForm::of).transpose()?;
+    if let Some(path) = &arguments.output {
+        check_free(path, arguments.force)?;
+    }
+    let mut file = MapFile::open(&arguments.map)?;
+    let bar = if arguments.quiet { ProgressBar::hidden() } else { ProgressBar::no_length() };
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} patches, {eta} left") {
+        bar.set_style(style);
+    }
+    let laid = file.lay_mosaic(arguments.resolution, &mut |left| {
+        bar.inc(1);
+        bar.set_length(bar.position() + left as u64);
+        !interrupt::asked()
+    })?;
+    bar.finish_and_clear();
+    let Some(layer) = file.mosaic()?.filter(|_| laid) else {
+        return Err(Error::input(if interrupt::asked() {
+            "interrupted; the map has the mosaic that it had".to_owned()
+        } else {
+            format!(
+                "{} has no keyframe that looks at the ground; there is no mosaic to lay",
+                arguments.map.display()
+            )
+        }));
+    };
+    if let Some((path, form)) = arguments.output.as_deref().zip(form) {
+        export::write_picture(&file, path, form, None)?;
+    }
+    file.close()?;
+    if !arguments.quiet {
+        let (width, height, _) = layer.picture_at(layer.finest);
+        console::print(&format!("{width}x{height} px of {:.2} mm\n", 1000.0 * layer.resolution_m))?;
+    }
+    Ok(Outcome::Done)
+}

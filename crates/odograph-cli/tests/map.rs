@@ -1,0 +1,212 @@
+//! The command `odograph map`, as a person runs it.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // in a test, what cannot be is a failure of the test
+
+#[path = "../../odograph-map/tests/ground/mod.rs"]
+mod ground;
+#[path = "map/gdal.rs"]
+mod gdal;
+
+use odograph::camera::Rig;
+use odograph::formats::trajectory_file;
+use odograph_map::{MapFile, PathFrame};
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+fn odograph(arguments: &[&str], folder: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_odograph"))
+        .arg("map")
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .unwrap()
+}
+
+/// A folder with `map.gpkg`: two lanes of six keyframes, one session.
+fn made() -> tempfile::TempDir {
+    static BYTES: OnceLock<Vec<u8>> = OnceLock::new();
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("map.gpkg"), BYTES.get_or_init(map_bytes)).unwrap();
+    folder
+}
+
+fn map_bytes() -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map =
+        MapFile::create(&folder.path().join("map.gpkg"), &ground::camera(), &Rig::level(0.5)).unwrap();
+    let session = map.begin_session("drive & home.mp4").unwrap();
+    let mut path = Vec::new();
+    for number in 0..12 {
+        let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
+        map.add_keyframe(&ground::keyframe(number, session), &ground::image(number), &edges).unwrap();
+        path.push(PathFrame { frame: number, segment: 0, time_s: number as f64, pose: ground::pose(number) });
+    }
+    map.set_path(session, &path).unwrap();
+    map.lay_mosaic(None, &mut |_| true).unwrap();
+    map.close().unwrap();
+    fs::read(folder.path().join("map.gpkg")).unwrap()
+}
+
+fn text(output: &Output) -> (i32, String, String) {
+    let string = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
+    (output.status.code().unwrap(), string(&output.stdout), string(&output.stderr))
+}
+
+#[test]
+fn info_tells_what_is_in_a_map() {
+    let folder = made();
+    let (code, told, complaints) = text(&odograph(&["info", "map.gpkg", "--check"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    for part in
+        ["12 in 1 piece,", "9 odometry, 2 gaps, 0 loops", "session 0  drive & home.mp4", "no damage found"]
+    {
+        assert!(told.contains(part), "{part:?} is not in\n{told}");
+    }
+    let (code, told, _) = text(&odograph(&["info", "map.gpkg", "--json"], folder.path()));
+    let json: serde_json::Value = serde_json::from_str(&told).unwrap();
+    assert_eq!((code, &json["keyframes"], &json["sessions"][0]["frames"]), (0, &12.into(), &12.into()));
+    assert_eq!(json["features"], 240);
+}
+
+#[test]
+fn the_path_comes_out_as_it_went_in() {
+    let folder = made();
+    for name in ["path.tum", "path.kitti", "path.csv"] {
+        let (code, told, complaints) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
+        assert_eq!((code, complaints.as_str()), (0, ""), "{name}");
+        assert!(told.starts_with("12 poses"), "{told}");
+    }
+    let read = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    let tum = trajectory_file::parse_tum(&read("path.tum")).unwrap();
+    let times: Vec<f64> = tum.poses.iter().map(|pose| pose.time_s).collect();
+    for trajectory in [&tum, &trajectory_file::parse_kitti(&read("path.kitti"), Some(&times)).unwrap()] {
+        for (number, pose) in trajectory.poses.iter().enumerate() {
+            let apart = pose.world_from_camera.inverse() * ground::pose(number as u64).world_from_camera();
+            assert!(apart.translation.vector.norm() < 1e-8 && apart.rotation.angle() < 1e-6);
+        }
+    }
+    assert_eq!(
+        read("path.csv").lines().nth(3).unwrap().split(',').take(4).collect::<Vec<_>>()[2..],
+        ["0.400000", "0.000000"]
+    );
+}
+
+#[test]
+fn points_are_written_with_their_colours() {
+    let folder = made();
+    let (code, told, complaints) =
+        text(&odograph(&["export", "map.gpkg", "-o", "ground.ply", "--max-points", "20000"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    let bytes = fs::read(folder.path().join("ground.ply")).unwrap();
+    let end = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
+    let header = String::from_utf8(bytes[..end].to_vec()).unwrap();
+    let count: usize =
+        header.lines().find_map(|line| line.strip_prefix("element vertex ")).unwrap().parse().unwrap();
+    assert!(told.starts_with(&format!("{} points of ground, 12 cameras", count - 12)), "{told}");
+    assert!(count > 5000 && count <= 20_012 && bytes.len() - end == 27 * count);
+    let last = &bytes[bytes.len() - 27..];
+    assert_eq!((f64::from_le_bytes(last[16..24].try_into().unwrap()), &last[24..]), (0.5, &[255, 0, 0][..]));
+}
+
+#[test]
+fn a_colmap_model_projects_its_points_where_it_says_they_are_seen() {
+    let folder = made();
+    let (code, _, complaints) = text(&odograph(&["export", "map.gpkg", "-o", "model"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    let read = |name: &str| fs::read_to_string(folder.path().join("model").join(name)).unwrap();
+    assert!(
+        read("cameras.txt").contains("1 OPENCV 160 120 130.0 131.0 79.5 61.0"),
+        "{}",
+        read("cameras.txt")
+    );
+    let camera = ground::camera();
+    let numbers = |line: &str| -> Vec<f64> { line.split(' ').filter_map(|n| n.parse().ok()).collect() };
+    let points: std::collections::BTreeMap<u64, Vec<f64>> = read("points3D.txt")
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| (numbers(line)[0] as u64, numbers(line)[1..4].to_vec()))
+        .collect();
+    let images = read("images.txt");
+    let lines: Vec<&str> = images.lines().filter(|line| !line.starts_with('#')).collect();
+    assert_eq!(lines.len(), 24);
+    let mut seen = 0;
+    for image in lines.chunks(2) {
+        let pose = numbers(image[0]);
+        let q = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(
+            pose[1], pose[2], pose[3], pose[4],
+        ));
+        let t = nalgebra::Vector3::new(pose[5], pose[6], pose[7]);
+        assert!(folder.path().join("model/images").join(image[0].rsplit(' ').next().unwrap()).exists());
+        for point in numbers(image[1]).chunks(3) {
+            let world = &points[&(point[2] as u64)];
+            let v = q * nalgebra::Vector3::new(world[0], world[1], world[2]) + t;
+            let pixel = camera.pixel_from_ray(odograph::geometry::Ray::new(v.x / v.z, v.y / v.z)).unwrap();
+            assert!((pixel.x + 0.5 - point[0]).hypot(pixel.y + 0.5 - point[1]) < 0.01);
+            seen += 1;
+        }
+    }
+    assert!(seen > 50, "{seen}");
+}
+
+#[test]
+fn the_mosaic_is_laid_again_at_the_resolution_asked_for() {
+    let folder = made();
+    let (code, told, complaints) =
+        text(&odograph(&["mosaic", "map.gpkg", "--resolution", "0.01", "-o", "floor.png"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    assert!(told.ends_with("px of 10.00 mm\n"), "{told}");
+    let world = fs::read_to_string(folder.path().join("floor.pgw")).unwrap();
+    assert!(world.starts_with("0.01\n0.0\n0.0\n-0.01\n"), "{world}");
+    let left: f64 = world.lines().nth(4).unwrap().parse().unwrap();
+    // Half an image from the first keyframe: 60 px of 3.8 mm before the lens, at the top of the image.
+    assert!((-0.4..-0.1).contains(&left), "{left}");
+}
+
+#[test]
+fn a_map_is_made_smaller() {
+    let folder = made();
+    let path = folder.path().join("map.gpkg");
+    let (code, told, complaints) =
+        text(&odograph(&["thin", "map.gpkg", "--max-keyframes", "8"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    assert!(told.starts_with("8 of 12 keyframes kept, "), "{told}");
+    let mut map = MapFile::open_read_only(&path).unwrap();
+    map.check().unwrap();
+    let most = 9 * fs::metadata(&path).unwrap().len() / 10;
+    drop(map);
+    let (code, told, complaints) =
+        text(&odograph(&["thin", "map.gpkg", "--max-size", &format!("{most}B")], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""), "{told}");
+    assert!(fs::metadata(&path).unwrap().len() <= most);
+    let (code, _, complaint) = text(&odograph(&["thin", "map.gpkg", "--max-size", "1kB"], folder.path()));
+    assert!(code == 3 && complaint.contains("even without"), "{complaint}");
+}
+
+#[test]
+fn what_cannot_be_is_said_in_one_sentence() {
+    let folder = made();
+    fs::write(folder.path().join("noise.gpkg"), [7_u8; 5000]).unwrap();
+    fs::write(folder.path().join("there.tum"), "mine").unwrap();
+    for (arguments, code, part) in [
+        (vec!["info", "nowhere.gpkg"], 3, "nowhere.gpkg"),
+        (vec!["info", "noise.gpkg"], 3, "not a map file"),
+        (vec!["export", "noise.gpkg", "-o", "a.tif"], 3, "not a map file"),
+        (vec!["export", "map.gpkg", "-o", "a.xyz"], 2, ".xyz"),
+        (vec!["export", "map.gpkg", "-o", "a.kml"], 2, "--anchor"),
+        (vec!["export", "map.gpkg", "-o", "a.tum", "--anchor", "1,2,3"], 2, "--anchor"),
+        (vec!["export", "map.gpkg", "-o", "a.kml", "--anchor", "1,2"], 2, "LAT,LON,HEADING"),
+        (vec!["export", "map.gpkg", "-o", "there.tum"], 2, "already there"),
+        (vec!["export", "map.gpkg", "-o", "a.tum", "--session", "4"], 2, "no session 4"),
+        (vec!["mosaic", "map.gpkg", "--resolution", "-1"], 2, "--resolution"),
+        (vec!["mosaic", "map.gpkg", "-o", "a.tum"], 2, "picture"),
+    ] {
+        let (found, told, complaint) = text(&odograph(&arguments, folder.path()));
+        assert_eq!((found, told.as_str()), (code, ""), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(part), "{arguments:?}: {complaint}");
+    }
+    assert_eq!(fs::read_to_string(folder.path().join("there.tum")).unwrap(), "mine");
+    let left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left.len(), 3, "nothing was left behind: {left:?}");
+}

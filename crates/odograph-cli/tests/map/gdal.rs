@@ -1,0 +1,115 @@
+//! Maps as GDAL and OGR read them; skipped, with the reason, where those are not installed.
+
+use super::ground;
+use super::{made, odograph, text};
+use serde_json::Value;
+use std::path::Path;
+use std::process::Command;
+
+/// What a program of GDAL prints; `None` where there is no GDAL. Any warning is a failure.
+fn gdal(program: &str, arguments: &[&str], folder: &Path) -> Option<String> {
+    let output = match Command::new(program).args(arguments).current_dir(folder).output() {
+        Ok(output) => output,
+        Err(error) => {
+            println!("skipped: {program} cannot be run here ({error}); apt-get install gdal-bin");
+            return None;
+        }
+    };
+    let complaints = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && complaints.trim().is_empty(), "{program} {arguments:?}: {complaints}");
+    Some(String::from_utf8(output.stdout).unwrap())
+}
+
+fn number(text: &str, after: &str) -> f64 {
+    let rest =
+        &text[text.find(after).unwrap_or_else(|| panic!("{after:?} is not in\n{text}")) + after.len()..];
+    let end = rest.find(|c: char| !(c.is_ascii_digit() || "+-.e".contains(c))).unwrap_or(rest.len());
+    rest[..end].parse().unwrap_or_else(|_| panic!("{after:?} in\n{text}"))
+}
+
+/// The corner (x, y) that gdalinfo names.
+fn corner(text: &str, name: &str) -> (f64, f64) {
+    let line = text.lines().find(|line| line.starts_with(name)).unwrap();
+    let inside = &line[line.find('(').unwrap() + 1..line.find(')').unwrap()];
+    let (x, y) = inside.split_once(',').unwrap();
+    (x.trim().parse().unwrap(), y.trim().parse().unwrap())
+}
+
+#[test]
+fn a_map_opens_in_gdal_with_its_layers_tiles_and_extent() {
+    let folder = made();
+    let Some(layers) = gdal("ogrinfo", &["-ro", "-so", "-al", "map.gpkg"], folder.path()) else { return };
+    assert!(layers.contains("Layer name: keyframes") && layers.contains("Geometry: Point"), "{layers}");
+    assert!(layers.contains("Layer name: paths") && layers.contains("Geometry: Line String"), "{layers}");
+    assert_eq!(number(&layers, "Feature Count: "), 12.0);
+    // Keyframes stand from (0, 0) to (1, 0.3).
+    assert!(layers.contains("Extent: (0.000000, 0.000000) - (1.000000, 0.300000)"), "{layers}");
+    let one = gdal(
+        "ogrinfo",
+        &["-ro", "-q", "map.gpkg", "-sql", "SELECT * FROM keyframes WHERE id = 4"],
+        folder.path(),
+    )
+    .unwrap();
+    assert!(one.contains("POINT (0.8 0") && one.contains("time_s (Real) = 1.432"), "{one}");
+    let line = gdal("ogrinfo", &["-ro", "-q", "map.gpkg", "paths"], folder.path()).unwrap();
+    let points = &line[line.find("LINESTRING (").unwrap() + 12..line.rfind(')').unwrap()];
+    for (frame, point) in points.split(',').enumerate() {
+        let (x, y) = point.split_once(' ').unwrap();
+        let (x, y): (f64, f64) = (x.parse().unwrap(), y.parse().unwrap());
+        let pose = ground::pose(frame as u64);
+        assert!((x - pose.x_m).hypot(y - pose.y_m) < 1e-9, "{line}");
+    }
+    assert_eq!(points.split(',').count(), 12);
+    // Each camera saw 0.6 m across and 0.45 m ahead, but for the border of the lens.
+    let picture = gdal("gdalinfo", &["map.gpkg"], folder.path()).unwrap();
+    let ((left, top), (right, bottom)) = (corner(&picture, "Upper Left"), corner(&picture, "Lower Right"));
+    assert!((-0.45..-0.1).contains(&left) && (1.1..1.45).contains(&right), "{picture}");
+    assert!((-0.55..-0.2).contains(&bottom) && (0.5..0.85).contains(&top), "{picture}");
+    assert!(picture.contains("Overviews"), "{picture}");
+}
+
+#[test]
+fn exports_open_in_gdal_where_they_belong() {
+    let folder = made();
+    if gdal("gdalinfo", &["--version"], folder.path()).is_none() {
+        return;
+    }
+    let export = |arguments: &[&str]| {
+        let (code, _, complaints) =
+            text(&odograph(&[&["export", "map.gpkg"], arguments].concat(), folder.path()));
+        assert_eq!((code, complaints.as_str()), (0, ""), "{arguments:?}");
+    };
+    export(&["-o", "floor.tif"]);
+    export(&["-o", "floor.png"]);
+    export(&["-o", "placed.tif", "--anchor", "48.2082,16.3738,90"]);
+    for name in ["path.geojson", "path.kml", "path.gpx"] {
+        export(&["-o", name, "--anchor", "48.2082,16.3738,90"]);
+    }
+    // The same ground has the same colours in the map, in the GeoTIFF, and in the PNG with its world file.
+    let color = |file: &str, x: &str, y: &str| {
+        gdal("gdallocationinfo", &["-valonly", "-geoloc", file, x, y], folder.path())
+    };
+    for (x, y) in [("0.3", "0.1"), ("0.71", "-0.05"), ("0.05", "0.22")] {
+        let expected = color("map.gpkg", x, y).unwrap();
+        assert!(expected.lines().count() == 4 && expected.trim_end().ends_with("255"), "{expected}");
+        assert_eq!(color("floor.tif", x, y).unwrap(), expected);
+        assert_eq!(color("floor.png", x, y).unwrap(), expected);
+    }
+    let placed = gdal("gdalinfo", &["-json", "placed.tif"], folder.path()).unwrap();
+    let placed: Value = serde_json::from_str(&placed).unwrap();
+    assert!(placed["coordinateSystem"]["wkt"].as_str().unwrap().contains("UTM zone 33N"), "{placed}");
+    // The ninth frame stood at (0.6, 0.3).
+    let path = std::fs::read_to_string(folder.path().join("path.geojson")).unwrap();
+    let path: Value = serde_json::from_str(&path).unwrap();
+    let ninth = &path["features"][0]["geometry"]["coordinates"][8];
+    let [longitude, latitude] = [0, 1].map(|k| ninth[k].to_string());
+    let at = ["-valonly", "-wgs84", "placed.tif", &longitude, &latitude];
+    let at = gdal("gdallocationinfo", &at, folder.path()).unwrap();
+    assert_eq!(at, color("map.gpkg", "0.6", "0.3").unwrap());
+    let layer = gdal("ogrinfo", &["-ro", "-so", "-al", "path.geojson"], folder.path()).unwrap();
+    assert!(layer.contains("Feature Count: 13") && layer.contains("WGS 84"), "{layer}");
+    let kml = gdal("ogrinfo", &["-ro", "-so", "-al", "path.kml"], folder.path()).unwrap();
+    assert_eq!(number(&kml, "Feature Count: "), 1.0);
+    let gpx = gdal("ogrinfo", &["-ro", "-so", "path.gpx", "tracks"], folder.path()).unwrap();
+    assert_eq!(number(&gpx, "Feature Count: "), 1.0);
+}

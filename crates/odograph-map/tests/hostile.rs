@@ -1,0 +1,188 @@
+//! A map file may come from anybody: whatever is in it, there is one sentence and no harm.
+
+#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+
+mod ground;
+
+use odograph::camera::Rig;
+use odograph::mapping::{KeyframeId, KeyframeImages};
+use odograph_map::MapFile;
+use rusqlite::Connection;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+/// The bytes of a map of three keyframes with a mosaic.
+fn good() -> &'static [u8] {
+    static BYTES: OnceLock<Vec<u8>> = OnceLock::new();
+    BYTES.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.gpkg");
+        let mut map = MapFile::create(&path, &ground::camera(), &Rig::level(0.5)).unwrap();
+        map.begin_session("drive.mp4").unwrap();
+        for number in 0..3 {
+            let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
+            map.add_keyframe(&ground::keyframe(number, 0), &ground::image(number), &edges).unwrap();
+        }
+        map.lay_mosaic(Some(0.02), &mut |_| true).unwrap();
+        map.close().unwrap();
+        std::fs::read(path).unwrap()
+    })
+}
+
+/// Everything that a reader does with a map.
+fn read_all(path: &Path) -> odograph::error::Result<()> {
+    let mut map = MapFile::open_read_only(path)?;
+    map.check()?;
+    map.sessions()?;
+    map.path_of(0)?;
+    map.mosaic_picture(1 << 24)?;
+    map.image_bytes()?;
+    map.next_keyframe()?;
+    Ok(())
+}
+
+/// The sentence that reading these bytes ends with.
+fn complaint(bytes: &[u8]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    std::fs::write(&path, bytes).unwrap();
+    sentence(&path)
+}
+
+fn sentence(path: &Path) -> String {
+    let sentence = read_all(path).unwrap_err().to_string();
+    assert!(
+        sentence.contains("map.gpkg") && !sentence.contains('\n') && sentence.len() < 400,
+        "{sentence:?}"
+    );
+    sentence
+}
+
+/// A good map that somebody has put his hand into.
+fn tampered(sql: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    std::fs::write(&path, good()).unwrap();
+    let connection = Connection::open(&path).unwrap();
+    connection.execute_batch(sql).unwrap();
+    connection.close().unwrap();
+    (folder, path)
+}
+
+#[test]
+fn what_is_no_map_is_told_apart() {
+    assert!(complaint(b"").contains("not a map file"));
+    assert!(complaint(&[0; 4096]).contains("not a map file"));
+    assert!(complaint(b"SQLite format 3\0").contains("not a map file"));
+    let noise: Vec<u8> = (0..20_000_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    assert!(complaint(&noise).contains("not a map file"));
+    let mut headed = noise;
+    headed[..100].copy_from_slice(&good()[..100]);
+    complaint(&headed);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    assert!(sentence(&path).contains("cannot be read"), "missing");
+    std::fs::create_dir(&path).unwrap();
+    assert!(sentence(&path).contains("not a file"), "a folder");
+    let other = folder.path().join("other map.gpkg");
+    Connection::open(&other).unwrap().execute_batch("CREATE TABLE people (name TEXT)").unwrap();
+    let told = MapFile::open(&other).unwrap_err().to_string();
+    assert!(told.contains("not a map of odograph"), "{told}");
+}
+
+#[test]
+fn a_map_that_was_cut_off_is_told_so() {
+    for share in [0.03, 0.2, 0.5, 0.9, 0.999] {
+        let bytes = &good()[..(good().len() as f64 * share) as usize];
+        assert!(complaint(bytes).contains("cut off"), "{share}");
+    }
+}
+
+#[test]
+fn bytes_that_have_changed_are_found_or_do_no_harm() {
+    // Every 97th place: pages of every table are hit. Some changes are in numbers, and cannot be told from others.
+    let mut told = 0;
+    for at in (100..good().len()).step_by(good().len() / 97) {
+        let mut bytes = good().to_vec();
+        bytes[at] ^= 0xff;
+        bytes[at - 1] ^= 0x55;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.gpkg");
+        std::fs::write(&path, &bytes).unwrap();
+        told += usize::from(read_all(&path).is_err());
+    }
+    assert!(told > 5, "{told} of 97 found");
+}
+
+#[test]
+fn what_a_map_cannot_hold_is_named() {
+    for (sql, part) in [
+        ("UPDATE odograph_map SET schema_version = 7", "version 7"),
+        ("PRAGMA application_id = 5", "GeoPackage"),
+        ("DROP TABLE odograph_edge", "odograph_edge is missing"),
+        ("ALTER TABLE keyframes ADD COLUMN more TEXT", "keyframes is not as odograph makes it"),
+        ("DROP TABLE odograph_frame; CREATE VIEW odograph_frame AS SELECT 1", "odograph_frame is missing"),
+        ("DELETE FROM odograph_map", "cannot be read as a map"),
+        ("DELETE FROM odograph_camera", "cannot be read as a map"),
+        ("UPDATE odograph_camera SET width = 65536, height = 65536", "too large"),
+        ("UPDATE odograph_camera SET fx_px = -1", "fx is -1"),
+        ("UPDATE odograph_camera SET distortion = 'magic'", "\"magic\""),
+        ("UPDATE odograph_camera SET coefficients = x'00'", "lens model"),
+        ("UPDATE odograph_rig SET height_m = -2", "height is -2"),
+        ("UPDATE keyframes SET x_m = 9e999 WHERE id = 1", "keyframe 1 has a pose"),
+        ("UPDATE keyframes SET height_m = 0 WHERE id = 2", "keyframe 2 has a pose"),
+        ("UPDATE keyframes SET time_s = 'noon' WHERE id = 2", "what no map holds"),
+        ("UPDATE keyframes SET session = -1 WHERE id = 2", "what no map holds"),
+        ("UPDATE keyframes SET covariance = x'0102' WHERE id = 2", "keyframe 2 has a covariance"),
+        ("UPDATE odograph_signature SET bytes = x'0102' WHERE keyframe = 2", "keyframe 2: a signature"),
+        ("DELETE FROM odograph_signature WHERE keyframe = 2", "keyframe 2 has no signature"),
+        ("DELETE FROM odograph_image WHERE keyframe = 2", "image of keyframe 2 is missing"),
+        (
+            "UPDATE odograph_image SET jpeg = x'ffd8ffe0' WHERE keyframe = 0",
+            "image of keyframe 0 cannot be decoded",
+        ),
+        (
+            "UPDATE odograph_image SET jpeg = zeroblob(60000000) WHERE keyframe = 0",
+            "image of keyframe 0 cannot be decoded",
+        ),
+        ("UPDATE odograph_camera SET width = 320", "has 160x120 pixels, the camera 320x120"),
+        ("UPDATE odograph_camera SET width = 80", "image of keyframe 0"),
+        (
+            "UPDATE odograph_edge SET to_keyframe = 99 WHERE id = 1",
+            "edge 1, from keyframe 0 to 99, ties no two",
+        ),
+        ("UPDATE odograph_edge SET kind = 'magic' WHERE id = 2", "edge 2"),
+        ("UPDATE odograph_edge SET x_m = 9e999 WHERE id = 2", "edge 2"),
+        ("UPDATE odograph_edge SET covariance = zeroblob(79) WHERE id = 2", "edge 2"),
+        ("UPDATE gpkg_contents SET max_x = 1e30 WHERE table_name = 'mosaic'", "description of the mosaic"),
+        ("UPDATE gpkg_tile_matrix SET zoom_level = 60 WHERE zoom_level > 0", "description of the mosaic"),
+        ("UPDATE gpkg_tile_matrix SET pixel_x_size = 0", "description of the mosaic"),
+        ("UPDATE mosaic SET tile_data = x'89504e47'", "of the mosaic cannot be decoded"),
+    ] {
+        let (_folder, path) = tampered(sql);
+        let told = sentence(&path);
+        assert!(told.contains(part), "{sql}: {told}");
+    }
+}
+
+#[test]
+fn what_acts_by_itself_is_not_written_to() {
+    let (_folder, path) =
+        tampered("CREATE TRIGGER more AFTER INSERT ON keyframes BEGIN DELETE FROM paths; END");
+    read_all(&path).unwrap();
+    let told = MapFile::open(&path).unwrap_err().to_string();
+    assert!(told.contains("trigger more"), "{told}");
+}
+
+#[test]
+fn a_refused_file_stays_as_it_was() {
+    let (_folder, path) = tampered("UPDATE odograph_map SET schema_version = 7");
+    let before = std::fs::read(&path).unwrap();
+    assert!(MapFile::open(&path).is_err());
+    assert!(std::fs::read(&path).unwrap() == before);
+    assert!(MapFile::open(&path).unwrap_err().to_string().contains("version 7"));
+    let (_folder, path) = tampered("");
+    assert!(
+        MapFile::open(&path).unwrap().load(KeyframeId(7)).unwrap_err().to_string().contains("keyframe 7")
+    );
+}

@@ -1,0 +1,334 @@
+//! How well ground is recognised, on rendered ground with exact truth.
+//!
+//! `cargo run --release -p odograph --example places -- recall | unknown | kidnapped | speed [ground …]`
+//!
+//! * `recall`: pairs of pictures that share 30 % of their ground, at any heading and tilts up to 10°; the second blurred and under other
+//!   light. One map of all first pictures of a ground; the second ones are asked for in it.
+//! * `unknown`: 484 pictures of ground that no map shows, asked for in 49 maps of ten keyframes of the same kind of ground each, and in one
+//!   map of all of them. A query is one picture against one map: 24,200 for each ground.
+//! * `kidnapped`: single pictures anywhere in a map of 1,000 m², at any heading.
+//! * `speed`: queries to a map of 10,000 keyframes. It is made of the pictures of 2,000, each another time with its descriptors' bits
+//!   changed by a constant, which keeps all their statistics and makes ground that is not that of the others.
+
+#![allow(clippy::print_stdout)] // the table is what it is for
+
+use odograph::camera::{Camera, Distortion};
+use odograph::error::Result;
+use odograph::geometry::{GroundPose, Pixel, wrap_angle};
+use odograph::image::{GrayImage, Pyramid};
+use odograph::mapping::KeyframeId;
+use odograph::mapping::places::{PlaceHypothesis, PlaceIndex, PlacesConfig, Signature};
+use odograph::motion::Random;
+use odograph::simulation::{Ground, Renderer, Texture};
+use std::f64::consts::PI;
+use std::time::Instant;
+
+const HEIGHT_M: f64 = 0.75;
+const NOISE_GRAY: f64 = 3.0;
+
+/// A camera over a ground.
+struct Scene {
+    camera: Camera,
+    renderer: Renderer,
+    ground: Ground,
+    random: Random,
+    config: PlacesConfig,
+}
+
+impl Scene {
+    /// `size_px` wide, with a view of 0.96 by 0.72 m.
+    fn new(texture: &str, size_px: usize) -> Result<Self> {
+        let size = (size_px, size_px * 3 / 4);
+        let focal_px = size_px as f64 * 500.0 / 640.0;
+        let lens = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap_or(Distortion::None);
+        let centre = (0.502 * size.0 as f64, 0.497 * size.1 as f64);
+        let camera = Camera::new(size, (focal_px, focal_px), centre, lens)?;
+        let renderer = Renderer::new(&camera);
+        let texture = Texture::named(texture).unwrap_or(Texture::Asphalt);
+        let ground = Ground::new(texture, renderer.footprint_m(HEIGHT_M), false, 7)?;
+        let config = PlacesConfig::new(&camera, HEIGHT_M);
+        Ok(Self { camera, renderer, ground, random: Random::new(11), config })
+    }
+
+    /// Between −1 and 1.
+    fn signed(&mut self) -> f64 {
+        self.random.below(1 << 30) as f64 / f64::from(1 << 29) - 1.0
+    }
+
+    fn pose(&mut self, x_m: f64, y_m: f64, tilt_rad: f64) -> GroundPose {
+        let (heading_rad, roll, pitch) = (PI * self.signed(), self.signed(), self.signed());
+        let (roll_rad, pitch_rad) = (tilt_rad * roll, tilt_rad * pitch);
+        GroundPose { x_m, y_m, heading_rad, roll_rad, pitch_rad, ..GroundPose::level(HEIGHT_M) }
+    }
+
+    fn signature(&mut self, pose: &GroundPose, otherwise_lit: bool) -> (Signature, f64) {
+        let mut image = self.renderer.gray_view(&self.ground, pose);
+        let (mut gain, mut offset, mut slope) = (1.0, 0.0, (0.0, 0.0));
+        if otherwise_lit {
+            blur(&mut image);
+            blur(&mut image);
+            (gain, offset) = (1.0 + 0.25 * self.signed(), 15.0 * self.signed());
+            slope = (0.3 * self.signed(), 0.3 * self.signed());
+        }
+        let (width, height) = (image.width(), image.height());
+        for (i, sample) in image.samples_mut().iter_mut().enumerate() {
+            let (x, y) = ((i % width) as f64 / width as f64 - 0.5, (i / width) as f64 / height as f64 - 0.5);
+            // The sum of four uniform numbers deviates by 0.577 of their width.
+            let noise: f64 = (0..4).map(|_| self.random.below(1 << 16) as f64 / 65536.0 - 0.5).sum();
+            let light = gain * (1.0 + slope.0 * x + slope.1 * y);
+            let gray = f64::from(*sample) * light + offset + NOISE_GRAY * noise / 0.577;
+            *sample = gray.round().clamp(0.0, 255.0) as u8;
+        }
+        let pyramid = Pyramid::new(image, 4);
+        let begun = Instant::now();
+        let signature = Signature::of(&pyramid, &self.camera, pose, &self.config);
+        (signature, begun.elapsed().as_secs_f64() * 1e3)
+    }
+
+    /// The part of the ground that one picture shows which the other shows as well.
+    fn overlap(&self, of: &GroundPose, with: &GroundPose) -> f64 {
+        let (columns, rows) = (32, 24);
+        let step = self.camera.width() as f64 / columns as f64;
+        let ground = |i: usize| {
+            let pixel = Pixel::new(((i % columns) as f64 + 0.5) * step, ((i / columns) as f64 + 0.5) * step);
+            self.camera.ray_from_pixel(pixel).and_then(|ray| of.ground_from_ray(ray))
+        };
+        let shown = |point| with.ray_from_ground(point).and_then(|ray| self.camera.pixel_from_ray(ray));
+        let points: Vec<_> = (0..columns * rows).filter_map(ground).collect();
+        let inside = |pixel: &Pixel| self.camera.contains(*pixel, 0.0);
+        points.iter().filter(|&&point| shown(point).is_some_and(|pixel| inside(&pixel))).count() as f64
+            / points.len() as f64
+    }
+}
+
+/// The mean of 3 by 3 pixels; its border stays.
+fn blur(image: &mut GrayImage) {
+    let (source, width) = (image.clone(), image.width());
+    for y in 1..image.height() - 1 {
+        for x in 1..width - 1 {
+            let sum: u32 = (0..9).map(|i| u32::from(source.row(y + i / 3 - 1)[x + i % 3 - 1])).sum();
+            image.samples_mut()[y * width + x] = ((sum + 4) / 9) as u8;
+        }
+    }
+}
+
+/// How far a hypothesis puts the query from where it is: metres, and radians.
+fn error(hypothesis: &PlaceHypothesis, keyframe: &GroundPose, query: &GroundPose) -> (f64, f64) {
+    let (sin, cos) = keyframe.heading_rad.sin_cos();
+    let (x, y) = (query.x_m - keyframe.x_m, query.y_m - keyframe.y_m);
+    let off_m = (hypothesis.motion[0] - cos * x - sin * y).hypot(hypothesis.motion[1] + sin * x - cos * y);
+    (off_m, wrap_angle(hypothesis.motion[2] - query.heading_rad + keyframe.heading_rad).abs())
+}
+
+/// What became of queries whose places are in the map.
+#[derive(Default)]
+struct Score {
+    queries: usize,
+    right: usize,
+    sure: usize,
+    sure_and_wrong: usize,
+    off_mm: Vec<f64>,
+    off_deg: Vec<f64>,
+    signature_ms: Vec<f64>,
+    query_ms: Vec<f64>,
+}
+
+impl Score {
+    fn count(
+        &mut self,
+        scene: &Scene,
+        index: &PlaceIndex,
+        keyframes: &[GroundPose],
+        pose: &GroundPose,
+        signature: &Signature,
+    ) {
+        let begun = Instant::now();
+        let found = index.query(signature, 3);
+        self.query_ms.push(begun.elapsed().as_secs_f64() * 1e3);
+        self.queries += 1;
+        let Some(best) = found.first() else { return };
+        let (off_m, off_rad) = error(best, &keyframes[best.keyframe.0 as usize], pose);
+        // Five spots, and 2°: from there any registration finds the rest.
+        let right = off_m < 5.0 * scene.config.spot_m && off_rad < 2f64.to_radians();
+        self.right += usize::from(right);
+        self.sure += usize::from(right && best.is_sure());
+        self.sure_and_wrong += usize::from(!right && best.is_sure());
+        if right {
+            self.off_mm.push(1e3 * off_m);
+            self.off_deg.push(off_rad.to_degrees());
+        }
+    }
+
+    fn print(mut self, name: &str) {
+        let percent = |count: usize| 100.0 * count as f64 / self.queries as f64;
+        println!(
+            "{name:9} queries {:5}  first right {:6.2} %  right and sure {:6.2} %  wrong and sure {}  off {:.2} mm {:.3}° (median)  {:.2} mm {:.3}° (95 %)  \
+             signature {:.2} ms  query {:.2} ms, at most {:.2} ms",
+            self.queries,
+            percent(self.right),
+            percent(self.sure),
+            self.sure_and_wrong,
+            quantile(&mut self.off_mm, 0.5),
+            quantile(&mut self.off_deg, 0.5),
+            quantile(&mut self.off_mm, 0.95),
+            quantile(&mut self.off_deg, 0.95),
+            quantile(&mut self.signature_ms, 0.5),
+            quantile(&mut self.query_ms, 0.5),
+            quantile(&mut self.query_ms, 1.0),
+        );
+    }
+}
+
+fn quantile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get((share * values.len().saturating_sub(1) as f64) as usize).copied().unwrap_or(f64::NAN)
+}
+
+fn recall(name: &str) -> Result<()> {
+    let mut scene = Scene::new(name, 640)?;
+    let mut index = PlaceIndex::new(&scene.config);
+    let (mut keyframes, mut queries) = (Vec::new(), Vec::new());
+    for number in 0..60 {
+        let keyframe = scene.pose(3.0 * f64::from(number), 0.0, 10f64.to_radians());
+        let (away, towards) = (scene.pose(0.0, 0.0, 10f64.to_radians()), PI * scene.signed());
+        let mut query = away;
+        let mut distance_m = 0.0;
+        // Pushed away until they share 30 % at most, seen from either.
+        loop {
+            query.x_m = keyframe.x_m + distance_m * towards.cos();
+            query.y_m = keyframe.y_m + distance_m * towards.sin();
+            if scene.overlap(&query, &keyframe).min(scene.overlap(&keyframe, &query)) <= 0.3 {
+                break;
+            }
+            distance_m += 0.01;
+        }
+        index.insert(KeyframeId(number as u64), &scene.signature(&keyframe, false).0);
+        queries.push((query, scene.signature(&query, true)));
+        keyframes.push(keyframe);
+    }
+    let mut score = Score::default();
+    for (query, (signature, ms)) in &queries {
+        score.signature_ms.push(*ms);
+        score.count(&scene, &index, &keyframes, query, signature);
+    }
+    score.print(name);
+    Ok(())
+}
+
+/// Keyframes over a field, `step_m` apart, in rows that go to and fro.
+fn field(scene: &mut Scene, side_m: f64, step_m: f64) -> Vec<GroundPose> {
+    let steps = (side_m / step_m).ceil() as usize;
+    (0..steps * steps)
+        .map(|i| scene.pose((i % steps) as f64 * step_m, (i / steps) as f64 * step_m, 0.02))
+        .collect()
+}
+
+fn kidnapped(name: &str) -> Result<()> {
+    let mut scene = Scene::new(name, 320)?;
+    let side_m = 1000f64.sqrt();
+    let keyframes = field(&mut scene, side_m, 0.5);
+    let mut index = PlaceIndex::new(&scene.config);
+    for (number, keyframe) in keyframes.iter().enumerate() {
+        index.insert(KeyframeId(number as u64), &scene.signature(keyframe, false).0);
+    }
+    let mut score = Score::default();
+    for _ in 0..1000 {
+        let (x, y) = (0.5 * side_m * (scene.signed() + 1.0), 0.5 * side_m * (scene.signed() + 1.0));
+        let query = scene.pose(x, y, 10f64.to_radians());
+        let (signature, ms) = scene.signature(&query, true);
+        score.signature_ms.push(ms);
+        score.count(&scene, &index, &keyframes, &query, &signature);
+    }
+    println!("{} keyframes over 1000 m²", keyframes.len());
+    score.print(name);
+    Ok(())
+}
+
+fn unknown(name: &str) -> Result<()> {
+    let mut scene = Scene::new(name, 320)?;
+    let keyframes = field(&mut scene, 6.5, 0.3);
+    let signatures: Vec<_> = keyframes.iter().map(|keyframe| scene.signature(keyframe, false).0).collect();
+    let indexed = |signatures: &[Signature]| {
+        let mut index = PlaceIndex::new(&scene.config);
+        for (number, signature) in signatures.iter().enumerate() {
+            index.insert(KeyframeId(number as u64), signature);
+        }
+        index
+    };
+    let maps: Vec<_> = signatures.chunks(10).map(indexed).chain([indexed(&signatures)]).collect();
+    // Fifty metres away.
+    let mut queries = field(&mut scene, 6.5, 0.3);
+    queries.iter_mut().for_each(|query| query.x_m += 50.0);
+    let (mut asked, mut taken, mut most) = (0, 0, 0.0f64);
+    for query in &queries {
+        let signature = scene.signature(query, true).0;
+        for map in &maps {
+            let found = map.query(&signature, 3);
+            asked += 1;
+            taken += found.iter().filter(|hypothesis| hypothesis.is_sure()).count();
+            let firm = found.iter().filter(|h| h.worth >= 2.0 * h.rival_worth).map(|h| h.worth);
+            most = firm.fold(most, f64::max);
+        }
+    }
+    println!(
+        "{name:9} {} keyframes, {} pictures of other ground, {asked} queries: {taken} sure; matches worth at most {most:.1}",
+        keyframes.len(),
+        queries.len()
+    );
+    Ok(())
+}
+
+fn speed(name: &str) -> Result<()> {
+    let mut scene = Scene::new(name, 320)?;
+    let mut index = PlaceIndex::new(&scene.config);
+    let keyframes = field(&mut scene, 22.3, 0.5);
+    for (number, keyframe) in keyframes.iter().enumerate() {
+        let mut signature = scene.signature(keyframe, false).0;
+        for copy in 0..5 {
+            index.insert(KeyframeId((copy * keyframes.len() + number) as u64), &signature);
+            let mask = [(); 4].map(|()| scene.random.bits());
+            for feature in &mut signature.features {
+                feature.descriptor.iter_mut().zip(mask).for_each(|(word, mask)| *word ^= mask);
+            }
+        }
+    }
+    let mut score = Score::default();
+    for i in 0..200 {
+        let near = keyframes[i * keyframes.len() / 200];
+        let query = scene.pose(near.x_m + 0.2, near.y_m + 0.2, 0.1);
+        let (signature, ms) = scene.signature(&query, true);
+        score.signature_ms.push(ms);
+        let begun = Instant::now();
+        let found = index.query(&signature, 3);
+        score.query_ms.push(begun.elapsed().as_secs_f64() * 1e3);
+        score.queries += 1;
+        score.sure += usize::from(found.iter().any(PlaceHypothesis::is_sure));
+    }
+    println!(
+        "{name:9} {} keyframes: query {:.2} ms (median), {:.2} ms (95 %), {:.2} ms (most); sure of {} of {}; signature {:.2} ms",
+        index.len(),
+        quantile(&mut score.query_ms, 0.5),
+        quantile(&mut score.query_ms, 0.95),
+        quantile(&mut score.query_ms, 1.0),
+        score.sure,
+        score.queries,
+        quantile(&mut score.signature_ms, 0.5),
+    );
+    Ok(())
+}
+
+fn main() -> Result<()> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let what = words.first().map_or("recall", String::as_str);
+    let grounds =
+        Texture::names().filter(|name| words.len() < 2 || words[1..].iter().any(|word| word == name));
+    for name in grounds {
+        match what {
+            "unknown" => unknown(name)?,
+            "kidnapped" => kidnapped(name)?,
+            "speed" => speed(name)?,
+            _ => recall(name)?,
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,78 @@
+//! The parts of a graph: what edges connect, and what they do not.
+
+use super::{Heights, PoseGraph};
+use crate::geometry::GroundPose;
+use crate::mapping::ground_map::{EdgeKind, KeyframeId};
+use crate::mapping::plane_motion::{laid_from, seen_from};
+
+impl PoseGraph {
+    /// Takes a keyframe, and all that is connected with it by measurement, to `pose`, unless `fixed` is among them; says whether anything was moved.
+    /// So parts of a map that a recognition ties come near each other before they are optimised.
+    pub fn bring(&mut self, keyframe: KeyframeId, pose: &GroundPose, fixed: KeyframeId) -> bool {
+        let (Some(&start), Some(&fixed)) = (self.index.get(&keyframe), self.index.get(&fixed)) else {
+            return false;
+        };
+        let mut part = vec![false; self.nodes.len()];
+        part[start] = true;
+        let mut open = vec![start];
+        while let Some(at) = open.pop() {
+            for edge in self.edges_at[at].iter().map(|&edge| &self.edges[edge]) {
+                let other = edge.other(at);
+                if edge.kind != EdgeKind::Gap && !part[other] {
+                    part[other] = true;
+                    open.push(other);
+                }
+            }
+        }
+        if part[fixed] {
+            return false;
+        }
+        let before = self.nodes[start].pose;
+        let scale = match self.heights {
+            Heights::Held => 1.0,
+            Heights::Free => pose.height_m / before.height_m,
+        };
+        for (node, _) in self.nodes.iter_mut().zip(part).filter(|(_, part)| *part) {
+            let laid = laid_from(pose, &seen_from(&before, &node.pose), scale);
+            let height_m = node.pose.height_m * scale;
+            node.pose = GroundPose {
+                x_m: laid.x_m,
+                y_m: laid.y_m,
+                heading_rad: laid.heading_rad,
+                height_m,
+                ..node.pose
+            };
+        }
+        true
+    }
+
+    /// Whether measurements or gaps connect two keyframes.
+    pub fn are_connected(&self, a: KeyframeId, b: KeyframeId) -> bool {
+        self.reach(a).is_some_and(|mut reach| reach.any(|reached| reached.id == b))
+    }
+
+    /// For every keyframe, whether it is the first of those that are connected with it.
+    pub(super) fn first_of_each_part(&self) -> Vec<bool> {
+        let mut first = vec![false; self.nodes.len()];
+        let mut seen = vec![false; self.nodes.len()];
+        let mut open = Vec::new();
+        for start in 0..self.nodes.len() {
+            if seen[start] {
+                continue;
+            }
+            first[start] = true;
+            seen[start] = true;
+            open.push(start);
+            while let Some(at) = open.pop() {
+                for &edge in &self.edges_at[at] {
+                    let other = self.edges[edge].other(at);
+                    if !seen[other] {
+                        seen[other] = true;
+                        open.push(other);
+                    }
+                }
+            }
+        }
+        first
+    }
+}

@@ -1,0 +1,135 @@
+//! Closing loops: a new keyframe compared with older ones, and what is believed of what is seen.
+
+use super::Mapper;
+use super::candidates::{self, Strength};
+use super::closure::{self, LoopClosure};
+use super::images::KeyframeStore;
+use super::mapper::STEPS_ON_THE_WAY;
+use super::recognition::{recognise, the_other_way};
+use crate::error::Result;
+use crate::mapping::plane_motion::laid_from;
+use crate::mapping::{KeyframeId, MapEdge};
+use crate::odometry::matching::{Pictured, Sought};
+
+/// Two sightings speak for each other only when they are of different ground: so many views apart at least.
+const APART_VIEWS: f64 = 0.3;
+
+/// Sightings that found no second are forgotten beyond this number, the oldest first.
+const MOST_PENDING: usize = 16;
+
+impl Mapper {
+    /// Compares a new keyframe with the older ones that it may show again: those that are near, and where that is not sure, those that look like it.
+    pub(super) fn close_loops(
+        &mut self,
+        new: KeyframeId,
+        mut sought: Sought,
+        images: &mut dyn KeyframeStore,
+    ) -> Result<()> {
+        let near = {
+            let known = |id: KeyframeId| self.keyframe(id).map(|keyframe| keyframe.odometry_pose);
+            candidates::candidates(&self.graph, new, &known, &self.matcher, &self.config)
+        };
+        let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);
+        for candidate in sure.take(self.config.comparisons) {
+            let Some(mut pictured) = self.pictured(candidate.id, images)? else { continue };
+            let closure =
+                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+            if let Some(closure) = closure {
+                return self.accept(closure, images);
+            }
+        }
+        let recognised = {
+            let Some(keyframe) = self.keyframe(new) else { return Ok(()) };
+            let here = (new, &keyframe.odometry_pose);
+            let least = self.config.least_edges;
+            recognise(&self.places, &keyframe.signature, &self.graph, here, least, &self.matcher)
+        };
+        for place in recognised.iter().take(self.config.comparisons) {
+            let Some(pictured) = self.pictured(place.id, images)? else { continue };
+            let closure =
+                closure::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
+            match closure {
+                Some(closure) if place.stands_alone() => return self.accept(closure, images),
+                Some(closure) => return self.support(closure, images),
+                None => {}
+            }
+        }
+        // The whole pictures compared take longest: only where place is nearly known and appearance did not tell.
+        let doubtful = near.iter().find(|candidate| candidate.prior.strength == Strength::Doubtful);
+        if let Some(candidate) = doubtful
+            && let Some(mut pictured) = self.pictured(candidate.id, images)?
+        {
+            let closure =
+                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+            if let Some(closure) = closure {
+                self.accept(closure, images)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn pictured(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<Pictured>> {
+        let Some(pose) = self.keyframe(id).map(|old| old.odometry_pose) else { return Ok(None) };
+        Ok(Some(self.matcher.pictured(images.load(id)?.gray, &pose)))
+    }
+
+    /// Accepts a sighting that alone is not enough together with one before that speaks for the same.
+    fn support(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
+        if self.config.sightings < 2 {
+            return self.accept(closure, images);
+        }
+        let second = self.pending.iter().position(|other| self.agree(other, &closure));
+        if let Some(at) = second {
+            let first = self.pending.remove(at);
+            self.accept(first, images)?;
+            self.settle(STEPS_ON_THE_WAY);
+            return self.accept(closure, images);
+        }
+        self.pending.push(closure);
+        if self.pending.len() > MOST_PENDING {
+            self.pending.remove(0);
+        }
+        Ok(())
+    }
+
+    /// Whether two sightings of different ground say the same about the map: with the first in it, the second is where it should be.
+    fn agree(&self, first: &LoopClosure, second: &LoopClosure) -> bool {
+        let (a, b) = (&first.edge, &second.edge);
+        let [Some(here), Some(there)] = [a.from, b.from].map(|id| self.keyframe(id).map(|k| k.odometry_pose))
+        else {
+            return false;
+        };
+        let view_m = self.matcher.view_m(&here);
+        if (here.x_m - there.x_m).hypot(here.y_m - there.y_m) < APART_VIEWS * view_m {
+            return false;
+        }
+        let way = |from: KeyframeId, to: KeyframeId| {
+            let reached = self.graph.reach(from)?.find(|reached| reached.id == to)?;
+            (!reached.across_gap).then_some((reached.motion, reached.covariance))
+        };
+        let (Some(back), Some(on)) = (way(b.from, a.from), way(a.to, b.to)) else { return false };
+        let composed = closure::composed(&[back, (a.motion, a.covariance), on]);
+        closure::agrees(b, &composed, view_m)
+    }
+
+    fn accept(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
+        let edge = closure.edge;
+        if let Some(old) = self.graph.pose(edge.to) {
+            // A part that nothing measured connects comes to where it is seen.
+            let scale = self.keyframe(edge.to).map_or(1.0, |k| k.pose.height_m / k.odometry_pose.height_m);
+            let seen = laid_from(&old, &the_other_way(&edge.motion), scale);
+            self.graph.bring(edge.from, &seen, edge.to);
+        }
+        self.closures.push(closure);
+        self.add(edge, images)
+    }
+
+    pub(super) fn add(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
+        if !self.graph.tie(&edge) {
+            return Ok(());
+        }
+        self.map.edges.push(edge);
+        self.unsettled += 1;
+        images.tie(&edge)
+    }
+}
