@@ -25,8 +25,11 @@ impl Candidate {
     /// A candidate made of an unmeasured frame, taken where `last` has the camera. `None` where the frame shows too little.
     pub fn new(pyramid: Pyramid, last: LastPose, camera: &Camera, config: &OdometryConfig) -> Option<Self> {
         let keyframe = Keyframe::new(pyramid, last.pose, last.covariance, camera, &config.detection);
-        let enough = keyframe.corners.len() >= 2 * config.motion.minimum_inliers;
-        enough.then_some(Self { keyframe, last, confirmations: 0 })
+        keyframe.can_be_followed(2 * config.motion.minimum_inliers).then_some(Self {
+            keyframe,
+            last,
+            confirmations: 0,
+        })
     }
 
     /// The next frame measured against the candidate, which it confirms; `None` where it does not agree.
@@ -43,7 +46,7 @@ impl Candidate {
         let measurement = from.iter().find_map(|from| {
             let keyframe = &self.keyframe;
             let found = follow::measure(keyframe, pyramid, camera, from, config, wander, random).ok()?;
-            let presence = follow::presence(keyframe, camera, &found.estimate);
+            let presence = follow::presence(keyframe, camera, &found);
             (presence >= CHANCE_PRESENCE).then_some(found)
         })?;
         let (pose, covariance) = (measurement.estimate.pose, self.keyframe.covariance);
@@ -60,7 +63,7 @@ impl Candidate {
     /// A fast camera leaves the candidate's ground before it is believed: the next frame is measured against this one, where it shows enough.
     pub fn move_on(&mut self, pyramid: Pyramid, camera: &Camera, config: &OdometryConfig) {
         let next = Keyframe::new(pyramid, self.last.pose, self.last.covariance, camera, &config.detection);
-        if next.corners.len() >= 2 * config.motion.minimum_inliers {
+        if next.can_be_followed(2 * config.motion.minimum_inliers) {
             self.keyframe = next;
         }
     }
