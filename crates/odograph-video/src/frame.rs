@@ -19,6 +19,11 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// A frame of a source that is read elsewhere: a camera, a stream.
+    pub fn new(number: u64, time_s: f64, picture: Picture) -> Self {
+        Self { number, time_s, name: None, gray: picture.gray, color: picture.color }
+    }
+
     /// True where the source has colour and [`SourceOptions::color`](crate::SourceOptions::color) asked to keep it.
     pub fn has_color(&self) -> bool {
         self.color.is_some()
@@ -40,14 +45,16 @@ impl Frame {
     }
 }
 
-/// A picture as a decoder gives it.
+/// A picture as a decoder or a camera gives it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Picture {
+pub struct Picture {
+    /// The luminance.
     pub gray: GrayImage,
-    pub color: Option<Color>,
+    pub(crate) color: Option<Color>,
 }
 
 impl Picture {
+    /// A picture without colour.
     pub fn gray(gray: GrayImage) -> Self {
         Self { gray, color: None }
     }
@@ -132,19 +139,50 @@ impl Chroma {
         let blue_from_blue = 2.0 * (1.0 - blue_share) * chroma_scale;
         let green_from_red = -red_from_red * red_share / green_share;
         let green_from_blue = -blue_from_blue * blue_share / green_share;
-        let columns: Vec<usize> = (0..width).map(|x| x * self.width / width).collect();
+        // What the colour differences of a row add to red, to green (each of them) and to blue; then row by row in loops that the compiler
+        // can widen.
+        let mut added = [(); 4].map(|()| vec![0.0f32; width]);
+        let mut planes = [(); 3].map(|()| vec![0u8; width]);
         for (y, row) in image.samples_mut().chunks_exact_mut(3 * width).enumerate() {
-            let start = (y * self.height / height) * self.width;
-            let (blue, red) = (&self.blue[start..][..self.width], &self.red[start..][..self.width]);
-            for ((pixel, &luma), &column) in row.chunks_exact_mut(3).zip(gray.row(y)).zip(&columns) {
-                let luma = (f32::from(luma) - offset) * luma_scale;
-                let (cb, cr) = (f32::from(blue[column]) - 128.0, f32::from(red[column]) - 128.0);
-                pixel[0] = (luma + red_from_red * cr + 0.5) as u8;
-                pixel[1] = (luma + green_from_red * cr + green_from_blue * cb + 0.5) as u8;
-                pixel[2] = (luma + blue_from_blue * cb + 0.5) as u8;
+            let line = y * self.height / height;
+            if y == 0 || line != (y - 1) * self.height / height {
+                let factors = [red_from_red, green_from_red, green_from_blue, blue_from_blue];
+                let from = [&self.red, &self.red, &self.blue, &self.blue];
+                for ((added, samples), factor) in added.iter_mut().zip(from).zip(factors) {
+                    widen(&samples[line * self.width..][..self.width], factor, added);
+                }
+            }
+            // As long as a row each, and known to be: nothing is asked in the loop.
+            let luma = &gray.row(y)[..width];
+            let [to_red, red_to_green, blue_to_green, to_blue] =
+                added.each_ref().map(|added| &added[..width]);
+            let [red, green, blue] = planes.each_mut().map(|plane| &mut plane[..width]);
+            for x in 0..width {
+                let luma = (f32::from(luma[x]) - offset) * luma_scale;
+                red[x] = (luma + to_red[x] + 0.5) as u8;
+                green[x] = (luma + red_to_green[x] + blue_to_green[x] + 0.5) as u8;
+                blue[x] = (luma + to_blue[x] + 0.5) as u8;
+            }
+            for ((pixel, &red), (&green, &blue)) in
+                row.chunks_exact_mut(3).zip(&*red).zip(green.iter().zip(&*blue))
+            {
+                pixel.copy_from_slice(&[red, green, blue]);
             }
         }
         image
+    }
+}
+
+/// A row of colour differences, times `factor`, as wide as the luminance: each repeated as often as it takes.
+fn widen(samples: &[u8], factor: f32, to: &mut [f32]) {
+    let value = |sample: u8| factor * (f32::from(sample) - 128.0);
+    let width = to.len();
+    if width == 2 * samples.len() {
+        for (pair, &sample) in to.chunks_exact_mut(2).zip(samples) {
+            pair.fill(value(sample));
+        }
+    } else {
+        to.iter_mut().enumerate().for_each(|(x, to)| *to = value(samples[x * samples.len() / width]));
     }
 }
 

@@ -27,6 +27,7 @@ mod guard;
 mod frame;
 mod rotation;
 mod codec;
+mod samples;
 mod timestamps;
 mod pictures;
 mod y4m;
@@ -35,5 +36,6 @@ mod ffmpeg;
 mod video;
 mod source;
 
-pub use frame::Frame;
+pub use frame::{Frame, Picture};
+pub use samples::SampleLayout;
 pub use source::{Source, SourceInfo, SourceOptions, open};

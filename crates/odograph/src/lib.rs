@@ -9,6 +9,7 @@
 //! modules above it.
 
 pub mod error;
+pub mod buffer;
 pub mod geometry;
 pub mod image;
 pub mod camera;
@@ -21,6 +22,7 @@ pub mod trajectory;
 pub mod filter;
 pub mod mapping;
 pub mod odometry;
+pub mod slam;
 pub mod mounting;
 pub mod evaluation;
 pub mod formats;

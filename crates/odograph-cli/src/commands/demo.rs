@@ -65,6 +65,7 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
         ..RunArguments::over(OutputArguments {
             output: folder.clone(),
             force: true, // the demo's own folder
+            map: None,
             threads: arguments.threads,
             quiet: arguments.quiet,
             json: arguments.json,

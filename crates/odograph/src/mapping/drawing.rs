@@ -10,6 +10,7 @@ pub mod scale;
 pub mod svg;
 mod window;
 
+use crate::geometry::GroundPoint;
 use crate::mapping::Placement;
 use crate::trajectory::{FrameEstimate, distance_m};
 use path::{Path, simplified};
@@ -35,6 +36,8 @@ pub struct MapDrawing<'a> {
     pub width: f64,
     /// A picture of the ground under the path.
     pub backdrop: Option<Backdrop<'a>>,
+    /// Places that were recognised: each the two positions of the camera from which the same ground was seen.
+    pub loops: &'a [[GroundPoint; 2]],
 }
 
 /// A picture of the ground that lies under the path, embedded in the drawing.
@@ -54,7 +57,7 @@ pub struct Backdrop<'a> {
 
 impl Default for MapDrawing<'_> {
     fn default() -> Self {
-        Self { title: "", width: 1200.0, backdrop: None }
+        Self { title: "", width: 1200.0, backdrop: None, loops: &[] }
     }
 }
 
@@ -84,6 +87,7 @@ impl MapDrawing<'_> {
         shown.gaps = !breaks.is_empty();
         stretches(&path, &window, &mut body);
         breaks.into_iter().for_each(|(x, y)| markers::cross(x, y, &mut body));
+        markers::loops(self.loops, &window, &mut shown, &mut body);
         markers::headings(&path, &window, &mut shown, &mut body);
         markers::ends(&path, &window, &mut body);
         let _ = writeln!(body, "</g>");

@@ -59,7 +59,7 @@ pub struct MapEdge {
     pub to: KeyframeId,
     /// How it was found.
     pub kind: EdgeKind,
-    /// (x, y, heading, ln(height of `to` / height of `from`)).
+    /// (x, y, heading, ln(height of `to` / height of `from`)); metres as they are when `from` is at the height of its `odometry_pose`.
     pub motion: Vector4<f64>,
     /// Covariance of `motion`. Where the rig holds the height fixed its last row and column are zero.
     pub covariance: Matrix4<f64>,

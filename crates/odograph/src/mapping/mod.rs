@@ -7,9 +7,11 @@ pub mod placement;
 pub mod drawing;
 pub mod places;
 pub mod ground_map;
+pub mod plane_motion;
+pub mod graph;
 pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};
 pub use ground_map::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
-pub use mosaic::{Mosaic, MosaicOptions, MosaicPicture};
+pub use mosaic::{MOSAIC_TILE_PX, MapMosaic, Mosaic, MosaicOptions, MosaicPicture, MosaicSquare, MosaicTile};
 pub use placement::Placement;

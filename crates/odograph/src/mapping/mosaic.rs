@@ -7,6 +7,7 @@
 
 mod footprint;
 mod laying;
+mod relaid;
 mod sampling;
 mod tiles;
 
@@ -15,7 +16,8 @@ use crate::geometry::GroundPose;
 use crate::image::{GrayImage, RgbImage};
 use crate::mapping::Placement;
 use footprint::{Footprint, View};
-use laying::{BLOCK, Blocks, Corner, Feather};
+use laying::{BLOCK, Blocks, Corner, feather};
+pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
 use sampling::Samples;
 use tiles::{TILE, Tiles};
 
@@ -76,6 +78,16 @@ pub struct MosaicPicture {
     pub placement: Placement,
 }
 
+/// A square of the stored ground, [`Mosaic::TILE_SIDE_PX`] pixels a side: column and row count from the world's origin, columns along x and
+/// rows against y.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct MosaicSquare {
+    /// Along x: its left border is at `column · side · resolution`.
+    pub column: i64,
+    /// Against y: its upper border is at y = `-row · side · resolution`.
+    pub row: i64,
+}
+
 /// The ground seen so far.
 #[derive(Debug, Clone)]
 pub struct Mosaic {
@@ -106,6 +118,27 @@ impl Mosaic {
         self.resolution_m
     }
 
+    /// Side of a [`MosaicSquare`], ground pixels.
+    pub const TILE_SIDE_PX: usize = TILE as usize;
+
+    /// Grows with everything that is laid; for [`Mosaic::changed_since`].
+    pub fn revision(&self) -> u64 {
+        self.tiles.revision()
+    }
+
+    /// The tiles that were laid on after a revision. All of them after the resolution has changed.
+    pub fn changed_since(&self, revision: u64) -> impl Iterator<Item = MosaicSquare> {
+        self.tiles.changed_since(revision).map(|(row, column)| MosaicSquare { column, row })
+    }
+
+    /// Red, green, blue and opacity of a tile's pixels in row order, as [`MosaicPicture::rgba`]; `None` where nothing was seen.
+    pub fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        self.tiles.contains(tile.row, tile.column).then(|| {
+            let (left, top) = (tile.column * TILE, tile.row * TILE);
+            self.tiles.rgba(&(left..left + TILE), &(top..top + TILE))
+        })
+    }
+
     /// Whether a frame from this pose would show enough that is new, or shown better than so far. Cheap (some hundred
     /// points are looked up); ask it for every frame and lay those it wants, and the last frame of each stretch besides: what
     /// came between it and the last one wanted is seen by no other.
@@ -117,15 +150,15 @@ impl Mosaic {
         let Some(resolution_m) = self.resolution_m else {
             return true;
         };
-        let feather = Feather::new(camera);
+        let feather = feather(camera);
         let (mut seen, mut new, mut better) = (0, 0, 0);
         for point in footprint.ground_points(&view) {
             let Some(look) = view.look(point) else { continue };
             seen += 1;
-            let weight = feather.weight(look.x as f32, look.y as f32, look.quality() as f32).unwrap_or(1);
+            let weight = feather.weight(look.x as f32, look.y as f32, look.quality() as f32).max(1);
             match self.tiles.weight(address(point.x_m, resolution_m), address(-point.y_m, resolution_m)) {
                 0 => new += 1,
-                before if 2 * u16::from(before) < u16::from(weight) => better += 1,
+                before if 2 * i32::from(before) < weight => better += 1,
                 _ => {}
             }
         }
@@ -174,6 +207,7 @@ impl Mosaic {
             return false;
         }
         self.resolution_m = Some(resolution_m);
+        self.tiles.begin_revision();
         (0..halvings).for_each(|_| self.tiles = self.tiles.halved());
         let level = (sample_m.recip() * resolution_m).log2().round().clamp(0.0, 8.0) as u32;
         self.samples.take(image, level);

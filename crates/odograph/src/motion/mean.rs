@@ -1,6 +1,7 @@
 //! The paper's movement: the mean of the flow vectors that agree with each other.
 
 use super::{MotionConfig, Random};
+use crate::buffer::Buffer;
 use crate::geometry::GroundPoint;
 
 /// The displacement of the camera as the paper measures it: each track gives one vector from where its ground point seemed
@@ -14,17 +15,17 @@ pub fn mean_displacement(
     within_m: f64,
     config: &MotionConfig,
     random: &mut Random,
-) -> Option<((f64, f64), f64, Vec<bool>)> {
+) -> Option<((f64, f64), f64, Buffer<bool>)> {
     if pairs.len() < config.minimum_inliers {
         return None;
     }
     let vectors: Vec<(f64, f64)> =
         pairs.iter().map(|(before, now)| (before.x_m - now.x_m, before.y_m - now.y_m)).collect();
-    let agreeing = |centre: (f64, f64)| -> Vec<bool> {
+    let agreeing = |centre: (f64, f64)| -> Buffer<bool> {
         vectors.iter().map(|v| (v.0 - centre.0).hypot(v.1 - centre.1) < within_m).collect()
     };
     let count = |agreeing: &[bool]| agreeing.iter().filter(|&&a| a).count();
-    let mut best = vec![false; vectors.len()];
+    let mut best = Buffer::of(false, vectors.len());
     for _ in 0..SAMPLES.min(vectors.len()) {
         let candidate = agreeing(vectors[random.below(vectors.len())]);
         if count(&candidate) > count(&best) {

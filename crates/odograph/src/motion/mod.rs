@@ -20,6 +20,7 @@ pub use mean::mean_displacement;
 pub use random::Random;
 pub use rig_prior::{RigPrior, RigWander};
 
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use nalgebra::{Matrix2, Matrix6};
@@ -109,6 +110,8 @@ pub struct Observation {
     pub whitening: Matrix2<f64>,
 }
 
+stored!(Observation);
+
 /// Where a ground point was found, and how exactly.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
@@ -120,12 +123,14 @@ pub struct Sighting {
     pub covariance_px2: Matrix2<f64>,
 }
 
+stored!(Sighting);
+
 /// The observations that sightings make, each weighed by how well it is known in each direction, and the standard deviation of a usual one (the
 /// median), pixels. `shared_px2` is the variance of what all are off by anyway, in either direction; where that is more than their noise all count
 /// alike. `None` without sightings.
-pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Vec<Observation>, f64)> {
+pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Observation>, f64)> {
     let covariance = |seen: &Sighting| seen.covariance_px2 + shared_px2 * Matrix2::identity();
-    let mut variances: Vec<f64> = sightings.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
+    let mut variances: Buffer<f64> = sightings.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
     if variances.is_empty() {
         return None;
     }
@@ -148,7 +153,7 @@ pub struct MotionEstimate {
     /// Covariance of (x, y, heading, height, roll, pitch) given the ground points; zero rows for what the model holds fixed.
     pub covariance: Matrix6<f64>,
     /// For each observation, whether it agrees.
-    pub inliers: Vec<bool>,
+    pub inliers: Buffer<bool>,
     /// Root mean square distance of the inliers from their re-projections, pixels.
     pub residual_px: f64,
     /// Height, roll and pitch as the tracks alone have them, without the prior, and the variance of each; only where all three were

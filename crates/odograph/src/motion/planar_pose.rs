@@ -1,6 +1,7 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
 use super::{MotionConfig, MotionEstimate, MotionModel, Observation, RigPrior};
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
@@ -45,6 +46,8 @@ struct Residual {
     distance_px: f64,
     by_pose: [[f64; 6]; 2],
 }
+
+stored!(Residual);
 
 impl Residual {
     /// Of a point that is not seen: no length, and nothing that it could change.
@@ -201,13 +204,13 @@ pub fn refine(
         heading_rad: prediction.heading_rad + wrap_angle(start.heading_rad - prediction.heading_rad),
         ..*start
     };
-    let mut weights: Vec<f64> = agreeing.iter().map(|&agrees| f64::from(u8::from(agrees))).collect();
+    let mut weights: Buffer<f64> = agreeing.iter().map(|&agrees| f64::from(u8::from(agrees))).collect();
     let mut scale_px = config.inlier_px;
     let mut information = Matrix6::identity();
     let mut rig_evidence = None;
-    let mut residuals = vec![Residual::NONE; observations.len()];
-    let mut errors = vec![0.0; observations.len()];
-    let mut sorted = Vec::with_capacity(observations.len());
+    let mut residuals = Buffer::of(Residual::NONE, observations.len());
+    let mut errors = Buffer::of(0.0, observations.len());
+    let mut sorted = Buffer::new();
     // Each pose is looked at once: what is left of the observations there weighs them and leads to the next.
     let mut look = |pose: &GroundPose, residuals: &mut [Residual], errors: &mut [f64]| -> f64 {
         let axes = Axes::new(pose);
@@ -262,7 +265,7 @@ pub fn refine(
         .sum();
     // To agree is to be near, not only to be uncertain: of what is unlike the ground all is uncertain.
     let near = |(residual, &weight): (&Residual, &f64)| weight > 0.0 && residual.distance_px < reach_px;
-    let inliers: Vec<bool> = residuals.iter().zip(&weights).map(near).collect();
+    let inliers: Buffer<bool> = residuals.iter().zip(&weights).map(near).collect();
     // Per coordinate: two coordinates a track, less the unknowns.
     let variance_px2 = squares / (2 * count - unknowns.count) as f64;
     Some(MotionEstimate {

@@ -2,8 +2,11 @@
 
 use super::planar_pose::{Unknowns, gauss_newton_step};
 use super::{MotionConfig, MotionModel, Observation, Random, RigPrior};
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
+
+stored!(Option<Ray>);
 
 /// At most so many samples are drawn.
 const MOST_SAMPLES: usize = 300;
@@ -21,7 +24,7 @@ pub fn consensus(
     prior: &RigPrior,
     config: &MotionConfig,
     random: &mut Random,
-) -> Option<(GroundPose, Vec<bool>)> {
+) -> Option<(GroundPose, Buffer<bool>)> {
     // The refinement takes height and tilt along; until then they may be a little off.
     let limit =
         if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
@@ -31,14 +34,14 @@ pub fn consensus(
         return Some((*prediction, agreeing));
     }
     let model = sampled_model(prior, config.model);
-    let rays: Vec<Option<Ray>> = observations.iter().map(|o| camera.ray_from_pixel(o.pixel)).collect();
-    let usable: Vec<usize> = (0..rays.len()).filter(|&i| rays[i].is_some()).collect();
+    let rays: Buffer<Option<Ray>> = observations.iter().map(|o| camera.ray_from_pixel(o.pixel)).collect();
+    let usable: Buffer<usize> = (0..rays.len()).filter(|&i| rays[i].is_some()).collect();
     let sample_size = if model == MotionModel::Free { 4 } else { 2 };
     if usable.len() < config.minimum_inliers.max(sample_size) {
         return None;
     }
     let (fx, fy) = camera.focal_px();
-    let squared_errors = |pose: &GroundPose| -> Vec<f64> {
+    let squared_errors = |pose: &GroundPose| -> Buffer<f64> {
         let camera_from_world = pose.world_from_camera_rotation().transpose();
         observations
             .iter()
@@ -57,7 +60,7 @@ pub fn consensus(
             })
             .collect()
     };
-    let mut best: Option<(f64, GroundPose, Vec<f64>)> = None;
+    let mut best: Option<(f64, GroundPose, Buffer<f64>)> = None;
     let mut judge = |pose: GroundPose| -> usize {
         let errors = squared_errors(&pose);
         let cost: f64 = errors.iter().map(|e| e.min(limit)).sum();
@@ -71,7 +74,7 @@ pub fn consensus(
     let mut drawn = 0;
     while drawn < samples_needed(inliers as f64 / usable.len() as f64, sample_size) {
         drawn += 1;
-        let sample: Vec<usize> = (0..sample_size).map(|_| usable[random.below(usable.len())]).collect();
+        let sample: Buffer<usize> = (0..sample_size).map(|_| usable[random.below(usable.len())]).collect();
         if let Some(pose) = hypothesis(camera, observations, &rays, &sample, prediction, model) {
             inliers = judge(pose);
         }
@@ -83,7 +86,7 @@ pub fn consensus(
 const CLEAR: f64 = 0.8;
 
 /// Which observations lie within the limit, squared pixels, of where a pose has them.
-fn agreeing(camera: &Camera, observations: &[Observation], pose: &GroundPose, limit: f64) -> Vec<bool> {
+fn agreeing(camera: &Camera, observations: &[Observation], pose: &GroundPose, limit: f64) -> Buffer<bool> {
     let camera_from_world = pose.world_from_camera_rotation().transpose();
     let agrees = |observation: &Observation| {
         let ground = observation.ground;
@@ -146,7 +149,7 @@ fn hypothesis(
         return Some(pose);
     }
     // Four points fix all six numbers: no homography is decomposed, the planar pose is solved for directly.
-    let few: Vec<Observation> = sample.iter().map(|&i| observations[i]).collect();
+    let few: Buffer<Observation> = sample.iter().map(|&i| observations[i]).collect();
     let mut pose = pose;
     for _ in 0..5 {
         pose = gauss_newton_step(camera, &few, &pose, &Unknowns::new(model))?;

@@ -18,18 +18,24 @@ pub const MOST_CONFIRMATIONS: usize = 8;
 pub struct Candidate {
     pub keyframe: Keyframe,
     pub last: LastPose,
+    /// Number and time of the keyframe's frame.
+    pub made: (u64, f64),
     confirmations: usize,
 }
 
 impl Candidate {
     /// A candidate made of an unmeasured frame, taken where `last` has the camera. `None` where the frame shows too little.
-    pub fn new(pyramid: Pyramid, last: LastPose, camera: &Camera, config: &OdometryConfig) -> Option<Self> {
+    pub fn new(
+        pyramid: Pyramid,
+        frame: u64,
+        last: LastPose,
+        camera: &Camera,
+        config: &OdometryConfig,
+    ) -> Option<Self> {
         let keyframe = Keyframe::new(pyramid, last.pose, last.covariance, camera, &config.detection);
-        keyframe.can_be_followed(2 * config.motion.minimum_inliers).then_some(Self {
-            keyframe,
-            last,
-            confirmations: 0,
-        })
+        let made = (frame, last.time_s);
+        let enough = keyframe.can_be_followed(2 * config.motion.minimum_inliers);
+        enough.then_some(Self { keyframe, last, made, confirmations: 0 })
     }
 
     /// The next frame measured against the candidate, which it confirms; `None` where it does not agree.
@@ -61,10 +67,11 @@ impl Candidate {
     }
 
     /// A fast camera leaves the candidate's ground before it is believed: the next frame is measured against this one, where it shows enough.
-    pub fn move_on(&mut self, pyramid: Pyramid, camera: &Camera, config: &OdometryConfig) {
+    pub fn move_on(&mut self, pyramid: Pyramid, frame: u64, camera: &Camera, config: &OdometryConfig) {
         let next = Keyframe::new(pyramid, self.last.pose, self.last.covariance, camera, &config.detection);
         if next.can_be_followed(2 * config.motion.minimum_inliers) {
             self.keyframe = next;
+            self.made = (frame, self.last.time_s);
         }
     }
 }

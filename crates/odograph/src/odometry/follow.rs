@@ -2,6 +2,7 @@
 
 use super::OdometryConfig;
 use super::keyframe::{KeyCorner, Keyframe};
+use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
@@ -21,7 +22,7 @@ pub struct Measurement {
     /// Where it was looked for.
     pub prediction: GroundPose,
     /// The corners found again, in step with the estimate's inliers.
-    pub found: Vec<Found>,
+    pub found: Buffer<Found>,
     /// The part of the keyframe's corners that supports the movement, 0 to 1.
     pub support: f64,
     /// Whether some of the corners were found first and agreed on a pose from which the others were looked for: what was not found from
@@ -42,19 +43,21 @@ pub struct Found {
 }
 
 /// What was found, weighed by how well each patch holds in each direction.
-fn observations(keyframe: &Keyframe, found: &[Found]) -> Vec<Observation> {
+fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
     let sighting = |found: &Found| Sighting {
         ground: keyframe.corners[found.corner].patch.ground,
         pixel: found.warp.position,
         covariance_px2: found.covariance_px2,
     };
-    let sightings: Vec<Sighting> = found.iter().map(sighting).collect();
-    whitened(&sightings, SHARED_PX2).map_or(Vec::new(), |(observations, _)| observations)
+    let sightings: Buffer<Sighting> = found.iter().map(sighting).collect();
+    whitened(&sightings, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
 }
 
 /// What a track is off even without noise (interpolation, what the shape of its warp leaves), pixels²: 0.02 px. More exact than that no track is
 /// taken to be, so that where all are good all count alike.
 const SHARED_PX2: f64 = 4e-4;
+
+stored!(Found);
 
 /// Measures the pose of a frame against a keyframe, somewhere about `prediction`.
 pub fn measure(
@@ -122,7 +125,7 @@ fn measure_whole(
     Ok(Measurement {
         estimate: found.estimate,
         prediction: *prediction,
-        found: Vec::new(),
+        found: Buffer::new(),
         support: found.agreement * found.overlap,
         settled: true,
         agreement: Some(found.agreement),
@@ -148,7 +151,7 @@ pub fn confirm(
         forward_backward_px(template, &keyframe.pyramid, pyramid, &found.warp, &config.flow)
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
-    let found: Vec<Found> = measurement.found.iter().filter(comes_back).copied().collect();
+    let found: Buffer<Found> = measurement.found.iter().filter(comes_back).copied().collect();
     let followed = Followed { found, settled: measurement.settled.then_some(measurement.estimate.pose) };
     judge(keyframe, followed, camera, &measurement.prediction, config, wander, random).unwrap_or(measurement)
 }
@@ -215,7 +218,7 @@ const TEMPLATE_REACH_PX: f64 = 10.0;
 
 /// The corners found again, and the pose that the first of them agreed on.
 struct Followed {
-    found: Vec<Found>,
+    found: Buffer<Found>,
     settled: Option<GroundPose>,
 }
 
@@ -242,7 +245,7 @@ fn follow(
 ) -> Followed {
     let corners = keyframe.corners.len();
     let every = corners / SCOUTS;
-    let mut found = Vec::with_capacity(corners);
+    let mut found = Buffer::new();
     let from = ViewingPose::new(*prediction);
     let find = |index: usize, from: &ViewingPose, off_px: f64| {
         find(index, &keyframe.corners[index], keyframe, pyramid, camera, from, off_px, config)
@@ -329,7 +332,12 @@ fn find(
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
 /// a model of the camera's rotation.
-fn follow_by_eye(keyframe: &Keyframe, pyramid: &Pyramid, off_px: f64, config: &OdometryConfig) -> Vec<Found> {
+fn follow_by_eye(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    off_px: f64,
+    config: &OdometryConfig,
+) -> Buffer<Found> {
     let search = |(index, corner): (usize, &KeyCorner)| {
         corner.template.add_coarser_levels(&keyframe.pyramid);
         let Track { position, .. } =

@@ -6,6 +6,7 @@ use crate::detection::{DetectionConfig, detect};
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
+use crate::mapping::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
 use crate::motion::{CoarseRegistration, GroundFromRay, GroundPatch, GroundView, ViewingPose};
 use nalgebra::Matrix6;
@@ -18,6 +19,8 @@ const MARGIN_PX: usize = 9;
 /// An image in use as the reference, with its corners prepared for being found again.
 #[derive(Debug)]
 pub struct Keyframe {
+    /// Its number; one that has not been taken into use yet has none.
+    pub id: Option<KeyframeId>,
     pub pyramid: Pyramid,
     pub pose: GroundPose,
     /// Of the pose against the start of the run, (x, y, heading, height, roll, pitch).
@@ -56,13 +59,13 @@ impl Keyframe {
     ) -> Self {
         let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
         Self::prepare(
-            KeyframeRecord { pyramid, pose, covariance, places, view: None, reachable: true },
+            KeyframeRecord { id: None, pyramid, pose, covariance, places, view: None, reachable: true },
             camera,
         )
     }
 
     fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {
-        let KeyframeRecord { pyramid, pose, covariance, places, view, .. } = record;
+        let KeyframeRecord { id, pyramid, pose, covariance, places, view, .. } = record;
         let ground_from_ray = GroundFromRay::new(&pose);
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&pyramid, place)?;
@@ -76,7 +79,7 @@ impl Keyframe {
         let corners: Vec<KeyCorner> = places.iter().filter_map(corner).collect();
         let (faint, dense) = (OnceLock::new(), OnceLock::new());
         let corners_at_first = corners.len();
-        Self { corners_at_first, corners, pyramid, pose, covariance, places, view, faint, dense }
+        Self { id, corners_at_first, corners, pyramid, pose, covariance, places, view, faint, dense }
     }
 
     /// Whether it is followed as a whole, because its corners hardly stand out of noise.
@@ -126,14 +129,15 @@ impl Keyframe {
 
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(self) -> KeyframeRecord {
-        let Self { pyramid, pose, covariance, places, view, .. } = self;
-        KeyframeRecord { pyramid, pose, covariance, places, view, reachable: true }
+        let Self { id, pyramid, pose, covariance, places, view, .. } = self;
+        KeyframeRecord { id, pyramid, pose, covariance, places, view, reachable: true }
     }
 }
 
 /// A keyframe without its templates: a tenth of the memory.
 #[derive(Debug)]
 pub struct KeyframeRecord {
+    id: Option<KeyframeId>,
     pyramid: Pyramid,
     pose: GroundPose,
     covariance: Matrix6<f64>,
@@ -221,10 +225,10 @@ impl KeyframeMemory {
 }
 
 /// Points of a coarse grid over an image, on a side.
-const GRID: usize = 8;
+pub const GRID: usize = 8;
 
 /// What the camera sees at the points of a coarse grid over its image.
-fn grid_rays(camera: &Camera) -> [Option<Ray>; GRID * GRID] {
+pub fn grid_rays(camera: &Camera) -> [Option<Ray>; GRID * GRID] {
     let (width, height) = (camera.width() as f64, camera.height() as f64);
     std::array::from_fn(|at| {
         let along = |i: usize, size: f64| (i as f64 + 0.5) / GRID as f64 * size - 0.5;
@@ -239,7 +243,17 @@ fn overlap(
     camera: &Camera,
     pose: &ViewingPose,
 ) -> f64 {
-    let ground_from_ray = GroundFromRay::new(&record.pose);
+    seen_share(&record.pose, rays, camera, pose)
+}
+
+/// The part of a coarse grid over the image of a camera at `at` that a camera at `pose` would have in view.
+pub fn seen_share(
+    at: &GroundPose,
+    rays: &[Option<Ray>; GRID * GRID],
+    camera: &Camera,
+    pose: &ViewingPose,
+) -> f64 {
+    let ground_from_ray = GroundFromRay::new(at);
     let seen = rays.iter().filter(|ray| {
         let ground = ray.and_then(|ray| ground_from_ray.of(ray));
         let back = ground.and_then(|ground| pose.pixel(camera, ground));

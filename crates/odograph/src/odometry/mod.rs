@@ -7,8 +7,10 @@
 mod candidate;
 mod follow;
 mod keyframe;
+mod keyframe_event;
 mod last_pose;
 mod limits;
+pub(crate) mod matching;
 mod recovery;
 mod texture;
 
@@ -19,11 +21,14 @@ use crate::filter::{ConstantAcceleration, FilterConfig};
 use crate::flow::FlowConfig;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
+use crate::mapping::{EdgeKind, KeyframeId};
 use crate::motion::{MotionConfig, MotionEstimate, MotionModel, Random, RigWander};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::{CONFIRMATIONS, Candidate, MOST_CONFIRMATIONS};
 use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
+use keyframe_event::Before;
+pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
 use nalgebra::Matrix6;
 use recovery::{Lost, Recovery};
@@ -63,6 +68,14 @@ impl Default for KeyframeConfig {
     }
 }
 
+impl OdometryConfig {
+    /// With what depends on the size of the image: blur, rolling shutters and what stands a little above the ground grow with it.
+    fn for_camera(mut self, camera: &Camera) -> Self {
+        self.motion.inlier_px *= (camera.width() as f64 / 640.0).max(1.0);
+        self
+    }
+}
+
 /// What one track looked like in the last frame, for pictures and pages.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackView {
@@ -99,6 +112,9 @@ pub struct Odometry {
     tracks: Vec<TrackView>,
     /// The pyramid of an earlier frame, whose memory the next one takes over.
     spare: Option<Pyramid>,
+    /// What happened to the keyframes and was not asked for yet, where it is asked for.
+    events: Option<Vec<KeyframeEvent>>,
+    reference: Option<FrameReference>,
 }
 
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
@@ -123,9 +139,7 @@ impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         let first_pose = rig.validated()?.first_pose();
-        let mut config = config.validated()?;
-        // Blur, rolling shutters and what stands a little above the ground grow with the image.
-        config.motion.inlier_px *= (camera.width() as f64 / 640.0).max(1.0);
+        let config = config.validated()?.for_camera(&camera);
         Ok(Self {
             recovery: Recovery::new(&camera),
             camera,
@@ -144,12 +158,15 @@ impl Odometry {
             segment: 0,
             tracks: Vec::new(),
             spare: None,
+            events: None,
+            reference: None,
         })
     }
 
     /// Takes the next frame. Fails where the image has not the size the camera is calibrated for, or its time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
+        self.reference = None;
         let pyramid = match self.spare.take() {
             Some(mut pyramid) => {
                 pyramid.replace(image);
@@ -351,7 +368,8 @@ impl Odometry {
             let corner = corners.get(found.corner)?.template.centre();
             Some(TrackView { pixel: found.warp.position, corner, inlier })
         };
-        self.tracks = found.iter().zip(&estimate.inliers).filter_map(view).collect();
+        self.tracks.clear();
+        self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
         self.wander.learn(&estimate);
         if let Some(presence) = presence {
             self.usual_presence += PRESENCE_RATE * (presence - self.usual_presence);
@@ -366,12 +384,14 @@ impl Odometry {
             None => LastPose::still(time_s, estimate.pose, covariance),
         });
         let improved = self.improve(time_s, &estimate);
-        if self.config.motion.model == MotionModel::Mean {
-            self.keep_only(&found, covariance);
-        }
+        let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
+        self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
         let keyframe = support < self.config.keyframe.support || self.leaves_the_keyframe(&found, time_s);
+        if self.config.motion.model == MotionModel::Mean {
+            self.keep_only(&found, covariance); // from here on what was found has other numbers
+        }
         if keyframe {
-            self.change_keyframe(pyramid, estimate.pose, covariance);
+            self.change_keyframe(pyramid, time_s, &estimate, covariance);
         } else {
             self.spare = Some(pyramid);
         }
@@ -408,7 +428,7 @@ impl Odometry {
             Some(found) if self.candidate_is_believed() => return self.begin_segment(pyramid, time_s, found),
             Some(found) if found.support < self.config.keyframe.support => {
                 if let Some(candidate) = &mut self.candidate {
-                    candidate.move_on(pyramid, &self.camera, &self.config);
+                    candidate.move_on(pyramid, self.frames, &self.camera, &self.config);
                 }
             }
             Some(_) => {}
@@ -418,7 +438,7 @@ impl Odometry {
                     Some(last) => last.carried_over_gap(time_s),
                     None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
                 };
-                self.candidate = Candidate::new(pyramid, last, &self.camera, &self.config);
+                self.candidate = Candidate::new(pyramid, self.frames, last, &self.camera, &self.config);
             }
         }
         FrameEstimate {
@@ -451,7 +471,9 @@ impl Odometry {
     /// The first frame that shows ground is where the world begins.
     fn begin(&mut self, pyramid: Pyramid, time_s: f64) -> FrameEstimate {
         let (pose, covariance) = (self.first_pose, Matrix6::zeros());
-        let keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        let mut keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        self.number(&mut keyframe, (self.frames, time_s), None);
+        self.reference = keyframe.id.map(|keyframe| FrameReference { keyframe, next: None });
         let corners = keyframe.corners.len();
         self.tracks = keyframe
             .corners
@@ -460,7 +482,6 @@ impl Odometry {
             .map(|corner| TrackView { pixel: corner, corner, inlier: true })
             .collect();
         self.keyframe = Some(keyframe);
-        self.keyframes += 1;
         self.last = Some(LastPose::still(time_s, pose, covariance));
         FrameEstimate {
             frame: self.frames,
@@ -498,12 +519,13 @@ impl Odometry {
     fn begin_segment(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
         // The very first ground is not a new segment.
         self.segment += usize::from(self.last.is_some());
-        self.last = None;
-        if let Some(candidate) = self.candidate.take() {
+        let last = self.last.take();
+        if let Some(mut candidate) = self.candidate.take() {
+            let before = last.and_then(|last| self.across_the_gap(&last, &candidate.keyframe));
+            self.number(&mut candidate.keyframe, candidate.made, before);
             if let Some(before) = self.keyframe.replace(candidate.keyframe) {
                 self.memory.remember(before.retire());
             }
-            self.keyframes += 1;
             self.last = Some(candidate.last);
         }
         self.memory.close_segment();
@@ -511,17 +533,40 @@ impl Odometry {
         self.accept(pyramid, time_s, measurement)
     }
 
+    /// How the first keyframe after a gap lies to the last one before.
+    fn across_the_gap(&self, last: &LastPose, next: &Keyframe) -> Option<Before> {
+        let before = self.keyframe.as_ref()?;
+        Some(Before {
+            id: before.id?,
+            pose: before.pose,
+            covariance: next.covariance - self.carried_covariance(&last.pose),
+            kind: EdgeKind::Gap,
+        })
+    }
+
     /// The next reference: an older keyframe where the camera has come back to one, otherwise this frame.
-    fn change_keyframe(&mut self, pyramid: Pyramid, pose: GroundPose, covariance: Matrix6<f64>) {
-        let pyramid = match self.revisit(pyramid, &pose, &covariance) {
+    fn change_keyframe(
+        &mut self,
+        pyramid: Pyramid,
+        time_s: f64,
+        estimate: &MotionEstimate,
+        covariance: Matrix6<f64>,
+    ) {
+        let pose = estimate.pose;
+        let pyramid = match self.revisit(pyramid, estimate, &covariance) {
             Ok(()) => return,
             Err(pyramid) => pyramid,
         };
-        let next = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        let mut next = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
         if !next.can_be_followed(2 * self.config.motion.minimum_inliers) {
             return; // better the rest of the old one than nothing
         }
-        self.keyframes += 1;
+        let before = self.keyframe.as_ref().and_then(|before| {
+            let kind = EdgeKind::Odometry;
+            Some(Before { id: before.id?, pose: before.pose, covariance: estimate.covariance, kind })
+        });
+        self.number(&mut next, (self.frames, time_s), before);
+        self.serve_from_here(next.id, pose);
         if let Some(before) = self.keyframe.replace(next) {
             self.memory.remember(before.retire());
         }
@@ -532,9 +577,10 @@ impl Odometry {
     fn revisit(
         &mut self,
         pyramid: Pyramid,
-        pose: &GroundPose,
+        estimate: &MotionEstimate,
         covariance: &Matrix6<f64>,
     ) -> std::result::Result<(), Pyramid> {
+        let pose = &estimate.pose;
         if self.config.motion.model == MotionModel::Mean {
             return Err(pyramid);
         }
@@ -558,6 +604,8 @@ impl Odometry {
             return Err(pyramid);
         };
         let found = measurement.estimate.pose;
+        self.tell_revisit(&old, (pose, &estimate.covariance), (&found, &measurement.estimate.covariance));
+        self.serve_from_here(old.id, found);
         if let Some(before) = self.keyframe.replace(old) {
             self.memory.remember(before.retire());
         }
@@ -569,6 +617,13 @@ impl Odometry {
             filter.shift([found.x_m - pose.x_m, found.y_m - pose.y_m, found.heading_rad - pose.heading_rad]);
         }
         Ok(())
+    }
+
+    /// Another keyframe is the reference of the frames after this one, whose pose that one has at `pose`.
+    fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
+        if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
+            reference.next = Some((keyframe, pose));
+        }
     }
 
     /// Position and heading improved by the filter, with the velocity it knows.

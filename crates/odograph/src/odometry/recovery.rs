@@ -245,6 +245,7 @@ fn distance_m(a: &GroundPose, b: &GroundPose) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::buffer::Buffer;
     use crate::motion::MotionEstimate;
     use nalgebra::Matrix6;
 
@@ -253,7 +254,7 @@ mod tests {
         let estimate = MotionEstimate {
             pose,
             covariance: Matrix6::identity(),
-            inliers: vec![true; inliers],
+            inliers: Buffer::of(true, inliers),
             residual_px: 0.1,
             rig_evidence: None,
         };
@@ -261,7 +262,7 @@ mod tests {
             measurement: Measurement {
                 estimate,
                 prediction: pose,
-                found: vec![],
+                found: Buffer::new(),
                 support: 0.5,
                 settled: false,
                 agreement: None,

@@ -5,12 +5,15 @@ use crate::files;
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file;
 use odograph::trajectory::FrameEstimate;
+use odograph_map::MapFile;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Every file that a run writes.
-pub const FILES: [&str; 12] = [
+pub const FILES: [&str; 14] = [
+    "odometry.tum",
+    "map.gpkg",
     "trajectory.tum",
     "trajectory.csv",
     "trajectory-smoothed.tum",
@@ -34,6 +37,8 @@ pub struct OutputFolder {
     pending: Vec<FrameEstimate>,
     /// Whether the header and some frames are on disk.
     started: bool,
+    /// Whether a map of an earlier run is there.
+    had_map: bool,
     /// Folders that were made for this run, the innermost first.
     made: Vec<PathBuf>,
 }
@@ -43,6 +48,9 @@ impl Drop for OutputFolder {
     fn drop(&mut self) {
         if !self.started {
             let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
+            if !self.had_map {
+                let _ = MapFile::remove(&self.path.join("map.gpkg"));
+            }
             remove_folders(&self.made);
         }
     }
@@ -82,7 +90,8 @@ impl OutputFolder {
         let growing = File::create(&growing_path).map_err(|error| {
             undone(Error::output(format!("{} cannot be written: {error}", growing_path.display())))
         })?;
-        Ok(Self { path: path.to_owned(), growing, pending: Vec::new(), started: false, made })
+        let had_map = path.join("map.gpkg").exists();
+        Ok(Self { path: path.to_owned(), growing, pending: Vec::new(), started: false, had_map, made })
     }
 
     /// Where it is.

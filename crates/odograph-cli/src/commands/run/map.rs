@@ -41,7 +41,9 @@ pub fn write(
         placement: mosaic.placement,
         opacity: BACKDROP_OPACITY,
     });
-    let svg = MapDrawing { title, backdrop, ..Default::default() }.svg(&tracked.frames);
+    let loops = tracked.mapping.loops();
+    let drawing = MapDrawing { title, loops: &loops, ..Default::default() };
+    let svg = MapDrawing { backdrop, ..drawing }.svg(&tracked.frames);
     folder.write("map.svg", svg.as_bytes())?;
     folder.write("map.png", &report::drawing_png(&svg, report::MAP_WIDTH_PX)?)?;
     // The page shows the path on plain paper: the mosaic has its own place on it.
@@ -51,7 +53,7 @@ pub fn write(
         frames: &tracked.frames,
         camera: &plan.camera,
         rig: &plan.rig,
-        map_svg: &MapDrawing { title, ..Default::default() }.svg(&tracked.frames),
+        map_svg: &drawing.svg(&tracked.frames),
         mosaic: small.map(|(mosaic, png)| ReportMosaic {
             png,
             width_px: mosaic.width,

@@ -1,7 +1,9 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
 mod folder;
+mod many;
 mod map;
+mod mapping;
 mod pipeline;
 mod plan;
 mod sensors;
@@ -20,12 +22,16 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 /// Follow a recorded drive: writes the trajectory, the map, a mosaic of the ground and a report.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct RunArguments {
     /// A video, a folder of pictures, `-` for Y4M on standard input, or the run.toml of an earlier run.
     #[arg(value_name = "SOURCE")]
     pub source: String,
+    /// More recordings by the same camera, or SOURCE a folder of videos: each goes into a folder of its own in -o, as many at a time as
+    /// there are cores.
+    #[arg(value_name = "MORE")]
+    pub more: Vec<String>,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
@@ -61,6 +67,9 @@ pub struct RunArguments {
     pub max_frames: Option<u64>,
     #[command(flatten)]
     pub sensors: SensorPlan,
+    /// Do not look for ground that was seen before: the path is what odometry alone has.
+    #[arg(long)]
+    pub no_loops: bool,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -74,6 +83,9 @@ pub struct OutputArguments {
     /// Overwrite results that are already there.
     #[arg(long)]
     pub force: bool,
+    /// The map: continued where there is one, otherwise begun. [default: a new map.gpkg in the folder]
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
     /// Threads to use; the results are the same for any number. [default: as many as help]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
@@ -92,6 +104,8 @@ Examples:
   odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
   odograph run drive.mp4 --camera camera.yaml --height 1.20 --gyro gyro.csv --wheel wheel.csv -o drive/
   odograph run drive/run.toml -o again/
+  odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
+  odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
 
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the
 recording (what there is has been written).";
@@ -142,6 +156,7 @@ impl RunArguments {
     pub fn over(output: OutputArguments) -> Self {
         Self {
             source: String::new(),
+            more: Vec::new(),
             camera: None,
             height: None,
             rig: None,
@@ -154,6 +169,7 @@ impl RunArguments {
             every: 1,
             max_frames: None,
             sensors: SensorPlan::default(),
+            no_loops: false,
             output,
         }
     }
@@ -161,6 +177,9 @@ impl RunArguments {
 
 /// Runs the command.
 pub fn run(arguments: RunArguments) -> Result<Outcome> {
+    if let Some(recordings) = many::recordings(&arguments)? {
+        return many::run(&recordings, &arguments);
+    }
     let folder = OutputFolder::new(&arguments.output.output, arguments.output.force)?;
     let (plan, source) = RunPlan::new(&arguments)?;
     let report = follow(&plan, source, folder, &arguments.output)?;
@@ -198,23 +217,32 @@ pub fn follow(
     }
     let failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
+    folder.write("odometry.tum", trajectory_file::tum_from_frames(&tracked.frames).as_bytes())?;
+    // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, &sensors);
+    let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references)?;
+    let loops = tracked.mapping.statistics(&fused.frames, &straight);
+    tracked.warnings.extend(tracked.mapping.warning());
+    let moved = fused.moved || loops.moved_noticeably(&plan.camera, &plan.rig);
+    let fused = fused.laid(straight);
     let path = fused.smooth(&plan.odometry.filter);
     tracked.warnings.extend(plan.sensors.warnings(&fused.reports));
     let reports = fused.reports;
     tracked.frames = fused.frames;
     folder.write_trajectories(&tracked.frames, &plan.text()?)?;
+    tracked.mapping.write_path(&tracked.frames)?;
     folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
     let smoothed = SmoothedFrame::trajectory(&path);
     folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
     let carrier = carrier_path(&path, &plan.rig);
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
-    if fused.moved {
-        // The mosaic was laid while the sensors were not known yet.
+    if moved {
+        // The mosaic was laid while sensors and loops were not known yet.
         pipeline::lay_again(plan, &mut tracked);
     }
-    let statistics = Statistics::new(&tracked, &reports, started.elapsed());
+    let statistics = Statistics::new(&tracked, &reports, loops, started.elapsed());
     map::write(plan, &description, &tracked, &reports, &mut folder)?;
+    tracked.mapping.close()?;
     folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),

@@ -1,6 +1,7 @@
 //! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
 
 use super::folder::OutputFolder;
+use super::mapping::Mapping;
 use super::{OutputArguments, RunPlan};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -8,7 +9,7 @@ use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
 use odograph::mapping::Mosaic;
-use odograph::odometry::Odometry;
+use odograph::odometry::{FrameReference, KeyframeEvent, Odometry};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
 use std::sync::mpsc;
@@ -18,7 +19,10 @@ use std::time::{Duration, Instant};
 /// What came out of the pipeline.
 pub struct Tracked {
     pub frames: Vec<FrameEstimate>,
+    /// For each frame, what it was measured against.
+    pub references: Vec<Option<FrameReference>>,
     pub mosaic: Mosaic,
+    pub mapping: Mapping,
     pub keyframes: u64,
     pub warnings: Vec<String>,
     pub times: StageTimes,
@@ -45,25 +49,32 @@ pub fn track(
     folder: &mut OutputFolder,
     arguments: &OutputArguments,
 ) -> Result<Tracked> {
+    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    odometry.tell_keyframes();
+    let mapping = Mapping::new(plan, folder.path(), arguments)?;
     let mut tracking = Tracking {
-        odometry: Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?,
+        odometry,
         frames: Vec::new(),
+        references: Vec::new(),
         times: Vec::new(),
         progress: progress(source.info().frame_count, arguments.quiet),
         folder,
     };
     let mut decoding = Decoding { source, times: Vec::new() };
-    let mut laying = Laying::new(plan.camera.clone());
+    let mut ground = Ground { laying: Laying::new(plan.camera.clone()), mapping };
     let outcome = match arguments.threads.map_or(3, usize::from) {
-        1 => one_by_one(&mut decoding, &mut tracking, &mut laying),
-        threads => side_by_side(&mut decoding, &mut tracking, &mut laying, threads),
+        1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
+        threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads),
     };
     tracking.progress.finish_and_clear();
+    let Ground { laying, mapping } = ground;
     let (mosaic, map_times) = laying.finished();
     Ok(Tracked {
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
+        references: tracking.references,
         mosaic,
+        mapping,
         warnings: decoding.source.take_warnings(),
         times: StageTimes { decode: decoding.times, track: tracking.times, map: map_times },
         interrupted: interrupt::asked(),
@@ -81,7 +92,7 @@ pub fn lay_again(plan: &RunPlan, tracked: &mut Tracked) {
         Ok(source) => Decoding { source, times: Vec::new() },
         Err(error) => {
             tracked.warnings.push(format!(
-                "the mosaic lies where the camera alone puts it, not where the other sensors do: {error}"
+                "the mosaic lies where odometry alone puts it, not where loops and other sensors do: {error}"
             ));
             return;
         }
@@ -100,11 +111,9 @@ pub fn lay_again(plan: &RunPlan, tracked: &mut Tracked) {
 }
 
 /// The three stages in turn.
-fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, laying: &mut Laying) -> Result<()> {
+fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, ground: &mut Ground) -> Result<()> {
     while let Some(frame) = decoding.next()? {
-        if let Some(posed) = tracking.next(frame)? {
-            laying.next(posed);
-        }
+        ground.next(tracking.next(frame)?)?;
     }
     Ok(())
 }
@@ -113,11 +122,11 @@ fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, laying: &mut
 fn side_by_side(
     decoding: &mut Decoding,
     tracking: &mut Tracking<'_>,
-    laying: &mut Laying,
+    ground: &mut Ground,
     threads: usize,
 ) -> Result<()> {
     let (frames_in, frames_out) = mpsc::sync_channel::<Frame>(QUEUE);
-    let (posed_in, posed_out) = mpsc::sync_channel::<Posed>(QUEUE);
+    let (followed_in, followed_out) = mpsc::sync_channel::<Followed>(QUEUE);
     thread::scope(|scope| {
         let decoder = scope.spawn(move || -> Result<()> {
             while let Some(frame) = decoding.next()? {
@@ -129,30 +138,32 @@ fn side_by_side(
         });
         let mut here = None;
         let mapper = if threads > 2 {
-            Some(scope.spawn(move || posed_out.iter().for_each(|posed| laying.next(posed))))
+            Some(scope.spawn(move || followed_out.iter().try_for_each(|followed| ground.next(followed))))
         } else {
-            drop(posed_out);
-            here = Some(laying);
+            drop(followed_out);
+            here = Some(ground);
             None
         };
         let outcome = frames_out.iter().try_for_each(|frame| -> Result<()> {
-            if let Some(posed) = tracking.next(frame)? {
-                match &mut here {
-                    Some(laying) => laying.next(posed),
-                    None => drop(posed_in.send(posed)),
-                }
+            let followed = tracking.next(frame)?;
+            match &mut here {
+                Some(ground) => ground.next(followed)?,
+                None if followed_in.send(followed).is_err() => return Err(ended()),
+                None => {}
             }
             Ok(())
         });
-        drop((frames_out, posed_in));
-        let died =
-            |_| Error::input("a stage of the pipeline ended unexpectedly; please report this recording");
-        if let Some(mapper) = mapper {
-            mapper.join().map_err(died)?;
-        }
+        drop((frames_out, followed_in));
+        let died = |_| ended();
+        // What ended the mapping ended the tracking after it.
+        let mapped = mapper.map_or(Ok(Ok(())), |mapper| mapper.join()).map_err(died)?;
         let decoded = decoder.join().map_err(died)?;
-        outcome.and(decoded)
+        mapped.and(outcome).and(decoded)
     })
+}
+
+fn ended() -> Error {
+    Error::input("a stage of the pipeline ended unexpectedly; please report this recording")
 }
 
 /// Stage one: frames from the source, until its end or until the run is asked to end.
@@ -179,9 +190,17 @@ impl Decoding {
 struct Tracking<'a> {
     odometry: Odometry,
     frames: Vec<FrameEstimate>,
+    references: Vec<Option<FrameReference>>,
     times: Vec<Duration>,
     progress: ProgressBar,
     folder: &'a mut OutputFolder,
+}
+
+/// What stage two makes of a frame.
+struct Followed {
+    /// Where it has a pose.
+    posed: Option<Posed>,
+    events: Vec<KeyframeEvent>,
 }
 
 /// A frame with its pose, for the mosaic.
@@ -192,21 +211,48 @@ struct Posed {
 }
 
 impl Tracking<'_> {
-    fn next(&mut self, frame: Frame) -> Result<Option<Posed>> {
+    fn next(&mut self, frame: Frame) -> Result<Followed> {
         let started = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        let mut events = self.odometry.take_keyframe_events();
         self.times.push(started.elapsed());
         self.folder.record(&estimate)?;
         self.progress.inc(1);
         let pose = estimate.estimate.as_ref().map(|known| known.pose);
         let segment = estimate.segment;
         self.frames.push(estimate);
-        Ok(pose.map(|pose| Posed { frame, pose, segment }))
+        self.references.push(self.odometry.reference());
+        // Odometry counts the frames that it was given; the map tells those of the source.
+        for event in &mut events {
+            if let KeyframeEvent::Made(new) = event
+                && let Some(made) = self.frames.get(new.frame as usize)
+            {
+                new.frame = made.frame;
+            }
+        }
+        Ok(Followed { posed: pose.map(|pose| Posed { frame, pose, segment }), events })
     }
 }
 
-/// Stage three: the mosaic.
+/// Stage three: what is made of the ground.
+struct Ground {
+    laying: Laying,
+    mapping: Mapping,
+}
+
+impl Ground {
+    fn next(&mut self, followed: Followed) -> Result<()> {
+        let Followed { posed, events } = followed;
+        self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame))?;
+        if let Some(posed) = posed {
+            self.laying.next(posed);
+        }
+        Ok(())
+    }
+}
+
+/// The mosaic.
 struct Laying {
     camera: Camera,
     mosaic: Mosaic,

@@ -7,6 +7,7 @@ use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file};
 use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
+use odograph::slam::SlamConfig;
 use odograph_video::{Source, SourceOptions};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -23,6 +24,8 @@ pub struct RunPlan {
     #[serde(default, skip_serializing_if = "SensorPlan::is_empty")]
     pub sensors: SensorPlan,
     pub odometry: OdometryConfig,
+    #[serde(default)]
+    pub slam: SlamConfig,
 }
 
 /// Which frames are taken from where.
@@ -115,6 +118,7 @@ impl RunPlan {
             rig,
             sensors: arguments.sensors.clone(),
             odometry,
+            slam: SlamConfig { loops: !arguments.no_loops, ..SlamConfig::default() },
         };
         Ok((plan, source))
     }
@@ -138,6 +142,7 @@ impl RunPlan {
             ("--heading", arguments.sensors.heading.is_some()),
             ("--wheel", arguments.sensors.wheel.is_some()),
             ("--range", arguments.sensors.range.is_some()),
+            ("--no-loops", arguments.no_loops),
         ];
         if let Some((option, _)) = given.iter().find(|(_, given)| *given) {
             return Err(Error::usage(format!(
@@ -154,6 +159,7 @@ impl RunPlan {
         let at_fault = |error| Error::input(format!("{}: {error}", path.display()));
         plan.rig.validated().map_err(at_fault)?;
         plan.odometry.validated().map_err(at_fault)?;
+        plan.slam.validated().map_err(at_fault)?;
         Ok(plan)
     }
 

@@ -1,5 +1,6 @@
 //! The figures of a run: `stats.json` and the summary.
 
+use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
@@ -29,6 +30,8 @@ pub struct Statistics {
     pub keyframes: u64,
     /// Stretches without a pose.
     pub losses: u64,
+    /// Ground that was seen again, and what it did to the path.
+    pub loops: LoopStatistics,
     /// The most memory the program had, bytes; `null` where the system does not tell.
     pub peak_memory_bytes: Option<u64>,
     /// Whether the run was ended early by a signal.
@@ -91,7 +94,7 @@ pub struct StageTime {
 }
 
 impl StageTime {
-    fn of(durations: &[Duration]) -> Self {
+    pub fn of(durations: &[Duration]) -> Self {
         let mut sorted: Vec<f64> = durations.iter().map(|d| 1e3 * d.as_secs_f64()).collect();
         sorted.sort_unstable_by(f64::total_cmp);
         let rank = (0.99 * sorted.len() as f64).ceil() as usize;
@@ -104,7 +107,12 @@ impl StageTime {
 
 impl Statistics {
     /// The figures of what was tracked in `elapsed`, beside the sensors.
-    pub fn new(tracked: &Tracked, sensors: &[SensorReport], elapsed: Duration) -> Self {
+    pub fn new(
+        tracked: &Tracked,
+        sensors: &[SensorReport],
+        loops: LoopStatistics,
+        elapsed: Duration,
+    ) -> Self {
         let frames = &tracked.frames;
         let posed = |i: usize| frames[i].estimate.is_some();
         let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
@@ -120,7 +128,11 @@ impl Statistics {
             duration_s,
             distance_m: distance_m(frames),
             fps: rate(elapsed.as_secs_f64()),
-            fps_without_decoding: rate(seconds(&tracked.times.track) + seconds(&tracked.times.map)),
+            fps_without_decoding: rate(
+                seconds(&tracked.times.track)
+                    + seconds(&tracked.times.map)
+                    + seconds(tracked.mapping.times()),
+            ),
             stages: BTreeMap::from([
                 ("decode", StageTime::of(&tracked.times.decode)),
                 ("track", StageTime::of(&tracked.times.track)),
@@ -128,6 +140,7 @@ impl Statistics {
             ]),
             keyframes: tracked.keyframes,
             losses: losses as u64,
+            loops,
             peak_memory_bytes: peak_memory_bytes(),
             interrupted: tracked.interrupted,
             sensors: sensors.iter().map(SensorStatistics::new).collect(),
@@ -149,12 +162,13 @@ impl Statistics {
         };
         let used = self.sensors.iter().filter(|sensor| sensor.used).map(|sensor| sensor.sensor.to_string());
         let used: Vec<String> = used.collect();
+        let loops = self.loops.summary();
         let sensors = match used.is_empty() {
             true => String::new(),
             false => format!("beside the camera: {}\n", used.join(", ")),
         };
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{sensors}",
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}",
             self.distance_m,
             self.duration_s,
             self.frames_with_pose,

@@ -26,6 +26,7 @@ pub use series::{Quantity, SensorRecord};
 
 use super::FilterConfig;
 use super::smoother::{SmoothedFrame, smooth};
+use crate::geometry::GroundPose;
 use crate::trajectory::FrameEstimate;
 use bridge::{Bridge, rates_around};
 use calibration::{MOST_CONTRADICTIONS, Sighted};
@@ -131,6 +132,37 @@ pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
 }
 
 impl Fusion {
+    /// The same recording with its frames elsewhere, as a map has them: what the sensors tell of frames without a pose goes along with the
+    /// frames before and after. `frames` are those of this fusion, in the same order.
+    pub fn laid(self, frames: Vec<FrameEstimate>) -> Self {
+        let pose = |frame: &FrameEstimate| frame.estimate.as_ref().map(|known| known.pose);
+        let moves: Vec<(f64, GroundPose, GroundPose)> = self
+            .frames
+            .iter()
+            .zip(&frames)
+            .filter_map(|(before, after)| Some((before.time_s, pose(before)?, pose(after)?)))
+            .collect();
+        let moved = |frame: SmoothedFrame| {
+            let next = moves.partition_point(|(time_s, ..)| *time_s <= frame.time_s);
+            let ends = [next.checked_sub(1).and_then(|at| moves.get(at)), moves.get(next)];
+            let [Some(before), after] = ends else { return frame };
+            let share = after.map_or(0.0, |after| (frame.time_s - before.0) / (after.0 - before.0));
+            let a = carried(&before.1, &before.2, &frame.pose);
+            let b = after.map_or(a, |after| carried(&after.1, &after.2, &frame.pose));
+            let between = |a: f64, b: f64| a + share * (b - a);
+            let pose = GroundPose {
+                x_m: between(a.x_m, b.x_m),
+                y_m: between(a.y_m, b.y_m),
+                heading_rad: between(a.heading_rad, b.heading_rad),
+                height_m: between(a.height_m, b.height_m),
+                ..a
+            };
+            SmoothedFrame { pose, ..frame }
+        };
+        let reckoned = self.reckoned.into_iter().map(moved).collect();
+        Self { frames, reckoned, ..self }
+    }
+
     /// The smoothed path ([`smooth`]), with the gaps as the sensors tell them.
     pub fn smooth(&self, config: &FilterConfig) -> Vec<SmoothedFrame> {
         let mut path = smooth(&self.frames, config);
@@ -141,6 +173,21 @@ impl Fusion {
             }
         }
         path
+    }
+}
+
+/// A pose that lies to `from` as it did, when that goes to `to`.
+fn carried(from: &GroundPose, to: &GroundPose, pose: &GroundPose) -> GroundPose {
+    let turn_rad = to.heading_rad - from.heading_rad;
+    let scale = to.height_m / from.height_m;
+    let (sin, cos) = turn_rad.sin_cos();
+    let (dx, dy) = (pose.x_m - from.x_m, pose.y_m - from.y_m);
+    GroundPose {
+        x_m: to.x_m + scale * (cos * dx - sin * dy),
+        y_m: to.y_m + scale * (sin * dx + cos * dy),
+        heading_rad: pose.heading_rad + turn_rad,
+        height_m: scale * pose.height_m,
+        ..*pose
     }
 }
 

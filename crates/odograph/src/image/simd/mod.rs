@@ -4,13 +4,14 @@
 //!
 //! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
 //!   reorders or fuses operations on floating-point numbers;
-//! * the sampling of patches, which the compiler cannot widen because of its gathered loads, the sums over patches and the halving of
-//!   rows are written by hand in [`avx2`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
+//! * the sampling of patches and of frames that are laid on the ground, which the compiler cannot widen because of its gathered loads, the sums
+//!   over patches and the halving of rows are written by hand in [`avx2`] and [`ground`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
 //!   reference's.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+pub mod ground;
 pub mod remap;
 mod scalar;
 #[cfg(test)]

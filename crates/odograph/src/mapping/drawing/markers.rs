@@ -5,7 +5,7 @@ use super::scale::{duration_text, length_text, round_step};
 use super::svg::{coordinate as c, text_width};
 use super::window::{RIGHT_MARGIN, Window};
 use super::{BACKGROUND, INK, MUTED, TIME_COLOURS, hex, time_colour};
-use crate::geometry::wrap_angle;
+use crate::geometry::{GroundPoint, wrap_angle};
 use crate::trajectory::PoseEstimate;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -13,6 +13,9 @@ use std::fmt::Write;
 const START: &str = "#0f9d58";
 const ELLIPSE: &str = "#0e7490";
 const LOST: &str = "#c2410c";
+const LOOP: &str = "#7c3aed";
+/// Radius of the ring around a place that was recognised.
+const RING: f64 = 5.0;
 /// The dart that points along a heading: how far its tip and its tail reach from the position, and half its width.
 const DART: (f64, f64, f64) = (10.0, 5.0, 4.8);
 /// Half axes smaller than this, in drawing units, would drown in the line of the path.
@@ -25,6 +28,38 @@ pub(super) struct Shown {
     /// The way between heading ticks, metres.
     pub headings: Option<f64>,
     pub ellipses: bool,
+    pub loops: bool,
+}
+
+/// A ring wherever ground was recognised, and a line to where it was seen before.
+pub(super) fn loops(loops: &[[GroundPoint; 2]], window: &Window, shown: &mut Shown, body: &mut String) {
+    let mut taken = BTreeSet::new();
+    let mut drawn = String::new();
+    for [now, before] in loops {
+        let ends = [now, before].map(|place| window.page(place.x_m, place.y_m));
+        if !ends.iter().all(|(x, y)| x.is_finite() && y.is_finite()) {
+            continue;
+        }
+        let [(x, y), (from_x, from_y)] = ends;
+        // Lanes are recognised all along; rings on top of each other say no more than one.
+        if taken.insert(((x / 14.0).round() as i64, (y / 14.0).round() as i64)) {
+            let _ = write!(
+                drawn,
+                "<path d=\"M{} {}L{} {}\"/><circle cx=\"{0}\" cy=\"{1}\" r=\"{RING}\"/>",
+                c(x),
+                c(y),
+                c(from_x),
+                c(from_y)
+            );
+        }
+    }
+    if !drawn.is_empty() {
+        shown.loops = true;
+        let _ = writeln!(
+            body,
+            "<g class=\"loop\" fill=\"none\" stroke=\"{LOOP}\" stroke-width=\"1.6\">{drawn}</g>"
+        );
+    }
 }
 
 /// Darts that point where the top of the image points, at regular distances and wherever the camera has turned by 45°.
@@ -321,6 +356,13 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
             "<ellipse class=\"ellipse\" fill=\"{ELLIPSE}\" fill-opacity=\"0.12\" stroke=\"{ELLIPSE}\" cx=\"13\" cy=\"0\" rx=\"13\" ry=\"6.5\"/>"
         );
         items.push((34.0 + wide(words), mark + &text(34.0, words)));
+    }
+    if shown.loops {
+        let words = "ground recognised";
+        let mark = format!(
+            "<circle class=\"loop\" fill=\"none\" stroke=\"{LOOP}\" stroke-width=\"1.6\" cx=\"7\" cy=\"0\" r=\"{RING}\"/>"
+        );
+        items.push((20.0 + wide(words), mark + &text(20.0, words)));
     }
     if shown.gaps {
         let words = "lost: the way is not known";

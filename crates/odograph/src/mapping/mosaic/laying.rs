@@ -1,17 +1,16 @@
 //! How a frame is laid on the ground: block by block, levelled in brightness, feathered.
 
 use super::Mosaic;
-use super::footprint::View;
+use super::footprint::{Look, View};
 use super::tiles::{Lookup, TILE};
 use crate::camera::Camera;
 use crate::geometry::GroundPoint;
+use crate::image::simd::ground::{Feather, LANES, Places, lay_eight};
 use std::ops::Range;
 
 /// Side of the blocks, in ground pixels, within which the way from the ground to the image is taken as bilinear. At a
-/// strong lens distortion (k1 = −0.3) the error is below 0.02 px.
-pub(super) const BLOCK: i64 = 8;
-/// Ground seen this many times as well before is not touched again.
-const OUTWEIGHED: u16 = 6;
+/// strong lens distortion (k1 = −0.3) the error is below 0.02 px. A row of a block is laid at a time.
+pub(super) const BLOCK: i64 = LANES as i64;
 /// How much of the brightness step to the ground already there is taken out; less than all, so that small errors die out
 /// along the path instead of adding up.
 const GAIN_SHARE: f64 = 0.95;
@@ -19,9 +18,15 @@ const GAIN_SHARE: f64 = 0.95;
 /// What is known at a corner of a block: where it is in the image, and how well the ground is seen there.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Corner {
-    x: f32,
-    y: f32,
-    quality: f32,
+    pub x: f32,
+    pub y: f32,
+    pub quality: f32,
+}
+
+impl From<Look> for Corner {
+    fn from(look: Look) -> Self {
+        Self { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
+    }
 }
 
 /// The blocks under a footprint: ranges of block columns (along x) and rows (against y).
@@ -38,19 +43,9 @@ impl Mosaic {
         for row in blocks.rows.start..=blocks.rows.end {
             for column in blocks.columns.start..=blocks.columns.end {
                 let look = view.look(GroundPoint::new(column as f64 * side, -(row as f64) * side));
-                self.corners.push(look.map(|look| Corner {
-                    x: look.x as f32,
-                    y: look.y as f32,
-                    quality: look.quality() as f32,
-                }));
+                self.corners.push(look.map(Corner::from));
             }
         }
-    }
-
-    fn corners_of(&self, blocks: &Blocks, column: i64, row: i64) -> [Option<Corner>; 4] {
-        let stride = (blocks.columns.end - blocks.columns.start + 1) as usize;
-        let at = (row - blocks.rows.start) as usize * stride + (column - blocks.columns.start) as usize;
-        [self.corners[at], self.corners[at + 1], self.corners[at + stride], self.corners[at + stride + 1]]
     }
 
     /// The gain of each channel that brings the frame to the brightness of the ground already there: the median ratio in the
@@ -59,7 +54,8 @@ impl Mosaic {
         let mut ratios: [Vec<f32>; N] = std::array::from_fn(|_| vec![]);
         for row in blocks.rows.clone() {
             for column in blocks.columns.clone() {
-                let [Some(a), Some(b), Some(c), Some(d)] = self.corners_of(blocks, column, row) else {
+                let [Some(a), Some(b), Some(c), Some(d)] = corners_of(&self.corners, blocks, column, row)
+                else {
                     continue;
                 };
                 let middle = (0.25 * (a.x + b.x + c.x + d.x), 0.25 * (a.y + b.y + c.y + d.y));
@@ -94,12 +90,14 @@ impl Mosaic {
         camera: &Camera,
     ) -> bool {
         let gains = self.gains::<N>(blocks);
-        let feather = Feather::new(camera);
+        let feather = feather(camera);
+        let Some(frame) = self.samples.laid(feather, gains) else { return false };
+        let corners_of = |column, row| corners_of(&self.corners, blocks, column, row);
         let mut lookup = Lookup::new();
         let mut laid = false;
         for row in blocks.rows.clone() {
             for column in blocks.columns.clone() {
-                let corners = self.corners_of(blocks, column, row);
+                let corners = corners_of(column, row);
                 let known = || corners.iter().flatten();
                 // Outside the image on one side altogether, or with no corner that is seen well.
                 let outside = known().all(|c| c.x < 0.0)
@@ -113,31 +111,13 @@ impl Mosaic {
                 let tile = &mut *self.tiles.at(&mut lookup, left, top);
                 let (in_x, in_y) = (left.rem_euclid(TILE) as usize, top.rem_euclid(TILE) as usize);
                 for j in 0..BLOCK as usize {
-                    let pixels = &mut tile[(in_y + j) * TILE as usize + in_x..][..BLOCK as usize];
-                    let whole = match corners {
-                        [Some(a), Some(b), Some(c), Some(d)] => Some(Corner::row(a, b, c, d, j)),
-                        _ => None,
+                    let pixels = &mut tile[(in_y + j) * TILE as usize + in_x..];
+                    let Some(pixels) = pixels.first_chunk_mut::<{ BLOCK as usize }>() else { continue };
+                    let places = match corners {
+                        [Some(a), Some(b), Some(c), Some(d)] => Corner::places(Corner::row(a, b, c, d, j)),
+                        _ => row_by_itself(view, resolution_m, left, top + j as i64),
                     };
-                    for (i, pixel) in pixels.iter_mut().enumerate() {
-                        let at = match whole {
-                            Some((first, step)) => first.plus(step, i as f32),
-                            None => {
-                                let x_m = (left as f64 + i as f64 + 0.5) * resolution_m;
-                                let y_m = -(top as f64 + j as f64 + 0.5) * resolution_m;
-                                let Some(look) = view.look(GroundPoint::new(x_m, y_m)) else { continue };
-                                Corner { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
-                            }
-                        };
-                        let Some(weight) = feather.weight(at.x, at.y, at.quality) else { continue };
-                        laid = true;
-                        // What was seen much better before is left as it is: sharper, and quicker.
-                        if u16::from(pixel[3]) >= OUTWEIGHED * u16::from(weight) {
-                            continue;
-                        }
-                        let Some(mut sample) = self.samples.at::<N>(at.x, at.y) else { continue };
-                        sample.iter_mut().zip(gains).for_each(|(value, gain)| *value *= gain);
-                        blend(pixel, sample, weight);
-                    }
+                    laid |= lay_eight(&frame, &places, pixels);
                 }
             }
         }
@@ -145,44 +125,31 @@ impl Mosaic {
     }
 }
 
-/// How much a sample counts by where in the image it is.
-pub(super) struct Feather {
-    right: f32,
-    bottom: f32,
-    /// One over half the shorter side, 1/px.
-    by_half: f32,
+/// How much a frame of this camera counts by where in the image it is.
+pub(super) fn feather(camera: &Camera) -> Feather {
+    Feather::new(camera.width(), camera.height())
 }
 
-impl Feather {
-    pub fn new(camera: &Camera) -> Self {
-        let (width, height) = (camera.width() as f32, camera.height() as f32);
-        Self { right: width - 1.0, bottom: height - 1.0, by_half: 2.0 / width.min(height) }
+/// The places of a row of a block of which some corner is not seen well: each looked for by itself.
+fn row_by_itself(view: &View<'_>, resolution_m: f64, left: i64, row: i64) -> Places {
+    let nowhere = [f32::NAN; BLOCK as usize];
+    let mut places = Places { x: nowhere, y: nowhere, quality: nowhere };
+    for i in 0..BLOCK as usize {
+        let x_m = (left as f64 + i as f64 + 0.5) * resolution_m;
+        let y_m = -(row as f64 + 0.5) * resolution_m;
+        if let Some(look) = view.look(GroundPoint::new(x_m, y_m)) {
+            (places.x[i], places.y[i], places.quality[i]) =
+                (look.x as f32, look.y as f32, look.quality() as f32);
+        }
     }
-
-    /// The weight, 1 to 63: greatest in the middle of the image, 1 at its border, less where the ground is seen at a slant.
-    /// `None` outside the centres of the outermost pixels.
-    #[inline]
-    pub fn weight(&self, x: f32, y: f32, quality: f32) -> Option<u8> {
-        let from_border = x.min(self.right - x).min(y.min(self.bottom - y));
-        let share = ((from_border + 0.5) * self.by_half).min(1.0);
-        (from_border >= 0.0).then_some((1.0 + 62.0 * share * share * quality) as u8)
-    }
+    places
 }
 
-/// The weighted mean of a stored pixel (colour and weight) and a sample.
-#[inline]
-fn blend<const N: usize>(pixel: &mut [u8; 4], sample: [f32; N], weight: u8) {
-    let before = pixel[3];
-    let share = f32::from(weight) / (f32::from(before) + f32::from(weight));
-    for channel in 0..N {
-        let old = f32::from(pixel[channel]);
-        let new = sample[channel].min(255.0);
-        pixel[channel] = (old + (new - old) * share + 0.5) as u8;
-    }
-    for channel in N..3 {
-        pixel[channel] = pixel[0];
-    }
-    pixel[3] = before.saturating_add(weight);
+/// What is known at the four corners of a block.
+fn corners_of(corners: &[Option<Corner>], blocks: &Blocks, column: i64, row: i64) -> [Option<Corner>; 4] {
+    let stride = (blocks.columns.end - blocks.columns.start + 1) as usize;
+    let at = (row - blocks.rows.start) as usize * stride + (column - blocks.columns.start) as usize;
+    [corners[at], corners[at + 1], corners[at + stride], corners[at + stride + 1]]
 }
 
 impl Corner {
@@ -192,7 +159,7 @@ impl Corner {
     }
 
     /// The first pixel centre of row `j` in a block with the corners a b / c d, and the step to the next.
-    fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> (Self, Self) {
+    pub fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> (Self, Self) {
         let down = (j as f32 + 0.5) / BLOCK as f32;
         let (left, right) = (a.mix(c, down), b.mix(d, down));
         let part = |a: f32, b: f32| (b - a) / BLOCK as f32;
@@ -205,11 +172,21 @@ impl Corner {
     }
 
     #[inline]
-    fn plus(self, step: Self, times: f32) -> Self {
+    pub fn plus(self, step: Self, times: f32) -> Self {
         Self {
             x: self.x + step.x * times,
             y: self.y + step.y * times,
             quality: self.quality + step.quality * times,
+        }
+    }
+
+    /// The pixels of a row from its first in equal steps.
+    fn places((first, step): (Self, Self)) -> Places {
+        let along = |first: f32, step: f32| std::array::from_fn(|i| first + step * i as f32);
+        Places {
+            x: along(first.x, step.x),
+            y: along(first.y, step.y),
+            quality: along(first.quality, step.quality),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The frame that is being laid, made as coarse as the ground it is laid on, and sampled between its pixels.
 
 use super::MosaicSource;
+use crate::image::simd::ground::{Feather, Laid};
 
 /// A frame's samples, one or three channels, halved `level` times.
 #[derive(Debug, Clone, Default)]
@@ -8,6 +9,8 @@ pub(super) struct Samples {
     width: usize,
     height: usize,
     channels: usize,
+    /// Columns and rows of the full image.
+    full: (usize, usize),
     /// Pixels of these samples per pixel of the full image.
     scale: f32,
     /// Greatest coordinates between which can be sampled.
@@ -22,6 +25,11 @@ impl Samples {
         self.channels
     }
 
+    /// Columns and rows of the full image.
+    pub fn full_size(&self) -> (usize, usize) {
+        self.full
+    }
+
     /// Takes a frame, halved `level` times (fewer where it has no pixels left to halve) by means of 2 × 2 pixels.
     pub fn take(&mut self, image: MosaicSource<'_>, level: u32) {
         let (width, height, channels, samples) = match image {
@@ -29,6 +37,7 @@ impl Samples {
             MosaicSource::Rgb(rgb) => (rgb.width(), rgb.height(), 3, rgb.samples()),
         };
         (self.width, self.height, self.channels, self.scale) = (width, height, channels, 1.0);
+        self.full = (width, height);
         self.samples.clear();
         self.samples.extend_from_slice(samples);
         for _ in 0..level {
@@ -38,6 +47,11 @@ impl Samples {
             self.halve();
         }
         (self.right, self.bottom) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
+    }
+
+    /// The frame ready to be laid, its samples multiplied with `gains`; `None` where it has too few of them.
+    pub fn laid<const N: usize>(&self, feather: Feather, gains: [f32; N]) -> Option<Laid<'_, N>> {
+        Laid::new(&self.samples, (self.width, self.height), self.scale, feather, gains)
     }
 
     fn halve(&mut self) {
@@ -65,13 +79,32 @@ impl Samples {
     /// The bilinear sample at a pixel of the full image; `None` outside the centres of its outermost pixels.
     #[inline]
     pub fn at<const N: usize>(&self, x: f32, y: f32) -> Option<[f32; N]> {
-        let offset = 0.5 * self.scale - 0.5;
-        let (x, y) = (x * self.scale + offset, y * self.scale + offset);
-        if !(x >= 0.0 && y >= 0.0 && x <= self.right && y <= self.bottom && self.width > 1 && self.height > 1)
-        {
+        let (x, y) = self.reduced(x, y);
+        let inside = x >= 0.0 && y >= 0.0 && x <= self.right && y <= self.bottom;
+        if !(inside && self.width > 1 && self.height > 1) {
             return None;
         }
-        let (left, top) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
+        self.bilinear(x, y)
+    }
+
+    /// The bilinear sample at the place nearest to a pixel of the full image that has one.
+    #[inline]
+    pub fn nearest_at<const N: usize>(&self, x: f32, y: f32) -> [f32; N] {
+        let (x, y) = self.reduced(x, y);
+        self.bilinear(x.clamp(0.0, self.right), y.clamp(0.0, self.bottom)).unwrap_or([0.0; N])
+    }
+
+    /// A pixel of the full image in pixels of these samples.
+    #[inline]
+    fn reduced(&self, x: f32, y: f32) -> (f32, f32) {
+        let offset = 0.5 * self.scale - 0.5;
+        (x * self.scale + offset, y * self.scale + offset)
+    }
+
+    #[inline]
+    fn bilinear<const N: usize>(&self, x: f32, y: f32) -> Option<[f32; N]> {
+        let left = (x as usize).min(self.width.saturating_sub(2));
+        let top = (y as usize).min(self.height.saturating_sub(2));
         let (dx, dy) = (x - left as f32, y - top as f32);
         let at = (top * self.width + left) * N;
         let above = self.samples.get(at..at + 2 * N)?;

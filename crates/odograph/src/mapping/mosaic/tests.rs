@@ -204,3 +204,43 @@ fn a_climbing_camera_makes_the_mosaic_coarser() {
     assert!(mosaic.add(&image, &camera, &GroundPose::level(50.0)));
     assert!(mosaic.resolution_m().unwrap() > 40.0 * fine);
 }
+
+#[test]
+fn changed_tiles_put_together_are_the_picture() {
+    let camera = camera();
+    let rays = rays(&camera);
+    let options = MosaicOptions { max_pixels: 6 * 65_536, ..MosaicOptions::default() };
+    let mut mosaic = Mosaic::new(options);
+    // A viewer that takes only what changed, as a page does while the ground grows; once it outgrows its bound all of it changes.
+    let (mut seen, mut resolution_m) = (0, None);
+    let mut held = std::collections::BTreeMap::new();
+    let mut coarser = 0;
+    for k in 0..30 {
+        let pose = GroundPose { x_m: 0.1 * f64::from(k), ..GroundPose::level(0.5) };
+        mosaic.add(&rendered(&camera, &rays, &pose, 1.0), &camera, &pose);
+        if mosaic.resolution_m() != resolution_m {
+            held.clear();
+            coarser += 1;
+            (seen, resolution_m) = (0, mosaic.resolution_m());
+        }
+        for tile in mosaic.changed_since(seen) {
+            held.insert(tile, mosaic.tile_rgba(tile).unwrap());
+        }
+        seen = mosaic.revision();
+    }
+    assert!(coarser > 1 && mosaic.changed_since(seen).next().is_none());
+    let picture = mosaic.picture().unwrap();
+    let side = Mosaic::TILE_SIDE_PX as i64;
+    let resolution_m = picture.placement.metres_per_pixel;
+    let left = (picture.placement.x_m / resolution_m - 0.5).round() as i64;
+    let top = (-picture.placement.y_m / resolution_m - 0.5).round() as i64;
+    let mut opaque = 0;
+    for (k, pixel) in picture.rgba.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
+        let (x, y) = (left + (k % picture.width) as i64, top + (k / picture.width) as i64);
+        let tile = MosaicSquare { column: x.div_euclid(side), row: y.div_euclid(side) };
+        let at = 4 * (y.rem_euclid(side) * side + x.rem_euclid(side)) as usize;
+        assert_eq!(&held[&tile][at..at + 4], pixel, "{x} {y}");
+        opaque += 1;
+    }
+    assert_eq!(opaque, held.values().flat_map(|rgba| rgba.chunks_exact(4)).filter(|p| p[3] > 0).count());
+}

@@ -15,6 +15,9 @@ type Tile = Vec<[u8; 4]>;
 pub(super) struct Tiles {
     index: BTreeMap<(i64, i64), usize>,
     tiles: Vec<Tile>,
+    /// The revision in which each tile was last laid on.
+    changed: Vec<u64>,
+    revision: u64,
 }
 
 /// The tile looked up last, since the next one asked for is mostly the same.
@@ -33,6 +36,21 @@ impl Tiles {
         self.tiles.len()
     }
 
+    /// Begins a new revision: what is laid from now on counts as changed in it.
+    pub fn begin_revision(&mut self) {
+        self.revision += 1;
+    }
+
+    /// How often the ground was laid on or made coarser.
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// Rows and columns of the tiles laid on after `revision`.
+    pub fn changed_since(&self, revision: u64) -> impl Iterator<Item = (i64, i64)> {
+        self.index.iter().filter(move |&(_, &slot)| self.changed[slot] > revision).map(|(&key, _)| key)
+    }
+
     /// The tile that holds a ground pixel, made where there was none.
     pub fn at(&mut self, lookup: &mut Lookup, column: i64, row: i64) -> &mut [[u8; 4]] {
         let key = (row.div_euclid(TILE), column.div_euclid(TILE));
@@ -40,11 +58,20 @@ impl Tiles {
             Some((known, slot)) if known == key => slot,
             _ => *self.index.entry(key).or_insert_with(|| {
                 self.tiles.push(vec![[0; 4]; SIDE * SIDE]);
+                self.changed.push(0);
                 self.tiles.len() - 1
             }),
         };
+        if lookup.last.is_none_or(|(known, _)| known != key) {
+            self.changed[slot] = self.revision;
+        }
         lookup.last = Some((key, slot));
         &mut self.tiles[slot]
+    }
+
+    /// Whether there is a tile.
+    pub fn contains(&self, row: i64, column: i64) -> bool {
+        self.index.contains_key(&(row, column))
     }
 
     fn pixel(&self, column: i64, row: i64) -> [u8; 4] {
@@ -67,7 +94,7 @@ impl Tiles {
 
     /// The same ground with pixels of twice the side: the weighted mean of the up to four that were seen.
     pub fn halved(&self) -> Self {
-        let mut halved = Self::default();
+        let mut halved = Self { revision: self.revision + 1, ..Self::default() };
         let mut lookup = Lookup::new();
         for (&(row, column), &slot) in &self.index {
             let tile = &self.tiles[slot];
@@ -104,9 +131,13 @@ impl Tiles {
     pub fn rgba(&self, columns: &Range<i64>, rows: &Range<i64>) -> Vec<u8> {
         let (width, height) = ((columns.end - columns.start) as usize, (rows.end - rows.start) as usize);
         let mut rgba = [255, 255, 255, 0].repeat(width * height);
-        for (&(row, column), &slot) in &self.index {
+        let tile_rows = (rows.start.div_euclid(TILE), i64::MIN)..=((rows.end - 1).div_euclid(TILE), i64::MAX);
+        for (&(row, column), &slot) in self.index.range(tile_rows) {
             let tile = &self.tiles[slot];
             let (left, top) = (column * TILE, row * TILE);
+            if left >= columns.end || left + TILE <= columns.start {
+                continue;
+            }
             let (from, to) = (left.max(columns.start), (left + TILE).min(columns.end));
             for y in top.max(rows.start)..(top + TILE).min(rows.end) {
                 for x in from..to {

@@ -1,0 +1,248 @@
+//! Many recordings in one call: each into a folder of its own, as many at a time as there are cores, each as if it had been run alone.
+
+use super::folder::OutputFolder;
+use super::{OutputArguments, RunArguments, RunPlan, RunReport, Statistics, follow};
+use crate::{Outcome, console, interrupt};
+use odograph::error::{Error, ErrorKind, Result};
+use serde::Serialize;
+use std::collections::HashSet;
+use std::num::NonZero;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+/// How video files end, as a folder of recordings is looked through for them.
+const VIDEO_EXTENSIONS: [&str; 15] = [
+    "mp4", "m4v", "mov", "mkv", "webm", "avi", "y4m", "264", "h264", "avc", "265", "h265", "hevc", "mpg",
+    "ts",
+];
+/// How pictures end: a folder with any of them is one recording, a sequence of pictures.
+const PICTURE_EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm", "pnm"];
+
+/// One of many recordings.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Recording {
+    source: String,
+    /// Name of its folder among the results.
+    name: String,
+}
+
+/// The recordings that are asked for, where they are many: more than one source, or a folder of videos. `None` where there is one.
+pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
+    let given = || std::iter::once(&arguments.source).chain(&arguments.more);
+    let mut sources = Vec::new();
+    for source in given() {
+        match videos_in(Path::new(source)) {
+            videos if videos.is_empty() => sources.push(source.clone()),
+            videos => sources.extend(videos.iter().map(|path| path.display().to_string())),
+        }
+    }
+    if arguments.more.is_empty() && sources == [arguments.source.clone()] {
+        return Ok(None);
+    }
+    if let Some(single) = given().find(|source| *source == "-" || source.ends_with(".toml")) {
+        return Err(Error::usage(format!("{single} is run by itself, not among other recordings")));
+    }
+    let one_alone = [
+        ("--timestamps", arguments.timestamps.is_some()),
+        ("--gyro, --heading, --wheel or --range", !arguments.sensors.is_empty()),
+    ];
+    if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {
+        return Err(Error::usage(format!("{option} belongs to one recording; run it by itself")));
+    }
+    Ok(Some(named(sources)))
+}
+
+/// The videos in a folder that has no pictures, in the order of their names; none where it is something else.
+fn videos_in(folder: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let files: Vec<PathBuf> =
+        entries.flatten().map(|entry| entry.path()).filter(|path| path.is_file()).collect();
+    let ends_like = |path: &Path, extensions: &[&str]| {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        !hidden && extensions.contains(&extension.as_str())
+    };
+    if files.iter().any(|path| ends_like(path, &PICTURE_EXTENSIONS)) {
+        return Vec::new();
+    }
+    let mut videos: Vec<PathBuf> =
+        files.into_iter().filter(|path| ends_like(path, &VIDEO_EXTENSIONS)).collect();
+    videos.sort();
+    videos
+}
+
+/// Each recording's folder is named after it, without its ending; of several alike, with a number from the second on.
+fn named(sources: Vec<String>) -> Vec<Recording> {
+    let mut taken = HashSet::new();
+    let name = |source: &String| {
+        let path = Path::new(source);
+        let own = if path.is_dir() { path.file_name() } else { path.file_stem() };
+        let own = own.map_or_else(|| "recording".to_owned(), |name| name.to_string_lossy().into_owned());
+        let numbered = (2..).map(|number| format!("{own}-{number}"));
+        let free = std::iter::once(own.clone()).chain(numbered).find(|name| taken.insert(name.clone()));
+        free.unwrap_or(own)
+    };
+    let names: Vec<String> = sources.iter().map(name).collect();
+    sources.into_iter().zip(names).map(|(source, name)| Recording { source, name }).collect()
+}
+
+/// How one of them ended.
+enum End {
+    Followed(RunReport),
+    Failed(Error),
+    /// The program was asked to end before its turn.
+    NotBegun,
+}
+
+/// Runs all of them and tells how they ended. One that fails does not stop the others.
+pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome> {
+    let cores = arguments
+        .output
+        .threads
+        .map_or_else(|| thread::available_parallelism().map_or(1, NonZero::get), usize::from);
+    let workers = cores.min(recordings.len());
+    let share = u16::try_from(cores / workers).unwrap_or(u16::MAX);
+    // The longest first, so that none is left over for one core at the end; the results do not depend on it.
+    let mut order: Vec<usize> = (0..recordings.len()).collect();
+    let bytes = |index: usize| std::fs::metadata(&recordings[index].source).map_or(0, |file| file.len());
+    order.sort_by_key(|&index| std::cmp::Reverse(bytes(index)));
+    let next = AtomicUsize::new(0);
+    let ends: Vec<Mutex<End>> = recordings.iter().map(|_| Mutex::new(End::NotBegun)).collect();
+    let work = || {
+        while let Some(&index) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
+            if interrupt::asked() {
+                break;
+            }
+            let recording = &recordings[index];
+            let end = match one(recording, arguments, share) {
+                Ok(report) => End::Followed(report),
+                Err(error) => End::Failed(error),
+            };
+            if let End::Failed(error) = &end {
+                console::complain(&format!("{}: {error}", recording.source));
+            }
+            if let Ok(mut place) = ends[index].lock() {
+                *place = end;
+            }
+        }
+    };
+    thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
+    let ends: Vec<End> = ends.into_iter().map(|end| end.into_inner().unwrap_or(End::NotBegun)).collect();
+    tell(recordings, &ends, arguments)?;
+    worst(&ends)
+}
+
+/// One of them, as it would be by itself but silent.
+fn one(recording: &Recording, arguments: &RunArguments, threads: u16) -> Result<RunReport> {
+    let output = OutputArguments {
+        output: arguments.output.output.join(&recording.name),
+        threads: Some(threads.max(1)),
+        quiet: true,
+        json: false,
+        ..arguments.output.clone()
+    };
+    let alone =
+        RunArguments { source: recording.source.clone(), more: Vec::new(), output, ..arguments.clone() };
+    let run = || {
+        let folder = OutputFolder::new(&alone.output.output, alone.output.force)?;
+        let (plan, source) = RunPlan::new(&alone)?;
+        follow(&plan, source, folder, &alone.output)
+    };
+    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
+        Err(Error::input("following it ended unexpectedly; please report this recording"))
+    })
+}
+
+/// A recording among many, as `--json` tells it.
+#[derive(Serialize)]
+struct Told<'a> {
+    source: &'a str,
+    folder: PathBuf,
+    error: Option<String>,
+    statistics: Option<&'a Statistics>,
+}
+
+fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments) -> Result<()> {
+    let results = &arguments.output.output;
+    if arguments.output.json {
+        let told: Vec<Told<'_>> = recordings
+            .iter()
+            .zip(ends)
+            .map(|(recording, end)| Told {
+                source: &recording.source,
+                folder: results.join(&recording.name),
+                error: match end {
+                    End::Followed(_) => None,
+                    End::Failed(error) => Some(error.to_string()),
+                    End::NotBegun => Some(NOT_BEGUN.to_owned()),
+                },
+                statistics: match end {
+                    End::Followed(report) => Some(&report.statistics),
+                    _ => None,
+                },
+            })
+            .collect();
+        let text = serde_json::to_string_pretty(&told)
+            .map_err(|error| Error::output(format!("the statistics cannot be written as JSON: {error}")))?;
+        return console::print(&(text + "\n"));
+    }
+    if arguments.output.quiet {
+        return Ok(());
+    }
+    let widest = recordings.iter().map(|recording| recording.name.chars().count()).max().unwrap_or(0);
+    for (recording, end) in recordings.iter().zip(ends) {
+        let told = match end {
+            End::Followed(RunReport { statistics, warnings, .. }) => {
+                warnings
+                    .iter()
+                    .for_each(|warning| console::warn(&format!("{}: {warning}", recording.source)));
+                format!(
+                    "{:.2} m in {:.1} s; {} of {} frames with a pose",
+                    statistics.distance_m,
+                    statistics.duration_s,
+                    statistics.frames_with_pose,
+                    statistics.frames
+                )
+            }
+            End::Failed(_) => "failed; see above".to_owned(),
+            End::NotBegun => NOT_BEGUN.to_owned(),
+        };
+        console::print(&format!("{:widest$}  {told}\n", recording.name))?;
+    }
+    let followed = ends.iter().filter(|end| matches!(end, End::Followed(_))).count();
+    console::print(&format!("{followed} of {} recordings followed, in {}\n", ends.len(), results.display()))
+}
+
+const NOT_BEGUN: &str = "not begun: the program was asked to end";
+
+/// What all of them together end with: bad input is worse than wrong usage, and that than a movement that could not be measured.
+fn worst(ends: &[End]) -> Result<Outcome> {
+    let failed = |kind: fn(ErrorKind) -> bool| {
+        ends.iter().filter(|end| matches!(end, End::Failed(error) if kind(error.kind()))).count()
+    };
+    let (usage, other) = (failed(|kind| kind == ErrorKind::Usage), failed(|kind| kind != ErrorKind::Usage));
+    let sentence = || format!("{} of {} recordings could not be followed", usage + other, ends.len());
+    match (other, usage) {
+        (0, 0) => {}
+        (0, _) => return Err(Error::usage(sentence())),
+        _ => return Err(Error::input(sentence())),
+    }
+    let done = |end: &End| matches!(end, End::Followed(report) if report.outcome() == Outcome::Done);
+    Ok(if ends.iter().all(done) { Outcome::Done } else { Outcome::TrackingFailed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_of_one_name_have_folders_of_their_own() {
+        let sources = ["a/drive.mp4", "b/drive.mkv", "b/other.mp4", "c/drive.mp4"].map(str::to_owned);
+        let names: Vec<String> =
+            named(sources.to_vec()).into_iter().map(|recording| recording.name).collect();
+        assert_eq!(names, ["drive", "drive-2", "other", "drive-3"]);
+    }
+}

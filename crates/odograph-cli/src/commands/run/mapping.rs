@@ -1,0 +1,240 @@
+//! The map of a run: grows in its file while the run goes on, and pulls the path straight at the end.
+
+use super::statistics::StageTime;
+use super::{OutputArguments, RunPlan};
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::filter::fusion::Fusion;
+use odograph::geometry::GroundPoint;
+use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use odograph::odometry::{FrameReference, KeyframeEvent};
+use odograph::slam::{KeyframeStore, Mapper, map_frames};
+use odograph::trajectory::FrameEstimate;
+use odograph_map::{MapFile, PathFrame};
+use odograph_video::Frame;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// The mapper of a run, and the file that it writes.
+pub struct Mapping {
+    mapper: Mapper,
+    file: GrowingFile,
+    times: Vec<Duration>,
+}
+
+/// What was seen again, and what that did.
+#[derive(Debug, Clone, Serialize)]
+pub struct LoopStatistics {
+    /// Places that the map recognised.
+    pub closed: u64,
+    /// Keyframes that odometry itself came back to.
+    pub revisited: u64,
+    /// How far poses were moved by it, metres: root mean square over the frames, and the most.
+    pub correction_rms_m: f64,
+    pub correction_most_m: f64,
+    /// Turn for each metre ahead and to the left that the loops have shown the mount to make, radians.
+    pub turn_per_m: [f64; 2],
+    /// Time a keyframe.
+    pub keyframe: StageTime,
+}
+
+impl Mapping {
+    /// The map that the arguments ask for: one that is continued, or a new one. Fails where there is a file that is no map of this camera.
+    pub fn new(plan: &RunPlan, folder: &Path, arguments: &OutputArguments) -> Result<Self> {
+        let path = arguments.map.clone().unwrap_or_else(|| folder.join("map.gpkg"));
+        let continued = arguments.map.is_some() && path.exists();
+        let mut file = GrowingFile {
+            file: None,
+            path,
+            camera: plan.camera.clone(),
+            rig: plan.rig,
+            source: plan.source.path.clone(),
+            session: 0,
+        };
+        let mapper = if continued {
+            let mut there = MapFile::open(&file.path)?;
+            if *there.camera() != plan.camera {
+                return Err(Error::input(format!(
+                    "{} was made with another camera than this run's; give the camera file that it was made with, or \
+                     begin a new map",
+                    file.path.display()
+                )));
+            }
+            let map = there.map()?;
+            let first = there.next_keyframe()?;
+            file.session = there.begin_session(&plan.source.path)?;
+            file.file = Some(there);
+            Mapper::continuing(map, &plan.odometry, plan.slam, file.session, first)
+        } else {
+            Mapper::new(&plan.camera, plan.rig, &plan.odometry, plan.slam)
+        };
+        Ok(Self { mapper, file, times: Vec::new() })
+    }
+
+    /// Takes what happened to the keyframes with a frame.
+    pub fn take(&mut self, events: Vec<KeyframeEvent>, frame: Option<&Frame>) -> Result<()> {
+        for event in events {
+            let color = match &event {
+                KeyframeEvent::Made(new) => frame
+                    .filter(|frame| frame.number == new.frame && frame.has_color())
+                    .map(|frame| frame.rgb()),
+                KeyframeEvent::Revisited(_) => None,
+            };
+            let started = Instant::now();
+            self.mapper.take(event, color, &mut self.file)?;
+            self.times.push(started.elapsed());
+        }
+        Ok(())
+    }
+
+    /// How long each keyframe took.
+    pub fn times(&self) -> &[Duration] {
+        &self.times
+    }
+
+    /// The frames in the map frame, from those in the odometry frame after other sensors; what keyframes are known to lie at goes into the file.
+    pub fn straighten(
+        &mut self,
+        raw: &[FrameEstimate],
+        fused: &Fusion,
+        references: &mut [Option<FrameReference>],
+    ) -> Result<Vec<FrameEstimate>> {
+        if fused.moved {
+            self.mapper.take_over(raw, &fused.frames, references);
+        }
+        self.mapper.finish();
+        self.file.set_poses(&self.mapper.map().keyframes)?;
+        Ok(map_frames(&self.mapper, &fused.frames, references))
+    }
+
+    /// A sentence where the run could not be tied to the map that it continues.
+    pub fn warning(&self) -> Option<String> {
+        (!self.mapper.is_recognised()).then(|| {
+            format!(
+                "nothing of {} was recognised: the path is in a frame of its own, which begins at its first frame",
+                self.file.path.display()
+            )
+        })
+    }
+
+    /// What the loops did to the frames.
+    pub fn statistics(&self, before: &[FrameEstimate], after: &[FrameEstimate]) -> LoopStatistics {
+        let place = |frame: &FrameEstimate| frame.estimate.as_ref().map(|known| known.pose);
+        let moved = |(a, b): (&FrameEstimate, &FrameEstimate)| {
+            let (a, b) = (place(a)?, place(b)?);
+            Some((a.x_m - b.x_m).hypot(a.y_m - b.y_m))
+        };
+        let moves: Vec<f64> = before.iter().zip(after).filter_map(moved).collect();
+        let squares: f64 = moves.iter().map(|moved| moved * moved).sum();
+        let closed = self.mapper.closures().len();
+        let session = self.mapper.session();
+        let map = self.mapper.map();
+        let own = |id: KeyframeId| map.keyframes.iter().any(|k| k.id == id && k.session == session);
+        let loops = map.edges.iter().filter(|e| e.kind == EdgeKind::Loop && own(e.from)).count();
+        let (ahead, left) = self.mapper.turn_per_m();
+        LoopStatistics {
+            closed: closed as u64,
+            revisited: loops.saturating_sub(closed) as u64,
+            correction_rms_m: (squares / moves.len().max(1) as f64).sqrt(),
+            correction_most_m: moves.iter().copied().fold(0.0, f64::max),
+            turn_per_m: [ahead, left],
+            keyframe: StageTime::of(&self.times),
+        }
+    }
+
+    /// The places that were recognised: where the camera was, and where it had been.
+    pub fn loops(&self) -> Vec<[GroundPoint; 2]> {
+        let map = self.mapper.map();
+        let place = |id: KeyframeId| {
+            let at = map.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok()?;
+            let pose = map.keyframes[at].pose;
+            Some(GroundPoint::new(pose.x_m, pose.y_m))
+        };
+        let closures = self.mapper.closures().iter();
+        closures.filter_map(|closure| Some([place(closure.edge.from)?, place(closure.edge.to)?])).collect()
+    }
+
+    /// Puts the path of the run into the file.
+    pub fn write_path(&mut self, frames: &[FrameEstimate]) -> Result<()> {
+        let Some(file) = &mut self.file.file else { return Ok(()) };
+        let posed = |frame: &FrameEstimate| {
+            let pose = frame.estimate.as_ref()?.pose;
+            Some(PathFrame { frame: frame.frame, segment: frame.segment, time_s: frame.time_s, pose })
+        };
+        let frames: Vec<PathFrame> = frames.iter().filter_map(posed).collect();
+        file.set_path(self.file.session, &frames)
+    }
+
+    /// Ends the file.
+    pub fn close(&mut self) -> Result<()> {
+        self.file.file.take().map_or(Ok(()), MapFile::close)
+    }
+}
+
+impl LoopStatistics {
+    /// Whether the picture of the ground would show what the loops moved: half a pixel in the middle of a frame.
+    pub fn moved_noticeably(&self, camera: &Camera, rig: &Rig) -> bool {
+        self.correction_most_m > 0.5 * rig.height_m / camera.focal_px().0
+    }
+
+    /// For people, a line; empty without loops.
+    pub fn summary(&self) -> String {
+        match self.closed + self.revisited {
+            0 => String::new(),
+            loops => format!(
+                "ground recognised {loops} times; the path moved by up to {:.1} mm\n",
+                1e3 * self.correction_most_m
+            ),
+        }
+    }
+}
+
+/// A map file that is made with its first keyframe: a run that shows nothing leaves none.
+struct GrowingFile {
+    file: Option<MapFile>,
+    path: PathBuf,
+    camera: Camera,
+    rig: Rig,
+    source: String,
+    session: u32,
+}
+
+impl GrowingFile {
+    fn open(&mut self) -> Result<&mut MapFile> {
+        if self.file.is_none() {
+            // That it may be overwritten was asked for when the folder was made ready.
+            MapFile::remove(&self.path)?;
+            let mut file = MapFile::create(&self.path, &self.camera, &self.rig)?;
+            self.session = file.begin_session(&self.source)?;
+            self.file = Some(file);
+        }
+        match &mut self.file {
+            Some(file) => Ok(file),
+            None => Err(Error::output("the map file is not open")),
+        }
+    }
+
+    fn set_poses(&mut self, keyframes: &[MapKeyframe]) -> Result<()> {
+        let Some(file) = &mut self.file else { return Ok(()) };
+        let poses: Vec<_> =
+            keyframes.iter().map(|keyframe| (keyframe.id, keyframe.pose, keyframe.covariance)).collect();
+        file.set_poses(&poses)
+    }
+}
+
+impl KeyframeImages for GrowingFile {
+    fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        self.open()?.load(keyframe)
+    }
+}
+
+impl KeyframeStore for GrowingFile {
+    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()> {
+        self.open()?.add_keyframe(keyframe, &image, ties)
+    }
+
+    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
+        self.open()?.add_edges(std::slice::from_ref(edge))
+    }
+}

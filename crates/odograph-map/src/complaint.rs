@@ -1,0 +1,82 @@
+//! What SQLite has to say, as one sentence for a person.
+
+use odograph::error::{Error, Result};
+use rusqlite::ErrorCode;
+use std::path::Path;
+
+/// Turns SQLite's failures into sentences about one file.
+#[derive(Debug, Clone)]
+pub(crate) struct Complaint {
+    path: String,
+}
+
+impl Complaint {
+    pub fn about(path: &Path) -> Self {
+        Self { path: path.display().to_string() }
+    }
+
+    /// The sentence for a failure while reading.
+    pub fn reading(&self, failure: &rusqlite::Error) -> Error {
+        let path = &self.path;
+        let why = match failure.sqlite_error_code() {
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
+                return Error::input(format!(
+                    "{path} is damaged: {failure}; use a copy of it, or make the map again"
+                ));
+            }
+            Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => {
+                return Error::input(format!(
+                    "{path} is being written by another program; wait until that has ended"
+                ));
+            }
+            Some(ErrorCode::CannotOpen | ErrorCode::PermissionDenied | ErrorCode::ReadOnly) => {
+                return Error::input(format!("{path} cannot be opened: {failure}"));
+            }
+            Some(ErrorCode::TooBig) => "something in it is larger than anything in a map".to_owned(),
+            Some(_) => failure.to_string(),
+            None => format!("it holds what no map holds ({failure})"),
+        };
+        Error::input(format!("{path} cannot be read as a map: {why}"))
+    }
+
+    /// The sentence for a failure while writing.
+    pub fn writing(&self, failure: &rusqlite::Error) -> Error {
+        let path = &self.path;
+        match failure.sqlite_error_code() {
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => self.reading(failure),
+            Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => Error::output(format!(
+                "{path} cannot be written: another program is writing it; wait until that has ended"
+            )),
+            Some(ErrorCode::DiskFull) => Error::output(format!("{path} cannot be written: the disk is full")),
+            _ => Error::output(format!("{path} cannot be written: {failure}")),
+        }
+    }
+
+    /// An error of bad input that names the file.
+    pub fn input(&self, what: impl std::fmt::Display) -> Error {
+        Error::input(format!("{}: {what}", self.path))
+    }
+
+    /// The failure of a wrong call, which names the file.
+    pub fn usage(&self, what: impl std::fmt::Display) -> Error {
+        Error::usage(format!("{}: {what}", self.path))
+    }
+}
+
+/// A result of SQLite as a result with a sentence.
+pub(crate) trait Told<T> {
+    /// Where the failure was one of reading.
+    fn while_reading(self, complaint: &Complaint) -> Result<T>;
+    /// Where the failure was one of writing.
+    fn while_writing(self, complaint: &Complaint) -> Result<T>;
+}
+
+impl<T> Told<T> for rusqlite::Result<T> {
+    fn while_reading(self, complaint: &Complaint) -> Result<T> {
+        self.map_err(|failure| complaint.reading(&failure))
+    }
+
+    fn while_writing(self, complaint: &Complaint) -> Result<T> {
+        self.map_err(|failure| complaint.writing(&failure))
+    }
+}

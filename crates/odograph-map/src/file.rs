@@ -1,0 +1,297 @@
+//! The file: made, opened, checked, closed.
+
+use crate::complaint::{Complaint, Told};
+use crate::schema;
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::error::Result;
+use odograph::mapping::{GroundMap, KeyframeImages};
+use rusqlite::config::DbConfig;
+use rusqlite::limits::Limit;
+use rusqlite::{Connection, OpenFlags, Row, params};
+use std::path::{Path, PathBuf};
+
+/// Nothing that is read back is larger than this, bytes.
+const LARGEST_VALUE: i32 = 256 << 20;
+/// A map's camera has at most so many pixels: an image is decoded to as many bytes.
+const MOST_PIXELS: usize = 256 << 20;
+/// The log beside the file is written into it whenever it has grown to so many pages of 4 KiB.
+const PAGES_IN_LOG: i64 = 2000;
+
+/// One of the runs that made a map.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Session {
+    /// Its number, from 0.
+    pub id: u32,
+    /// What was run: a file, a folder, a stream.
+    pub source: String,
+}
+
+/// A map on disk.
+///
+/// While it is open for writing, a log (`-wal`) and an index of it (`-shm`) lie beside it; [`MapFile::close`] folds them in. What is in the log
+/// survives the program's death: the next one that opens the file finds it.
+#[derive(Debug)]
+pub struct MapFile {
+    pub(crate) connection: Connection,
+    pub(crate) complaint: Complaint,
+    path: PathBuf,
+    camera: Camera,
+    rig: Rig,
+    writable: bool,
+}
+
+impl MapFile {
+    /// A new map of the ground as this camera, mounted like this, sees it.
+    ///
+    /// Fails where there is a file already ([`MapFile::remove`] takes one away) and where none can be written.
+    pub fn create(path: &Path, camera: &Camera, rig: &Rig) -> Result<Self> {
+        let complaint = Complaint::about(path);
+        if path.exists() {
+            return Err(complaint
+                .usage("there is a file already; choose another name, or open the map to continue it"));
+        }
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
+            | OpenFlags::SQLITE_OPEN_CREATE
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let mut connection = Connection::open_with_flags(path, flags).while_writing(&complaint)?;
+        let made = (|| {
+            prepare(&connection)?;
+            write_ahead(&connection)?;
+            // All tables or none: a program killed here leaves an empty database, not half a map.
+            let transaction = connection.transaction()?;
+            schema::make(&transaction)?;
+            write_camera(&transaction, camera)?;
+            transaction.execute(
+                "INSERT INTO odograph_rig VALUES (1, ?1, ?2, ?3, ?4)",
+                params![rig.height_m, rig.roll_rad, rig.pitch_rad, rig.yaw_rad],
+            )?;
+            transaction.commit()
+        })();
+        if let Err(failure) = made {
+            drop(connection);
+            let _ = Self::remove(path);
+            return Err(complaint.writing(&failure));
+        }
+        let (camera, path) = (camera.clone(), path.to_owned());
+        Ok(Self { connection, complaint, path, camera, rig: *rig, writable: true })
+    }
+
+    /// Opens a map to continue it. Fails, with one sentence, on everything that is not a whole map of this version.
+    pub fn open(path: &Path) -> Result<Self> {
+        Self::opened(path, true)
+    }
+
+    /// Opens a map to look at it; the file is not changed.
+    pub fn open_read_only(path: &Path) -> Result<Self> {
+        Self::opened(path, false)
+    }
+
+    fn opened(path: &Path, writable: bool) -> Result<Self> {
+        schema::check_bytes(path)?;
+        let complaint = Complaint::about(path);
+        let access =
+            if writable { OpenFlags::SQLITE_OPEN_READ_WRITE } else { OpenFlags::SQLITE_OPEN_READ_ONLY };
+        let connection = Connection::open_with_flags(path, access | OpenFlags::SQLITE_OPEN_NO_MUTEX)
+            .while_reading(&complaint)?;
+        prepare(&connection).while_reading(&complaint)?;
+        schema::check(&connection, path)?;
+        if writable {
+            schema::check_writable(&connection, path)?;
+            write_ahead(&connection).while_writing(&complaint)?;
+        }
+        let camera = read_camera(&connection, &complaint)?;
+        let rig = connection
+            .query_row(
+                "SELECT height_m, roll_rad, pitch_rad, yaw_rad FROM odograph_rig WHERE id = 1",
+                [],
+                |row| {
+                    Ok(Rig {
+                        height_m: row.get(0)?,
+                        roll_rad: row.get(1)?,
+                        pitch_rad: row.get(2)?,
+                        yaw_rad: row.get(3)?,
+                    })
+                },
+            )
+            .while_reading(&complaint)?
+            .validated()
+            .map_err(|error| complaint.input(error))?;
+        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, writable })
+    }
+
+    /// Takes a map away, with the log that may lie beside it. Nothing to take away is no failure.
+    pub fn remove(path: &Path) -> Result<()> {
+        for ending in ["", "-wal", "-shm", "-journal"] {
+            let mut name = path.as_os_str().to_owned();
+            name.push(ending);
+            match std::fs::remove_file(&name) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    let name = Path::new(&name).display();
+                    return Err(odograph::error::Error::output(format!("{name} cannot be removed: {error}")));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The camera that every keyframe was taken with.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// How it sat when the first session began.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// Everything but the images. Fails where anything in it is not what a map holds: a number that is not finite, an edge to a keyframe that
+    /// is not there.
+    pub fn map(&self) -> Result<GroundMap> {
+        Ok(GroundMap {
+            camera: self.camera.clone(),
+            rig: self.rig,
+            keyframes: self.keyframes()?,
+            edges: self.edges()?,
+        })
+    }
+
+    /// Begins a session over this source and gives its number.
+    pub fn begin_session(&mut self, source: &str) -> Result<u32> {
+        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
+        let id: u32 = transaction
+            .query_row("SELECT ifnull(max(id) + 1, 0) FROM odograph_session", [], |row| row.get(0))
+            .while_reading(&self.complaint)?;
+        transaction
+            .execute("INSERT INTO odograph_session VALUES (?1, ?2)", params![id, source])
+            .and_then(|_| transaction.commit())
+            .while_writing(&self.complaint)?;
+        Ok(id)
+    }
+
+    /// The sessions, in their order.
+    pub fn sessions(&self) -> Result<Vec<Session>> {
+        let mut statement = self
+            .connection
+            .prepare("SELECT id, source FROM odograph_session ORDER BY id")
+            .while_reading(&self.complaint)?;
+        let session = |row: &Row<'_>| Ok(Session { id: row.get(0)?, source: row.get(1)? });
+        let rows = statement.query_map([], session).while_reading(&self.complaint)?;
+        rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
+    }
+
+    /// Looks through the whole file for damage (`PRAGMA integrity_check`); slow on a large map. Then reads all that a map holds, and every image.
+    pub fn check(&mut self) -> Result<()> {
+        let found: String = self
+            .connection
+            .query_row("PRAGMA integrity_check(1)", [], |row| row.get(0))
+            .while_reading(&self.complaint)?;
+        if found != "ok" {
+            return Err(self.complaint.input(format!("the file is damaged: {}", found.replace('\n', " "))));
+        }
+        for keyframe in self.map()?.keyframes {
+            self.load(keyframe.id)?;
+        }
+        Ok(())
+    }
+
+    /// Folds the log into the file, so that the map is one file again. Dropping a map does the same where it can, without a word where it
+    /// cannot: then the log stays beside the file and nothing is lost.
+    pub fn close(mut self) -> Result<()> {
+        self.fold().while_writing(&self.complaint)
+    }
+
+    fn fold(&mut self) -> rusqlite::Result<()> {
+        if !std::mem::take(&mut self.writable) {
+            return Ok(());
+        }
+        self.connection.flush_prepared_statement_cache();
+        // Leaving the log for good folds it in and removes it.
+        self.connection.query_row("PRAGMA journal_mode = DELETE", [], |_| Ok(()))
+    }
+}
+
+impl Drop for MapFile {
+    fn drop(&mut self) {
+        let _ = self.fold();
+    }
+}
+
+/// What holds for every connection: nothing in the file acts by itself, nothing in it is larger than a map's largest.
+fn prepare(connection: &Connection) -> rusqlite::Result<()> {
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
+    connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, LARGEST_VALUE)?;
+    connection.pragma_update(None, "cell_size_check", true)
+}
+
+/// A log that is appended to before the file is changed. It survives the death of the program at any moment without a word to the disk; with
+/// `synchronous = NORMAL` the disk is waited for whenever the log is folded in, so that a power cut leaves a whole map too, though it may cost the
+/// keyframes since.
+fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
+    connection.query_row("PRAGMA journal_mode = WAL", [], |_| Ok(()))?;
+    connection.pragma_update(None, "synchronous", "NORMAL")?;
+    connection.pragma_update(None, "wal_autocheckpoint", PAGES_IN_LOG)
+}
+
+/// The names of the lens models in the file.
+fn name_of(distortion: &Distortion) -> &'static str {
+    match distortion {
+        Distortion::None => "none",
+        Distortion::BrownConrady { .. } => "brown-conrady",
+        Distortion::KannalaBrandt { .. } => "kannala-brandt",
+        Distortion::DoubleSphere { .. } => "double-sphere",
+    }
+}
+
+fn distortion_named(name: &str, coefficients: &[f64]) -> Option<Distortion> {
+    match (name, coefficients) {
+        ("none", []) => Some(Distortion::None),
+        ("brown-conrady", &[k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            Some(Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 })
+        }
+        ("kannala-brandt", &[k1, k2, k3, k4]) => Some(Distortion::KannalaBrandt { k1, k2, k3, k4 }),
+        ("double-sphere", &[xi, alpha]) => Some(Distortion::DoubleSphere { xi, alpha }),
+        _ => None,
+    }
+}
+
+fn write_camera(connection: &Connection, camera: &Camera) -> rusqlite::Result<()> {
+    let coefficients: Vec<u8> =
+        camera.distortion().coefficients().iter().flat_map(|c| c.to_le_bytes()).collect();
+    let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.principal_px());
+    connection.execute(
+        "INSERT INTO odograph_camera VALUES (1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+        params![camera.width(), camera.height(), fx, fy, cx, cy, name_of(camera.distortion()), coefficients],
+    )?;
+    Ok(())
+}
+
+fn read_camera(connection: &Connection, complaint: &Complaint) -> Result<Camera> {
+    let (size, focal_px, principal_px, name, bytes): ((usize, usize), _, _, String, Vec<u8>) = connection
+        .query_row(
+            "SELECT width, height, fx_px, fy_px, cx_px, cy_px, distortion, coefficients FROM odograph_camera WHERE id = 1",
+            [],
+            |row| {
+                let size = (row.get(0)?, row.get(1)?);
+                Ok((size, (row.get(2)?, row.get(3)?), (row.get(4)?, row.get(5)?), row.get(6)?, row.get(7)?))
+            },
+        )
+        .while_reading(complaint)?;
+    let coefficients: Vec<f64> =
+        bytes.chunks(8).map(|eight| eight.try_into().map_or(f64::NAN, f64::from_le_bytes)).collect();
+    let distortion = distortion_named(&name, &coefficients).ok_or_else(|| {
+        complaint.input(format!("the camera has a lens model \"{name}\" that this program does not know"))
+    })?;
+    if size.0.saturating_mul(size.1) > MOST_PIXELS {
+        return Err(
+            complaint.input(format!("the camera's image of {}x{} pixels is too large", size.0, size.1))
+        );
+    }
+    Camera::new(size, focal_px, principal_px, distortion).map_err(|error| complaint.input(error))
+}

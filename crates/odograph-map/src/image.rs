@@ -1,0 +1,120 @@
+//! Keyframe images as bytes: one JPEG each, gray and colour in one.
+//!
+//! The first component of the JPEG is the gray image in which everything is measured; colour is in the other two, at half the resolution, as
+//! in the video it came from. So colour costs little, and any program shows the picture.
+
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+use odograph::error::{Error, Result};
+use odograph::image::{GrayImage, RgbImage};
+use odograph::mapping::KeyframeImage;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
+
+/// Quality of the JPEG.
+const QUALITY: u8 = 95;
+
+/// A keyframe's image as it is in the file.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct StoredImage {
+    /// Whether the JPEG has colour.
+    pub colored: bool,
+    /// The luma of the colours is `luma_scale · gray + luma_offset`: video's gray need not span black to white.
+    pub luma_scale: f64,
+    pub luma_offset: f64,
+    /// The JPEG.
+    pub jpeg: Vec<u8>,
+}
+
+/// An image as bytes. Fails where its colour has another size than its gray, or it is larger than a JPEG can be.
+pub(crate) fn encode(image: &KeyframeImage) -> Result<StoredImage> {
+    let (width, height) = (image.gray.width(), image.gray.height());
+    let large = || Error::usage(format!("an image of {width}x{height} pixels is too large for a map"));
+    let size = (u16::try_from(width).map_err(|_| large())?, u16::try_from(height).map_err(|_| large())?);
+    let mut jpeg = Vec::new();
+    let mut encoder = Encoder::new(&mut jpeg, QUALITY);
+    let Some(color) = &image.color else {
+        encoder.encode(image.gray.samples(), size.0, size.1, ColorType::Luma).map_err(cannot)?;
+        return Ok(StoredImage { colored: false, luma_scale: 1.0, luma_offset: 0.0, jpeg });
+    };
+    if (color.width(), color.height()) != (width, height) {
+        return Err(Error::usage(format!(
+            "an image has {}x{} pixels in colour and {width}x{height} in gray",
+            color.width(),
+            color.height()
+        )));
+    }
+    let (luma_scale, luma_offset) = luma_of_gray(&image.gray, color);
+    let mut samples = Vec::with_capacity(3 * width * height);
+    for (&gray, rgb) in image.gray.samples().iter().zip(color.samples().chunks_exact(3)) {
+        let [r, g, b] = [f32::from(rgb[0]), f32::from(rgb[1]), f32::from(rgb[2])];
+        let blue = 128.0 - 0.168_736 * r - 0.331_264 * g + 0.5 * b;
+        let red = 128.0 + 0.5 * r - 0.418_688 * g - 0.081_312 * b;
+        samples.extend_from_slice(&[gray, (blue + 0.5) as u8, (red + 0.5) as u8]);
+    }
+    encoder.set_sampling_factor(SamplingFactor::F_2_2);
+    encoder.encode(&samples, size.0, size.1, ColorType::Ycbcr).map_err(cannot)?;
+    Ok(StoredImage { colored: true, luma_scale, luma_offset, jpeg })
+}
+
+fn cannot(error: jpeg_encoder::EncodingError) -> Error {
+    Error::output(format!("a keyframe's image cannot be encoded: {error}"))
+}
+
+/// The line through (gray, luma of the colour), by least squares over every seventh pixel.
+fn luma_of_gray(gray: &GrayImage, color: &RgbImage) -> (f64, f64) {
+    let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (&gray, rgb) in gray.samples().iter().zip(color.samples().chunks_exact(3)).step_by(7) {
+        let gray = f64::from(gray);
+        let luma = 0.299 * f64::from(rgb[0]) + 0.587 * f64::from(rgb[1]) + 0.114 * f64::from(rgb[2]);
+        (n, x, y, xx, xy) = (n + 1.0, x + gray, y + luma, xx + gray * gray, xy + gray * luma);
+    }
+    let spread = n * xx - x * x;
+    if spread <= n * n {
+        return (1.0, if n > 0.0 { (y - x) / n } else { 0.0 });
+    }
+    let scale = ((n * xy - x * y) / spread).clamp(0.25, 4.0);
+    (scale, (y - scale * x) / n)
+}
+
+/// The image of these bytes, which must have this size; else what is wrong with them, as the end of a sentence.
+pub(crate) fn decode(
+    stored: &StoredImage,
+    size: (usize, usize),
+) -> std::result::Result<KeyframeImage, String> {
+    let space = if stored.colored { ColorSpace::YCbCr } else { ColorSpace::Luma };
+    let options =
+        DecoderOptions::default().set_strict_mode(true).set_max_width(size.0).set_max_height(size.1);
+    let mut decoder =
+        JpegDecoder::new_with_options(ZCursor::new(&stored.jpeg), options.jpeg_set_out_colorspace(space));
+    let samples = decoder.decode().map_err(|error| format!("cannot be decoded: {error:?}"))?;
+    let info = decoder.info().ok_or("cannot be decoded")?;
+    let found = (usize::from(info.width), usize::from(info.height));
+    let channels = if stored.colored { 3 } else { 1 };
+    if found != size || samples.len() != channels * size.0 * size.1 {
+        return Err(format!("has {}x{} pixels, the camera {}x{}", found.0, found.1, size.0, size.1));
+    }
+    if !stored.colored {
+        let gray = GrayImage::from_samples(size.0, size.1, samples).ok_or("cannot be decoded")?;
+        return Ok(KeyframeImage { gray, color: None });
+    }
+    let (scale, offset) = (stored.luma_scale as f32, stored.luma_offset as f32);
+    if !scale.is_finite() || !offset.is_finite() {
+        return Err("has colours that are not finite".to_owned());
+    }
+    let mut gray = Vec::with_capacity(size.0 * size.1);
+    let mut rgb = Vec::with_capacity(samples.len());
+    for pixel in samples.chunks_exact(3) {
+        gray.push(pixel[0]);
+        let luma = scale * f32::from(pixel[0]) + offset;
+        let (blue, red) = (f32::from(pixel[1]) - 128.0, f32::from(pixel[2]) - 128.0);
+        rgb.extend_from_slice(&[
+            (luma + 1.402 * red + 0.5) as u8,
+            (luma - 0.344_136 * blue - 0.714_136 * red + 0.5) as u8,
+            (luma + 1.772 * blue + 0.5) as u8,
+        ]);
+    }
+    let gray = GrayImage::from_samples(size.0, size.1, gray).ok_or("cannot be decoded")?;
+    Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })
+}

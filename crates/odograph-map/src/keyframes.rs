@@ -1,0 +1,306 @@
+//! Keyframes in the file: their numbers, their poses, their signatures, their images.
+
+use crate::complaint::Told;
+use crate::edges;
+use crate::file::MapFile;
+use crate::geopackage::{self, Extent, point_geometry};
+use crate::image::{self, StoredImage};
+use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
+use nalgebra::Matrix6;
+use odograph::error::Result;
+use odograph::geometry::GroundPose;
+use odograph::mapping::places::{GroundFeature, Signature};
+use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use rusqlite::{Connection, OptionalExtension, Row, params};
+
+const INSERT: &str = "INSERT INTO keyframes VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, \
+                      ?21, ?22, ?23, ?24, ?25)";
+const SELECT: &str = "SELECT keyframes.id, session, segment, frame, time_s, x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad, odometry_x_m, \
+                      odometry_y_m, odometry_heading_rad, odometry_height_m, odometry_roll_rad, odometry_pitch_rad, covariance, bytes \
+                      FROM keyframes LEFT JOIN odograph_signature ON keyframe = keyframes.id ORDER BY keyframes.id";
+const MOVE: &str = "UPDATE keyframes SET geom = ?2, x_m = ?3, y_m = ?4, heading_rad = ?5, height_m = ?6, roll_rad = ?7, pitch_rad = ?8, \
+                    sd_x_m = ?9, sd_y_m = ?10, sd_heading_rad = ?11, sd_height_m = ?12, sd_roll_rad = ?13, sd_pitch_rad = ?14, \
+                    covariance = ?15 WHERE id = ?1";
+
+impl MapFile {
+    /// The number that the next keyframe must have: higher than any that this map ever gave.
+    pub fn next_keyframe(&self) -> Result<KeyframeId> {
+        let highest: Option<u64> = self
+            .connection
+            .query_row("SELECT seq FROM sqlite_sequence WHERE name = 'keyframes'", [], |row| row.get(0))
+            .optional()
+            .while_reading(&self.complaint)?;
+        Ok(KeyframeId(highest.map_or(0, |highest| highest + 1)))
+    }
+
+    /// Adds a keyframe with its image and the edges that tie it to the map so far. All of it is in the file when this returns, or none.
+    ///
+    /// Fails where its number was given before, where the image has not the camera's size, or where a pose is not finite.
+    pub fn add_keyframe(
+        &mut self,
+        keyframe: &MapKeyframe,
+        image: &KeyframeImage,
+        edges: &[MapEdge],
+    ) -> Result<()> {
+        let id = keyframe.id.0;
+        let size = (image.gray.width(), image.gray.height());
+        if size != (self.camera().width(), self.camera().height()) {
+            return Err(self.complaint.usage(format!(
+                "the image of keyframe {id} has {}x{} pixels, the map's camera {}x{}",
+                size.0,
+                size.1,
+                self.camera().width(),
+                self.camera().height()
+            )));
+        }
+        let whole = [&keyframe.pose, &keyframe.odometry_pose].into_iter().all(is_pose)
+            && keyframe.time_s.is_finite()
+            && keyframe.covariance.iter().all(|value| value.is_finite());
+        if !whole {
+            return Err(self.complaint.usage(format!("keyframe {id} has a pose that is not finite")));
+        }
+        let stored = image::encode(image)?;
+        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
+        insert(&transaction, keyframe, &stored)
+            .and_then(|()| edges::insert(&transaction, edges))
+            .and_then(|()| transaction.commit())
+            .while_writing(&self.complaint)
+    }
+
+    /// Puts keyframes where they are now known to be: (keyframe, pose, covariance) each. The frames between them (the stored paths) stay as they
+    /// are until [`MapFile::set_path`] puts them right.
+    pub fn set_poses(&mut self, poses: &[(KeyframeId, GroundPose, Matrix6<f64>)]) -> Result<()> {
+        if let Some((id, ..)) = poses.iter().find(|(_, pose, _)| !is_pose(pose)) {
+            return Err(self.complaint.usage(format!("keyframe {} has a pose that is not finite", id.0)));
+        }
+        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
+        move_keyframes(&transaction, poses).and_then(|()| transaction.commit()).while_writing(&self.complaint)
+    }
+
+    /// Takes keyframes out of the map with their images and their edges, and puts `edges` in place of those: what tied the map together through the
+    /// keyframes that are gone, composed.
+    pub fn remove_keyframes(&mut self, gone: &[KeyframeId], edges: &[MapEdge]) -> Result<()> {
+        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
+        (|| {
+            for sql in [
+                "DELETE FROM keyframes WHERE id = ?1",
+                "DELETE FROM odograph_image WHERE keyframe = ?1",
+                "DELETE FROM odograph_signature WHERE keyframe = ?1",
+                "DELETE FROM odograph_edge WHERE from_keyframe = ?1 OR to_keyframe = ?1",
+            ] {
+                let mut statement = transaction.prepare(sql)?;
+                for keyframe in gone {
+                    statement.execute([keyframe.0])?;
+                }
+            }
+            edges::insert(&transaction, edges)?;
+            set_extent(&transaction)?;
+            transaction.commit()
+        })()
+        .while_writing(&self.complaint)
+    }
+
+    /// The keyframes, in the order of their numbers.
+    pub(crate) fn keyframes(&self) -> Result<Vec<MapKeyframe>> {
+        let mut statement = self.connection.prepare(SELECT).while_reading(&self.complaint)?;
+        let mut rows = statement.query([]).while_reading(&self.complaint)?;
+        let mut keyframes = Vec::new();
+        while let Some(row) = rows.next().while_reading(&self.complaint)? {
+            let (keyframe, covariance, signature) = read(row).while_reading(&self.complaint)?;
+            let bad = |what: &str| self.complaint.input(format!("keyframe {} has {what}", keyframe.id.0));
+            if ![keyframe.pose, keyframe.odometry_pose].iter().all(is_pose) {
+                return Err(bad("a pose that no camera can have"));
+            }
+            let covariance =
+                symmetric_from_bytes(&covariance).ok_or_else(|| bad("a covariance that is none"))?;
+            let signature = signature_from_bytes(&signature.ok_or_else(|| bad("no signature"))?)
+                .ok_or_else(|| bad("a signature that is damaged"))?;
+            keyframes.push(MapKeyframe { covariance, signature, ..keyframe });
+        }
+        Ok(keyframes)
+    }
+
+    /// How many keyframes there are, and how many bytes their images have.
+    pub fn image_bytes(&self) -> Result<(u64, u64)> {
+        self.connection
+            .query_row("SELECT count(*), ifnull(sum(length(jpeg)), 0) FROM odograph_image", [], |row| {
+                Ok((row.get(0)?, row.get(1)?))
+            })
+            .while_reading(&self.complaint)
+    }
+}
+
+impl KeyframeImages for MapFile {
+    fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        let bad = |why: String| self.complaint.input(format!("the image of keyframe {} {why}", keyframe.0));
+        let stored = self
+            .connection
+            .prepare_cached(
+                "SELECT colored, luma_scale, luma_offset, jpeg FROM odograph_image WHERE keyframe = ?1",
+            )
+            .and_then(|mut statement| {
+                statement
+                    .query_row([keyframe.0], |row| {
+                        Ok(StoredImage {
+                            colored: row.get(0)?,
+                            luma_scale: row.get(1)?,
+                            luma_offset: row.get(2)?,
+                            jpeg: row.get(3)?,
+                        })
+                    })
+                    .optional()
+            })
+            .while_reading(&self.complaint)?
+            .ok_or_else(|| bad("is missing".to_owned()))?;
+        image::decode(&stored, (self.camera().width(), self.camera().height())).map_err(bad)
+    }
+}
+
+fn is_pose(pose: &GroundPose) -> bool {
+    let GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad } = *pose;
+    [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad].iter().all(|v| v.is_finite() && v.abs() < 1e12)
+        && height_m > 0.0
+}
+
+fn insert(connection: &Connection, keyframe: &MapKeyframe, image: &StoredImage) -> rusqlite::Result<()> {
+    let id = keyframe.id.0;
+    let (now, then, cov) = (&keyframe.pose, &keyframe.odometry_pose, &keyframe.covariance);
+    let sd = |k: usize| cov[(k, k)].max(0.0).sqrt();
+    connection.prepare_cached(INSERT)?.execute(params![
+        id,
+        point_geometry(now.x_m, now.y_m),
+        keyframe.session,
+        keyframe.segment,
+        keyframe.frame,
+        keyframe.time_s,
+        now.x_m,
+        now.y_m,
+        now.heading_rad,
+        now.height_m,
+        now.roll_rad,
+        now.pitch_rad,
+        sd(0),
+        sd(1),
+        sd(2),
+        sd(3),
+        sd(4),
+        sd(5),
+        then.x_m,
+        then.y_m,
+        then.heading_rad,
+        then.height_m,
+        then.roll_rad,
+        then.pitch_rad,
+        bytes_from_symmetric(cov),
+    ])?;
+    connection
+        .prepare_cached("INSERT INTO odograph_signature VALUES (?1, ?2)")?
+        .execute(params![id, bytes_from_signature(&keyframe.signature)])?;
+    connection.prepare_cached("INSERT INTO odograph_image VALUES (?1, ?2, ?3, ?4, ?5)")?.execute(params![
+        id,
+        image.colored,
+        image.luma_scale,
+        image.luma_offset,
+        image.jpeg
+    ])?;
+    geopackage::grow_extent(connection, "keyframes", Extent([now.x_m, now.y_m, now.x_m, now.y_m]))
+}
+
+fn move_keyframes(
+    connection: &Connection,
+    poses: &[(KeyframeId, GroundPose, Matrix6<f64>)],
+) -> rusqlite::Result<()> {
+    let mut statement = connection.prepare_cached(MOVE)?;
+    for (id, now, covariance) in poses {
+        let sd = |k: usize| covariance[(k, k)].max(0.0).sqrt();
+        statement.execute(params![
+            id.0,
+            point_geometry(now.x_m, now.y_m),
+            now.x_m,
+            now.y_m,
+            now.heading_rad,
+            now.height_m,
+            now.roll_rad,
+            now.pitch_rad,
+            sd(0),
+            sd(1),
+            sd(2),
+            sd(3),
+            sd(4),
+            sd(5),
+            bytes_from_symmetric(covariance),
+        ])?;
+    }
+    set_extent(connection)
+}
+
+fn set_extent(connection: &Connection) -> rusqlite::Result<()> {
+    let sides: [Option<f64>; 4] =
+        connection.query_row("SELECT min(x_m), min(y_m), max(x_m), max(y_m) FROM keyframes", [], |row| {
+            Ok([row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?])
+        })?;
+    let extent = match sides {
+        [Some(left), Some(bottom), Some(right), Some(top)] => Some(Extent([left, bottom, right, top])),
+        _ => None,
+    };
+    geopackage::set_extent(connection, "keyframes", extent)
+}
+
+/// A keyframe without covariance and signature, and the bytes of those.
+fn read(row: &Row<'_>) -> rusqlite::Result<(MapKeyframe, Vec<u8>, Option<Vec<u8>>)> {
+    let pose = |first: usize| -> rusqlite::Result<GroundPose> {
+        Ok(GroundPose {
+            x_m: row.get(first)?,
+            y_m: row.get(first + 1)?,
+            heading_rad: row.get(first + 2)?,
+            height_m: row.get(first + 3)?,
+            roll_rad: row.get(first + 4)?,
+            pitch_rad: row.get(first + 5)?,
+        })
+    };
+    let keyframe = MapKeyframe {
+        id: KeyframeId(row.get(0)?),
+        session: row.get(1)?,
+        segment: row.get(2)?,
+        frame: row.get(3)?,
+        time_s: row.get(4)?,
+        odometry_pose: pose(11)?,
+        pose: pose(5)?,
+        covariance: Matrix6::zeros(),
+        signature: Signature::default(),
+    };
+    Ok((keyframe, row.get(17)?, row.get(18)?))
+}
+
+/// Bytes of a feature: descriptor, position, direction.
+const FEATURE: usize = 32 + 8 + 4;
+
+fn bytes_from_signature(signature: &Signature) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(FEATURE * signature.features.len());
+    for feature in &signature.features {
+        feature.descriptor.iter().for_each(|word| bytes.extend_from_slice(&word.to_le_bytes()));
+        for number in [feature.position_m[0], feature.position_m[1], feature.direction_rad] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+    }
+    bytes
+}
+
+fn signature_from_bytes(bytes: &[u8]) -> Option<Signature> {
+    if !bytes.len().is_multiple_of(FEATURE) {
+        return None;
+    }
+    let feature = |bytes: &[u8]| {
+        let word = |at: usize| bytes[at..at + 8].try_into().map(u64::from_le_bytes).unwrap_or_default();
+        let number = |at: usize| bytes[at..at + 4].try_into().map_or(f32::NAN, f32::from_le_bytes);
+        let feature = GroundFeature {
+            descriptor: [word(0), word(8), word(16), word(24)],
+            position_m: [number(32), number(36)],
+            direction_rad: number(40),
+        };
+        let [x, y] = feature.position_m;
+        [x, y, feature.direction_rad].iter().all(|value| value.is_finite()).then_some(feature)
+    };
+    let features: Option<Vec<_>> = bytes.chunks_exact(FEATURE).map(feature).collect();
+    features.map(|features| Signature { features })
+}

@@ -1,0 +1,187 @@
+//! The mosaic in the file: a pyramid of tiles, of which the finest level is laid and every coarser one made from the one below it, tile by tile.
+
+mod pyramid;
+mod tile;
+
+use crate::complaint::Told;
+use crate::file::MapFile;
+use odograph::error::Result;
+use odograph::mapping::{MOSAIC_TILE_PX, MapMosaic, MosaicPicture, Placement};
+use pyramid::Pyramid;
+use rusqlite::OptionalExtension;
+use std::ops::Range;
+
+/// Levels of the pyramid at most: no picture is wider than 2³⁰ pixels.
+const MOST_LEVELS: u32 = 24;
+
+/// The mosaic that a map has: a pyramid of square tiles of [`MOSAIC_TILE_PX`]² pixels, 2ˡ × 2ˡ of them at level l.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MosaicLayer {
+    /// Number of its finest level; level 0 is one tile.
+    pub finest: u32,
+    /// Side of a ground pixel at the finest level, metres.
+    pub resolution_m: f64,
+    /// World x of the left border of the square of tiles, metres.
+    pub left_m: f64,
+    /// World y of its upper border, metres.
+    pub top_m: f64,
+    /// The columns of finest pixels, counted from the left border, that show ground.
+    pub columns: Range<u64>,
+    /// The rows of finest pixels, counted from the upper border, that show ground.
+    pub rows: Range<u64>,
+}
+
+impl MosaicLayer {
+    /// The picture's size and place at a level: width and height in pixels, and where they lie.
+    pub fn picture_at(&self, level: u32) -> (u64, u64, Placement) {
+        let scale = 1_u64 << (self.finest - level.min(self.finest));
+        let [columns, rows] =
+            [&self.columns, &self.rows].map(|range| range.start / scale..range.end.div_ceil(scale));
+        let metres_per_pixel = self.resolution_m * scale as f64;
+        let placement = Placement {
+            metres_per_pixel,
+            x_m: self.left_m + (columns.start as f64 + 0.5) * metres_per_pixel,
+            y_m: self.top_m - (rows.start as f64 + 0.5) * metres_per_pixel,
+        };
+        (columns.end - columns.start, rows.end - rows.start, placement)
+    }
+}
+
+impl MapFile {
+    /// Lays the mosaic of the whole map and puts it in the place of the one that was there. `ground_resolution_m` as in [`MapMosaic::new`]; `progress`
+    /// is told how many patches are left to lay, and says whether to go on. The memory needed does not grow with the map. Until all is laid the file has
+    /// the mosaic that it had, and so it has where this fails or is ended.
+    ///
+    /// Gives whether the mosaic was laid: not where it was ended, and where no keyframe looks at the ground.
+    pub fn lay_mosaic(
+        &mut self,
+        ground_resolution_m: Option<f64>,
+        progress: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<bool> {
+        let Some(laying) = MapMosaic::new(&self.map()?, self, ground_resolution_m)? else {
+            return Ok(false);
+        };
+        self.connection.execute_batch("BEGIN IMMEDIATE").while_writing(&self.complaint)?;
+        let laid = self.lay_all(laying, progress);
+        let end = if matches!(laid, Ok(true)) { "COMMIT" } else { "ROLLBACK" };
+        let ended = self.connection.execute_batch(end).while_writing(&self.complaint);
+        laid.and_then(|laid| ended.map(|()| laid))
+    }
+
+    fn lay_all(&mut self, mut laying: MapMosaic, progress: &mut dyn FnMut(usize) -> bool) -> Result<bool> {
+        let mut pyramid = Pyramid::begin(&self.connection, &laying).while_writing(&self.complaint)?;
+        while let Some(tiles) = laying.next_tiles(self)? {
+            for tile in &tiles {
+                let png = tile::encode(&tile.rgba)?;
+                pyramid.put(&self.connection, tile, &png).while_writing(&self.complaint)?;
+            }
+            if !progress(laying.patches_left()) {
+                return Ok(false);
+            }
+        }
+        for level in (0..pyramid.finest()).rev() {
+            self.reduce_to(level)?;
+        }
+        pyramid.finish(&self.connection).while_writing(&self.complaint)?;
+        Ok(pyramid.has_ground())
+    }
+
+    /// Makes a level of the one that is twice as fine.
+    fn reduce_to(&mut self, level: u32) -> Result<()> {
+        for (column, row) in pyramid::parents(&self.connection, level).while_reading(&self.complaint)? {
+            let child = |k: u64| self.mosaic_tile(level + 1, 2 * column + k % 2, 2 * row + k / 2);
+            let rgba = tile::halved([child(0)?, child(1)?, child(2)?, child(3)?]);
+            let png = tile::encode(&rgba)?;
+            pyramid::insert(&self.connection, level, column, row, &png).while_writing(&self.complaint)?;
+        }
+        Ok(())
+    }
+
+    /// What is known of the mosaic; `None` where none was laid.
+    pub fn mosaic(&self) -> Result<Option<MosaicLayer>> {
+        let Some(layer) = pyramid::layer(&self.connection).optional().while_reading(&self.complaint)? else {
+            return Ok(None);
+        };
+        let finite = [layer.resolution_m, layer.left_m, layer.top_m].iter().all(|value| value.is_finite());
+        let side = (MOSAIC_TILE_PX as u64) << layer.finest.min(MOST_LEVELS);
+        let inside = |range: &Range<u64>| range.start < range.end && range.end <= side;
+        if !finite
+            || layer.resolution_m <= 0.0
+            || layer.finest > MOST_LEVELS
+            || !inside(&layer.columns)
+            || !inside(&layer.rows)
+        {
+            return Err(self
+                .complaint
+                .input("the description of the mosaic is not one that a mosaic can have"));
+        }
+        Ok(Some(layer))
+    }
+
+    /// A tile of the mosaic, counted from the left upper corner of its square: red, green, blue and opacity in row order. `None` where no ground is seen.
+    pub fn mosaic_tile(&self, level: u32, column: u64, row: u64) -> Result<Option<Vec<u8>>> {
+        let png = pyramid::select(&self.connection, level, column, row)
+            .optional()
+            .while_reading(&self.complaint)?;
+        png.map(|png| {
+            tile::decode(&png).map_err(|why| {
+                self.complaint.input(format!("the tile {column}, {row} of level {level} of the mosaic {why}"))
+            })
+        })
+        .transpose()
+    }
+
+    /// The mosaic as one picture, as fine as it has at most `most_pixels`. `None` where there is no mosaic.
+    pub fn mosaic_picture(&self, most_pixels: usize) -> Result<Option<MosaicPicture>> {
+        let Some(layer) = self.mosaic()? else { return Ok(None) };
+        let fits = |level: &u32| {
+            let (width, height, _) = layer.picture_at(*level);
+            width.saturating_mul(height) <= most_pixels as u64
+        };
+        let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
+        let (width, height, placement) = layer.picture_at(level);
+        let (width, height) = (width as usize, height as usize);
+        let mut rgba = [255, 255, 255, 0].repeat(width * height);
+        self.each_tile_row(&layer, level, &mut |first_row, rows| {
+            rgba[4 * width * first_row..][..rows.len()].copy_from_slice(rows);
+            Ok(())
+        })?;
+        Ok(Some(MosaicPicture { width, height, rgba, placement }))
+    }
+
+    /// Gives the picture of a level from top to bottom, some rows at a time (as many as a tile has, or fewer): the number of the first row, and the rows as
+    /// red, green, blue and opacity. So a picture that does not fit into memory can be written.
+    pub fn each_tile_row(
+        &self,
+        layer: &MosaicLayer,
+        level: u32,
+        take: &mut dyn FnMut(usize, &[u8]) -> Result<()>,
+    ) -> Result<()> {
+        let scale = 1_u64 << (layer.finest - level.min(layer.finest));
+        let side = MOSAIC_TILE_PX as u64;
+        let [columns, rows] =
+            [&layer.columns, &layer.rows].map(|range| range.start / scale..range.end.div_ceil(scale));
+        let width = (columns.end - columns.start) as usize;
+        let mut strip = Vec::new();
+        for tile_row in rows.start / side..rows.end.div_ceil(side) {
+            let within = rows.start.max(tile_row * side)..rows.end.min((tile_row + 1) * side);
+            strip.clear();
+            strip.resize(4 * width * (within.end - within.start) as usize, 0);
+            strip.chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&[255, 255, 255, 0]));
+            for tile_column in columns.start / side..columns.end.div_ceil(side) {
+                let Some(tile) = self.mosaic_tile(level, tile_column, tile_row)? else { continue };
+                let across = columns.start.max(tile_column * side)..columns.end.min((tile_column + 1) * side);
+                for row in within.clone() {
+                    let from =
+                        4 * ((row - tile_row * side) * side + across.start - tile_column * side) as usize;
+                    let to =
+                        4 * ((row - within.start) as usize * width + (across.start - columns.start) as usize);
+                    let bytes = 4 * (across.end - across.start) as usize;
+                    strip[to..to + bytes].copy_from_slice(&tile[from..from + bytes]);
+                }
+            }
+            take((within.start - rows.start) as usize, &strip)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,145 @@
+//! The tables of the pyramid (OGC 12-128, clause 2.2).
+
+use super::MosaicLayer;
+use crate::geopackage::{self, Extent, UNDEFINED_CARTESIAN};
+use odograph::mapping::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
+use rusqlite::{Connection, Result, params};
+
+const SIDE: i64 = MOSAIC_TILE_PX as i64;
+
+/// The pyramid while its finest level is put into the file.
+pub(super) struct Pyramid {
+    finest: u32,
+    resolution_m: f64,
+    /// Tile column and row of the left upper corner, from the world's origin.
+    first: (i64, i64),
+    /// The pixels that show ground, from the left upper corner: least and greatest column and row.
+    shown: Option<[i64; 4]>,
+}
+
+impl Pyramid {
+    /// Takes away what was there, and finds the square of 2ⁿ × 2ⁿ tiles that holds all that will be laid.
+    pub fn begin(connection: &Connection, laying: &MapMosaic) -> Result<Self> {
+        for sql in [
+            "DELETE FROM mosaic",
+            "DELETE FROM gpkg_tile_matrix WHERE table_name = 'mosaic'",
+            "DELETE FROM gpkg_tile_matrix_set WHERE table_name = 'mosaic'",
+        ] {
+            connection.execute(sql, [])?;
+        }
+        let (columns, rows) = laying.tiles();
+        let tiles = (columns.end - columns.start).max(rows.end - rows.start).max(1);
+        let finest = (tiles as u64).next_power_of_two().trailing_zeros();
+        Ok(Self {
+            finest,
+            resolution_m: laying.resolution_m(),
+            first: (columns.start, rows.start),
+            shown: None,
+        })
+    }
+
+    pub fn finest(&self) -> u32 {
+        self.finest
+    }
+
+    /// Whether any pixel shows ground.
+    pub fn has_ground(&self) -> bool {
+        self.shown.is_some()
+    }
+
+    /// Puts a tile of the finest level into the file.
+    pub fn put(&mut self, connection: &Connection, tile: &MosaicTile, png: &[u8]) -> Result<()> {
+        let (column, row) = (tile.column - self.first.0, tile.row - self.first.1);
+        let side = MOSAIC_TILE_PX;
+        for (y, line) in tile.rgba.chunks_exact(4 * side).enumerate() {
+            let opaque = |x: &usize| line[4 * x + 3] > 0;
+            let (Some(left), Some(right)) = ((0..side).find(opaque), (0..side).rev().find(opaque)) else {
+                continue;
+            };
+            let (x, y) = (column * SIDE, row * SIDE + y as i64);
+            let (left, right) = (x + left as i64, x + right as i64);
+            let [a, b, c, d] = self.shown.unwrap_or([left, right, y, y]);
+            self.shown = Some([a.min(left), b.max(right), c.min(y), d.max(y)]);
+        }
+        insert(connection, self.finest, column as u64, row as u64, png)
+    }
+
+    /// Lists the levels, once all are in the file.
+    pub fn finish(&self, connection: &Connection) -> Result<()> {
+        let side_m = SIDE as f64 * self.resolution_m;
+        let (left, top) = (self.first.0 as f64 * side_m, -(self.first.1 as f64) * side_m);
+        let whole_m = side_m * (1_u64 << self.finest) as f64;
+        connection.execute(
+            "INSERT INTO gpkg_tile_matrix_set VALUES ('mosaic', ?1, ?2, ?3, ?4, ?5)",
+            params![UNDEFINED_CARTESIAN, left, top - whole_m, left + whole_m, top],
+        )?;
+        for level in 0..=self.finest {
+            let tiles = 1_u64 << level;
+            let pixel_m = whole_m / (tiles * MOSAIC_TILE_PX as u64) as f64;
+            connection.execute(
+                "INSERT INTO gpkg_tile_matrix VALUES ('mosaic', ?1, ?2, ?2, ?3, ?3, ?4, ?4)",
+                params![level, tiles, SIDE, pixel_m],
+            )?;
+        }
+        let extent = self.shown.map(|[a, b, c, d]| {
+            let (x, y) =
+                (|k: i64| left + k as f64 * self.resolution_m, |k: i64| top - k as f64 * self.resolution_m);
+            Extent([x(a), y(d + 1), x(b + 1), y(c)])
+        });
+        geopackage::set_extent(connection, "mosaic", extent)
+    }
+}
+
+/// Puts a tile into the file.
+pub(super) fn insert(connection: &Connection, level: u32, column: u64, row: u64, png: &[u8]) -> Result<()> {
+    connection
+        .prepare_cached("INSERT INTO mosaic VALUES (NULL, ?1, ?2, ?3, ?4)")?
+        .execute(params![level, column, row, png])?;
+    Ok(())
+}
+
+/// The PNG of a tile.
+pub(super) fn select(connection: &Connection, level: u32, column: u64, row: u64) -> Result<Vec<u8>> {
+    connection
+        .prepare_cached(
+            "SELECT tile_data FROM mosaic WHERE zoom_level = ?1 AND tile_column = ?2 AND tile_row = ?3",
+        )?
+        .query_row(params![level, column, row], |row| row.get(0))
+}
+
+/// The tiles of a level under which the level that is twice as fine has any.
+pub(super) fn parents(connection: &Connection, level: u32) -> Result<Vec<(u64, u64)>> {
+    let mut statement = connection.prepare(
+        "SELECT DISTINCT tile_column / 2, tile_row / 2 FROM mosaic WHERE zoom_level = ?1 ORDER BY 2, 1",
+    )?;
+    let rows = statement.query_map([level + 1], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    rows.collect()
+}
+
+/// What the tables say about the pyramid.
+pub(super) fn layer(connection: &Connection) -> Result<MosaicLayer> {
+    let (left_m, top_m): (f64, f64) = connection.query_row(
+        "SELECT min_x, max_y FROM gpkg_tile_matrix_set WHERE table_name = 'mosaic'",
+        [],
+        |row| Ok((row.get(0)?, row.get(1)?)),
+    )?;
+    let (finest, resolution_m): (u32, f64) = connection.query_row(
+        "SELECT zoom_level, pixel_x_size FROM gpkg_tile_matrix WHERE table_name = 'mosaic' ORDER BY zoom_level DESC LIMIT 1",
+        [],
+        |row| Ok((row.get(0)?, row.get(1)?)),
+    )?;
+    let [min_x, min_y, max_x, max_y]: [f64; 4] = connection.query_row(
+        "SELECT min_x, min_y, max_x, max_y FROM gpkg_contents WHERE table_name = 'mosaic'",
+        [],
+        |row| Ok([row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?]),
+    )?;
+    let pixel = |metres: f64| (metres / resolution_m).round() as u64;
+    Ok(MosaicLayer {
+        finest,
+        resolution_m,
+        left_m,
+        top_m,
+        columns: pixel(min_x - left_m)..pixel(max_x - left_m),
+        rows: pixel(top_m - max_y)..pixel(top_m - min_y),
+    })
+}

@@ -1,0 +1,95 @@
+//! Tiles as PNG: gray where all is gray, without opacity where all is seen.
+
+use odograph::error::{Error, Result};
+use odograph::mapping::MOSAIC_TILE_PX;
+use png::{BitDepth, ColorType};
+use std::io::Cursor;
+
+const SIDE: usize = MOSAIC_TILE_PX;
+/// More memory than decoding any tile needs, bytes.
+const MOST_MEMORY: usize = 8 << 20;
+
+/// A tile's pixels (red, green, blue, opacity) as a PNG.
+pub(super) fn encode(rgba: &[u8]) -> Result<Vec<u8>> {
+    let gray = rgba.chunks_exact(4).all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
+    let opaque = rgba.chunks_exact(4).all(|pixel| pixel[3] == 255);
+    let (color, kept): (ColorType, &[usize]) = match (gray, opaque) {
+        (true, true) => (ColorType::Grayscale, &[0]),
+        (true, false) => (ColorType::GrayscaleAlpha, &[0, 3]),
+        (false, true) => (ColorType::Rgb, &[0, 1, 2]),
+        (false, false) => (ColorType::Rgba, &[0, 1, 2, 3]),
+    };
+    let samples: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| kept.iter().map(|&k| pixel[k])).collect();
+    let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, SIDE as u32, SIDE as u32);
+        encoder.set_color(color);
+        encoder.set_depth(BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&samples)?;
+        writer.finish()?;
+        Ok(bytes)
+    };
+    encode().map_err(|error| Error::output(format!("a tile of the mosaic cannot be encoded: {error}")))
+}
+
+/// The pixels of a PNG; else what is wrong with it, as the end of a sentence.
+pub(super) fn decode(bytes: &[u8]) -> std::result::Result<Vec<u8>, String> {
+    let broken = |error: png::DecodingError| format!("cannot be decoded: {error}");
+    let limits = png::Limits { bytes: MOST_MEMORY };
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
+    decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
+    let mut reader = decoder.read_info().map_err(broken)?;
+    if (reader.info().width, reader.info().height) != (SIDE as u32, SIDE as u32) {
+        return Err(format!(
+            "has {}x{} pixels, not {SIDE}x{SIDE}",
+            reader.info().width,
+            reader.info().height
+        ));
+    }
+    let mut samples =
+        vec![0; reader.output_buffer_size().filter(|size| *size <= MOST_MEMORY).ok_or("is too large")?];
+    let frame = reader.next_frame(&mut samples).map_err(broken)?;
+    let channels = match frame.color_type {
+        ColorType::Grayscale => 1,
+        ColorType::GrayscaleAlpha => 2,
+        ColorType::Rgb => 3,
+        ColorType::Rgba => 4,
+        ColorType::Indexed => return Err("has a palette".to_owned()),
+    };
+    let rgba = |pixel: &[u8]| match *pixel {
+        [gray] => [gray, gray, gray, 255],
+        [gray, opacity] => [gray, gray, gray, opacity],
+        [red, green, blue] => [red, green, blue, 255],
+        [red, green, blue, opacity, ..] => [red, green, blue, opacity],
+        [] => [0; 4],
+    };
+    Ok(samples.chunks_exact(channels).take(SIDE * SIDE).flat_map(rgba).collect())
+}
+
+/// A tile half as fine, of the four (left upper, right upper, left lower, right lower) that it covers: the mean of the up to four pixels that show ground.
+pub(super) fn halved(children: [Option<Vec<u8>>; 4]) -> Vec<u8> {
+    let mut rgba = [255, 255, 255, 0].repeat(SIDE * SIDE);
+    for (k, child) in children.iter().enumerate() {
+        let Some(child) = child else { continue };
+        for y in 0..SIDE / 2 {
+            for x in 0..SIDE / 2 {
+                let at = |dx: usize, dy: usize| 4 * ((2 * y + dy) * SIDE + 2 * x + dx);
+                let seen =
+                    [at(0, 0), at(1, 0), at(0, 1), at(1, 1)].into_iter().filter(|at| child[at + 3] > 0);
+                let (mut sum, mut count) = ([0_u32; 3], 0);
+                for at in seen {
+                    (0..3).for_each(|c| sum[c] += u32::from(child[at + c]));
+                    count += 1;
+                }
+                if count > 0 {
+                    let to = 4 * ((y + k / 2 * SIDE / 2) * SIDE + x + k % 2 * SIDE / 2);
+                    (0..3).for_each(|c| rgba[to + c] = ((sum[c] + count / 2) / count) as u8);
+                    rgba[to + 3] = 255;
+                }
+            }
+        }
+    }
+    rgba
+}

@@ -1,0 +1,109 @@
+//! One edge: what it misses by, in units of its standard deviations, and how that changes with the poses.
+
+use super::{Heights, Node};
+use crate::geometry::wrap_angle;
+use crate::mapping::ground_map::{EdgeKind, MapEdge};
+use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
+
+/// An edge with the square root of its information.
+#[derive(Debug, Clone)]
+pub struct Weighted {
+    pub from: usize,
+    pub to: usize,
+    pub kind: EdgeKind,
+    motion: Vector4<f64>,
+    /// Upper triangular; takes what an edge misses by to units of its standard deviations.
+    whitening: Matrix4<f64>,
+    pub covariance: Matrix4<f64>,
+}
+
+/// No edge is better than this: a hundredth of a millimetre, a thousandth of a degree, a hundred-thousandth of the height.
+const LEAST_SIGMA: [f64; 4] = [1e-5, 1e-5, 2e-5, 1e-5];
+
+impl Weighted {
+    /// `None` where the covariance is none.
+    pub fn new(from: usize, to: usize, edge: &MapEdge, heights: Heights) -> Option<Self> {
+        let mut covariance = 0.5 * (edge.covariance + edge.covariance.transpose());
+        if heights == Heights::Held {
+            covariance.row_mut(3).fill(0.0);
+            covariance.column_mut(3).fill(0.0);
+        }
+        for (i, sigma) in LEAST_SIGMA.into_iter().enumerate() {
+            covariance[(i, i)] += sigma * sigma;
+        }
+        if !edge.motion.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let mut whitening = covariance.cholesky()?.inverse().cholesky()?.l().transpose();
+        if heights == Heights::Held {
+            whitening.row_mut(3).fill(0.0);
+        }
+        let motion = edge.motion;
+        Some(Self { from, to, kind: edge.kind, motion, whitening, covariance })
+    }
+
+    /// The keyframe at the other end.
+    pub fn other(&self, at: usize) -> usize {
+        if self.from == at { self.to } else { self.from }
+    }
+
+    /// Whether a mount that is off turns it: where it was measured.
+    pub fn bends(&self) -> bool {
+        self.kind != EdgeKind::Gap
+    }
+
+    /// How the motion changes with the turn per metre ahead and to the left that the mount makes.
+    pub fn by_mount(&self) -> Matrix4x2<f64> {
+        if !self.bends() {
+            return Matrix4x2::zeros();
+        }
+        let (x, y) = (self.motion[0], self.motion[1]);
+        // Turned on the way, a motion ends turned by half as much.
+        Matrix4x2::new(-0.5 * y * x, -0.5 * y * y, 0.5 * x * x, 0.5 * x * y, x, y, 0.0, 0.0)
+    }
+
+    /// What the edge misses by at these poses.
+    pub fn linearized(&self, from: &Node, to: &Node, turn_per_m: Vector2<f64>) -> Linearized {
+        let (sin, cos) = from.pose.heading_rad.sin_cos();
+        let scale = from.scale();
+        let into = Matrix2::new(cos, sin, -sin, cos) / scale;
+        let apart = Vector2::new(to.pose.x_m - from.pose.x_m, to.pose.y_m - from.pose.y_m);
+        let seen = into * apart;
+        let by_mount = self.by_mount();
+        let expected = self.motion + by_mount * turn_per_m;
+        let misses = Vector4::new(
+            seen.x - expected[0],
+            seen.y - expected[1],
+            wrap_angle(to.pose.heading_rad - from.pose.heading_rad - expected[2]),
+            (to.pose.height_m / from.pose.height_m).ln() - expected[3],
+        );
+        let mut by_from = -Matrix4::identity();
+        by_from.fixed_view_mut::<2, 2>(0, 0).copy_from(&-into);
+        by_from[(0, 2)] = seen.y;
+        by_from[(1, 2)] = -seen.x;
+        by_from[(0, 3)] = -seen.x;
+        by_from[(1, 3)] = -seen.y;
+        let mut by_to = Matrix4::identity();
+        by_to.fixed_view_mut::<2, 2>(0, 0).copy_from(&into);
+        Linearized {
+            misses: self.whitening * misses,
+            by_from: self.whitening * by_from,
+            by_to: self.whitening * by_to,
+            by_mount: self.whitening * -by_mount,
+        }
+    }
+}
+
+/// What an edge misses by, and its derivatives, in units of its standard deviations.
+pub struct Linearized {
+    pub misses: Vector4<f64>,
+    pub by_from: Matrix4<f64>,
+    pub by_to: Matrix4<f64>,
+    pub by_mount: Matrix4x2<f64>,
+}
+
+impl Linearized {
+    pub fn squared(&self) -> f64 {
+        self.misses.norm_squared()
+    }
+}

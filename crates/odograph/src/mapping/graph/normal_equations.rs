@@ -1,0 +1,225 @@
+//! The sparse normal equations: blocks of one keyframe each, in an order that keeps the factor sparse.
+//!
+//! The order is that of approximate minimum degree (P. Amestoy, T. Davis and I. Duff, 1996) on the graph of the keyframes. Behind the
+//! keyframes stands one block more for the two unknowns of the mount, which is tied to nearly all of them and so comes last.
+
+use super::edge::{Linearized, Weighted};
+use super::marginals;
+use nalgebra::{DVector, Matrix4, Vector2, Vector4};
+use nalgebra_sparse::factorization::CscCholesky;
+use nalgebra_sparse::{CscMatrix, pattern::SparsityPattern};
+
+pub struct NormalEquations {
+    /// Unknowns of a block: 3 or 4.
+    size: usize,
+    /// For each node of the graph, its block; none where it is held.
+    block_of: Vec<Option<usize>>,
+    /// For each block, where it stands in the order.
+    place: Vec<usize>,
+    /// For each place, the places that it is tied to, itself among them, ascending.
+    tied: Vec<Vec<usize>>,
+    /// For each place, where its values begin.
+    base: Vec<usize>,
+    matrix: CscMatrix<f64>,
+    factor: Option<CscCholesky<f64>>,
+    right: DVector<f64>,
+}
+
+impl NormalEquations {
+    /// The pattern for `count` blocks and the ties between them; a tie has its two ends, where they are not held, and whether the mount bends it.
+    /// `None` where the order cannot be found, which well-formed ties never lead to.
+    pub fn new(
+        size: usize,
+        count: usize,
+        ties: impl Iterator<Item = (Option<usize>, Option<usize>, bool)>,
+        block_of: Vec<Option<usize>>,
+    ) -> Option<Self> {
+        let mount = count;
+        let mut tied: Vec<Vec<usize>> = (0..=count).map(|block| vec![block]).collect();
+        let mut tie = |a: usize, b: usize| {
+            tied[a].push(b);
+            tied[b].push(a);
+        };
+        for (from, to, bends) in ties {
+            if let (Some(from), Some(to)) = (from, to) {
+                tie(from, to);
+            }
+            for end in [from, to].into_iter().flatten().filter(|_| bends) {
+                tie(end, mount);
+            }
+        }
+        for others in &mut tied {
+            others.sort_unstable();
+            others.dedup();
+        }
+        let order = order(&tied)?;
+        let mut place = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(at, &block)| place[block] = at);
+        let tied: Vec<Vec<usize>> = order
+            .iter()
+            .map(|&block| {
+                let mut places: Vec<usize> = tied[block].iter().map(|&other| place[other]).collect();
+                places.sort_unstable();
+                places
+            })
+            .collect();
+        let (mut base, mut offsets, mut rows) = (Vec::new(), vec![0], Vec::new());
+        for places in &tied {
+            base.push(rows.len());
+            for _ in 0..size {
+                rows.extend(places.iter().flat_map(|&at| (0..size).map(move |i| at * size + i)));
+                offsets.push(rows.len());
+            }
+        }
+        let unknowns = size * tied.len();
+        let pattern =
+            SparsityPattern::try_from_offsets_and_indices(unknowns, unknowns, offsets, rows).ok()?;
+        let values = vec![0.0; pattern.nnz()];
+        let matrix = CscMatrix::try_from_pattern_and_values(pattern, values).ok()?;
+        Some(Self {
+            size,
+            block_of,
+            place,
+            tied,
+            base,
+            matrix,
+            factor: None,
+            right: DVector::zeros(unknowns),
+        })
+    }
+
+    /// How many keyframes are free.
+    pub fn unknowns(&self) -> usize {
+        self.place.len() - 1
+    }
+
+    /// Which of the marginals is that of a node; `None` where it is held.
+    pub fn block_of(&self, node: usize) -> Option<usize> {
+        self.block_of[node]
+    }
+
+    fn mount(&self) -> usize {
+        self.place[self.place.len() - 1]
+    }
+
+    pub fn clear(&mut self) {
+        self.matrix.values_mut().fill(0.0);
+        self.right.fill(0.0);
+    }
+
+    /// Adds an edge with a weight.
+    pub fn add(&mut self, edge: &Weighted, linear: &Linearized, weight: f64) {
+        let mut by_mount = Matrix4::zeros();
+        by_mount.fixed_view_mut::<4, 2>(0, 0).copy_from(&linear.by_mount);
+        let ends = [
+            self.block_of[edge.from].map(|block| (self.place[block], linear.by_from)),
+            self.block_of[edge.to].map(|block| (self.place[block], linear.by_to)),
+            edge.bends().then_some((self.mount(), by_mount)),
+        ];
+        for (a, by_a) in ends.iter().flatten() {
+            let push = by_a.transpose() * linear.misses * weight;
+            for i in 0..self.size {
+                self.right[a * self.size + i] -= push[i];
+            }
+            for (b, by_b) in ends.iter().flatten() {
+                self.add_block(*a, *b, &(by_a.transpose() * by_b * weight));
+            }
+        }
+    }
+
+    /// Adds to the block in row `a` and column `b`.
+    fn add_block(&mut self, a: usize, b: usize, block: &Matrix4<f64>) {
+        let Ok(at) = self.tied[b].binary_search(&a) else { return };
+        let (size, height) = (self.size, self.size * self.tied[b].len());
+        let base = self.base[b] + at * size;
+        let values = self.matrix.values_mut();
+        for column in 0..size {
+            for row in 0..size {
+                values[base + column * height + row] += block[(row, column)];
+            }
+        }
+    }
+
+    /// The prior of the mount; what else is in its block is held.
+    pub fn hold_mount(&mut self, turn_per_m: Vector2<f64>, sigma: f64) {
+        let weight = 1.0 / (sigma * sigma);
+        let mount = self.mount();
+        let mut block = Matrix4::identity();
+        (block[(0, 0)], block[(1, 1)]) = (weight, weight);
+        self.add_block(mount, mount, &block);
+        for i in 0..2 {
+            self.right[mount * self.size + i] -= weight * turn_per_m[i];
+        }
+    }
+
+    /// The step that solves the equations, with the diagonal raised by this part of itself; `None` where they have no unique solution.
+    pub fn solve(&mut self, damping: f64) -> Option<DVector<f64>> {
+        self.factorize(damping)?;
+        let mut change = self.right.clone();
+        self.factor.as_ref()?.solve_mut(&mut change);
+        change.iter().all(|value| value.is_finite()).then_some(change)
+    }
+
+    fn factorize(&mut self, damping: f64) -> Option<()> {
+        let mut values = self.matrix.values().to_vec();
+        if damping > 0.0 {
+            for (place, tied) in self.tied.iter().enumerate() {
+                let Ok(at) = tied.binary_search(&place) else { continue };
+                let height = self.size * tied.len();
+                for i in 0..self.size {
+                    values[self.base[place] + i * height + at * self.size + i] *= 1.0 + damping;
+                }
+            }
+        }
+        match &mut self.factor {
+            Some(factor) => factor.refactor(&values).ok(),
+            None => {
+                let pattern = self.matrix.pattern().clone();
+                let matrix = CscMatrix::try_from_pattern_and_values(pattern, values).ok()?;
+                self.factor = Some(CscCholesky::factor(&matrix).ok()?);
+                Some(())
+            }
+        }
+    }
+
+    /// A node's part of a solution; `None` where it is held.
+    pub fn of_node(&self, solution: &DVector<f64>, node: usize) -> Option<Vector4<f64>> {
+        let first = self.size * self.place[self.block_of[node]?];
+        Some(Vector4::from_fn(|i, _| if i < self.size { solution[first + i] } else { 0.0 }))
+    }
+
+    /// The mount's part of a solution.
+    pub fn of_mount(&self, solution: &DVector<f64>) -> Vector2<f64> {
+        let first = self.size * self.mount();
+        Vector2::new(solution[first], solution[first + 1])
+    }
+
+    /// The diagonal blocks of the inverse, block by block.
+    pub fn marginals(&mut self) -> Option<Vec<Matrix4<f64>>> {
+        self.factorize(0.0)?;
+        let inverse = marginals::on_pattern(self.factor.as_ref()?.l());
+        let block = |block: usize| {
+            let first = self.size * self.place[block];
+            Matrix4::from_fn(|i, j| {
+                if i < self.size && j < self.size {
+                    inverse.get(first + i.max(j), first + i.min(j))
+                } else {
+                    0.0
+                }
+            })
+        };
+        Some((0..self.unknowns()).map(block).collect())
+    }
+}
+
+/// The blocks in the order in which they are eliminated.
+fn order(tied: &[Vec<usize>]) -> Option<Vec<usize>> {
+    let mut offsets = vec![0isize];
+    let mut rows = Vec::new();
+    for others in tied {
+        rows.extend(others.iter().map(|&other| other as isize));
+        offsets.push(rows.len() as isize);
+    }
+    let (order, _, _) = amd::order(tied.len() as isize, &offsets, &rows, &amd::Control::default()).ok()?;
+    Some(order.into_iter().map(|block| block as usize).collect())
+}

@@ -1,0 +1,203 @@
+//! The index: signatures in, hypotheses out.
+
+use super::lookup::{Buckets, FeatureNumber, difference};
+use super::support::{Features, MOST_DIFFERENCE, Match, Placing, best_pair, rival, support};
+use super::{PlacesConfig, Signature};
+use crate::mapping::ground_map::KeyframeId;
+use nalgebra::Vector4;
+use std::cmp::Reverse;
+use std::collections::HashMap;
+
+/// At most so many descriptors are compared for a query, the emptiest buckets' first.
+const MOST_COMPARISONS: u32 = 40_000;
+
+/// At most so many keyframes are looked at closely for a query.
+const MOST_CANDIDATES: usize = 24;
+
+/// With fewer matches a hypothesis is not worth telling.
+const LEAST_MATCHES: usize = 5;
+
+/// Keyframes by what their ground looks like.
+#[derive(Debug, Clone)]
+pub struct PlaceIndex {
+    spot_m: f64,
+    slots: Vec<Slot>,
+    slot_of: HashMap<KeyframeId, usize>,
+    /// Slots whose keyframes were removed.
+    free: Vec<usize>,
+    buckets: Buckets,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Slot {
+    keyframe: Option<KeyframeId>,
+    features: Features,
+}
+
+/// That a picture shows the ground of a keyframe, lying thus.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaceHypothesis {
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    /// The pose of the query as the keyframe sees it, as in [`MapEdge::motion`](crate::mapping::MapEdge::motion): x (up in the keyframe's image) and y
+    /// (left) in metres, heading in radians, and the natural logarithm of a scale. The scale is 1 where both signatures were taken
+    /// at their true heights; otherwise it is the query's true height over the one its signature was taken with, if the keyframe's is right.
+    pub motion: Vector4<f64>,
+    /// Features of the query found in the keyframe where the motion puts them, each one another.
+    pub matches: usize,
+    /// Features that lie on the ground which both pictures show, of the picture with fewer of them.
+    pub shared: usize,
+    /// The most matches that another motion over the same keyframe has: many where the ground repeats itself.
+    pub rival_matches: usize,
+    /// Root mean square distance between matched features, metres.
+    pub residual_m: f64,
+    /// By this hypotheses are ordered: matches less those of the rival, as a number of standard deviations.
+    pub score: f64,
+}
+
+impl PlaceHypothesis {
+    /// Whether the place is proved: matches enough, enough of those that there should be, and far more than any other motion has.
+    pub fn is_sure(&self) -> bool {
+        const LEAST: usize = 12;
+        const LEAST_SHARE: f64 = 0.15;
+        let matches = self.matches as f64;
+        self.matches >= LEAST
+            && matches >= LEAST_SHARE * self.shared as f64
+            && matches >= 2.0 * self.rival_matches as f64
+    }
+}
+
+impl PlaceIndex {
+    /// An empty index for signatures that were taken with this configuration.
+    pub fn new(config: &PlacesConfig) -> Self {
+        Self {
+            spot_m: config.spot_m,
+            slots: Vec::new(),
+            slot_of: HashMap::new(),
+            free: Vec::new(),
+            buckets: Buckets::new(),
+        }
+    }
+
+    /// How many keyframes it holds.
+    pub fn len(&self) -> usize {
+        self.slot_of.len()
+    }
+
+    /// Whether it holds none.
+    pub fn is_empty(&self) -> bool {
+        self.slot_of.is_empty()
+    }
+
+    /// Puts a keyframe in, in place of what it held under that number. Beyond eight million keyframes nothing is put in.
+    pub fn insert(&mut self, keyframe: KeyframeId, signature: &Signature) {
+        self.remove(keyframe);
+        let number = self.free.pop().unwrap_or(self.slots.len());
+        if number >= FeatureNumber::MOST_SLOTS {
+            return;
+        }
+        let features = Features::new(&signature.features, self.spot_m);
+        for (at, feature) in features.features.iter().enumerate() {
+            self.buckets.insert(&feature.descriptor, FeatureNumber::new(number, at));
+        }
+        let slot = Slot { keyframe: Some(keyframe), features };
+        match self.slots.get_mut(number) {
+            Some(free) => *free = slot,
+            None => self.slots.push(slot),
+        }
+        self.slot_of.insert(keyframe, number);
+    }
+
+    /// Takes a keyframe out; nothing happens where it is not in.
+    pub fn remove(&mut self, keyframe: KeyframeId) {
+        let Some(number) = self.slot_of.remove(&keyframe) else { return };
+        let slot = std::mem::take(&mut self.slots[number]);
+        for (at, feature) in slot.features.features.iter().enumerate() {
+            self.buckets.remove(&feature.descriptor, FeatureNumber::new(number, at));
+        }
+        self.free.push(number);
+    }
+
+    /// The keyframes that show what the query shows, at most `most`, best first, and at most one hypothesis for each. What is found is
+    /// supported by matches that agree on the plane; whether that is proof says [`PlaceHypothesis::is_sure`].
+    pub fn query(&self, signature: &Signature, most: usize) -> Vec<PlaceHypothesis> {
+        let query = Features::new(&signature.features, self.spot_m);
+        let mut found: Vec<_> = self
+            .candidates(&query)
+            .into_iter()
+            .filter_map(|(slot, placing)| {
+                let slot = &self.slots[slot];
+                let support = support(&query, &slot.features, placing)?;
+                Some((slot.keyframe?, slot, support)).filter(|_| support.matches >= LEAST_MATCHES)
+            })
+            .collect();
+        found.sort_by_key(|(keyframe, _, support)| (Reverse(support.matches), *keyframe));
+        found.truncate(most);
+        let mut hypotheses: Vec<_> = found
+            .into_iter()
+            .map(|(keyframe, slot, support)| {
+                let rival_matches = rival(&query, &slot.features, &support);
+                let (matches, rival) = (support.matches as f64, rival_matches as f64);
+                let Placing { shift, heading_rad, scale } = support.placing;
+                let [x, y] = shift.map(|spots| f64::from(spots) * self.spot_m);
+                PlaceHypothesis {
+                    keyframe,
+                    motion: Vector4::new(x, y, f64::from(heading_rad), f64::from(scale).ln()),
+                    matches: support.matches,
+                    shared: support.shared,
+                    rival_matches,
+                    residual_m: f64::from(support.residual) * self.spot_m,
+                    score: (matches - rival) / (matches + rival).sqrt(),
+                }
+            })
+            .collect();
+        hypotheses.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.keyframe.cmp(&b.keyframe)));
+        hypotheses
+    }
+
+    /// The keyframes worth a closer look, each with the motion that most of its matches agree on.
+    fn candidates(&self, query: &Features) -> Vec<(usize, Placing)> {
+        let mut matches = self.look_up(query);
+        matches.sort_unstable();
+        matches.dedup();
+        let mut candidates = Vec::new();
+        for group in matches.chunk_by(|a, b| a.0.slot() == b.0.slot()) {
+            let slot = group[0].0.slot();
+            let mut group: Vec<_> = group
+                .iter()
+                .map(|&(number, query, difference)| Match { query, keyframe: number.feature(), difference })
+                .collect();
+            group.sort_unstable_by_key(|m| (m.difference, m.query, m.keyframe));
+            if let Some((placing, agreeing)) = best_pair(query, &self.slots[slot].features, &group) {
+                candidates.push((agreeing, slot, placing));
+            }
+        }
+        candidates.sort_by_key(|&(agreeing, slot, _)| (Reverse(agreeing), slot));
+        candidates.truncate(MOST_CANDIDATES);
+        candidates.into_iter().map(|(_, slot, placing)| (slot, placing)).collect()
+    }
+
+    /// What lies in the same buckets as the query's features and looks like them.
+    fn look_up(&self, query: &Features) -> Vec<(FeatureNumber, usize, u32)> {
+        let leads = query.features.iter().enumerate();
+        let mut addresses: Vec<_> =
+            leads.flat_map(|(number, feature)| self.buckets.lead(number, &feature.descriptor)).collect();
+        addresses.sort_unstable();
+        let mut left = MOST_COMPARISONS;
+        let mut alike = Vec::new();
+        for address in addresses {
+            let Some(rest) = left.checked_sub(address.features) else { break };
+            left = rest;
+            let number = address.query as usize;
+            let descriptor = &query.features[number].descriptor;
+            for other in self.buckets.features(address) {
+                let there = &self.slots[other.slot()].features.features[other.feature()];
+                let difference = difference(descriptor, &there.descriptor);
+                if difference <= MOST_DIFFERENCE {
+                    alike.push((other, number, difference));
+                }
+            }
+        }
+        alike
+    }
+}

@@ -1,0 +1,168 @@
+//! Buckets of descriptors: those that agree in some of their bits lie together.
+
+/// So many parts of a descriptor are addresses, each of a table of its own. They share no bits.
+const TABLES: usize = 8;
+
+/// Bits of an address: with 3 million features a bucket holds about a dozen.
+const ADDRESS_BITS: u32 = 18;
+
+/// Features in a piece of a bucket.
+const PIECE: usize = 7;
+
+/// No further piece.
+const NONE: u32 = u32::MAX;
+
+/// Which feature: of which slot, and which of its features.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct FeatureNumber(u32);
+
+impl FeatureNumber {
+    /// Features of a slot are below 2⁹, slots below 2²³.
+    pub const FEATURE_BITS: u32 = 9;
+    /// So many slots can be told apart.
+    pub const MOST_SLOTS: usize = 1 << (32 - Self::FEATURE_BITS);
+
+    pub fn new(slot: usize, feature: usize) -> Self {
+        Self((slot << Self::FEATURE_BITS | feature) as u32)
+    }
+
+    pub fn slot(self) -> usize {
+        (self.0 >> Self::FEATURE_BITS) as usize
+    }
+
+    pub fn feature(self) -> usize {
+        (self.0 & ((1 << Self::FEATURE_BITS) - 1)) as usize
+    }
+}
+
+/// All tables. A bucket is a chain of pieces, taken from one pool and given back to it.
+#[derive(Debug, Clone)]
+pub(super) struct Buckets {
+    /// Table after table.
+    buckets: Vec<Bucket>,
+    pieces: Vec<Piece>,
+    /// The first of the pieces that are not in use.
+    spare: u32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Bucket {
+    features: u32,
+    /// Its newest piece, the only one that may not be full.
+    newest: u32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    features: [FeatureNumber; PIECE],
+    older: u32,
+}
+
+/// A bucket that a descriptor of the query leads to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Address {
+    /// How many features lie there. First, so that the emptier orders before the fuller.
+    pub features: u32,
+    /// Which feature of the query led there.
+    pub query: u32,
+    bucket: u32,
+}
+
+fn addresses(descriptor: &[u64; 4]) -> [usize; TABLES] {
+    std::array::from_fn(|table| {
+        let part = descriptor[table / 2] >> (32 * (table % 2));
+        table << ADDRESS_BITS | (part & ((1 << ADDRESS_BITS) - 1)) as usize
+    })
+}
+
+impl Buckets {
+    pub fn new() -> Self {
+        let empty = Bucket { features: 0, newest: NONE };
+        Self { buckets: vec![empty; TABLES << ADDRESS_BITS], pieces: Vec::new(), spare: NONE }
+    }
+
+    pub fn insert(&mut self, descriptor: &[u64; 4], number: FeatureNumber) {
+        for at in addresses(descriptor) {
+            let used = self.buckets[at].features as usize % PIECE;
+            if used == 0 {
+                let older = self.buckets[at].newest;
+                self.buckets[at].newest = self.take_piece(older);
+            }
+            let bucket = &mut self.buckets[at];
+            self.pieces[bucket.newest as usize].features[used] = number;
+            bucket.features += 1;
+        }
+    }
+
+    /// Takes out what [`Buckets::insert`] put in.
+    pub fn remove(&mut self, descriptor: &[u64; 4], number: FeatureNumber) {
+        for at in addresses(descriptor) {
+            let Bucket { features, newest } = self.buckets[at];
+            let Some((piece, place)) = self.position(at, number) else { continue };
+            // The last one takes its place.
+            let used = (features as usize - 1) % PIECE;
+            let last = self.pieces[newest as usize].features[used];
+            self.pieces[piece].features[place] = last;
+            self.buckets[at].features -= 1;
+            if used == 0 {
+                self.buckets[at].newest = self.pieces[newest as usize].older;
+                self.pieces[newest as usize].older = self.spare;
+                self.spare = newest;
+            }
+        }
+    }
+
+    fn take_piece(&mut self, older: u32) -> u32 {
+        if self.spare == NONE {
+            self.pieces.push(Piece { features: [FeatureNumber(NONE); PIECE], older });
+            return self.pieces.len() as u32 - 1;
+        }
+        let taken = self.spare;
+        let piece = &mut self.pieces[taken as usize];
+        self.spare = piece.older;
+        piece.older = older;
+        taken
+    }
+
+    fn position(&self, bucket: usize, number: FeatureNumber) -> Option<(usize, usize)> {
+        self.runs(bucket).find_map(|(piece, features)| {
+            features.iter().position(|&other| other == number).map(|place| (piece, place))
+        })
+    }
+
+    /// The pieces of a bucket, with what is used of each.
+    fn runs(&self, bucket: usize) -> impl Iterator<Item = (usize, &[FeatureNumber])> {
+        let Bucket { features, newest } = self.buckets[bucket];
+        let mut used = match features as usize % PIECE {
+            0 => PIECE,
+            rest => rest,
+        };
+        let mut at = newest;
+        std::iter::from_fn(move || {
+            let number = at as usize;
+            let piece = self.pieces.get(number)?;
+            let features = &piece.features[..used];
+            (at, used) = (piece.older, PIECE);
+            Some((number, features))
+        })
+    }
+
+    /// The buckets, not empty, that a descriptor of the query leads to.
+    pub fn lead(&self, query: usize, descriptor: &[u64; 4]) -> impl Iterator<Item = Address> {
+        addresses(descriptor).into_iter().filter_map(move |bucket| {
+            let features = self.buckets[bucket].features;
+            (features > 0).then_some(Address { features, query: query as u32, bucket: bucket as u32 })
+        })
+    }
+
+    /// The features in a bucket, the newest first within their pieces' order.
+    pub fn features(&self, address: Address) -> impl Iterator<Item = FeatureNumber> {
+        self.runs(address.bucket as usize).flat_map(|(_, features)| features.iter().copied())
+    }
+}
+
+/// In how many of their 256 bits two descriptors differ.
+#[inline]
+pub(super) fn difference(a: &[u64; 4], b: &[u64; 4]) -> u32 {
+    a.iter().zip(b).map(|(a, b)| (a ^ b).count_ones()).sum()
+}

@@ -1,0 +1,130 @@
+//! What happens to the keyframes while frames are taken: the values that a map is made of.
+
+use super::Odometry;
+use super::keyframe::Keyframe;
+use crate::geometry::GroundPose;
+use crate::image::GrayImage;
+use crate::mapping::plane_motion::{motion_covariance, seen_from};
+use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
+use nalgebra::Matrix6;
+
+/// Something that happened to the keyframes.
+#[derive(Debug, Clone, PartialEq)]
+pub enum KeyframeEvent {
+    /// A frame became a keyframe.
+    Made(Box<NewKeyframe>),
+    /// The camera came back to one of the last keyframes, which was measured again: a loop.
+    Revisited(MapEdge),
+}
+
+/// A frame that became a keyframe.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewKeyframe {
+    /// Its number in this run, from 0.
+    pub id: KeyframeId,
+    /// Which of the frames that the pipeline took it was, from 0.
+    pub frame: u64,
+    /// Its time, seconds.
+    pub time_s: f64,
+    /// Number of gaps before it.
+    pub segment: usize,
+    /// Where odometry puts it.
+    pub pose: GroundPose,
+    /// Covariance of the pose against the start of the run, (x, y, heading, height, roll, pitch).
+    pub covariance: Matrix6<f64>,
+    /// How it lies to the keyframe it was measured against, or, after a gap, to the last one before; the first of all lies to none.
+    pub tie: Option<MapEdge>,
+    /// What it shows.
+    pub image: GrayImage,
+}
+
+/// What the last frame was measured against.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameReference {
+    /// The keyframe it was measured against; itself where it is the first of all.
+    pub keyframe: KeyframeId,
+    /// Where another keyframe serves from here on: which, and this frame's pose as that one has it.
+    pub next: Option<(KeyframeId, GroundPose)>,
+}
+
+/// How a keyframe is tied to the one before it.
+pub(super) struct Before {
+    pub id: KeyframeId,
+    pub pose: GroundPose,
+    /// Of the new keyframe's pose given the one before, in the world's axes.
+    pub covariance: Matrix6<f64>,
+    pub kind: EdgeKind,
+}
+
+impl Odometry {
+    /// From here on what happens to the keyframes is kept for [`Odometry::take_keyframe_events`], which must then be called after every frame.
+    pub fn tell_keyframes(&mut self) {
+        self.events.get_or_insert_default();
+    }
+
+    /// What happened to the keyframes since this was asked last, in order; nothing without [`Odometry::tell_keyframes`].
+    pub fn take_keyframe_events(&mut self) -> Vec<KeyframeEvent> {
+        self.events.as_mut().map(std::mem::take).unwrap_or_default()
+    }
+
+    /// What the last frame was measured against; `None` where it was lost.
+    pub fn reference(&self) -> Option<FrameReference> {
+        self.reference
+    }
+
+    /// Takes a keyframe into use: gives it its number, and tells it.
+    pub(super) fn number(
+        &mut self,
+        keyframe: &mut Keyframe,
+        (frame, time_s): (u64, f64),
+        before: Option<Before>,
+    ) {
+        let id = KeyframeId(self.keyframes);
+        self.keyframes += 1;
+        keyframe.id = Some(id);
+        let Some(events) = &mut self.events else { return };
+        let tie = before.map(|before| MapEdge {
+            from: before.id,
+            to: id,
+            kind: before.kind,
+            motion: seen_from(&before.pose, &keyframe.pose),
+            covariance: motion_covariance(&before.pose, &keyframe.pose, &before.covariance),
+        });
+        events.push(KeyframeEvent::Made(Box::new(NewKeyframe {
+            id,
+            frame,
+            time_s,
+            segment: self.segment,
+            pose: keyframe.pose,
+            covariance: keyframe.covariance,
+            tie,
+            image: keyframe.pyramid.base().clone(),
+        })));
+    }
+
+    /// Tells that a frame was measured against both the present keyframe and an older one.
+    pub(super) fn tell_revisit(
+        &mut self,
+        old: &Keyframe,
+        by_present: (&GroundPose, &Matrix6<f64>),
+        by_old: (&GroundPose, &Matrix6<f64>),
+    ) {
+        let (Some(events), Some(present)) = (&mut self.events, &self.keyframe) else { return };
+        let (Some(from), Some(to)) = (present.id, old.id) else { return };
+        // Where the old one is if the frame is where the present one has it.
+        let frame_in_old = seen_from(by_old.0, &old.pose);
+        let moved = crate::mapping::plane_motion::laid_from(by_present.0, &frame_in_old, 1.0);
+        // Both measurements of the frame; a heading that is off swings the old one about the frame.
+        let mut swing = Matrix6::identity();
+        let (dx, dy) = (old.pose.x_m - by_old.0.x_m, old.pose.y_m - by_old.0.y_m);
+        (swing[(0, 2)], swing[(1, 2)]) = (-dy, dx);
+        let covariance = swing * (by_present.1 + by_old.1) * swing.transpose();
+        events.push(KeyframeEvent::Revisited(MapEdge {
+            from,
+            to,
+            kind: EdgeKind::Loop,
+            motion: seen_from(&present.pose, &moved),
+            covariance: motion_covariance(&present.pose, &moved, &covariance),
+        }));
+    }
+}

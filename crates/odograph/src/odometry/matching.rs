@@ -1,0 +1,183 @@
+//! One keyframe found in the picture of another: what a loop is verified with. The same tracker and the same planar pose that odometry
+//! measures frames with, and the same coarse registration that brings it back after a loss.
+
+use super::OdometryConfig;
+use super::follow::{self, Measurement};
+use super::keyframe::{GRID, Keyframe, grid_rays, seen_share};
+use crate::camera::Camera;
+use crate::geometry::{GroundPose, Ray};
+use crate::image::{GrayImage, Pyramid};
+use crate::mapping::places::{PlacesConfig, Signature};
+use crate::mapping::plane_motion::{laid_from, motion_covariance, seen_from};
+use crate::motion::ViewingPose;
+use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random, RigWander};
+use nalgebra::{Matrix4, Matrix6, Vector4};
+
+/// A keyframe whose corners are looked for.
+#[derive(Debug)]
+pub struct Sought {
+    keyframe: Keyframe,
+}
+
+impl Sought {
+    /// What it is recognised by.
+    pub fn signature(&self, camera: &Camera, config: &PlacesConfig) -> Signature {
+        Signature::of(&self.keyframe.pyramid, camera, &self.keyframe.pose, config)
+    }
+}
+
+/// A keyframe in whose picture they are looked for.
+#[derive(Debug)]
+pub struct Pictured {
+    pyramid: Pyramid,
+    /// Height, roll and pitch are what they were; where it is does not matter.
+    pose: GroundPose,
+    view: Option<GroundView>,
+}
+
+/// One keyframe as another sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    /// As [`crate::mapping::MapEdge::motion`].
+    pub motion: Vector4<f64>,
+    pub covariance: Matrix4<f64>,
+    /// Corners that agree, and how large a part of those that should be in view they are.
+    pub inliers: usize,
+    pub presence: f64,
+}
+
+/// Where one keyframe may be as another sees it, from the whole pictures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guess {
+    pub motion: Vector4<f64>,
+    pub score: f64,
+}
+
+/// Finds keyframes in each other.
+#[derive(Debug)]
+pub struct Matcher {
+    camera: Camera,
+    config: OdometryConfig,
+    registration: CoarseRegistration,
+    rays: [Option<Ray>; GRID * GRID],
+}
+
+impl Matcher {
+    pub fn new(camera: &Camera, config: &OdometryConfig) -> Self {
+        Self {
+            camera: camera.clone(),
+            config: config.for_camera(camera),
+            registration: CoarseRegistration::new(camera),
+            rays: grid_rays(camera),
+        }
+    }
+
+    /// Prepares a keyframe that was taken at a height, roll and pitch.
+    pub fn sought(&self, image: GrayImage, pose: &GroundPose) -> Sought {
+        let pyramid = Pyramid::new(image, self.config.flow.levels);
+        let here = at_origin(pose);
+        Sought {
+            keyframe: Keyframe::new(pyramid, here, Matrix6::zeros(), &self.camera, &self.config.detection),
+        }
+    }
+
+    /// Prepares a picture that was taken at a height, roll and pitch.
+    pub fn pictured(&self, image: GrayImage, pose: &GroundPose) -> Pictured {
+        let pyramid = Pyramid::new(image, self.config.flow.levels);
+        Pictured { pyramid, pose: at_origin(pose), view: None }
+    }
+
+    /// The part of a keyframe at height, roll and pitch of `from` that one at those of `to` has in view, seen at `motion`.
+    pub fn overlap(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> f64 {
+        let from = at_origin(from);
+        seen_share(&from, &self.rays, &self.camera, &ViewingPose::new(placed(&from, to, motion)))
+    }
+
+    /// Metres on the ground that a pixel in the middle of an image covers.
+    pub fn pixel_m(&self, pose: &GroundPose) -> f64 {
+        pose.height_m / self.camera.focal_px().0
+    }
+
+    /// The shorter side of what the camera sees of the ground, metres.
+    pub fn view_m(&self, pose: &GroundPose) -> f64 {
+        self.pixel_m(pose) * self.camera.width().min(self.camera.height()) as f64
+    }
+
+    /// Finds a keyframe's corners in the picture of another that is seen at `motion`, off by no more than `off_px` in the image. `None` where they
+    /// are not there, or too few.
+    pub fn find(
+        &self,
+        sought: &Sought,
+        pictured: &Pictured,
+        motion: &Vector4<f64>,
+        off_px: f64,
+    ) -> Option<Sighting> {
+        let keyframe = &sought.keyframe;
+        let prediction = placed(&keyframe.pose, &pictured.pose, motion);
+        let (camera, config) = (&self.camera, &self.config);
+        // Height and tilt of both are known; where the recording shows otherwise the prior opens.
+        let wander = RigWander::new(&prediction);
+        let mut random = Random::new(0);
+        let mut measure = |off_px: f64| {
+            follow::measure_near(
+                keyframe,
+                &pictured.pyramid,
+                camera,
+                &prediction,
+                off_px,
+                config,
+                &wander,
+                &mut random,
+            )
+        };
+        let first = measure(off_px).ok()?;
+        let found = follow::confirm(keyframe, &pictured.pyramid, camera, first, config, &wander, &mut random);
+        self.sighting(keyframe, &found)
+    }
+
+    fn sighting(&self, keyframe: &Keyframe, found: &Measurement) -> Option<Sighting> {
+        let pose = &found.estimate.pose;
+        let sighting = Sighting {
+            motion: seen_from(&keyframe.pose, pose),
+            covariance: motion_covariance(&keyframe.pose, pose, &found.estimate.covariance),
+            inliers: found.estimate.inlier_count(),
+            presence: follow::presence(keyframe, &self.camera, &found),
+        };
+        sighting.motion.iter().all(|value| value.is_finite()).then_some(sighting)
+    }
+
+    /// Where a keyframe may be as another sees it, turned about as in `motion` or off by no more than `heading_off_rad`: the whole pictures
+    /// compared, the best guess first.
+    pub fn guess(
+        &self,
+        sought: &mut Sought,
+        pictured: &mut Pictured,
+        motion: &Vector4<f64>,
+        heading_off_rad: f64,
+    ) -> Vec<Guess> {
+        sought.keyframe.prepare_view(&self.registration);
+        if pictured.view.is_none() {
+            pictured.view = self.registration.view(&pictured.pyramid, &pictured.pose);
+        }
+        let (Some(from), Some(to)) = (sought.keyframe.view(), &pictured.view) else { return Vec::new() };
+        let scale_free = matches!(self.config.motion.model, MotionModel::Similarity | MotionModel::Free);
+        let options =
+            CoarseOptions { heading_rad: (motion[2], heading_off_rad), scale_free, ..Default::default() };
+        let here = &sought.keyframe.pose;
+        let guess = |hypothesis: crate::motion::Hypothesis| Guess {
+            motion: seen_from(here, &hypothesis.pose(here, &pictured.pose)),
+            score: hypothesis.score,
+        };
+        self.registration.register(from, to, &options).into_iter().map(guess).collect()
+    }
+}
+
+fn at_origin(pose: &GroundPose) -> GroundPose {
+    GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*pose }
+}
+
+/// Where a camera with height, roll and pitch of `to` is that `from` sees at `motion`.
+fn placed(from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> GroundPose {
+    let laid = laid_from(from, motion, 1.0);
+    GroundPose { roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..laid }
+}

@@ -1,0 +1,88 @@
+//! Other sensors in the map: the path that they have set right is what the loops then pull at.
+
+use super::Mapper;
+use crate::geometry::GroundPose;
+use crate::mapping::plane_motion::seen_from;
+use crate::mapping::{EdgeKind, KeyframeId};
+use crate::odometry::FrameReference;
+use crate::trajectory::{FrameEstimate, PoseEstimate};
+use std::collections::BTreeMap;
+
+impl Mapper {
+    /// Takes over the odometry frame as other sensors have set it right: `fused` are the frames `raw` thereafter. Keyframes move with the frames
+    /// measured against them, odometry and gap edges follow, and loops keep what was seen, in the new scale. The references are brought into the
+    /// new frame too. To be called once, before [`Mapper::finish`].
+    pub fn take_over(
+        &mut self,
+        raw: &[FrameEstimate],
+        fused: &[FrameEstimate],
+        references: &mut [Option<FrameReference>],
+    ) {
+        let mut moves: BTreeMap<KeyframeId, Moved> = BTreeMap::new();
+        for ((raw, fused), reference) in raw.iter().zip(fused).zip(references.iter_mut()) {
+            let (Some(from), Some(to), Some(reference)) = (&raw.estimate, &fused.estimate, reference) else {
+                continue;
+            };
+            let moved = Moved { from: measured(from), to: measured(to) };
+            moves.entry(reference.keyframe).or_insert(moved);
+            if let Some((id, pose)) = &mut reference.next {
+                // A keyframe that this frame became lies with it; one that was taken up again where it always lay.
+                let by = *moves.entry(*id).or_insert(moved);
+                *pose = by.of(pose);
+            }
+        }
+        let before: BTreeMap<KeyframeId, GroundPose> =
+            self.map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.odometry_pose)).collect();
+        for keyframe in &mut self.map.keyframes {
+            if let Some(moved) = moves.get(&keyframe.id) {
+                keyframe.odometry_pose = moved.of(&keyframe.odometry_pose);
+                keyframe.pose = moved.of(&keyframe.pose);
+            }
+        }
+        let now: BTreeMap<KeyframeId, GroundPose> =
+            self.map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.odometry_pose)).collect();
+        for edge in &mut self.map.edges {
+            let (Some(from), Some(to), Some(was)) =
+                (now.get(&edge.from), now.get(&edge.to), before.get(&edge.from))
+            else {
+                continue;
+            };
+            if edge.kind == EdgeKind::Loop {
+                let scale = from.height_m / was.height_m;
+                edge.motion[0] *= scale;
+                edge.motion[1] *= scale;
+            } else {
+                edge.motion = seen_from(from, to);
+            }
+        }
+        self.rebuild();
+    }
+}
+
+fn measured(known: &PoseEstimate) -> GroundPose {
+    let plane = &known.measured;
+    GroundPose { x_m: plane.x_m, y_m: plane.y_m, heading_rad: plane.heading_rad, ..known.pose }
+}
+
+/// Where a frame was and where it is: what lies to it moves along.
+#[derive(Debug, Clone, Copy)]
+struct Moved {
+    from: GroundPose,
+    to: GroundPose,
+}
+
+impl Moved {
+    fn of(&self, pose: &GroundPose) -> GroundPose {
+        let turn_rad = self.to.heading_rad - self.from.heading_rad;
+        let scale = self.to.height_m / self.from.height_m;
+        let (sin, cos) = turn_rad.sin_cos();
+        let (dx, dy) = (pose.x_m - self.from.x_m, pose.y_m - self.from.y_m);
+        GroundPose {
+            x_m: self.to.x_m + scale * (cos * dx - sin * dy),
+            y_m: self.to.y_m + scale * (sin * dx + cos * dy),
+            heading_rad: pose.heading_rad + turn_rad,
+            height_m: pose.height_m * scale,
+            ..*pose
+        }
+    }
+}

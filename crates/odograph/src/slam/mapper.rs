@@ -1,0 +1,410 @@
+//! The mapper: keyframes go in as they are made, loops are found, and the map is kept straight.
+
+use super::SlamConfig;
+use super::candidates::{self, Strength};
+use super::closure::{self, LoopClosure};
+use super::images::KeyframeStore;
+use super::recognition::{recognise, the_other_way};
+use crate::camera::{Camera, Rig};
+use crate::error::Result;
+use crate::geometry::GroundPose;
+use crate::image::RgbImage;
+use crate::mapping::graph::{Heights, PoseGraph};
+use crate::mapping::places::{PlaceIndex, PlacesConfig, Signature};
+use crate::mapping::plane_motion::{laid_from, seen_from};
+use crate::mapping::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, MapEdge, MapKeyframe};
+use crate::motion::MotionModel;
+use crate::odometry::matching::{Matcher, Pictured, Sought};
+use crate::odometry::{KeyframeEvent, NewKeyframe, OdometryConfig};
+use nalgebra::Matrix6;
+use std::collections::BTreeMap;
+
+/// Makes the map of keyframes. What comes out depends on what goes in alone.
+#[derive(Debug)]
+pub struct Mapper {
+    config: SlamConfig,
+    heights: Heights,
+    matcher: Matcher,
+    graph: PoseGraph,
+    places: PlaceIndex,
+    places_config: PlacesConfig,
+    pub(super) map: GroundMap,
+    /// Where in the map each keyframe is.
+    index: BTreeMap<KeyframeId, usize>,
+    closures: Vec<LoopClosure>,
+    /// Sightings for which one is not enough.
+    pending: Vec<LoopClosure>,
+    /// Loops since the last optimisation.
+    unsettled: usize,
+    /// The run that is being mapped, and what its keyframes' numbers begin with.
+    session: u32,
+    first: u64,
+}
+
+/// An optimisation while running takes at most so many steps: what is left, the next brings.
+const STEPS_ON_THE_WAY: usize = 2;
+
+/// At the end there is time.
+const STEPS_AT_THE_END: usize = 60;
+
+/// A loop that misses by more than this many variances is worth an optimisation at once.
+const MISFIT: f64 = 9.0;
+
+/// Two sightings speak for each other only when they are of different ground: so many views apart at least.
+const APART_VIEWS: f64 = 0.3;
+
+/// Sightings that found no second are forgotten beyond this number, the oldest first.
+const MOST_PENDING: usize = 16;
+
+impl Mapper {
+    /// A mapper without a map yet.
+    pub fn new(camera: &Camera, rig: Rig, odometry: &OdometryConfig, config: SlamConfig) -> Self {
+        let heights = match odometry.motion.model {
+            MotionModel::Similarity | MotionModel::Free => Heights::Free,
+            _ => Heights::Held,
+        };
+        let height_m = rig.first_pose().height_m;
+        let places_config = PlacesConfig::new(camera, height_m);
+        Self {
+            heights,
+            matcher: Matcher::new(camera, odometry),
+            graph: PoseGraph::new(heights, height_m),
+            places: PlaceIndex::new(&places_config),
+            places_config,
+            session: 0,
+            first: 0,
+            map: GroundMap { camera: camera.clone(), rig, keyframes: Vec::new(), edges: Vec::new() },
+            index: BTreeMap::new(),
+            closures: Vec::new(),
+            pending: Vec::new(),
+            unsettled: 0,
+            // A mean vector knows no heading, so nothing that it comes back to fits.
+            config: SlamConfig {
+                loops: config.loops && odometry.motion.model != MotionModel::Mean,
+                ..config
+            },
+        }
+    }
+
+    /// A mapper that continues a map, whose keyframes' images are where those of the new ones will be. The new session's keyframes are numbered
+    /// from `first`, and it is run number `session`; its poses are in the frame of the map as soon as it is recognised ([`Mapper::is_recognised`]).
+    pub fn continuing(
+        map: GroundMap,
+        odometry: &OdometryConfig,
+        config: SlamConfig,
+        session: u32,
+        first: KeyframeId,
+    ) -> Self {
+        let mut mapper = Self::new(&map.camera.clone(), map.rig, odometry, config);
+        mapper.session = session;
+        mapper.first = first.0;
+        for (at, keyframe) in map.keyframes.iter().enumerate() {
+            mapper.index.insert(keyframe.id, at);
+            mapper.places.insert(keyframe.id, &keyframe.signature);
+        }
+        mapper.map = map;
+        mapper.rebuild();
+        mapper
+    }
+
+    /// Whether the session's keyframes are tied to the map that it continues; always where it continues none.
+    pub fn is_recognised(&self) -> bool {
+        let new = self.map.keyframes.iter().find(|keyframe| keyframe.session == self.session);
+        match (self.map.keyframes.first(), new) {
+            (Some(old), Some(new)) => old.id == new.id || self.graph.are_connected(old.id, new.id),
+            _ => true,
+        }
+    }
+
+    /// The run that is being mapped, from 0.
+    pub fn session(&self) -> u32 {
+        self.session
+    }
+
+    /// Takes what happened to a keyframe. Fails where an image cannot be kept or read.
+    ///
+    /// `color` is the picture of a new keyframe's frame, where the source has colour and that frame is at hand.
+    pub fn take(
+        &mut self,
+        event: KeyframeEvent,
+        color: Option<RgbImage>,
+        images: &mut dyn KeyframeStore,
+    ) -> Result<()> {
+        match event {
+            KeyframeEvent::Made(new) => {
+                let new = *new;
+                let sought = self.matcher.sought(new.image.clone(), &new.pose);
+                let signature = sought.signature(&self.map.camera, &self.places_config);
+                let id = self.insert(&new, signature);
+                let ties: Vec<MapEdge> = new.tie.map(|tie| self.renumbered(tie)).into_iter().collect();
+                if let Some(keyframe) = self.keyframe(id) {
+                    images.keep(keyframe, KeyframeImage { gray: new.image, color }, &ties)?;
+                }
+                if self.config.loops {
+                    self.close_loops(id, sought, images)?;
+                }
+                if let Some(keyframe) = self.index.get(&id).map(|&at| &self.map.keyframes[at]) {
+                    self.places.insert(id, &keyframe.signature);
+                }
+            }
+            KeyframeEvent::Revisited(edge) if self.config.loops => {
+                let edge = self.renumbered(edge);
+                self.add(edge, images)?;
+            }
+            KeyframeEvent::Revisited(_) => {}
+        }
+        if self.unsettled > 0 && self.is_due() {
+            self.settle(STEPS_ON_THE_WAY);
+        }
+        Ok(())
+    }
+
+    /// Ends the session: every pose is where all edges agree best, with its covariance.
+    pub fn finish(&mut self) {
+        self.settle(STEPS_AT_THE_END);
+        if !self.is_straightened() {
+            return;
+        }
+        let covariances = self.graph.covariances();
+        let found: BTreeMap<KeyframeId, _> = self.graph.poses().map(|(id, _)| id).zip(covariances).collect();
+        for keyframe in &mut self.map.keyframes {
+            let Some(covariance) = found.get(&keyframe.id) else { continue };
+            let height_m = keyframe.pose.height_m;
+            let tilt = keyframe.covariance.fixed_view::<2, 2>(4, 4).into_owned();
+            let height_variance = keyframe.covariance[(3, 3)];
+            let mut whole = Matrix6::zeros();
+            let mut by_height = nalgebra::Matrix4::identity();
+            by_height[(3, 3)] = height_m;
+            whole.fixed_view_mut::<4, 4>(0, 0).copy_from(&(by_height * covariance * by_height));
+            if whole[(3, 3)] == 0.0 {
+                whole[(3, 3)] = height_variance; // held by the rig, or what odometry knows of it
+            }
+            whole.fixed_view_mut::<2, 2>(4, 4).copy_from(&tilt);
+            keyframe.covariance = whole;
+        }
+    }
+
+    /// The map as it is.
+    pub fn map(&self) -> &GroundMap {
+        &self.map
+    }
+
+    /// The loops that were closed, in order; those that odometry closed by itself are not among them.
+    pub fn closures(&self) -> &[LoopClosure] {
+        &self.closures
+    }
+
+    /// Whether loops have moved anything: without them the map frame is the odometry frame.
+    pub fn is_straightened(&self) -> bool {
+        self.map.edges.iter().any(|edge| edge.kind == EdgeKind::Loop)
+    }
+
+    /// The turn per metre ahead and to the left that the loops have shown the mount to make, radians.
+    pub fn turn_per_m(&self) -> (f64, f64) {
+        self.graph.turn_per_m()
+    }
+
+    /// Where a pose that was measured against a keyframe is in the map as known now; `None` where there is no such keyframe.
+    pub fn in_map(&self, keyframe: KeyframeId, odometry: &GroundPose) -> Option<GroundPose> {
+        let keyframe = self.of_run(keyframe)?;
+        if keyframe.pose == keyframe.odometry_pose {
+            return Some(*odometry);
+        }
+        let scale = keyframe.pose.height_m / keyframe.odometry_pose.height_m;
+        let laid = laid_from(&keyframe.pose, &seen_from(&keyframe.odometry_pose, odometry), scale);
+        let turned = keyframe.pose.heading_rad - keyframe.odometry_pose.heading_rad;
+        Some(GroundPose {
+            // Whole turns are kept.
+            heading_rad: odometry.heading_rad + turned,
+            roll_rad: odometry.roll_rad,
+            pitch_rad: odometry.pitch_rad,
+            ..laid
+        })
+    }
+
+    /// A keyframe by its number in the run.
+    pub(super) fn of_run(&self, id: KeyframeId) -> Option<&MapKeyframe> {
+        self.keyframe(KeyframeId(self.first + id.0))
+    }
+
+    /// An edge between keyframes of the run, with their numbers in the map.
+    fn renumbered(&self, edge: MapEdge) -> MapEdge {
+        let [from, to] = [edge.from, edge.to].map(|id| KeyframeId(self.first + id.0));
+        MapEdge { from, to, ..edge }
+    }
+
+    /// The graph anew from the map.
+    pub(super) fn rebuild(&mut self) {
+        self.graph = PoseGraph::new(self.heights, self.map.rig.first_pose().height_m);
+        for keyframe in &self.map.keyframes {
+            self.graph.insert(keyframe.id, keyframe.pose, keyframe.odometry_pose.height_m);
+        }
+        for edge in &self.map.edges {
+            self.graph.tie(edge);
+        }
+    }
+
+    fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
+        self.index.get(&id).map(|&at| &self.map.keyframes[at])
+    }
+
+    /// Lays a new keyframe in the map, where the one it was measured against has it.
+    fn insert(&mut self, new: &NewKeyframe, signature: Signature) -> KeyframeId {
+        let id = KeyframeId(self.first + new.id.0);
+        let pose = match &new.tie {
+            Some(tie) if self.is_straightened() => self.in_map(tie.from, &new.pose).unwrap_or(new.pose),
+            _ => new.pose,
+        };
+        self.graph.insert(id, pose, new.pose.height_m);
+        self.index.insert(id, self.map.keyframes.len());
+        self.map.keyframes.push(MapKeyframe {
+            id,
+            session: self.session,
+            segment: new.segment,
+            frame: new.frame,
+            time_s: new.time_s,
+            odometry_pose: new.pose,
+            pose,
+            covariance: new.covariance,
+            signature,
+        });
+        if let Some(tie) = new.tie.map(|tie| self.renumbered(tie)) {
+            self.graph.tie(&tie);
+            self.map.edges.push(tie);
+        }
+        id
+    }
+
+    /// Compares a new keyframe with the older ones that it may show again: those that are near, and where that is not sure, those that look like it.
+    fn close_loops(
+        &mut self,
+        new: KeyframeId,
+        mut sought: Sought,
+        images: &mut dyn KeyframeStore,
+    ) -> Result<()> {
+        let near = {
+            let known = |id: KeyframeId| self.keyframe(id).map(|keyframe| keyframe.odometry_pose);
+            candidates::candidates(&self.graph, new, &known, &self.matcher, &self.config)
+        };
+        let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);
+        for candidate in sure.take(self.config.comparisons) {
+            let Some(mut pictured) = self.pictured(candidate.id, images)? else { continue };
+            let closure =
+                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+            if let Some(closure) = closure {
+                return self.accept(closure, images);
+            }
+        }
+        let recognised = {
+            let Some(keyframe) = self.keyframe(new) else { return Ok(()) };
+            let here = (new, &keyframe.odometry_pose);
+            let least = self.config.least_edges;
+            recognise(&self.places, &keyframe.signature, &self.graph, here, least, &self.matcher)
+        };
+        for place in recognised.iter().take(self.config.comparisons) {
+            let Some(pictured) = self.pictured(place.id, images)? else { continue };
+            let closure =
+                closure::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
+            match closure {
+                Some(closure) if place.stands_alone() => return self.accept(closure, images),
+                Some(closure) => return self.support(closure, images),
+                None => {}
+            }
+        }
+        // The whole pictures compared take longest: only where place is nearly known and appearance did not tell.
+        let doubtful = near.iter().find(|candidate| candidate.prior.strength == Strength::Doubtful);
+        if let Some(candidate) = doubtful
+            && let Some(mut pictured) = self.pictured(candidate.id, images)?
+        {
+            let closure =
+                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+            if let Some(closure) = closure {
+                self.accept(closure, images)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn pictured(&self, id: KeyframeId, images: &mut dyn KeyframeStore) -> Result<Option<Pictured>> {
+        let Some(pose) = self.keyframe(id).map(|old| old.odometry_pose) else { return Ok(None) };
+        Ok(Some(self.matcher.pictured(images.load(id)?.gray, &pose)))
+    }
+
+    /// Accepts a sighting that alone is not enough together with one before that speaks for the same.
+    fn support(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
+        let second = self.pending.iter().position(|other| self.agree(other, &closure));
+        if let Some(at) = second {
+            let first = self.pending.remove(at);
+            self.accept(first, images)?;
+            self.settle(STEPS_ON_THE_WAY);
+            return self.accept(closure, images);
+        }
+        self.pending.push(closure);
+        if self.pending.len() > MOST_PENDING {
+            self.pending.remove(0);
+        }
+        Ok(())
+    }
+
+    /// Whether two sightings of different ground say the same about the map: with the first in it, the second is where it should be.
+    fn agree(&self, first: &LoopClosure, second: &LoopClosure) -> bool {
+        let (a, b) = (&first.edge, &second.edge);
+        let [Some(here), Some(there)] = [a.from, b.from].map(|id| self.keyframe(id).map(|k| k.odometry_pose))
+        else {
+            return false;
+        };
+        let view_m = self.matcher.view_m(&here);
+        if (here.x_m - there.x_m).hypot(here.y_m - there.y_m) < APART_VIEWS * view_m {
+            return false;
+        }
+        let way = |from: KeyframeId, to: KeyframeId| {
+            let reached = self.graph.reach(from)?.find(|reached| reached.id == to)?;
+            (!reached.across_gap).then_some((reached.motion, reached.covariance))
+        };
+        let (Some(back), Some(on)) = (way(b.from, a.from), way(a.to, b.to)) else { return false };
+        let composed = closure::composed(&[back, (a.motion, a.covariance), on]);
+        closure::agrees(b, &composed, view_m)
+    }
+
+    fn accept(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
+        let edge = closure.edge;
+        if let Some(old) = self.graph.pose(edge.to) {
+            // A part that nothing measured connects comes to where it is seen.
+            let scale = self.keyframe(edge.to).map_or(1.0, |k| k.pose.height_m / k.odometry_pose.height_m);
+            let seen = laid_from(&old, &the_other_way(&edge.motion), scale);
+            self.graph.bring(edge.from, &seen, edge.to);
+        }
+        self.closures.push(closure);
+        self.add(edge, images)
+    }
+
+    fn add(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
+        if !self.graph.tie(&edge) {
+            return Ok(());
+        }
+        self.map.edges.push(edge);
+        self.unsettled += 1;
+        images.tie(&edge)
+    }
+
+    /// Whether the loops since the last optimisation are worth one: where they show the path to be bent, and otherwise in proportion to the map.
+    fn is_due(&self) -> bool {
+        let last = self.map.edges.iter().rev().filter(|edge| edge.kind == EdgeKind::Loop);
+        let bent = last.take(1).any(|edge| self.graph.misfit(edge).is_some_and(|misfit| misfit > MISFIT));
+        bent || 20 * self.unsettled > self.map.keyframes.len()
+    }
+
+    /// Optimises, and takes the poses over into the map.
+    fn settle(&mut self, steps: usize) {
+        if !self.is_straightened() {
+            return;
+        }
+        self.graph.optimize(steps);
+        self.unsettled = 0;
+        for keyframe in &mut self.map.keyframes {
+            if let Some(pose) = self.graph.pose(keyframe.id) {
+                keyframe.pose = pose;
+            }
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Which older keyframes a new one shows, from what it looks like: where we are not sure where we are.
+
+use super::candidates::{Prior, Strength};
+use super::closure::{self, GATE};
+use crate::geometry::{GroundPose, wrap_angle};
+use crate::mapping::KeyframeId;
+use crate::mapping::graph::{PoseGraph, Reached};
+use crate::mapping::places::{PlaceHypothesis, PlaceIndex, Signature};
+use crate::mapping::plane_motion::laid_from;
+use crate::odometry::matching::Matcher;
+use nalgebra::Vector4;
+
+/// A place that looks like what the new keyframe shows.
+#[derive(Debug, Clone)]
+pub struct Recognised {
+    pub id: KeyframeId,
+    /// The older keyframe as the new one sees it.
+    pub motion: Vector4<f64>,
+    /// What else is known of where it is; `None` where nothing connects the two.
+    pub prior: Option<Prior>,
+}
+
+impl Recognised {
+    /// Whether a single sighting of it may be believed.
+    pub fn stands_alone(&self) -> bool {
+        self.prior.as_ref().is_some_and(|prior| prior.strength != Strength::Weak)
+    }
+}
+
+/// So many places are looked up.
+const MOST_PLACES: usize = 4;
+
+/// A second place with this part of the best one's score leaves it open which of them it is.
+const RIVAL_SCORE: f64 = 0.6;
+
+/// The places that a new keyframe may show, best first: those that look like it, are not just behind it, and are where the graph allows them.
+/// Where two different places look alike and the graph does not decide, none.
+pub fn recognise(
+    places: &PlaceIndex,
+    signature: &Signature,
+    graph: &PoseGraph,
+    new: (KeyframeId, &GroundPose),
+    least_edges: usize,
+    matcher: &Matcher,
+) -> Vec<Recognised> {
+    let hypotheses = places.query(signature, MOST_PLACES + least_edges);
+    let view_m = matcher.view_m(new.1);
+    let mut open: Vec<KeyframeId> = hypotheses.iter().map(|found| found.keyframe).collect();
+    let mut reached: Vec<Reached> = Vec::new();
+    for one in graph.reach(new.0).into_iter().flatten() {
+        if open.is_empty() {
+            break;
+        }
+        if let Some(at) = open.iter().position(|id| *id == one.id) {
+            open.remove(at);
+            reached.push(one);
+        }
+    }
+    let mut found: Vec<(Recognised, &PlaceHypothesis)> = Vec::new();
+    for hypothesis in &hypotheses {
+        let there = reached.iter().find(|one| one.id == hypothesis.keyframe);
+        if hypothesis.keyframe == new.0 || there.is_some_and(|one| one.edges < least_edges) {
+            continue;
+        }
+        let motion = the_other_way(&hypothesis.motion);
+        let prior = there.map(|one| Prior::new(one.clone(), matcher, new.1));
+        let possible = prior.as_ref().is_none_or(|prior| {
+            closure::squared(&motion, &prior.reached.covariance, &prior.reached.motion) < 4.0 * GATE
+        });
+        if possible {
+            found.push((Recognised { id: hypothesis.keyframe, motion, prior }, hypothesis));
+        }
+    }
+    // Where the best would put the new keyframe, the others must too, or be far worse.
+    let place = |(recognised, hypothesis): &(Recognised, &PlaceHypothesis)| {
+        graph.pose(recognised.id).map(|pose| laid_from(&pose, &hypothesis.motion, 1.0))
+    };
+    let Some(best) = found.first() else { return Vec::new() };
+    let (Some(here), score) = (place(best), best.1.score) else { return Vec::new() };
+    let rival = found.iter().skip(1).filter(|other| !other.0.stands_alone()).any(|other| {
+        other.1.score >= RIVAL_SCORE * score
+            && place(other).is_some_and(|there| {
+                (here.x_m - there.x_m).hypot(here.y_m - there.y_m) > 0.25 * view_m
+                    || wrap_angle(here.heading_rad - there.heading_rad).abs() > 0.3
+            })
+    });
+    let keep = |one: &(Recognised, &PlaceHypothesis)| one.0.stands_alone() || (!rival && one.1.is_sure());
+    found.into_iter().filter(keep).map(|(recognised, _)| recognised).take(MOST_PLACES).collect()
+}
+
+/// The first as the second sees it, from the second as the first sees it.
+pub fn the_other_way(motion: &Vector4<f64>) -> Vector4<f64> {
+    let (sin, cos) = motion[2].sin_cos();
+    let per = (-motion[3]).exp();
+    Vector4::new(
+        -per * (cos * motion[0] + sin * motion[1]),
+        -per * (cos * motion[1] - sin * motion[0]),
+        -motion[2],
+        -motion[3],
+    )
+}
