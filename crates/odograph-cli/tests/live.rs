@@ -284,7 +284,7 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     browser.press(&page, " ");
     let half = "const time = document.getElementById('time'); time.value = time.max / 2 | 0; time.dispatchEvent(new Event('input'))";
     browser.evaluate(&page, half);
-    browser.wait(&page, &format!("document.body.dataset.at == ({frames} - 1) / 2 | 0"));
+    browser.wait(&page, &format!("document.body.dataset.at == (({frames} - 1) / 2 | 0)"));
     // Where the page says the camera was is where the trajectory says it was.
     let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
     let at = (frames.as_u64().unwrap() as usize - 1) / 2;

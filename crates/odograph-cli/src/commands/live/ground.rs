@@ -16,7 +16,7 @@ enum State {
     Growing(Box<Laying>),
     /// Taken for writing.
     Away,
-    Finished(Mosaic),
+    Finished(Box<Mosaic>),
 }
 
 impl LiveGround {
@@ -39,14 +39,14 @@ impl LiveGround {
     pub fn finish(&self) -> (Mosaic, Vec<Duration>) {
         match std::mem::replace(&mut *self.state(), State::Away) {
             State::Growing(laying) => laying.finished(),
-            State::Finished(mosaic) => (mosaic, Vec::new()),
+            State::Finished(mosaic) => (*mosaic, Vec::new()),
             State::Away => (Mosaic::new(Default::default()), Vec::new()),
         }
     }
 
     /// Gives the finished ground back to those who look.
     pub fn show(&self, mosaic: Mosaic) {
-        *self.state() = State::Finished(mosaic);
+        *self.state() = State::Finished(Box::new(mosaic));
     }
 
     fn with<T>(&self, look: impl FnOnce(&Mosaic) -> T) -> Option<T> {
