@@ -23,6 +23,9 @@ struct Arguments {
 enum Command {
     Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
+    Live(commands::live::LiveArguments),
+    View(commands::view::ViewArguments),
+    Cameras(commands::cameras::CamerasArguments),
     Localize(commands::localize::LocalizeArguments),
     Simulate(commands::simulate::SimulateArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
@@ -52,6 +55,9 @@ fn main() -> ExitCode {
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),
+        Command::Live(arguments) => commands::live::live(arguments),
+        Command::View(arguments) => commands::view::view(arguments),
+        Command::Cameras(arguments) => commands::cameras::cameras(arguments),
         Command::Localize(arguments) => commands::localize::localize(arguments),
         Command::Simulate(arguments) => commands::simulate::simulate(arguments),
         Command::Evaluate(arguments) => commands::evaluate::evaluate(arguments),

@@ -42,8 +42,8 @@ fn random(state: &mut u64) -> f64 {
 /// Three lanes of eight views, half of each overlapping the next, a third the next lane's.
 fn lanes() -> Vec<GroundPose> {
     let pose = |k: usize| {
-        let (lane, step) = (k / 8, if k / 8 % 2 == 0 { k % 8 } else { 7 - k % 8 });
-        let heading_rad = if lane % 2 == 0 { 0.02 } else { std::f64::consts::PI - 0.03 };
+        let (lane, step) = (k / 8, if (k / 8).is_multiple_of(2) { k % 8 } else { 7 - k % 8 });
+        let heading_rad = if lane.is_multiple_of(2_usize) { 0.02 } else { std::f64::consts::PI - 0.03 };
         GroundPose {
             x_m: 0.22 * step as f64,
             y_m: 0.4 * lane as f64,

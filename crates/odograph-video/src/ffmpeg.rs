@@ -31,6 +31,8 @@ const FORMATS: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p
 pub(crate) enum Content<'a> {
     /// A codec and its container, by name, and the number of frames where the container says it.
     Video { codec: &'a str, container: &'a str, frame_count: Option<u64> },
+    /// A stream from the network, that comes at its own pace.
+    Stream,
     /// No kind of file that is known here.
     Unknown,
 }
@@ -44,9 +46,20 @@ pub(crate) fn open(path: &Path, content: Content<'_>, color: bool) -> Result<Ope
     open_with(program(), path, content, color)
 }
 
+/// Opens a stream with ffmpeg: an `rtsp://` address.
+///
+/// # Errors
+/// As [`open`].
+pub(crate) fn open_stream(address: &str, color: bool) -> Result<Opened> {
+    open_with(program(), Path::new(address), Content::Stream, color)
+}
+
 fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color: bool) -> Result<Opened> {
     let Some(program) = program else {
         return Err(Error::input(match content {
+            Content::Stream => format!(
+                "an RTSP stream is read through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or use the camera's http:// address"
+            ),
             Content::Video { codec, container, .. } => format!(
                 "{codec} in {container} is decoded through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or convert the video to H.264"
             ),
@@ -57,6 +70,7 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
     };
     let fail = |why: &str| {
         Error::input(match content {
+            Content::Stream => format!("the stream cannot be read through ffmpeg: {why}"),
             Content::Video { codec, container, .. } => {
                 format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
             }
@@ -69,7 +83,7 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
     };
     // `-fps_mode` came with ffmpeg 5.1; before that it was `-vsync`.
     for passthrough in ["-fps_mode", "-vsync"] {
-        let mut process = Process::start(&program, path, passthrough, color)?;
+        let mut process = Process::start(&program, input(path, &content), passthrough, color)?;
         match process.receive() {
             Ok(Some(first)) => {
                 process.first = Some(first);
@@ -77,6 +91,7 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
                     Content::Video { codec, container, frame_count } => {
                         (format!("{codec} in {container}, through ffmpeg"), frame_count)
                     }
+                    Content::Stream => ("RTSP, through ffmpeg".to_string(), None),
                     Content::Unknown => ("video through ffmpeg".to_string(), None),
                 };
                 return Ok(Opened {
@@ -99,6 +114,35 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
         }
     }
     Err(fail("this version of ffmpeg is too old"))
+}
+
+/// What ffmpeg is told of its input. A file can name no others, and a stream no files: the whitelists see to that.
+fn input(path: &Path, content: &Content<'_>) -> Vec<OsString> {
+    let (options, place): (&[&str], _) = match content {
+        // Over TCP nothing is lost between cameras and here; nothing is kept back to play evenly, and little is looked at beforehand.
+        Content::Stream => (
+            &[
+                "-protocol_whitelist",
+                "rtsp,rtsps,tcp,tls,udp,rtp,crypto",
+                "-rtsp_transport",
+                "tcp",
+                "-fflags",
+                "nobuffer",
+                "-flags",
+                "low_delay",
+                "-analyzeduration",
+                "1000000",
+                "-i",
+            ],
+            path.as_os_str().to_owned(),
+        ),
+        _ => {
+            let mut file = OsString::from("file:");
+            file.push(path);
+            (&["-protocol_whitelist", "file", "-i"], file)
+        }
+    };
+    options.iter().map(OsString::from).chain([place]).collect()
 }
 
 /// The program to run, if there is one.
@@ -136,13 +180,9 @@ struct Messages {
 }
 
 impl Process {
-    fn start(program: &Path, path: &Path, passthrough: &str, color: bool) -> Result<Self> {
-        let mut input = OsString::from("file:");
-        input.push(path);
+    fn start(program: &Path, input: Vec<OsString>, passthrough: &str, color: bool) -> Result<Self> {
         let mut command = bounded(program);
-        command
-            .args(["-nostdin", "-hide_banner", "-v", "error", "-copyts", "-protocol_whitelist", "file", "-i"])
-            .arg(input);
+        command.args(["-nostdin", "-hide_banner", "-v", "error", "-copyts"]).args(input);
         command.args(["-map", "0:v:0", passthrough, "passthrough", "-vf", FORMATS]);
         command.args(["-strict", "-1", "-f", "yuv4mpegpipe", "pipe:1"]);
         command.args([
@@ -361,6 +401,16 @@ mod tests {
     use super::*;
 
     const AV1: Content<'_> = Content::Video { codec: "AV1", container: "Matroska", frame_count: None };
+
+    #[test]
+    fn a_stream_without_ffmpeg_is_told_and_can_name_no_file() {
+        let text = refusal(None, "rtsp://camera/1", Content::Stream);
+        assert!(text.contains("RTSP") && text.contains("install ffmpeg"), "{text}");
+        let options = input(Path::new("rtsp://camera/1"), &Content::Stream);
+        let allowed = options.iter().position(|option| option == "-protocol_whitelist").unwrap() + 1;
+        assert!(!options[allowed].to_string_lossy().contains("file"));
+        assert_eq!(options.last().unwrap(), "rtsp://camera/1");
+    }
 
     fn refusal(program: Option<PathBuf>, path: &str, content: Content<'_>) -> String {
         match open_with(program, Path::new(path), content, false) {

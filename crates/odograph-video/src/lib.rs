@@ -38,4 +38,4 @@ mod source;
 
 pub use frame::{Frame, Picture};
 pub use samples::SampleLayout;
-pub use source::{Source, SourceInfo, SourceOptions, open};
+pub use source::{Source, SourceInfo, SourceOptions, is_stream, open};

@@ -136,7 +136,7 @@ pub(crate) struct Opened {
     pub frames_per_second: Option<f64>,
 }
 
-/// Opens a recording: a video file, a folder of pictures, one picture, or `-` for Y4M from standard input.
+/// Opens a recording: a video file, a folder of pictures, one picture, `-` for Y4M from standard input, or an address `rtsp://…`.
 ///
 /// What a file is, is told from its bytes. The first frame is decoded at once, so that a source that cannot be decoded says
 /// so here.
@@ -168,7 +168,15 @@ fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
+/// Whether a source's name is the address of a stream, `rtsp://…`, which is read through ffmpeg and comes at its own pace.
+pub fn is_stream(name: &str) -> bool {
+    name.starts_with("rtsp://") || name.starts_with("rtsps://")
+}
+
 fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
+    if let Some(address) = path.to_str().filter(|name| is_stream(name)) {
+        return ffmpeg::open_stream(address, options.color);
+    }
     if path == Path::new("-") {
         return y4m::open(BufReader::with_capacity(1 << 18, std::io::stdin()), None, options.color);
     }

@@ -63,7 +63,7 @@ fn eight(_: u64) -> PathKind {
 }
 
 fn straight(_: u64) -> PathKind {
-    PathKind::Straight { length_m: 12.0 }
+    PathKind::Straight { length_m: 60.0 }
 }
 
 /// Ten turns about a corner of the image, another corner for every seed.

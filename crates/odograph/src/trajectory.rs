@@ -23,20 +23,29 @@ pub enum TrackStatus {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum LossReason {
-    /// Too little texture: hardly a corner to hold on to (blank floor, darkness, a hand over the lens).
+    /// Too little texture to follow (blank floor, a hand over the lens).
     Bare,
-    /// There are corners, but hardly any was found again (a cut, a jump, strong blur).
+    /// Nothing is seen for want of light.
+    Dark,
+    /// There is texture, but hardly any of the keyframe was found again (a cut, a jump).
     Jump,
+    /// Hardly any of the keyframe was found again because the image is so much less sharp.
+    Blur,
+    /// What was found again stands still in the image while the camera should have moved: the shadow or a part of its carrier.
+    Shadow,
     /// Corners were found again, but they do not move as one plane (moving objects, not a floor).
-    Disagreement,
+    NotPlanar,
 }
 
 impl fmt::Display for LossReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Bare => "bare",
+            Self::Dark => "dark",
             Self::Jump => "jump",
-            Self::Disagreement => "disagreement",
+            Self::Blur => "blur",
+            Self::Shadow => "shadow",
+            Self::NotPlanar => "not-planar",
         })
     }
 }

@@ -180,7 +180,7 @@ fn a_module_imports_only_modules_listed_above_it() {
 #[test]
 fn unsafe_code_stays_with_the_image_kernels() {
     let rule: [(&[&str], &str); 1] = [(&["unsafe"], "unsafe code belongs into crates/odograph/src/image")];
-    for name in ["odograph", "odograph-video", "odograph-map", "odograph-cli"] {
+    for name in ["odograph", "odograph-video", "odograph-map", "odograph-live", "odograph-cli"] {
         check_crate(name, |below_src, shown, text| {
             let kernels = name == "odograph" && below_src.starts_with("image");
             if kernels { Vec::new() } else { forbidden_words(&rule, shown, text) }
@@ -193,6 +193,12 @@ fn libraries_print_nothing_read_no_clock_and_open_no_connection() {
     for name in ["odograph", "odograph-video", "odograph-map"] {
         check_crate(name, |_, shown, text| forbidden_words(&NOT_IN_A_LIBRARY, shown, text));
     }
+}
+
+/// The live library has clocks and connections for its trade; it leaves printing to the program like the others.
+#[test]
+fn the_live_library_prints_nothing() {
+    check_crate("odograph-live", |_, shown, text| forbidden_words(&NOT_IN_A_LIBRARY[..5], shown, text));
 }
 
 /// A small library that breaks the rules, and seems to break them where it does not.

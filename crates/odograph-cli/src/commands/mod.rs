@@ -3,11 +3,14 @@
 pub mod board;
 pub mod calibrate;
 pub mod camera;
+pub mod cameras;
 pub mod demo;
 pub mod evaluate;
 pub mod ground;
+pub mod live;
 pub mod localize;
 pub mod map;
 pub mod run;
 pub mod simulate;
 pub mod undistort;
+pub mod view;

@@ -6,6 +6,8 @@
 //! what they were. Only `mean` is different: it is the paper's mean vector, kept for comparison.
 
 mod coarse;
+pub mod dense;
+mod ground_patch;
 mod mean;
 mod planar_pose;
 mod random;
@@ -13,6 +15,7 @@ mod ransac;
 mod rig_prior;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
+pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use mean::mean_displacement;
 pub use random::Random;
 pub use rig_prior::{RigPrior, RigWander};
@@ -108,6 +111,39 @@ pub struct Observation {
 }
 
 stored!(Observation);
+
+/// Where a ground point was found, and how exactly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    /// Where the point lies.
+    pub ground: GroundPoint,
+    /// Where it was found.
+    pub pixel: Pixel,
+    /// Covariance of that, pixels².
+    pub covariance_px2: Matrix2<f64>,
+}
+
+stored!(Sighting);
+
+/// The observations that sightings make, each weighed by how well it is known in each direction, and the standard deviation of a usual one (the
+/// median), pixels. `shared_px2` is the variance of what all are off by anyway, in either direction; where that is more than their noise all count
+/// alike. `None` without sightings.
+pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Observation>, f64)> {
+    let covariance = |seen: &Sighting| seen.covariance_px2 + shared_px2 * Matrix2::identity();
+    let mut variances: Buffer<f64> = sightings.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
+    if variances.is_empty() {
+        return None;
+    }
+    let middle = variances.len() / 2;
+    let usual_px2 = *variances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let observation = |seen: &Sighting| {
+        let information = covariance(seen).try_inverse().map(|inverse| usual_px2 * inverse);
+        let root = information.and_then(|information| information.cholesky());
+        let whitening = root.map_or(Matrix2::identity(), |root| root.l().transpose());
+        Observation { ground: seen.ground, pixel: seen.pixel, whitening }
+    };
+    Some((sightings.iter().map(observation).collect(), usual_px2.sqrt()))
+}
 
 /// A measured pose.
 #[derive(Debug, Clone, PartialEq)]

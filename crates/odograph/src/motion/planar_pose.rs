@@ -42,6 +42,8 @@ impl Pull {
 #[derive(Debug, Clone, Copy)]
 struct Residual {
     error: [f64; 2],
+    /// The distance before whitening, pixels.
+    distance_px: f64,
     by_pose: [[f64; 6]; 2],
 }
 
@@ -49,7 +51,7 @@ stored!(Residual);
 
 impl Residual {
     /// Of a point that is not seen: no length, and nothing that it could change.
-    const NONE: Self = Self { error: [0.0; 2], by_pose: [[0.0; 6]; 2] };
+    const NONE: Self = Self { error: [0.0; 2], distance_px: f64::INFINITY, by_pose: [[0.0; 6]; 2] };
 
     fn length(&self) -> f64 {
         (self.error[0] * self.error[0] + self.error[1] * self.error[1]).sqrt()
@@ -84,8 +86,8 @@ fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes:
     for i in 0..6 {
         [by_pose[0][i], by_pose[1][i]] = whitened(first[i], second[i]);
     }
-    let error = whitened(pixel.x - observation.pixel.x, pixel.y - observation.pixel.y);
-    Some(Residual { error, by_pose })
+    let (x, y) = (pixel.x - observation.pixel.x, pixel.y - observation.pixel.y);
+    Some(Residual { error: whitened(x, y), distance_px: (x * x + y * y).sqrt(), by_pose })
 }
 
 /// The rotation of a pose and the world axes about which its angles turn; heading turns about z.
@@ -142,7 +144,7 @@ fn step(
     // The upper triangle, row by row.
     let mut sums = [[0.0; 6]; 6];
     let mut slope = [0.0; 6];
-    for (Residual { error, by_pose }, &weight) in residuals.iter().zip(weights) {
+    for (Residual { error, by_pose, .. }, &weight) in residuals.iter().zip(weights) {
         if weight <= 0.0 {
             continue;
         }
@@ -227,13 +229,15 @@ pub fn refine(
         robust_scale(errors, config.inlier_px, &mut sorted)
     };
     look(&pose, &mut residuals, &mut errors);
+    let mut reach_px = config.inlier_px;
     for round in 0..ROUNDS {
         let pull = Pull::new(&prior, scale_px);
         let before = pose;
         let step = step(&residuals, &weights, &pose, &unknowns, Some(&pull))?;
         (pose, information) = (step.pose, step.information);
         scale_px = look(&pose, &mut residuals, &mut errors);
-        let per_reach = 1.0 / (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
+        reach_px = (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
+        let per_reach = 1.0 / reach_px;
         weights.iter_mut().zip(&errors).for_each(|(weight, &error)| *weight = biweight(error * per_reach));
         let moved = (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m) / pose.height_m
             + (pose.heading_rad - before.heading_rad).abs();
@@ -249,18 +253,30 @@ pub fn refine(
             break;
         }
     }
-    let inliers: Buffer<bool> = weights.iter().map(|&w| w > 0.0).collect();
-    let count = inliers.iter().filter(|&&i| i).count();
+    let count = weights.iter().filter(|&&weight| weight > 0.0).count();
     if count <= unknowns.count {
         return None;
     }
-    let squares: f64 = errors.iter().zip(&inliers).filter(|(_, i)| **i).map(|(e, _)| e * e).sum();
+    let squares: f64 = errors
+        .iter()
+        .zip(&weights)
+        .filter(|(_, weight)| **weight > 0.0)
+        .map(|(error, _)| error * error)
+        .sum();
+    // To agree is to be near, not only to be uncertain: of what is unlike the ground all is uncertain.
+    let near = |(residual, &weight): (&Residual, &f64)| weight > 0.0 && residual.distance_px < reach_px;
+    let inliers: Buffer<bool> = residuals.iter().zip(&weights).map(near).collect();
     // Per coordinate: two coordinates a track, less the unknowns.
     let variance_px2 = squares / (2 * count - unknowns.count) as f64;
     Some(MotionEstimate {
         pose,
         covariance: covariance(&information, &unknowns, variance_px2)?
-            + shared_errors(camera, &pose, &unknowns),
+            + shared_errors(
+                camera,
+                &pose,
+                &unknowns,
+                (SHARED_PART * scale_px).clamp(LEAST_SHARED_PX, MOST_SHARED_PX),
+            ),
         inliers,
         residual_px: (squares / count as f64).sqrt(),
         rig_evidence,
@@ -283,18 +299,15 @@ fn evidence(
         force[3 + i] = pull.weight[i] * (here[i] - pull.mean[i]);
     }
     let step = covariance * force;
-    let shared = shared_errors(camera, pose, &Unknowns { count: 6 });
+    let shared = shared_errors(camera, pose, &Unknowns { count: 6 }, EVIDENCE_SHARED_PX);
     Some([0, 1, 2].map(|i| {
         let at = 3 + i;
-        (
-            here[i] + step[at],
-            covariance[(at, at)] * scale_px * scale_px + EVIDENCE_ALLOWANCE * shared[(at, at)],
-        )
+        (here[i] + step[at], covariance[(at, at)] * scale_px * scale_px + shared[(at, at)])
     }))
 }
 
-/// Neighbouring tracks share more of their errors in the modes of tilt than in a common shift: variances of [`shared_errors`] to allow.
-const EVIDENCE_ALLOWANCE: f64 = 9.0;
+/// Neighbouring tracks share more of their errors in the modes of tilt than in a common shift, pixels.
+const EVIDENCE_SHARED_PX: f64 = 0.03;
 
 /// Opens the prior where the evidence lies more than four of its standard deviations off: a kerb, a push, a hand that lifts the camera. Says whether
 /// it did.
@@ -322,19 +335,22 @@ fn covariance(information: &Matrix6<f64>, unknowns: &Unknowns, variance_px2: f64
     Some(Matrix6::from_fn(|i, j| if i < n && j < n { inverse[(i, j)] * variance_px2 } else { 0.0 }))
 }
 
-/// Covariance of what all tracks have in common and no number of them averages away: the bias of interpolation at fractions of a pixel, the
-/// rest of the lens that its model leaves. [`SHARED_ERROR_PX`] is what rendered drives show; turned into heading and tilt over half the image.
-fn shared_errors(camera: &Camera, pose: &GroundPose, unknowns: &Unknowns) -> Matrix6<f64> {
+/// Covariance of what tracks have in common and no number of them averages away: light that changes, what the models of lens and ground leave,
+/// the bias of interpolation. An error of `shared_px`, turned into heading and tilt over half the image.
+fn shared_errors(camera: &Camera, pose: &GroundPose, unknowns: &Unknowns, shared_px: f64) -> Matrix6<f64> {
     let focal_px = camera.focal_px().0;
-    let shift_m = SHARED_ERROR_PX * pose.height_m / focal_px;
-    let turn_rad = 2.0 * SHARED_ERROR_PX / (camera.width().min(camera.height()) as f64);
-    let tilt_rad = SHARED_ERROR_PX / focal_px;
+    let shift_m = shared_px * pose.height_m / focal_px;
+    let turn_rad = 2.0 * shared_px / (camera.width().min(camera.height()) as f64);
+    let tilt_rad = shared_px / focal_px;
     let sigmas = [shift_m, shift_m, turn_rad, turn_rad * pose.height_m, tilt_rad, tilt_rad];
     Matrix6::from_fn(|i, j| if i == j && i < unknowns.count { sigmas[i] * sigmas[i] } else { 0.0 })
 }
 
-/// Pixels, one standard deviation.
-const SHARED_ERROR_PX: f64 = 0.01;
+/// The part of a track's usual error that its neighbours share, and least and most of that, pixels, one standard deviation: what rendered drives
+/// show. Moving light leaves tracks worse and all in the same way; the noise of a dim sensor is each one's own.
+const SHARED_PART: f64 = 0.1;
+const LEAST_SHARED_PX: f64 = 0.002;
+const MOST_SHARED_PX: f64 = 0.01;
 
 /// Standard deviation of one coordinate from the median distance of the observations that could be inliers (Rayleigh: median = 1.1774 σ).
 fn robust_scale(errors: &[f64], inlier_px: f64, within: &mut Vec<f64>) -> f64 {

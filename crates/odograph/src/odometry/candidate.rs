@@ -33,8 +33,8 @@ impl Candidate {
         config: &OdometryConfig,
     ) -> Option<Self> {
         let keyframe = Keyframe::new(pyramid, last.pose, last.covariance, camera, &config.detection);
-        let enough = keyframe.corners.len() >= 2 * config.motion.minimum_inliers;
         let made = (frame, last.time_s);
+        let enough = keyframe.can_be_followed(2 * config.motion.minimum_inliers);
         enough.then_some(Self { keyframe, last, made, confirmations: 0 })
     }
 
@@ -52,7 +52,7 @@ impl Candidate {
         let measurement = from.iter().find_map(|from| {
             let keyframe = &self.keyframe;
             let found = follow::measure(keyframe, pyramid, camera, from, config, wander, random).ok()?;
-            let presence = follow::presence(keyframe, camera, &found.estimate);
+            let presence = follow::presence(keyframe, camera, &found);
             (presence >= CHANCE_PRESENCE).then_some(found)
         })?;
         let (pose, covariance) = (measurement.estimate.pose, self.keyframe.covariance);
@@ -69,7 +69,7 @@ impl Candidate {
     /// A fast camera leaves the candidate's ground before it is believed: the next frame is measured against this one, where it shows enough.
     pub fn move_on(&mut self, pyramid: Pyramid, frame: u64, camera: &Camera, config: &OdometryConfig) {
         let next = Keyframe::new(pyramid, self.last.pose, self.last.covariance, camera, &config.detection);
-        if next.corners.len() >= 2 * config.motion.minimum_inliers {
+        if next.can_be_followed(2 * config.motion.minimum_inliers) {
             self.keyframe = next;
             self.made = (frame, self.last.time_s);
         }

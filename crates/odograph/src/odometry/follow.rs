@@ -1,14 +1,16 @@
 //! A keyframe's corners found again in a frame, and the movement they speak for.
 
 use super::OdometryConfig;
-use super::keyframe::{KeyCorner, Keyframe, PatchWarp, Pose};
+use super::keyframe::{KeyCorner, Keyframe};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
+use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{
-    MotionEstimate, MotionModel, Observation, Random, RigWander, estimate, mean_displacement,
+    MotionEstimate, MotionModel, Observation, PatchWarp, Random, RigWander, Sighting, ViewingPose, estimate,
+    mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix2, Matrix6};
@@ -26,6 +28,8 @@ pub struct Measurement {
     /// Whether some of the corners were found first and agreed on a pose from which the others were looked for: what was not found from
     /// there is not to be found.
     pub settled: bool,
+    /// Where the whole image was compared: the part of what is in view that agrees.
+    pub agreement: Option<f64>,
 }
 
 /// A corner found again.
@@ -40,23 +44,13 @@ pub struct Found {
 
 /// What was found, weighed by how well each patch holds in each direction.
 fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
-    let covariance = |found: &Found| found.covariance_px2 + SHARED_PX2 * Matrix2::identity();
-    let mut variances: Buffer<f64> = found.iter().map(|found| 0.5 * covariance(found).trace()).collect();
-    let middle = variances.len() / 2;
-    let usual_px2 = match variances.is_empty() {
-        true => 1.0,
-        false => *variances.select_nth_unstable_by(middle, f64::total_cmp).1,
+    let sighting = |found: &Found| Sighting {
+        ground: keyframe.corners[found.corner].patch.ground,
+        pixel: found.warp.position,
+        covariance_px2: found.covariance_px2,
     };
-    let observation = |found: &Found| {
-        let information = covariance(found).try_inverse().map(|inverse| usual_px2 * inverse);
-        let whitening = information.and_then(|information| information.cholesky());
-        Observation {
-            ground: keyframe.corners[found.corner].ground,
-            pixel: found.warp.position,
-            whitening: whitening.map_or(Matrix2::identity(), |root| root.l().transpose()),
-        }
-    };
-    found.iter().map(observation).collect()
+    let sightings: Buffer<Sighting> = found.iter().map(sighting).collect();
+    whitened(&sightings, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
 }
 
 /// What a track is off even without noise (interpolation, what the shape of its warp leaves), pixels²: 0.02 px. More exact than that no track is
@@ -101,12 +95,41 @@ pub fn measure_near(
     wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
+    if config.motion.model != MotionModel::Mean && keyframe.is_faint() {
+        return measure_whole(keyframe, pyramid, camera, prediction, config, wander);
+    }
     let followed = if config.motion.model == MotionModel::Mean {
         Followed { found: follow_by_eye(keyframe, pyramid, off_px, config), settled: None }
     } else {
         follow(keyframe, pyramid, camera, prediction, off_px, config, wander, random)
     };
     judge(keyframe, followed, camera, prediction, config, wander, random)
+}
+
+/// Measures the pose of a frame against all of a keyframe: on faint ground no single corner can be believed.
+fn measure_whole(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    prediction: &GroundPose,
+    config: &OdometryConfig,
+    wander: &RigWander,
+) -> Result<Measurement, LossReason> {
+    let image = DenseImage::new(pyramid.base());
+    let prior = wander.prior(prediction, &config.motion);
+    let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
+    let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
+    if found.agreement < config.motion.minimum_inlier_fraction {
+        return Err(LossReason::NotPlanar);
+    }
+    Ok(Measurement {
+        estimate: found.estimate,
+        prediction: *prediction,
+        found: Buffer::new(),
+        support: found.agreement * found.overlap,
+        settled: true,
+        agreement: Some(found.agreement),
+    })
 }
 
 /// Drops what does not come back to its corner when it is followed backward, and measures again: done where others will be built on
@@ -120,6 +143,9 @@ pub fn confirm(
     wander: &RigWander,
     random: &mut Random,
 ) -> Measurement {
+    if measurement.agreement.is_some() {
+        return measurement;
+    }
     let comes_back = |found: &&Found| {
         let template = &keyframe.corners[found.corner].template;
         forward_backward_px(template, &keyframe.pyramid, pyramid, &found.warp, &config.flow)
@@ -132,28 +158,59 @@ pub fn confirm(
 
 /// The part of a keyframe's corners which a camera at the measured pose should see that agrees with it, 0 to 1: low where only something
 /// beside the ground was followed.
-pub fn presence(keyframe: &Keyframe, camera: &Camera, estimate: &MotionEstimate) -> f64 {
-    let expected = in_view(keyframe.corners.iter(), camera, &estimate.pose);
-    estimate.inlier_count() as f64 / expected.max(1) as f64
+pub fn presence(keyframe: &Keyframe, camera: &Camera, measurement: &Measurement) -> f64 {
+    let estimate = &measurement.estimate;
+    measurement.agreement.unwrap_or_else(|| {
+        let expected = in_view(keyframe.corners.iter(), camera, &estimate.pose);
+        estimate.inlier_count() as f64 / expected.max(1) as f64
+    })
+}
+
+/// Why what was found speaks for no movement: most of what should be in view was found and does not move as one plane, or it was found by chance.
+pub fn why_not(keyframe: &Keyframe, camera: &Camera, found: &[Found], prediction: &GroundPose) -> LossReason {
+    const MOST: f64 = 0.5;
+    let expected = in_view(keyframe.corners.iter(), camera, prediction);
+    if found.len() as f64 >= MOST * expected as f64 { LossReason::NotPlanar } else { LossReason::Jump }
+}
+
+/// Whether what agrees with a measurement stands still in the image although the camera should have moved on since its keyframe, as the shadow of the
+/// carrier does.
+pub fn stands_still(keyframe: &Keyframe, camera: &Camera, measurement: &Measurement) -> bool {
+    const STILL_PX: f64 = 1.0;
+    const MOVED_PX: f64 = 6.0;
+    const MOST: f64 = 0.6;
+    let (from, to) = (&keyframe.pose, &measurement.prediction);
+    let moved_m = (to.x_m - from.x_m).hypot(to.y_m - from.y_m);
+    if moved_m * camera.focal_px().0 < MOVED_PX * to.height_m {
+        return false;
+    }
+    let agree = measurement.found.iter().zip(&measurement.estimate.inliers).filter(|(_, agrees)| **agrees);
+    let still = agree.filter(|(found, _)| {
+        found.warp.position.distance(keyframe.corners[found.corner].template.centre()) < STILL_PX
+    });
+    still.count() as f64 > MOST * measurement.estimate.inlier_count().max(1) as f64
 }
 
 /// How many of the corners a camera at `pose` should see.
 fn in_view<'a>(corners: impl Iterator<Item = &'a KeyCorner>, camera: &Camera, pose: &GroundPose) -> usize {
-    let pose = Pose::new(*pose);
+    let pose = ViewingPose::new(*pose);
     let seen = |corner: &&KeyCorner| {
-        pose.pixel(camera, corner.ground).is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
+        pose.pixel(camera, corner.patch.ground).is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
     };
     corners.filter(seen).count()
 }
 
-/// How many of the corners that were found a camera at `pose` would still see.
-pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &GroundPose) -> usize {
-    let pose = Pose::new(*pose);
+/// The part of a keyframe that a camera at `pose` would still see: of its corners, those that were found now.
+pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &GroundPose) -> f64 {
+    if keyframe.is_faint() {
+        return keyframe.dense(camera).overlap(camera, pose);
+    }
+    let pose = ViewingPose::new(*pose);
     let seen = |found: &&Found| {
-        let pixel = pose.pixel(camera, keyframe.corners[found.corner].ground);
+        let pixel = pose.pixel(camera, keyframe.corners[found.corner].patch.ground);
         pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
     };
-    found.iter().filter(seen).count()
+    found.iter().filter(seen).count() as f64 / keyframe.corners_at_first.max(1) as f64
 }
 
 /// A template nearer to the border than this cannot be found.
@@ -189,8 +246,8 @@ fn follow(
     let corners = keyframe.corners.len();
     let every = corners / SCOUTS;
     let mut found = Buffer::new();
-    let from = Pose::new(*prediction);
-    let find = |index: usize, from: &Pose, off_px: f64| {
+    let from = ViewingPose::new(*prediction);
+    let find = |index: usize, from: &ViewingPose, off_px: f64| {
         find(index, &keyframe.corners[index], keyframe, pyramid, camera, from, off_px, config)
     };
     if every < 2 || off_px <= SETTLED_PX {
@@ -200,7 +257,7 @@ fn follow(
     let scouts = (0..corners).step_by(every);
     found.extend(scouts.clone().filter_map(|index| find(index, &from, off_px)));
     let settled = agreement(keyframe, scouts, &found, camera, prediction, config, wander, random);
-    match settled.map(Pose::new) {
+    match settled.map(ViewingPose::new) {
         Some(from) => {
             // Scouts that were out of reach are looked for again.
             let scouts = found.len();
@@ -250,11 +307,11 @@ fn find(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
     camera: &Camera,
-    pose: &Pose,
+    pose: &ViewingPose,
     off_px: f64,
     config: &OdometryConfig,
 ) -> Option<Found> {
-    let PatchWarp { warp, bend } = corner.warp(camera, pose)?;
+    let PatchWarp { warp, bend } = corner.patch.warp(camera, pose)?;
     if off_px > SETTLED_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
@@ -313,9 +370,10 @@ fn judge(
         let near = settled.unwrap_or(*prediction);
         estimate(camera, &observations, &near, &prior, &config.motion, random)
     };
-    let estimate = estimate.ok_or(LossReason::Disagreement)?;
+    let estimate = estimate.ok_or_else(|| why_not(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
-    Ok(Measurement { estimate, prediction: *prediction, found, support, settled: settled.is_some() })
+    let settled = settled.is_some();
+    Ok(Measurement { estimate, prediction: *prediction, found, support, settled, agreement: None })
 }
 
 /// The paper's mean vector from the last frame to this one.
@@ -349,23 +407,3 @@ fn mean(
         rig_evidence: None,
     })
 }
-
-/// Whether an image shows too little to hold on to. Judged two pyramid levels up, where the sensor's noise is averaged away.
-pub fn is_bare(pyramid: &Pyramid) -> bool {
-    let levels = pyramid.levels();
-    let coarse = &levels[2.min(levels.len() - 1)];
-    let config = crate::detection::DetectionConfig {
-        corners: ENOUGH_CORNERS,
-        minimum_distance_px: 5.0,
-        quality: 0.0,
-        ..Default::default()
-    };
-    let corners = crate::detection::detect(coarse, &config, 3);
-    corners.iter().filter(|c| c.strength >= BARE_STRENGTH).count() < ENOUGH_CORNERS
-}
-
-/// So many corners on a coarse level make texture.
-const ENOUGH_CORNERS: usize = 20;
-
-/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves about 0.03 there.
-const BARE_STRENGTH: f32 = 0.1;

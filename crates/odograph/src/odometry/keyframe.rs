@@ -1,25 +1,20 @@
 //! Keyframes: images whose corners lie on the ground as metric points.
 
+use super::texture;
 use crate::camera::Camera;
 use crate::detection::{DetectionConfig, detect};
 use crate::flow::{Template, Warp};
-use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
+use crate::geometry::{GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
 use crate::mapping::KeyframeId;
-use crate::motion::{CoarseRegistration, GroundView};
-use nalgebra::{Matrix2, Matrix6, Vector2};
+use crate::motion::dense::{DenseImage, DenseReference};
+use crate::motion::{CoarseRegistration, GroundFromRay, GroundPatch, GroundView, ViewingPose};
+use nalgebra::Matrix6;
 use std::collections::VecDeque;
+use std::sync::OnceLock;
 
 /// Corners this near the border cannot carry a full template with its gradients.
 const MARGIN_PX: usize = 9;
-
-/// Three points this far around the centre of a corner, a third of a turn apart, show where and in which shape its patch is expected, pixels. In their
-/// mean a curvature of the warp (a lens is never straight) shifts as much as in the mean of the whole patch, of which the samples are
-/// (16² − 1) / 12 px² from the middle along either side: their squared distance is twice that of both.
-const RING_PX: f64 = 6.519_202_405_202_649;
-
-/// Of the ring's points, (right, down) in units of its radius.
-const RING: [(f64, f64); 3] = [(1.0, 0.0), (-0.5, 0.866_025_403_784_438_6), (-0.5, -0.866_025_403_784_438_6)];
 
 /// An image in use as the reference, with its corners prepared for being found again.
 #[derive(Debug)]
@@ -37,102 +32,20 @@ pub struct Keyframe {
     places: Vec<(usize, usize)>,
     /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
     view: Option<GroundView>,
+    /// Whether it has too few corners that stand out of noise; found out when it is first needed.
+    faint: OnceLock<bool>,
+    /// The whole image, to be compared with others; made when it is first needed.
+    dense: OnceLock<DenseReference>,
 }
 
 /// A corner of a keyframe.
 #[derive(Debug)]
 pub struct KeyCorner {
     pub template: Template,
-    /// Where its centre lies on the ground.
-    pub ground: GroundPoint,
-    /// Where the points of the ring around the centre lie.
-    ring: [GroundPoint; 3],
+    /// Where it lies on the ground.
+    pub patch: GroundPatch,
     /// How it was last found.
     pub seen: Warp,
-}
-
-impl KeyCorner {
-    /// Where and in which shape the corner is expected by a camera at `pose`; `None` where it would be out of sight.
-    pub fn warp(&self, camera: &Camera, pose: &Pose) -> Option<PatchWarp> {
-        let centre = pose.pixel(camera, self.ground)?;
-        let mut mean = Vector2::zeros();
-        let mut linear = Matrix2::zeros();
-        for (point, (right, down)) in self.ring.iter().zip(RING) {
-            let pixel = pose.pixel(camera, *point)?;
-            let from_centre = Vector2::new(pixel.x - centre.x, pixel.y - centre.y);
-            mean += from_centre / 3.0;
-            // Least squares over the ring.
-            linear += from_centre * Vector2::new(right, down).transpose() * (2.0 / (3.0 * RING_PX));
-        }
-        let position = Pixel::new(centre.x + mean.x, centre.y + mean.y);
-        Some(PatchWarp { warp: Warp { position, linear }, bend: mean })
-    }
-}
-
-/// How the patch of a corner is expected.
-#[derive(Debug, Clone, Copy)]
-pub struct PatchWarp {
-    /// Of the patch as a whole.
-    pub warp: Warp,
-    /// How far the patch as a whole is from where its centre is, pixels: Lucas–Kanade finds the whole patch, and what lies on the ground is its
-    /// centre. Left out, a lens that bends lines makes every way as much longer as its curvature changes along it.
-    pub bend: Vector2<f64>,
-}
-
-/// A pose with its rotation worked out once for many points.
-pub struct Pose {
-    pose: GroundPose,
-    camera_from_world: nalgebra::Matrix3<f64>,
-}
-
-impl Pose {
-    pub fn new(pose: GroundPose) -> Self {
-        Self { pose, camera_from_world: pose.world_from_camera_rotation().transpose() }
-    }
-
-    pub fn pixel(&self, camera: &Camera, point: GroundPoint) -> Option<Pixel> {
-        let from_camera =
-            nalgebra::Vector3::new(point.x_m - self.pose.x_m, point.y_m - self.pose.y_m, -self.pose.height_m);
-        let p = self.camera_from_world * from_camera;
-        (p.z > 1e-9).then(|| camera.pixel_from_ray(crate::geometry::Ray::new(p.x / p.z, p.y / p.z)))?
-    }
-}
-
-/// The rays of a pixel and of the ring around it: the others by one step of Newton's method from where the derivative at the first puts them,
-/// exact to far less than a thousandth of a pixel.
-fn rays_about(camera: &Camera, pixel: Pixel) -> Option<(Ray, [Ray; 3])> {
-    let ray = camera.ray_from_pixel(pixel)?;
-    let (_, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
-    let ray_by_pixel = pixel_by_ray.try_inverse()?;
-    let beside = |(right, down): (f64, f64)| {
-        let offset = RING_PX * Vector2::new(right, down);
-        let guess = ray_by_pixel * offset;
-        let guess = Ray::new(ray.x + guess.x, ray.y + guess.y);
-        let seen = camera.pixel_from_ray(guess)?;
-        let left = ray_by_pixel * Vector2::new(pixel.x + offset.x - seen.x, pixel.y + offset.y - seen.y);
-        Some(Ray::new(guess.x + left.x, guess.y + left.y))
-    };
-    Some((ray, [beside(RING[0])?, beside(RING[1])?, beside(RING[2])?]))
-}
-
-/// [`GroundPose::ground_from_ray`] with the rotation worked out once for many rays.
-pub struct GroundFromRay<'a> {
-    pose: &'a GroundPose,
-    world_from_camera: nalgebra::Matrix3<f64>,
-}
-
-impl<'a> GroundFromRay<'a> {
-    pub fn new(pose: &'a GroundPose) -> Self {
-        Self { pose, world_from_camera: pose.world_from_camera_rotation() }
-    }
-
-    pub fn of(&self, ray: Ray) -> Option<GroundPoint> {
-        let direction = self.world_from_camera * ray.vector();
-        (direction.z < -1e-9).then(|| {
-            let reach = -self.pose.height_m / direction.z;
-            GroundPoint::new(self.pose.x_m + reach * direction.x, self.pose.y_m + reach * direction.y)
-        })
-    }
 }
 
 impl Keyframe {
@@ -157,17 +70,34 @@ impl Keyframe {
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&pyramid, place)?;
             let centre = template.centre();
-            let (ray, [first, second, third]) = rays_about(camera, centre)?;
-            let on_ground = |ray| ground_from_ray.of(ray);
             Some(KeyCorner {
-                ground: on_ground(ray)?,
-                ring: [on_ground(first)?, on_ground(second)?, on_ground(third)?],
+                patch: GroundPatch::new(camera, &ground_from_ray, centre, 1.0)?,
                 seen: Warp::translation(centre),
                 template,
             })
         };
         let corners: Vec<KeyCorner> = places.iter().filter_map(corner).collect();
-        Self { id, corners_at_first: corners.len(), corners, pyramid, pose, covariance, places, view }
+        let (faint, dense) = (OnceLock::new(), OnceLock::new());
+        let corners_at_first = corners.len();
+        Self { id, corners_at_first, corners, pyramid, pose, covariance, places, view, faint, dense }
+    }
+
+    /// Whether it is followed as a whole, because its corners hardly stand out of noise.
+    pub fn is_faint(&self) -> bool {
+        *self.faint.get_or_init(|| texture::is_faint(&self.pyramid))
+    }
+
+    /// The whole image, to be compared with others. Half of its resolution: on faint ground the rest is noise.
+    pub fn dense(&self, camera: &Camera) -> &DenseReference {
+        self.dense.get_or_init(|| {
+            let image = DenseImage::new(self.pyramid.base());
+            DenseReference::new(camera, &image, &self.pose, 1)
+        })
+    }
+
+    /// Whether there is enough to follow: so many corners, or on faint ground texture at all.
+    pub fn can_be_followed(&self, corners: usize) -> bool {
+        if self.is_faint() { !texture::is_bare(self.pyramid.base()) } else { self.corners.len() >= corners }
     }
 
     /// Makes the view for coarse registration, where there is none yet.
@@ -238,7 +168,7 @@ impl KeyframeMemory {
 
     /// Takes out the keyframe of which a camera at `pose` sees most, if that is at least `least` of its image.
     pub fn take_best(&mut self, camera: &Camera, pose: &GroundPose, least: f64) -> Option<Keyframe> {
-        let seen = Pose::new(*pose);
+        let seen = ViewingPose::new(*pose);
         let rays = grid_rays(camera);
         let overlap = |record: &KeyframeRecord| overlap(record, &rays, camera, &seen);
         let best = self
@@ -307,12 +237,22 @@ pub fn grid_rays(camera: &Camera) -> [Option<Ray>; GRID * GRID] {
 }
 
 /// The part of a coarse grid over a keyframe's image that a camera at `pose` would have in view.
-fn overlap(record: &KeyframeRecord, rays: &[Option<Ray>; GRID * GRID], camera: &Camera, pose: &Pose) -> f64 {
+fn overlap(
+    record: &KeyframeRecord,
+    rays: &[Option<Ray>; GRID * GRID],
+    camera: &Camera,
+    pose: &ViewingPose,
+) -> f64 {
     seen_share(&record.pose, rays, camera, pose)
 }
 
 /// The part of a coarse grid over the image of a camera at `at` that a camera at `pose` would have in view.
-pub fn seen_share(at: &GroundPose, rays: &[Option<Ray>; GRID * GRID], camera: &Camera, pose: &Pose) -> f64 {
+pub fn seen_share(
+    at: &GroundPose,
+    rays: &[Option<Ray>; GRID * GRID],
+    camera: &Camera,
+    pose: &ViewingPose,
+) -> f64 {
     let ground_from_ray = GroundFromRay::new(at);
     let seen = rays.iter().filter(|ray| {
         let ground = ray.and_then(|ray| ground_from_ray.of(ray));

@@ -3,12 +3,13 @@
 
 use super::OdometryConfig;
 use super::follow::{self, Measurement};
-use super::keyframe::{GRID, Keyframe, Pose, grid_rays, seen_share};
+use super::keyframe::{GRID, Keyframe, grid_rays, seen_share};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
 use crate::mapping::places::{PlacesConfig, Signature};
 use crate::mapping::plane_motion::{laid_from, motion_covariance, seen_from};
+use crate::motion::ViewingPose;
 use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random, RigWander};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
@@ -89,7 +90,7 @@ impl Matcher {
     /// The part of a keyframe at height, roll and pitch of `from` that one at those of `to` has in view, seen at `motion`.
     pub fn overlap(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> f64 {
         let from = at_origin(from);
-        seen_share(&from, &self.rays, &self.camera, &Pose::new(placed(&from, to, motion)))
+        seen_share(&from, &self.rays, &self.camera, &ViewingPose::new(placed(&from, to, motion)))
     }
 
     /// Metres on the ground that a pixel in the middle of an image covers.
@@ -140,7 +141,7 @@ impl Matcher {
             motion: seen_from(&keyframe.pose, pose),
             covariance: motion_covariance(&keyframe.pose, pose, &found.estimate.covariance),
             inliers: found.estimate.inlier_count(),
-            presence: follow::presence(keyframe, &self.camera, &found.estimate),
+            presence: follow::presence(keyframe, &self.camera, &found),
         };
         sighting.motion.iter().all(|value| value.is_finite()).then_some(sighting)
     }

@@ -12,6 +12,7 @@ mod last_pose;
 mod limits;
 pub(crate) mod matching;
 mod recovery;
+mod texture;
 
 use crate::camera::{Camera, Rig};
 use crate::detection::DetectionConfig;
@@ -118,9 +119,6 @@ pub struct Odometry {
 
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
-
-/// Where this part of the corners in view is found and agrees, what is missing lies out of view: to search again would find nothing.
-const NEARLY_ALL: f64 = 0.95;
 
 /// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
 const DOUBTFUL_PRESENCE: f64 = 0.55;
@@ -245,13 +243,8 @@ impl Odometry {
                 wander,
                 &mut random,
             );
-            // What others will be built on is searched in full, unless that could not find more.
-            let found_enough = |near: &Measurement| {
-                near.settled
-                    || near.support >= config.keyframe.support
-                    || follow::presence(keyframe, camera, &near.estimate) >= NEARLY_ALL
-            };
-            if near.as_ref().is_ok_and(found_enough) {
+            // What others will be built on is searched in full.
+            if near.as_ref().is_ok_and(|near| near.settled || near.support >= config.keyframe.support) {
                 return near;
             }
         }
@@ -291,9 +284,10 @@ impl Odometry {
         let wanted = self.usual_presence * if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
         // The support counts corners out of view too: the presence is never below it.
         measurement.support < wanted
-            && self.keyframe.as_ref().is_some_and(|keyframe| {
-                follow::presence(keyframe, &self.camera, &measurement.estimate) < wanted
-            })
+            && self
+                .keyframe
+                .as_ref()
+                .is_some_and(|keyframe| follow::presence(keyframe, &self.camera, measurement) < wanted)
     }
 
     /// The pose of a frame anywhere over known ground. Takes up the keyframe in which it was found.
@@ -311,19 +305,33 @@ impl Odometry {
         }
         let least = CHANCE_PRESENCE * self.usual_presence;
         let near = near.and_then(|measurement| {
-            let presence = follow::presence(keyframe, &self.camera, &measurement.estimate);
-            if presence < least { Err(LossReason::Disagreement) } else { Ok(measurement) }
+            let presence = follow::presence(keyframe, &self.camera, &measurement);
+            if presence < SURPRISING_PRESENCE * self.usual_presence
+                && follow::stands_still(keyframe, &self.camera, &measurement)
+            {
+                return Err(LossReason::Shadow);
+            }
+            if presence >= least {
+                return Ok(measurement);
+            }
+            let Measurement { found, prediction, .. } = &measurement;
+            Err(follow::why_not(keyframe, &self.camera, found, prediction))
         });
-        if follow::is_bare(pyramid) {
+        if texture::is_faint(pyramid) {
             return near;
         }
-        let reason = near.as_ref().err().copied().unwrap_or(LossReason::Disagreement);
+        let reason = near.as_ref().err().copied().unwrap_or(LossReason::NotPlanar);
         let (expected, frames) = (last.extrapolated(time_s), self.lost_frames);
         let lost = Lost { pyramid, last, expected, frames, doubtful: near.ok() };
         let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
         let found =
             self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.wander, &mut random);
-        let found = found.ok_or(reason)?;
+        let shadow = |found: &recovery::Found| {
+            reason == LossReason::Shadow
+                && found.remembered.is_none()
+                && follow::stands_still(keyframe, camera, &found.measurement)
+        };
+        let found = found.filter(|found| !shadow(found)).ok_or(reason)?;
         if let Some(old) = found.remembered.and_then(|index| self.memory.take(index, camera)) {
             self.memory.remember(std::mem::replace(keyframe, old).retire());
         }
@@ -351,6 +359,7 @@ impl Odometry {
 
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
+        let presence = self.keyframe.as_ref().map(|k| follow::presence(k, &self.camera, &measurement));
         let Measurement { estimate, found, support, .. } = measurement;
         let covariance = self.carried_covariance(&estimate.pose) + estimate.covariance;
         let inliers = estimate.inlier_count();
@@ -362,8 +371,7 @@ impl Odometry {
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
         self.wander.learn(&estimate);
-        if let Some(keyframe) = &self.keyframe {
-            let presence = follow::presence(keyframe, &self.camera, &estimate);
+        if let Some(presence) = presence {
             self.usual_presence += PRESENCE_RATE * (presence - self.usual_presence);
         }
         self.candidate = None;
@@ -392,7 +400,7 @@ impl Odometry {
             time_s,
             status: TrackStatus::Tracked,
             estimate: Some(PoseEstimate { covariance, ..improved }),
-            tracks: found.len(),
+            tracks: estimate.inliers.len(),
             inliers,
             residual_px: estimate.residual_px,
             keyframe,
@@ -404,19 +412,18 @@ impl Odometry {
     fn leaves_the_keyframe(&self, found: &[follow::Found], time_s: f64) -> bool {
         let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return false };
         let next = last.extrapolated(time_s + last.step_s);
-        let still_seen = follow::still_seen(keyframe, &self.camera, found, &next);
-        (still_seen as f64) < FORESEEN_SUPPORT * keyframe.corners_at_first as f64
+        follow::still_seen(keyframe, &self.camera, found, &next) < FORESEEN_SUPPORT
     }
 
     /// A frame that could not be measured: begins the map, or waits for the ground to come back.
     fn lose(&mut self, pyramid: Pyramid, time_s: f64, reason: LossReason) -> FrameEstimate {
-        let bare = follow::is_bare(&pyramid);
+        let bare = texture::is_bare(pyramid.base());
         if self.last.is_none() && !bare {
             return self.begin(pyramid, time_s);
         }
         self.tracks.clear();
         self.lost_frames += 1;
-        let reason = if bare { LossReason::Bare } else { reason };
+        let reason = self.cause(&pyramid, bare, reason);
         match self.confirm_candidate(&pyramid, time_s) {
             Some(found) if self.candidate_is_believed() => return self.begin_segment(pyramid, time_s, found),
             Some(found) if found.support < self.config.keyframe.support => {
@@ -444,6 +451,20 @@ impl Odometry {
             residual_px: 0.0,
             keyframe: false,
             segment: self.segment,
+        }
+    }
+
+    /// Why a frame was lost, as far as the image itself tells; otherwise what the measurement said.
+    fn cause(&self, pyramid: &Pyramid, bare: bool, reason: LossReason) -> LossReason {
+        match (&self.keyframe, reason) {
+            _ if bare && texture::is_dark(pyramid.base()) => LossReason::Dark,
+            _ if bare => LossReason::Bare,
+            (Some(keyframe), LossReason::Jump | LossReason::NotPlanar)
+                if texture::is_blurred(pyramid, &keyframe.pyramid) =>
+            {
+                LossReason::Blur
+            }
+            _ => reason,
         }
     }
 
@@ -537,7 +558,7 @@ impl Odometry {
             Err(pyramid) => pyramid,
         };
         let mut next = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
-        if next.corners.len() < 2 * self.config.motion.minimum_inliers {
+        if !next.can_be_followed(2 * self.config.motion.minimum_inliers) {
             return; // better the rest of the old one than nothing
         }
         let before = self.keyframe.as_ref().and_then(|before| {

@@ -203,7 +203,8 @@ impl Search<'_> {
         let from = GroundPose { heading_rad, ..pose };
         let measurement =
             follow::measure(keyframe, pyramid, self.camera, &from, self.config, self.wander, random).ok()?;
-        let presence = follow::presence(keyframe, self.camera, &measurement.estimate);
+        let measurement = Measurement { prediction: self.lost.expected, ..measurement };
+        let presence = follow::presence(keyframe, self.camera, &measurement);
         Some((measurement, presence))
     }
 }
@@ -264,6 +265,7 @@ mod tests {
                 found: Buffer::new(),
                 support: 0.5,
                 settled: false,
+                agreement: None,
             },
             remembered: None,
         }

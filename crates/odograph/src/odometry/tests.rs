@@ -125,7 +125,7 @@ fn half_a_second_of_darkness_ends_where_the_ground_is_known() {
     let frames = world.run(&mut world.odometry(), &poses);
     for (frame, truth) in frames.iter().zip(&poses) {
         match truth {
-            None => assert_eq!(frame.status, TrackStatus::Lost { reason: LossReason::Bare }),
+            None => assert_eq!(frame.status, TrackStatus::Lost { reason: LossReason::Dark }),
             Some(_) => assert_right(frame, truth, 4.0),
         }
     }
@@ -231,6 +231,83 @@ fn a_jump_over_tiles_is_right_or_said_to_be_lost() {
     }
     println!("{followed} of {}", frames.len());
     assert!(followed >= 3, "{followed}");
+}
+
+/// The cause that is told of the frames from the sixth on, of which the first five were 2 cm apart.
+fn cause(image: impl Fn(&World, u64) -> GrayImage) -> Vec<TrackStatus> {
+    let world = World::new("asphalt");
+    let mut odometry = world.odometry();
+    let place = |i: u64| at(0.02 * i as f64, 0.0, 0.0);
+    world.run(&mut odometry, &(0..5).map(place).collect::<Vec<_>>());
+    let take = |i: u64| odometry.process(image(&world, i), i as f64 * FRAME_S).unwrap().status;
+    (5..7).map(take).collect()
+}
+
+/// An image put together of squares of others.
+fn squares(of: impl Fn(usize) -> GrayImage) -> GrayImage {
+    const SIDE: usize = 80;
+    let mut image = GrayImage::new(640, 480);
+    for square in 0..48 {
+        let (left, top, from) = (SIDE * (square % 8), SIDE * (square / 8), of(square));
+        for y in top..top + SIDE {
+            image.samples_mut()[y * 640 + left..][..SIDE].copy_from_slice(&from.row(y)[left..left + SIDE]);
+        }
+    }
+    image
+}
+
+#[test]
+fn a_loss_says_its_cause() {
+    let even = |gray: u8| {
+        move |_: &World, number: u64| {
+            let mut random = Random::new(number);
+            let samples = (0..640 * 480).map(|_| gray + random.below(7) as u8).collect();
+            GrayImage::from_samples(640, 480, samples).unwrap()
+        }
+    };
+    let lost = |reason| vec![TrackStatus::Lost { reason }; 2];
+    assert_eq!(cause(even(2)), lost(LossReason::Dark));
+    assert_eq!(cause(even(120)), lost(LossReason::Bare));
+    // A cut to other ground.
+    let elsewhere = |world: &World, i: u64| world.image(at(30.0 + 0.3 * i as f64, 9.0, 0.4 * i as f64), i);
+    assert_eq!(cause(elsewhere), lost(LossReason::Jump));
+    // Swept over 30 cm, 200 pixels, during the exposure.
+    let swept = |world: &World, i: u64| {
+        let mut view = vec![0.0; 640 * 480];
+        for part in 0..40 {
+            let pose = at(0.02 * i as f64, 0.3 * f64::from(part) / 40.0, 0.0).unwrap();
+            let mut one = vec![0.0; 640 * 480];
+            world.renderer.add_view(&world.ground, &pose, 1.0, &mut one);
+            view.iter_mut().zip(&one).for_each(|(sum, gray)| *sum += gray / 40.0);
+        }
+        GrayImage::from_samples(640, 480, view.into_iter().map(|gray| gray.round() as u8).collect()).unwrap()
+    };
+    assert_eq!(cause(swept), lost(LossReason::Blur));
+    // Every square goes its own way.
+    let apart = |world: &World, i: u64| {
+        squares(|square| {
+            let (right, down) = ((square * 5 % 7) as f64 - 3.0, (square * 3 % 5) as f64 - 2.0);
+            world.image(at(0.02 * i as f64 + 0.008 * down, 0.008 * right, 0.0), i)
+        })
+    };
+    assert_eq!(cause(apart), lost(LossReason::NotPlanar));
+    // Three of eight squares stay where they were in the first image, the others show ground never seen.
+    let stuck = |world: &World, i: u64| {
+        let first = world.image(at(0.0, 0.0, 0.0), i);
+        let other = world.image(at(50.0 + 0.4 * i as f64, 0.0, 0.0), i);
+        squares(|square| if square % 8 % 3 == 0 { first.clone() } else { other.clone() })
+    };
+    assert_eq!(cause(stuck), lost(LossReason::Shadow));
+}
+
+#[test]
+fn ground_of_one_gray_level_is_followed_as_a_whole() {
+    let world = World::new("bare");
+    // 0.6 m, turning all the while: three keyframes.
+    let poses: Vec<_> = (0..31).map(|i| f64::from(i) * 0.02).map(|s| at(s, 0.3 * s * s, 0.6 * s)).collect();
+    let frames = world.run(&mut world.odometry(), &poses);
+    // Noise of 1.6 gray levels; a keyframe is known to 0.1 px of 1.5 mm.
+    frames.iter().zip(&poses).for_each(|(frame, truth)| assert_right(frame, truth, 1.5));
 }
 
 #[test]

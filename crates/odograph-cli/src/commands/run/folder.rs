@@ -105,7 +105,11 @@ impl OutputFolder {
         if self.pending.len() >= GROUP { self.flush() } else { Ok(()) }
     }
 
-    fn flush(&mut self) -> Result<()> {
+    /// Puts on disk what was recorded.
+    pub fn flush(&mut self) -> Result<()> {
+        if self.pending.is_empty() {
+            return Ok(());
+        }
         let text = trajectory_file::csv_from_frames(&self.pending);
         // The header stands once.
         let body = if self.started { text.split_once('\n').map_or("", |(_, body)| body) } else { &text };

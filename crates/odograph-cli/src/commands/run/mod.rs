@@ -1,21 +1,23 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
 mod budget;
-mod folder;
+pub(super) mod folder;
 mod many;
 mod map;
-mod mapping;
-mod pipeline;
+pub(super) mod mapping;
+pub(super) mod pipeline;
 mod plan;
 mod sensors;
-mod statistics;
+pub(super) mod statistics;
 
 use crate::{Outcome, console};
 pub use folder::OutputFolder;
 use odograph::error::{Error, Result};
+use odograph::filter::fusion::Sensors;
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
 use odograph::formats::trajectory_file;
 use odograph::motion::MotionModel;
+use pipeline::Tracked;
 pub use plan::{RunPlan, SourcePlan};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
@@ -125,7 +127,7 @@ recording (what there is has been written).";
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FieldOfView(pub f64, pub f64);
 
-fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
+pub(super) fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
     let sides = text
         .split_once(['x', 'X', '×'])
         .and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?)));
@@ -219,7 +221,20 @@ pub fn follow(
     let started = Instant::now();
     let sensors = plan.sensors.read()?;
     let description = source.info().description.clone();
-    let mut tracked = pipeline::track(plan, source, &mut folder, arguments)?;
+    let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
+    finish(plan, &description, tracked, &sensors, &mut folder, arguments, started)
+}
+
+/// Improves what was tracked and writes everything into the folder.
+pub(super) fn finish(
+    plan: &RunPlan,
+    description: &str,
+    mut tracked: Tracked,
+    sensors: &Sensors,
+    folder: &mut OutputFolder,
+    arguments: &OutputArguments,
+    started: Instant,
+) -> Result<RunReport> {
     if tracked.frames.len() < arguments.least_frames && !tracked.interrupted {
         let too_few = if tracked.frames.is_empty() { "no frame" } else { "only one frame" };
         return Err(tracked.failure.unwrap_or_else(|| {
@@ -233,7 +248,7 @@ pub fn follow(
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
     let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
-    let fused = fusion::fuse(&tracked.frames, &sensors);
+    let fused = fusion::fuse(&tracked.frames, sensors);
     let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references)?;
     let loops = tracked.mapping.statistics(&fused.frames, &straight);
     tracked.warnings.extend(tracked.mapping.warning());
@@ -256,7 +271,7 @@ pub fn follow(
         pipeline::lay_again(plan, &mut tracked);
     }
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
-    map::write(plan, &description, &tracked, &reports, &mut folder)?;
+    map::write(plan, description, &tracked, &reports, folder)?;
     tracked.mapping.close()?;
     folder.finish(&statistics)?;
     match failure {

@@ -2,6 +2,7 @@
 
 use super::folder::OutputFolder;
 use super::mapping::Mapping;
+use super::statistics::LiveStatistics;
 use super::{OutputArguments, RunPlan};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -27,6 +28,10 @@ pub struct Tracked {
     pub warnings: Vec<String>,
     pub times: StageTimes,
     pub interrupted: bool,
+    /// Whether the source can be read a second time.
+    pub repeatable: bool,
+    /// How a live run kept up with its source.
+    pub live: Option<LiveStatistics>,
     /// What ended the recording before its end, if anything did.
     pub failure: Option<Error>,
 }
@@ -78,15 +83,17 @@ pub fn track(
         warnings: decoding.source.take_warnings(),
         times: StageTimes { decode: decoding.times, track: tracking.times, map: map_times },
         interrupted: interrupt::asked(),
+        repeatable: plan.source.path != "-",
+        live: None,
         failure: outcome.err(),
     })
 }
 
 /// Lays the mosaic anew, under poses that have changed since. Where the source cannot be read twice it stays as it is, and that is said.
 pub fn lay_again(plan: &RunPlan, tracked: &mut Tracked) {
-    let source = match plan.source.path.as_str() {
-        "-" => Err(Error::input("standard input cannot be read twice")),
-        _ => plan.source.open(),
+    let source = match tracked.repeatable {
+        false => Err(Error::input("what comes live cannot be read twice")),
+        true => plan.source.open(),
     };
     let mut decoding = match source {
         Ok(source) => Decoding { source, times: Vec::new() },
@@ -204,10 +211,10 @@ struct Followed {
 }
 
 /// A frame with its pose, for the mosaic.
-struct Posed {
-    frame: Frame,
-    pose: GroundPose,
-    segment: usize,
+pub struct Posed {
+    pub frame: Frame,
+    pub pose: GroundPose,
+    pub segment: usize,
 }
 
 impl Tracking<'_> {
@@ -223,15 +230,19 @@ impl Tracking<'_> {
         let segment = estimate.segment;
         self.frames.push(estimate);
         self.references.push(self.odometry.reference());
-        // Odometry counts the frames that it was given; the map tells those of the source.
-        for event in &mut events {
-            if let KeyframeEvent::Made(new) = event
-                && let Some(made) = self.frames.get(new.frame as usize)
-            {
-                new.frame = made.frame;
-            }
-        }
+        number_as_source(&mut events, &self.frames);
         Ok(Followed { posed: pose.map(|pose| Posed { frame, pose, segment }), events })
+    }
+}
+
+/// Odometry counts the frames that it was given; the map tells those of the source.
+pub fn number_as_source(events: &mut [KeyframeEvent], frames: &[FrameEstimate]) {
+    for event in events {
+        if let KeyframeEvent::Made(new) = event
+            && let Some(made) = frames.get(new.frame as usize)
+        {
+            new.frame = made.frame;
+        }
     }
 }
 
@@ -253,7 +264,7 @@ impl Ground {
 }
 
 /// The mosaic.
-struct Laying {
+pub struct Laying {
     camera: Camera,
     mosaic: Mosaic,
     times: Vec<Duration>,
@@ -262,11 +273,17 @@ struct Laying {
 }
 
 impl Laying {
-    fn new(camera: Camera) -> Self {
+    pub fn new(camera: Camera) -> Self {
         Self { camera, mosaic: Mosaic::new(Default::default()), times: Vec::new(), before: None }
     }
 
-    fn next(&mut self, posed: Posed) {
+    /// The ground so far.
+    pub fn mosaic(&self) -> &Mosaic {
+        &self.mosaic
+    }
+
+    /// Lays a frame where it shows something new.
+    pub fn next(&mut self, posed: Posed) {
         let started = Instant::now();
         if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
             self.lay(&before);
@@ -288,7 +305,7 @@ impl Laying {
     }
 
     /// The mosaic with the last frame on it.
-    fn finished(mut self) -> (Mosaic, Vec<Duration>) {
+    pub fn finished(mut self) -> (Mosaic, Vec<Duration>) {
         if let Some(before) = self.before.take() {
             self.lay(&before);
         }

@@ -76,6 +76,18 @@ impl RunPlan {
             let source = plan.source.open()?;
             return Ok((plan, source));
         }
+        Self::over(arguments, |plan| {
+            let source = plan.open()?;
+            let size = (source.info().width, source.info().height);
+            Ok((source, size))
+        })
+    }
+
+    /// The plan that the arguments ask for, over a source that `open` opens and tells the size of, pixels.
+    pub fn over<S>(
+        arguments: &RunArguments,
+        open: impl FnOnce(&SourcePlan) -> Result<(S, (usize, usize))>,
+    ) -> Result<(Self, S)> {
         if arguments.camera.is_none() && arguments.field_of_view.is_none() {
             return Err(Error::usage(
                 "no camera is given; give --camera FILE (and --height METRES), or --field-of-view WIDTHxHEIGHT in metres \
@@ -94,8 +106,7 @@ impl RunPlan {
         };
         // A camera file that cannot be read is told before a source that may take long to open.
         let camera_text = arguments.camera.as_deref().map(files::read_text).transpose()?;
-        let source = source_plan.open()?;
-        let size = (source.info().width, source.info().height);
+        let (source, size) = open(&source_plan)?;
         let camera = match (&camera_text, &arguments.camera, arguments.field_of_view) {
             (Some(text), Some(path), _) => {
                 camera_file::parse(text, Some(size)).map_err(|error| error.at(path.display()))?

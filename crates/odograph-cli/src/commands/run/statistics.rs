@@ -40,9 +40,31 @@ pub struct Statistics {
     pub budget: Option<BudgetStatistics>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
+    /// How the run kept up with its source; left out of runs over recordings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub live: Option<LiveStatistics>,
     /// What became of the sensors beside the camera; left out where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<SensorStatistics>,
+}
+
+/// How a live run kept up with its source.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LiveStatistics {
+    /// Frames that came from the source.
+    pub frames_captured: u64,
+    /// Frames that gave way to newer ones because tracking was too slow.
+    pub frames_dropped: u64,
+    /// Posed frames that were not looked at for the mosaic because laying was too slow.
+    pub frames_not_laid: u64,
+    /// How often the source went away and came back.
+    pub reconnects: u64,
+    /// From capture to pose, milliseconds, median.
+    pub latency_median_ms: f64,
+    /// From capture to pose, milliseconds; 99 of 100 frames are quicker.
+    pub latency_p99_ms: f64,
+    /// From capture to pose, milliseconds, the slowest frame.
+    pub latency_most_ms: f64,
 }
 
 /// A budget for the time of a frame, and what became of it.
@@ -165,6 +187,7 @@ impl Statistics {
             peak_memory_bytes: peak_memory_bytes(),
             budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
             interrupted: tracked.interrupted,
+            live: tracked.live,
             sensors: sensors.iter().map(SensorStatistics::new).collect(),
         }
     }

@@ -9,13 +9,16 @@ use std::cmp::Reverse;
 use std::collections::HashMap;
 
 /// At most so many descriptors are compared for a query, the emptiest buckets' first.
-const MOST_COMPARISONS: u32 = 40_000;
+const MOST_COMPARISONS: u32 = 12_000;
 
 /// At most so many keyframes are looked at closely for a query.
-const MOST_CANDIDATES: usize = 24;
+const MOST_CANDIDATES: usize = 16;
 
 /// With fewer matches a hypothesis is not worth telling.
 const LEAST_MATCHES: usize = 5;
+
+/// With less worth no rival is looked for.
+const WORTH_A_RIVAL: f32 = 3.0;
 
 /// Keyframes by what their ground looks like.
 #[derive(Debug, Clone)]
@@ -139,7 +142,9 @@ impl PlaceIndex {
         let mut hypotheses: Vec<_> = found
             .into_iter()
             .map(|(keyframe, slot, support)| {
-                let rival = rival(&query, &slot.features, &support);
+                // Where hardly anything speaks for a place it is no matter what speaks against it.
+                let told = support.worth >= WORTH_A_RIVAL;
+                let rival = told.then(|| rival(&query, &slot.features, &support)).flatten();
                 let (worth, rival_worth) = (support.worth.into(), rival.map_or(0.0, |r| r.worth.into()));
                 let Placing { shift, heading_rad, scale } = support.placing;
                 let [x, y] = shift.map(|spots| f64::from(spots) * self.spot_m);

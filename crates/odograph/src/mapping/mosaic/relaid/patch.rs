@@ -213,8 +213,8 @@ impl Sums {
     #[inline]
     fn add<const N: usize>(&mut self, sample: [f32; N], coarse: [f32; N], weight: f32, gains: &[f32; 3]) {
         let sharp = weight.powi(SHARPNESS).max(1e-30);
-        for channel in 0..3 {
-            let (from, gain) = (channel.min(N - 1), gains[channel]);
+        for (channel, gain) in gains.iter().enumerate() {
+            let from = channel.min(N - 1);
             self.coarse[channel] += weight * gain * coarse[from];
             self.fine[channel] += sharp * gain * (sample[from] - coarse[from]);
         }

@@ -1,0 +1,37 @@
+//! `odograph cameras`: what is plugged in, and what it can do.
+
+use crate::{Outcome, console};
+use odograph::error::Result;
+use std::fmt::Write;
+
+/// List the cameras of this machine and what they can do.
+#[derive(Debug, clap::Args)]
+pub struct CamerasArguments {}
+
+/// Runs the command.
+pub fn cameras(_: CamerasArguments) -> Result<Outcome> {
+    let mut text = String::new();
+    for (path, name, modes) in found() {
+        let _ = writeln!(text, "{}  {name}", path.display());
+        for mode in modes {
+            let _ = writeln!(text, "    {mode}");
+        }
+    }
+    if text.is_empty() {
+        console::complain("no camera was found at this machine (/dev/video*)");
+    }
+    console::print(&text)?;
+    Ok(Outcome::Done)
+}
+
+type Found = Vec<(std::path::PathBuf, String, Vec<odograph_live::capture::camera::Mode>)>;
+
+#[cfg(target_os = "linux")]
+fn found() -> Found {
+    odograph_live::capture::camera::list()
+}
+
+#[cfg(not(target_os = "linux"))]
+fn found() -> Found {
+    Vec::new()
+}

@@ -1,0 +1,207 @@
+//! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with a page in the browser.
+
+mod ground;
+mod latency;
+mod open;
+mod outputs;
+mod pipeline;
+mod recorder;
+mod serving;
+
+use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
+use crate::{Outcome, console, interrupt};
+use odograph::error::Result;
+use odograph_live::capture::camera::PixelFormat;
+use odograph_live::capture::{RawFormat, Watch};
+use odograph_live::{Introduction, Phase};
+use outputs::Outputs;
+use recorder::Recorder;
+pub use serving::{ServeArguments, Serving};
+use std::path::PathBuf;
+
+/// Follow a camera as it moves, and show it in the browser.
+///
+/// Takes a camera (/dev/video0), a phone or network camera (http://… Motion JPEG, rtsp://…), frames on standard input (-), and every
+/// recording that `run` takes. Writes the same folder as `run` when it ends: at Ctrl-C, at the page's button, or with the source.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct LiveArguments {
+    /// A camera as /dev/video0, an address as http://192.168.1.20:8080/video or rtsp://…, `-` for Y4M on standard input, or a recording.
+    #[arg(value_name = "SOURCE")]
+    pub source: String,
+    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Height of the camera above the ground, metres; the camera looks straight down.
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with = "rig")]
+    pub height: Option<f64>,
+    /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
+    #[arg(long, value_name = "FILE")]
+    pub rig: Option<PathBuf>,
+    /// Ground seen by the whole image, metres, e.g. 1.20x0.90: stands in for a camera file.
+    #[arg(long, value_name = "WxH", value_parser = run::field_of_view, conflicts_with = "camera")]
+    pub field_of_view: Option<FieldOfView>,
+    /// What may change between frames.
+    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    pub motion: Motion,
+    /// Play a recording at its own pace, or at SPEED times that; frames that come too fast are dropped. Without it every frame is taken,
+    /// as fast as can be. Frames on standard input are taken as they come, and the newest win.
+    #[arg(long, value_name = "SPEED", num_args = 0..=1, default_missing_value = "1", value_parser = speed)]
+    pub realtime: Option<f64>,
+    /// Frames a second: of a recording that does not say, or wished of a camera.
+    #[arg(long, value_name = "RATE")]
+    pub fps: Option<f64>,
+    /// Size wished of a camera, pixels, e.g. 640x480. [default: the camera file's]
+    #[arg(long, value_name = "WxH", value_parser = pixels)]
+    pub size: Option<(u32, u32)>,
+    /// Format wished of a camera: grey, yuyv or mjpeg.
+    #[arg(long, value_name = "FORMAT")]
+    pub format: Option<PixelFormat>,
+    /// Leave a camera's exposure to itself; otherwise it is held once it has settled.
+    #[arg(long)]
+    pub auto_exposure: bool,
+    /// Standard input has bare frames: gray:640x480@30, yuyv:… or rgb:….
+    #[arg(long, value_name = "FORMAT")]
+    pub raw: Option<RawFormat>,
+    /// How long to wait for a network camera that has gone to come back, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
+    pub patience: u64,
+    #[command(flatten)]
+    pub serve: ServeArguments,
+    /// Print a line of JSON for each frame to standard output.
+    #[arg(long, value_name = "WHAT")]
+    pub print: Option<Print>,
+    /// Send a line of JSON for each frame as a datagram.
+    #[arg(long, value_name = "HOST:PORT")]
+    pub udp: Option<String>,
+    /// Folder for the results. [default: live- and the date and time]
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: Option<PathBuf>,
+    /// Overwrite results that are already there.
+    #[arg(long)]
+    pub force: bool,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    pub quiet: bool,
+    /// Print stats.json to standard output instead of a summary.
+    #[arg(long)]
+    pub json: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph cameras
+  odograph live /dev/video0 --camera camera.yaml --height 1.20 --serve
+  odograph live http://192.168.1.20:8080/video --camera phone.yaml --height 1.20 --serve -o walk/
+  odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 127.0.0.1:8080
+  odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot";
+
+/// What can be printed for each frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Print {
+    /// Pose, covariance and status.
+    Poses,
+}
+
+fn speed(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(speed) if speed.is_finite() && speed > 0.0 => Ok(speed),
+        _ => Err("give a number above zero, 1 for the recording's own pace".to_owned()),
+    }
+}
+
+fn pixels(text: &str) -> std::result::Result<(u32, u32), String> {
+    let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    size.filter(|(w, h)| *w > 0 && *h > 0)
+        .ok_or_else(|| "give width and height in pixels, as 640x480".to_owned())
+}
+
+impl LiveArguments {
+    /// The arguments of a run over the same source into the same folder.
+    fn as_run(&self) -> RunArguments {
+        let output = self.output.clone().unwrap_or_else(|| PathBuf::from(recorder::folder_name_now()));
+        RunArguments {
+            source: self.source.clone(),
+            camera: self.camera.clone(),
+            height: self.height,
+            rig: self.rig.clone(),
+            field_of_view: self.field_of_view,
+            motion: self.motion,
+            fps: self.fps,
+            ..RunArguments::over(OutputArguments {
+                output,
+                force: self.force,
+                threads: None,
+                map: None,
+                map_is_read_only: false,
+                least_frames: 2,
+                quiet: self.quiet,
+                json: self.json,
+            })
+        }
+    }
+}
+
+/// Runs the command.
+pub fn live(arguments: LiveArguments) -> Result<Outcome> {
+    let run_arguments = arguments.as_run();
+    let outputs = Outputs::new(&arguments)?;
+    let folder = run::folder::OutputFolder::new(&run_arguments.output.output, arguments.force)?;
+    let watch = Watch::default();
+    let (plan, source) = RunPlan::over(&run_arguments, |plan| {
+        let source = open::open(plan, &arguments, &watch)?;
+        let size = (source.source.info().width, source.source.info().height);
+        Ok((source, size))
+    })?;
+    let info = source.source.info().clone();
+    let name = arguments.source.trim_end_matches(['/', '\\']);
+    let introduction = Introduction {
+        title: match name.rsplit(['/', '\\']).next() {
+            Some("-") => "standard input".to_owned(),
+            last => last.unwrap_or(name).to_owned(),
+        },
+        source: info.description.clone(),
+        width: info.width,
+        height: info.height,
+        height_m: plan.rig.height_m,
+        live: true,
+    };
+    let laying = ground::LiveGround::new(plan.camera.clone());
+    let serving = Serving::start(&arguments.serve, introduction, laying.clone(), Some(folder.path()))?;
+    if let Some(url) = serving.url()
+        && !arguments.quiet
+    {
+        console::complain(&format!("look at {url}"));
+    }
+    let mapping = run::mapping::Mapping::new(&plan, folder.path(), &run_arguments.output)?;
+    let recorder = Recorder::new(folder, &plan)?;
+    let result = pipeline::follow(
+        &plan,
+        source,
+        &watch,
+        &laying,
+        serving.hub(),
+        &run_arguments.output,
+        mapping,
+        recorder,
+        outputs,
+    );
+    serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
+    let report = match result {
+        Ok(report) => report,
+        Err(error) => {
+            // The page still shows what there was, and why it ended.
+            if !interrupt::asked() {
+                serving.linger(arguments.quiet);
+            }
+            return Err(error);
+        }
+    };
+    if arguments.print.is_none() {
+        report.tell(&run_arguments.output)?;
+    }
+    if !interrupt::asked() {
+        serving.linger(arguments.quiet);
+    }
+    Ok(report.outcome())
+}

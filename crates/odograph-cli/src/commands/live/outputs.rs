@@ -1,0 +1,35 @@
+//! Poses for other programs, as they come.
+
+use super::{LiveArguments, Print};
+use crate::console;
+use odograph::error::{Error, Result};
+use odograph::trajectory::FrameEstimate;
+use odograph_live::stream::{Datagrams, json_line};
+
+/// Where poses go beside the folder and the page.
+pub struct Outputs {
+    print: bool,
+    datagrams: Option<Datagrams>,
+}
+
+impl Outputs {
+    pub fn new(arguments: &LiveArguments) -> Result<Self> {
+        let datagrams = arguments.udp.as_deref().map(|address| {
+            Datagrams::to(address)
+                .map_err(|error| Error::usage(format!("poses cannot be sent to {address}: {error}")))
+        });
+        Ok(Self { print: arguments.print == Some(Print::Poses), datagrams: datagrams.transpose()? })
+    }
+
+    /// Tells a frame.
+    pub fn tell(&mut self, frame: &FrameEstimate, latency_ms: f64) -> Result<()> {
+        if !self.print && self.datagrams.is_none() {
+            return Ok(());
+        }
+        let line = json_line(frame, Some(latency_ms)) + "\n";
+        if let Some(datagrams) = &self.datagrams {
+            datagrams.send(&line);
+        }
+        if self.print { console::print(&line) } else { Ok(()) }
+    }
+}

@@ -1,0 +1,325 @@
+//! Capture | track | map and show, side by side. Only tracking is waited for; everything else gets what it can carry.
+
+use super::ground::LiveGround;
+use super::latency::Latencies;
+use super::open::Opened;
+use super::outputs::Outputs;
+use super::recorder::Recorder;
+use crate::commands::run::mapping::Mapping;
+use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, number_as_source};
+use crate::commands::run::statistics::LiveStatistics;
+use crate::commands::run::{self, OutputArguments, RunPlan, RunReport};
+use crate::interrupt;
+use odograph::error::{Error, Result};
+use odograph::filter::fusion::Sensors;
+use odograph::image::GrayImage;
+use odograph::odometry::{FrameReference, KeyframeEvent, Odometry, TrackView};
+use odograph::trajectory::FrameEstimate;
+use odograph_live::capture::{Captured, LiveSource, Newest, Policy, Taken, Watch};
+use odograph_live::{Hub, Phase, Status, TrackRecord, View};
+use odograph_video::Frame;
+use std::sync::{Arc, mpsc};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Frames that wait for tracking: one that is next, and one for the time in which it is taken.
+const QUEUE: usize = 2;
+/// Frames that wait to be laid on the ground.
+const LAYING_QUEUE: usize = 4;
+/// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is waited for.
+const MAPPING_QUEUE: usize = 64;
+/// How long to wait for a frame before looking at everything else.
+const PATIENCE: Duration = Duration::from_millis(100);
+/// How often the page hears how the run goes.
+const STATUS_EVERY: Duration = Duration::from_millis(250);
+/// A source that is asked to end is waited for so long; one that hangs in the system is left behind.
+const FAREWELL: Duration = Duration::from_secs(2);
+
+/// Follows a source until it ends or the run is asked to end, then writes everything.
+pub fn follow(
+    plan: &RunPlan,
+    opened: Opened,
+    watch: &Watch,
+    ground: &LiveGround,
+    hub: &Arc<Hub>,
+    arguments: &OutputArguments,
+    mapping: Mapping,
+    recorder: Recorder,
+    outputs: Outputs,
+) -> Result<RunReport> {
+    let started = Instant::now();
+    let repeatable = opened.repeatable;
+    let description = opened.source.info().description.clone();
+    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    odometry.tell_keyframes();
+    let mut following = Following {
+        odometry,
+        frames: Vec::new(),
+        references: Vec::new(),
+        times: StageTimes::default(),
+        latencies: Latencies::default(),
+        distance_m: 0.0,
+        recorder,
+        outputs,
+        hub,
+        watch,
+        queue: Arc::new(Newest::new(opened.policy, QUEUE)),
+        policy: opened.policy,
+        not_laid: 0,
+        status_told: None,
+    };
+    let ended = capture(opened.source, Arc::clone(&following.queue));
+    let mut mapping = mapping;
+    let outcome = following.run(ground, &mut mapping);
+    watch.end();
+    following.queue.close();
+    let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
+    following.tell_status(Phase::Saving);
+    let (mosaic, map_times) = ground.finish();
+    following.times.map = map_times;
+    let live = following.statistics();
+    let tracked = Tracked {
+        keyframes: following.odometry.keyframes(),
+        frames: following.frames,
+        references: following.references,
+        mosaic: mosaic.clone(),
+        mapping,
+        warnings: farewell.warnings,
+        times: following.times,
+        interrupted: interrupt::asked() || hub.stop_asked(),
+        repeatable,
+        live: Some(live),
+        failure: outcome.err().or(farewell.failure),
+    };
+    ground.show(mosaic);
+    let mut folder = following.recorder.into_folder();
+    run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)
+}
+
+/// What a source left when it ended.
+#[derive(Default)]
+struct Farewell {
+    warnings: Vec<String>,
+    failure: Option<Error>,
+}
+
+/// Takes frames from the source on a thread of its own, which ends with the queue or the source. It is not joined: reading a pipe or a
+/// device may hang as long as its other end wills.
+fn capture(
+    mut source: Box<dyn LiveSource>,
+    queue: Arc<Newest<(Captured, Duration)>>,
+) -> mpsc::Receiver<Farewell> {
+    let (ended, farewell) = mpsc::channel();
+    thread::spawn(move || {
+        let failure = loop {
+            let begun = Instant::now();
+            match source.next_frame() {
+                Ok(Some(captured)) => {
+                    if !queue.give((captured, begun.elapsed())) {
+                        break None;
+                    }
+                }
+                Ok(None) => break None,
+                Err(error) => break Some(error),
+            }
+        };
+        // Nobody may be waiting any more.
+        let _ = ended.send(Farewell { warnings: source.take_warnings(), failure });
+        queue.close();
+    });
+    farewell
+}
+
+/// Closes the queues of the threads beside however tracking ends, so that they end too.
+struct Closing<'a>(&'a Beside);
+
+impl Drop for Closing<'_> {
+    fn drop(&mut self) {
+        self.0.laying.close();
+        self.0.mapping.close();
+        self.0.views.close();
+    }
+}
+
+/// What happened to the keyframes with a frame, and the frame, whose colours the map keeps.
+struct Happened {
+    events: Vec<KeyframeEvent>,
+    frame: Frame,
+}
+
+/// The queues to the threads beside tracking.
+struct Beside {
+    laying: Newest<Posed>,
+    mapping: Newest<Happened>,
+    views: Newest<Sight>,
+}
+
+/// A picture to be shown.
+struct Sight {
+    record: usize,
+    gray: GrayImage,
+    tracks: Vec<TrackView>,
+}
+
+/// The middle of the pipeline.
+struct Following<'a> {
+    odometry: Odometry,
+    frames: Vec<FrameEstimate>,
+    references: Vec<Option<FrameReference>>,
+    times: StageTimes,
+    latencies: Latencies,
+    distance_m: f64,
+    recorder: Recorder,
+    outputs: Outputs,
+    hub: &'a Hub,
+    watch: &'a Watch,
+    queue: Arc<Newest<(Captured, Duration)>>,
+    policy: Policy,
+    not_laid: u64,
+    status_told: Option<Instant>,
+}
+
+impl Following<'_> {
+    /// Tracks until the end. What was measured stays, whatever ends it.
+    fn run(&mut self, ground: &LiveGround, mapping: &mut Mapping) -> Result<()> {
+        let beside = Beside {
+            laying: Newest::new(self.policy, LAYING_QUEUE),
+            mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
+            views: Newest::new(Policy::NewestWins, 1),
+        };
+        let (beside, hub) = (&beside, self.hub);
+        let outcome = thread::scope(|scope| {
+            scope.spawn(move || each(&beside.laying, |posed| ground.lay(posed)));
+            scope.spawn(move || {
+                each(&beside.views, |sight: Sight| {
+                    if let Some(view) = View::new(sight.record, &sight.gray, &sight.tracks) {
+                        hub.show_view(view);
+                    }
+                });
+            });
+            let mapper = scope.spawn(move || {
+                let mut failure = None;
+                each(&beside.mapping, |happened: Happened| {
+                    // A map that cannot be written (the disk is full) ends; tracking does not.
+                    if failure.is_none() {
+                        failure = mapping.take(happened.events, Some(&happened.frame)).err();
+                    }
+                });
+                failure
+            });
+            let outcome = {
+                let _ending = Closing(beside);
+                self.track_all(beside)
+            };
+            let unmapped =
+                mapper.join().unwrap_or_else(|_| Some(Error::output("the map ended unexpectedly")));
+            outcome.and(unmapped.map_or(Ok(()), Err))
+        });
+        self.not_laid = beside.laying.counts().1;
+        outcome
+    }
+
+    fn track_all(&mut self, beside: &Beside) -> Result<()> {
+        while !interrupt::asked() && !self.hub.stop_asked() {
+            match self.queue.take(PATIENCE) {
+                Taken::Item((captured, decoding)) => self.track(captured, decoding, beside)?,
+                Taken::Nothing => {}
+                Taken::End => break,
+            }
+            if self.status_told.is_none_or(|told| told.elapsed() >= STATUS_EVERY) {
+                self.recorder.mark(self.hub.marks_from(self.recorder.marks()));
+                self.tell_status(if self.watch.waiting().is_some() {
+                    Phase::Waiting
+                } else {
+                    Phase::Running
+                });
+            }
+        }
+        self.recorder.mark(self.hub.marks_from(self.recorder.marks()));
+        Ok(())
+    }
+
+    fn track(&mut self, captured: Captured, decoding: Duration, beside: &Beside) -> Result<()> {
+        let Captured { frame, at } = captured;
+        let begun = Instant::now();
+        let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
+        let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        let mut events = self.odometry.take_keyframe_events();
+        let latency_ms = self.latencies.add(at.elapsed());
+        self.times.decode.push(decoding);
+        self.times.track.push(begun.elapsed());
+        self.outputs.tell(&estimate, latency_ms)?;
+        self.recorder.record(&estimate);
+        let first_time_s = self.frames.first().map_or(estimate.time_s, |first| first.time_s);
+        let record = self.hub.add_record(&TrackRecord::new(&estimate, first_time_s, Some(latency_ms)));
+        if self.hub.viewers() > 0 {
+            let tracks = self.odometry.tracks().to_vec();
+            beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
+        }
+        self.distance_m += self.step_m(&estimate);
+        let pose = estimate.estimate.as_ref().map(|known| known.pose);
+        let segment = estimate.segment;
+        self.frames.push(estimate);
+        self.references.push(self.odometry.reference());
+        if !events.is_empty() {
+            number_as_source(&mut events, &self.frames);
+            beside.mapping.give(Happened { events, frame: frame.clone() });
+        }
+        if let Some(pose) = pose {
+            beside.laying.give(Posed { frame, pose, segment });
+        }
+        Ok(())
+    }
+
+    /// How far the camera went since the frame before, where both are known and connected, metres.
+    fn step_m(&self, next: &FrameEstimate) -> f64 {
+        let before = self.frames.last().filter(|before| before.segment == next.segment);
+        match (before.and_then(|before| before.estimate.as_ref()), &next.estimate) {
+            (Some(a), Some(b)) => (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m),
+            _ => 0.0,
+        }
+    }
+
+    fn tell_status(&mut self, phase: Phase) {
+        self.status_told = Some(Instant::now());
+        let (fps, latency_median_ms, latency_p99_ms) = self.latencies.recent();
+        let (captured, dropped) = self.queue.counts();
+        self.hub.set_status(Status {
+            phase,
+            message: self.watch.waiting().or_else(|| self.recorder.message()),
+            captured,
+            dropped,
+            fps,
+            latency_median_ms,
+            latency_p99_ms,
+            keyframes: self.odometry.keyframes(),
+            distance_m: self.distance_m,
+            recording: self.recorder.is_recording(),
+        });
+    }
+
+    fn statistics(&self) -> LiveStatistics {
+        let (frames_captured, frames_dropped) = self.queue.counts();
+        let [latency_median_ms, latency_p99_ms, latency_most_ms] = self.latencies.overall();
+        LiveStatistics {
+            frames_captured,
+            frames_dropped,
+            frames_not_laid: self.not_laid,
+            reconnects: self.watch.reconnects(),
+            latency_median_ms,
+            latency_p99_ms,
+            latency_most_ms,
+        }
+    }
+}
+
+/// Takes everything from a queue until its end.
+fn each<T>(queue: &Newest<T>, mut take: impl FnMut(T)) {
+    loop {
+        match queue.take(Duration::from_secs(1)) {
+            Taken::Item(item) => take(item),
+            Taken::Nothing => {}
+            Taken::End => return,
+        }
+    }
+}

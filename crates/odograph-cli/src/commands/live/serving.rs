@@ -1,0 +1,108 @@
+//! The page of a run: begins, tells how it goes, and stays as long as somebody looks.
+
+use crate::commands::run::folder::FILES;
+use crate::{console, interrupt};
+use odograph::error::{Error, Result};
+use odograph_live::server::new_token;
+use odograph_live::{Ground, Hub, Introduction, Phase, Server, ServerOptions};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Where the page is, and for whom.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct ServeArguments {
+    /// Show a page in the browser, at this address. [with no address: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
+    pub serve: Option<SocketAddr>,
+    /// What a browser must know to be let in. Beyond this machine's own addresses there is always one: made up and told, if not given.
+    #[arg(long, value_name = "TOKEN")]
+    pub token: Option<String>,
+}
+
+/// After the end the page stays for those who look, and so long for who only reloads it.
+const GRACE: Duration = Duration::from_secs(10);
+
+/// What there is to see, and the server where one was asked for.
+pub struct Serving {
+    hub: Arc<Hub>,
+    server: Option<Server>,
+}
+
+impl Serving {
+    /// Begins to show a run.
+    pub fn start(
+        arguments: &ServeArguments,
+        introduction: Introduction,
+        ground: impl Ground + 'static,
+        folder: Option<&Path>,
+    ) -> Result<Self> {
+        let hub = Arc::new(Hub::new(introduction, Arc::new(ground)));
+        let Some(address) = arguments.serve else {
+            return Ok(Self { hub, server: None });
+        };
+        let token = match &arguments.token {
+            Some(token)
+                if token.len() < 8 || !token.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-') =>
+            {
+                return Err(Error::usage("a token has at least 8 letters, digits or hyphens"));
+            }
+            Some(token) => Some(token.clone()),
+            None if address.ip().is_loopback() => None,
+            None => Some(new_token()?),
+        };
+        let options = ServerOptions {
+            token,
+            folder: folder.map(Path::to_owned),
+            files: FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect(),
+        };
+        let server = Server::start(address, Arc::clone(&hub), options)?;
+        Ok(Self { hub, server: Some(server) })
+    }
+
+    /// What there is to see.
+    pub fn hub(&self) -> &Arc<Hub> {
+        &self.hub
+    }
+
+    /// Where to look, if anywhere.
+    pub fn url(&self) -> Option<String> {
+        self.server.as_ref().map(Server::url)
+    }
+
+    /// Tells where the run stands.
+    pub fn set_phase(&self, phase: Phase, failure: Option<&Error>) {
+        let mut status = self.hub.status();
+        status.phase = phase;
+        if let Some(error) = failure {
+            status.message = Some(error.to_string());
+        }
+        self.hub.set_status(status);
+    }
+
+    /// Stays while somebody looks.
+    pub fn linger(&self, quiet: bool) {
+        if self.server.is_none() || self.hub.viewers() == 0 {
+            return;
+        }
+        if !quiet {
+            console::complain("the page stays while it is open in a browser; Ctrl-C ends at once");
+        }
+        let mut last_seen = Instant::now();
+        while !interrupt::asked() && last_seen.elapsed() < GRACE {
+            if self.hub.viewers() > 0 {
+                last_seen = Instant::now();
+            }
+            thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    /// Stays until the program is asked to end.
+    pub fn stay(&self) {
+        while !interrupt::asked() {
+            thread::sleep(Duration::from_millis(100));
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! `odograph view`: a finished run in the browser.
+
+use super::live::{ServeArguments, Serving};
+use super::run::RunPlan;
+use crate::{Outcome, console, files};
+use odograph::error::{Error, Result};
+use odograph::mapping::{Mosaic, Placement};
+use odograph_live::{Ground, GroundPicture, Introduction, Mark, Phase, Status, TrackRecord};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// Look at a finished run in the browser: the path on the mosaic, plots, and a slider over its time.
+#[derive(Debug, clap::Args)]
+pub struct ViewArguments {
+    /// The folder of a run, of `run` or `live`; also of one that was killed.
+    #[arg(value_name = "FOLDER")]
+    pub folder: PathBuf,
+    #[command(flatten)]
+    pub serve: ServeArguments,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+/// No table of a run is larger: a week at 30 frames a second, bytes.
+const MOST_TABLE: u64 = 4 << 30;
+/// No mosaic that was written by this program has more pixels.
+const MOST_PIXELS: usize = 64 << 20;
+
+/// Runs the command.
+pub fn view(arguments: ViewArguments) -> Result<Outcome> {
+    let folder = &arguments.folder;
+    let records = records(folder)?;
+    let plan = plan(folder);
+    let name =
+        folder.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
+    let (width, height) =
+        plan.as_ref().map_or((640, 480), |plan| (plan.camera.width(), plan.camera.height()));
+    let introduction = Introduction {
+        title: name.unwrap_or_else(|| folder.display().to_string()),
+        source: plan.as_ref().map_or_else(String::new, |plan| plan.source.path.clone()),
+        width,
+        height,
+        height_m: plan.as_ref().map_or(1.0, |plan| plan.rig.height_m),
+        live: false,
+    };
+    let ground: Box<dyn Ground> = match mosaic(folder)? {
+        Some(picture) => Box::new(picture),
+        None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
+    };
+    let mut serve = arguments.serve.clone();
+    serve.serve.get_or_insert_with(|| ([127, 0, 0, 1], 8080).into());
+    let serving = Serving::start(&serve, introduction, ground, Some(folder))?;
+    for record in &records {
+        serving.hub().add_record(record);
+    }
+    serving.hub().set_marks(marks(folder, &records));
+    serving.hub().set_status(Status {
+        phase: Phase::Saved,
+        captured: records.len() as u64,
+        distance_m: length_m(&records),
+        ..Status::default()
+    });
+    if let Some(url) = serving.url()
+        && !arguments.quiet
+    {
+        console::complain(&format!("look at {url} (Ctrl-C ends)"));
+    }
+    serving.stay();
+    Ok(Outcome::Done)
+}
+
+fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
+    let table = folder.join("trajectory.csv");
+    // A run that was killed has left what it had.
+    let table = if table.is_file() { table } else { files::beside(&table) };
+    if !table.is_file() {
+        return Err(Error::input(format!(
+            "{} is not the folder of a run: it has no trajectory.csv",
+            folder.display()
+        )));
+    }
+    TrackRecord::from_csv(&files::read_text_within(&table, MOST_TABLE)?)
+        .map_err(|error| error.at(folder.display()))
+}
+
+/// The parameters of the run, where they are there and can be read: the page tells more with them.
+fn plan(folder: &Path) -> Option<RunPlan> {
+    toml::from_str(&files::read_text(&folder.join("run.toml")).ok()?).ok()
+}
+
+/// The mosaic, where there is one.
+fn mosaic(folder: &Path) -> Result<Option<GroundPicture>> {
+    let (picture, world) = (folder.join("mosaic.png"), folder.join("mosaic.pgw"));
+    if !picture.is_file() || !world.is_file() {
+        return Ok(None);
+    }
+    let numbers: Vec<f64> =
+        files::read_text(&world)?.lines().filter_map(|line| line.trim().parse().ok()).collect();
+    let [metres_per_pixel, _, _, _, x_m, y_m] = numbers[..] else {
+        return Err(Error::input(format!("{} is not a world file of six numbers", world.display())));
+    };
+    let damaged = |why: String| Error::input(format!("{} cannot be shown: {why}", picture.display()));
+    let file = File::open(&picture).map_err(|error| damaged(error.to_string()))?;
+    let mut decoder = png::Decoder::new(BufReader::new(file));
+    decoder.set_limits(png::Limits { bytes: 8 * MOST_PIXELS });
+    let mut reader = decoder.read_info().map_err(|error| damaged(error.to_string()))?;
+    let size = reader.output_buffer_size().filter(|size| *size <= 4 * MOST_PIXELS);
+    let (color, depth) = reader.output_color_type();
+    if color != png::ColorType::Rgba || depth != png::BitDepth::Eight {
+        return Err(damaged("it is not a mosaic of this program".to_owned()));
+    }
+    let mut rgba = vec![0; size.ok_or_else(|| damaged("it is too large".to_owned()))?];
+    let info = reader.next_frame(&mut rgba).map_err(|error| damaged(error.to_string()))?;
+    let placement = Placement { metres_per_pixel, x_m, y_m };
+    GroundPicture::new(rgba, info.width as usize, info.height as usize, placement).map(Some)
+}
+
+/// The marks that were set in the run, where there are any.
+fn marks(folder: &Path, records: &[TrackRecord]) -> Vec<Mark> {
+    let text = files::read_text(&folder.join("marks.csv")).unwrap_or_default();
+    let mark = |line: &str| {
+        let mut cells = line.splitn(4, ',');
+        let mut number = || cells.next()?.parse::<f32>().ok();
+        let time_s = number()?;
+        let (x_m, y_m) = (number(), number());
+        let name = cells.next()?.trim().trim_matches('"').replace("\"\"", "\"");
+        let record =
+            records.partition_point(|record| record.values[0] < time_s).min(records.len().checked_sub(1)?);
+        Some(Mark { record, time_s, x_m, y_m, name })
+    };
+    text.lines().skip(1).filter_map(mark).collect()
+}
+
+/// Length of the path, metres; gaps do not count.
+fn length_m(records: &[TrackRecord]) -> f64 {
+    let steps = records.windows(2).filter(|pair| pair[0].values[10] == pair[1].values[10]).map(|pair| {
+        f64::from(pair[1].values[1] - pair[0].values[1])
+            .hypot(f64::from(pair[1].values[2] - pair[0].values[2]))
+    });
+    steps.filter(|step| step.is_finite()).sum()
+}

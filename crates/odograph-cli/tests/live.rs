@@ -1,0 +1,313 @@
+//! `odograph live` and `odograph view`, end to end: over the bundled drive at its own pace or faster, over HTTP, and looked at in a browser.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking, and says why it skips
+
+#[path = "live/browser.rs"]
+mod browser;
+#[path = "live/program.rs"]
+mod program;
+
+use browser::Browser;
+use program::{DEMO, Place, names, pictures, statistics, write_uncompressed};
+use serde_json::json;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::process::Stdio;
+use std::time::Duration;
+
+/// The length of the whole drive.
+const DRIVE_M: f64 = 12.8;
+
+#[test]
+fn every_frame_of_a_recording_gives_what_run_gives() {
+    let place = Place::new();
+    write_uncompressed(&place.path("drive.y4m"));
+    let live = place.command("live", "drive.y4m -o live --print poses --quiet").output().unwrap();
+    assert!(live.status.success(), "{}", String::from_utf8_lossy(&live.stderr));
+    let run = place.command("run", "drive.y4m -o run --quiet").output().unwrap();
+    assert!(run.status.success());
+    for name in [
+        "trajectory.csv",
+        "trajectory.tum",
+        "trajectory-smoothed.tum",
+        "carrier.tum",
+        "mosaic.png",
+        "mosaic.pgw",
+        "map.svg",
+    ] {
+        assert!(place.read(&format!("live/{name}")) == place.read(&format!("run/{name}")), "{name} differs");
+    }
+    assert_eq!(names(&place.path("live")), names(&place.path("run")));
+    // A line for each frame on standard output, each of them JSON, and the last one where the trajectory ends.
+    let lines: Vec<serde_json::Value> =
+        live.stdout.lines().map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect();
+    let figures = statistics(&place.path("live"));
+    assert_eq!(json!(lines.len()), figures["frames"]);
+    assert_eq!(
+        (&figures["live"]["frames_dropped"], &figures["live"]["frames_captured"]),
+        (&json!(0), &figures["frames"])
+    );
+    let table = String::from_utf8(place.read("live/trajectory.csv")).unwrap();
+    let last: Vec<&str> = table.lines().last().unwrap().split(',').collect();
+    let x_m = lines.last().unwrap()["pose"]["x_m"].as_f64().unwrap();
+    assert!((x_m - last[2].parse::<f64>().unwrap()).abs() < 1e-6);
+}
+
+#[test]
+fn a_source_too_fast_is_followed_late_never_and_dropped_frames_are_counted() {
+    let place = Place::new();
+    write_uncompressed(&place.path("drive.y4m"));
+    let listener = UdpSocket::bind("127.0.0.1:0").unwrap();
+    listener.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let udp = listener.local_addr().unwrap();
+    // A thousand times its own pace: thirty thousand frames a second, of which most must go.
+    let done = place
+        .command("live", &format!("drive.y4m --realtime 1000 --udp {udp} -o out --quiet"))
+        .output()
+        .unwrap();
+    // On a slow machine so much gives way that what is left is no path any more: that is told by the code.
+    assert!(matches!(done.status.code(), Some(0 | 4)), "{}", String::from_utf8_lossy(&done.stderr));
+    let figures = statistics(&place.path("out"));
+    let live = &figures["live"];
+    let count = |value: &serde_json::Value| value.as_u64().unwrap();
+    // What was captured was tracked or dropped; at most the frames in the queue were there when the source ended.
+    assert_eq!(count(&live["frames_captured"]), count(&figures["frames"]) + count(&live["frames_dropped"]));
+    assert!(count(&live["frames_dropped"]) > count(&figures["frames"]), "{figures}");
+    // How long frames took is measured, in order; how long that may be depends on the machine. That no more than two wait is the queue's own
+    // test, that most of these gave way the line above.
+    let [median, p99, most] =
+        ["latency_median_ms", "latency_p99_ms", "latency_most_ms"].map(|key| live[key].as_f64().unwrap());
+    assert!(0.0 < median && median <= p99 && p99 <= most, "{live}");
+    let mut datagram = [0; 4096];
+    let length = listener.recv(&mut datagram).unwrap();
+    let first: serde_json::Value = serde_json::from_slice(&datagram[..length]).unwrap();
+    assert!(first["frame"].is_u64() && first["status"] == json!("tracked"), "{first}");
+}
+
+/// A phone: sends the frames of the drive over HTTP as fast as they are taken, hangs up in the middle, and is there again.
+fn phone(listener: TcpListener, frames: &[Vec<u8>]) {
+    let (first, second) = frames.split_at(frames.len() / 2);
+    for frames in [first, second] {
+        let (stream, _) = listener.accept().unwrap();
+        let mut reader = BufReader::new(&stream);
+        let mut line = String::from("-");
+        while !line.trim().is_empty() {
+            line.clear();
+            reader.read_line(&mut line).unwrap();
+        }
+        let head = "HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n";
+        (&stream).write_all(head.as_bytes()).unwrap();
+        for jpeg in frames {
+            let head =
+                format!("--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
+            let sent = (&stream)
+                .write_all(head.as_bytes())
+                .and_then(|()| (&stream).write_all(jpeg))
+                .and_then(|()| (&stream).write_all(b"\r\n"));
+            if sent.is_err() {
+                return;
+            }
+            // Its own pace, three times as fast: what a phone does with its clock.
+            std::thread::sleep(Duration::from_millis(11));
+        }
+    }
+}
+
+#[test]
+fn a_phone_over_http_that_hangs_up_once_is_followed_to_its_end() {
+    let place = Place::new();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let frames = pictures();
+    let sent = frames.len();
+    let server = std::thread::spawn(move || phone(listener, &frames));
+    let done = place
+        .command("live", &format!("http://{address}/video --patience 1 -o out --quiet"))
+        .output()
+        .unwrap();
+    server.join().unwrap();
+    // The camera that does not come back is bad input; everything until then is in the folder.
+    assert_eq!(done.status.code(), Some(3));
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert!(told.contains("went away") && told.contains("did not come back within 1 s"), "{told}");
+    let figures = statistics(&place.path("out"));
+    assert_eq!(figures["live"]["reconnects"], json!(2 - 1), "{figures}");
+    // Everything it sent has come, over both connections; how much of it was tracked in time depends on the machine.
+    assert_eq!(figures["live"]["frames_captured"], json!(sent), "{figures}");
+    let (length_m, posed) =
+        (figures["distance_m"].as_f64().unwrap(), figures["frames_with_pose"].as_u64().unwrap());
+    assert!(posed > 1 && length_m > 0.0 && length_m < DRIVE_M, "{figures}");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
+    let place = Place::new();
+    let mut program = place
+        .command("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"))
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
+    // A second and a half of frames have been told; at most the last second of them may be missing.
+    let told = lines.by_ref().take(60).count();
+    program.kill().unwrap();
+    program.wait().unwrap();
+    assert_eq!(told, 60);
+    let table = String::from_utf8(place.read("out/trajectory.csv.part")).unwrap();
+    let kept = table.lines().count() - 1;
+    assert!(kept >= 30, "{kept} of 60 frames");
+    assert!(place.path("out/run.toml").is_file());
+    let mut view = place.server("view", "out");
+    let state: serde_json::Value = serde_json::from_str(&view.get("/state")).unwrap();
+    assert_eq!((&state["introduction"]["live"], &state["status"]["captured"]), (&json!(false), &json!(kept)));
+    view.end();
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_is_said_and_tracking_goes_on() {
+    // A file that is always full stands where the path is recorded.
+    let place = Place::new();
+    std::fs::create_dir(place.path("out")).unwrap();
+    std::os::unix::fs::symlink("/dev/full", place.path("out/trajectory.csv.part")).unwrap();
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 4 --print poses -o out"));
+    let mut status = json!(null);
+    for (number, line) in BufReader::new(live.output()).lines().enumerate() {
+        line.unwrap();
+        if number % 40 == 39 {
+            status =
+                serde_json::from_str::<serde_json::Value>(&live.get("/state")).unwrap()["status"].clone();
+            if status["recording"] == json!(false) {
+                break;
+            }
+        }
+    }
+    let message = status["message"].as_str().unwrap();
+    assert!(message.contains("No space left on device") && message.contains("tracking goes on"), "{message}");
+    live.end();
+}
+
+#[test]
+fn what_cannot_be_followed_is_told_in_a_sentence() {
+    let place = Place::new();
+    let refused = |arguments: &str, code: i32| {
+        let done = place.command("live", arguments).output().unwrap();
+        assert_eq!(done.status.code(), Some(code), "{arguments}");
+        assert!(!place.path("out").exists(), "{arguments}");
+        String::from_utf8_lossy(&done.stderr).into_owned()
+    };
+    assert!(refused("/dev/video99 -o out", 3).contains("/dev/video99"));
+    assert!(refused("http://127.0.0.1:9/video -o out", 3).contains("gives no pictures"));
+    assert!(refused("https://phone/video -o out", 2).contains("http://"));
+    assert!(refused("http://a:b/ -o out", 2).contains("is not an address"));
+    assert!(refused("rtsp://127.0.0.1:9/x -o out", 3).contains("install ffmpeg"));
+    assert!(
+        refused(&format!("{DEMO}/drive.mp4 --serve 0.0.0.0:0 --token short -o out"), 2)
+            .contains("at least 8")
+    );
+    assert!(refused(&format!("{DEMO}/drive.mp4 --raw gray:1x1@1 -o out"), 2).contains("standard input"));
+    assert!(refused("- --raw gray:640x480@30 -o out", 3).contains("no frame"));
+}
+
+#[test]
+fn the_page_shows_a_run_while_it_grows_and_afterwards() {
+    let mut browser = match Browser::start() {
+        Ok(browser) => browser,
+        Err(why) => {
+            println!("skipped: {why}");
+            return;
+        }
+    };
+    let place = Place::new();
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 2 -o out"));
+    let url = live.url.clone();
+    let page = browser.open(&url, (1280, 800), false);
+    let number = |browser: &mut Browser, tab, name: &str| {
+        browser.evaluate(tab, &format!("Number(document.body.dataset.{name} || 0)")).as_f64().unwrap()
+    };
+    browser.wait(&page, "document.body.dataset.pictures > 5 && document.body.dataset.tiles > 1");
+    let (records, tiles) = (number(&mut browser, &page, "records"), number(&mut browser, &page, "tiles"));
+    // Somebody else looks too, from a phone, in the dark, and marks a place with a key.
+    let phone = browser.open(&url, (390, 844), true);
+    browser.wait(&phone, "document.body.dataset.pictures > 5");
+    browser.press(&phone, "m");
+    browser.wait(&page, "document.body.dataset.marks == 1");
+    browser.evaluate(&page, "document.getElementById('mark').click()");
+    browser.wait(&phone, "document.body.dataset.marks == 2");
+    // Path and ground grow.
+    browser.wait(
+        &page,
+        &format!("document.body.dataset.records > {records} && document.body.dataset.tiles > {tiles}"),
+    );
+    assert_eq!(
+        browser.evaluate(&page, "document.getElementById('state').textContent"),
+        json!("tracked, recording")
+    );
+    browser.picture(&page, "live-desktop-light");
+    browser.picture(&phone, "live-phone-dark");
+    // The slider goes back in time while new frames come.
+    let back = "const time = document.getElementById('time'); time.value = 12; time.dispatchEvent(new Event('input'))";
+    browser.evaluate(&page, back);
+    browser.wait(&page, "document.body.dataset.at == 12");
+    browser.press(&page, "l");
+    browser.wait(&page, "document.body.dataset.at > 12");
+    // The map is nowhere empty under the path: more than a few colours.
+    let colours = "(() => { const c = document.getElementById('map'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; \
+                   const seen = new Set(); for (let k = 0; k < d.length; k += 404) seen.add(d[k] + ',' + d[k + 1] + ',' + d[k + 2]); return seen.size })()";
+    assert!(browser.evaluate(&page, colours).as_u64().unwrap() > 50);
+    browser.evaluate(&page, "document.getElementById('stop').click()");
+    browser.wait(&phone, "document.body.dataset.phase == 'saved'");
+    browser.wait(
+        &page,
+        "[...document.querySelectorAll('#downloads a')].some(link => link.download == 'report.html')",
+    );
+    let table = browser.evaluate(&page, "fetch('/files/trajectory.csv').then(answer => answer.text())");
+    assert_eq!(table.as_str().unwrap().as_bytes(), place.read("out/trajectory.csv"));
+    let marks = String::from_utf8(place.read("out/marks.csv")).unwrap();
+    assert_eq!(marks.lines().count(), 3, "{marks}");
+    browser.picture(&page, "saved-desktop-light");
+    live.end();
+    look_at_the_finished_run(&mut browser, &place);
+}
+
+/// The same page over the folder that the run left.
+fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
+    let frames = statistics(&place.path("out"))["frames"].clone();
+    let mut view = place.server("view", "out");
+    let page = browser.open(&view.url, (1280, 800), true);
+    browser
+        .wait(&page, &format!("document.body.dataset.records == {frames} && document.body.dataset.at == 0"));
+    browser.wait(&page, "document.body.dataset.tiles > 3 && document.body.dataset.marks == 2");
+    browser.press(&page, " ");
+    browser.wait(&page, "document.body.dataset.at > 3");
+    browser.press(&page, " ");
+    let half = "const time = document.getElementById('time'); time.value = time.max / 2 | 0; time.dispatchEvent(new Event('input'))";
+    browser.evaluate(&page, half);
+    browser.wait(&page, &format!("document.body.dataset.at == ({frames} - 1) / 2 | 0"));
+    // Where the page says the camera was is where the trajectory says it was.
+    let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
+    let at = (frames.as_u64().unwrap() as usize - 1) / 2;
+    let x_m: f64 = table.lines().nth(at + 1).unwrap().split(',').nth(2).unwrap().parse().unwrap();
+    let shown = browser.evaluate(&page, "Number(document.getElementById('x').textContent)").as_f64().unwrap();
+    // Three decimals are shown.
+    assert!((shown - x_m).abs() < 6e-4, "{shown} {x_m}");
+    browser.picture(&page, "view-desktop-dark");
+    browser.look(&page, (390, 844), false);
+    browser.evaluate(&page, "new Promise(done => setTimeout(done, 400))");
+    browser.picture(&page, "view-phone-light");
+    view.end();
+}
+
+#[test]
+fn a_stranger_without_the_token_sees_nothing() {
+    let place = Place::new();
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --token letmein-42 -o out"));
+    assert!(live.url.ends_with("/?token=letmein-42"), "{}", live.url);
+    let mut stream = TcpStream::connect(live.address()).unwrap();
+    stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
+    live.end();
+}

@@ -1,0 +1,151 @@
+//! The program in a place of its own, and the bundled drive.
+
+use jpeg_encoder::{ColorType, Encoder};
+use odograph_video::SourceOptions;
+use serde_json::Value;
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use tempfile::TempDir;
+
+/// The bundled drive with its camera and rig.
+pub const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/demo");
+
+pub struct Place {
+    temporary: TempDir,
+}
+
+impl Place {
+    pub fn new() -> Self {
+        Self { temporary: tempfile::tempdir().unwrap() }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.temporary.path().join(name)
+    }
+
+    pub fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+
+    /// A command of the program over the drive's camera and rig.
+    pub fn command(&self, name: &str, arguments: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        command.current_dir(self.temporary.path()).env("ODOGRAPH_FFMPEG", "").stdin(Stdio::null());
+        command.arg(name).args(arguments.split_whitespace());
+        if name != "view" {
+            command.args(["--camera", &format!("{DEMO}/camera.yaml"), "--rig", &format!("{DEMO}/rig.toml")]);
+        }
+        command
+    }
+
+    /// The same with a page, on a port that is free.
+    pub fn server(&self, name: &str, arguments: &str) -> Serving {
+        let arguments = format!("{arguments} --serve 127.0.0.1:0");
+        let mut command = self.command(name, &arguments);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut told = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        while !line.contains("look at http://") {
+            line.clear();
+            assert!(told.read_line(&mut line).unwrap() > 0, "the program ended before it had a page");
+        }
+        let url = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap().to_owned();
+        std::thread::spawn(move || told.lines().for_each(drop));
+        Serving { child, url }
+    }
+}
+
+/// A program that serves a page.
+pub struct Serving {
+    child: Child,
+    pub url: String,
+}
+
+impl Serving {
+    pub fn output(&mut self) -> ChildStdout {
+        self.child.stdout.take().unwrap()
+    }
+
+    pub fn address(&self) -> String {
+        self.url.trim_start_matches("http://").split('/').next().unwrap().to_owned()
+    }
+
+    /// The body of an answer.
+    pub fn get(&self, path: &str) -> String {
+        let mut stream = TcpStream::connect(self.address()).unwrap();
+        stream
+            .write_all(
+                format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").as_bytes(),
+            )
+            .unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        assert!(head.starts_with("HTTP/1.1 200"), "{path}: {head}");
+        body.to_owned()
+    }
+
+    /// Asks it to end, and waits until it has.
+    pub fn end(&mut self) {
+        let asked = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
+        if !asked.is_ok_and(|status| status.success()) {
+            let _ = self.child.kill();
+        }
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The names of the files in a folder.
+pub fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+/// What `stats.json` says.
+pub fn statistics(folder: &Path) -> Value {
+    serde_json::from_slice(&fs::read(folder.join("stats.json")).unwrap()).unwrap()
+}
+
+/// The first seconds of the drive.
+fn beginning(every: u64) -> odograph_video::Source {
+    let options = SourceOptions { end_s: Some(4.0), every, ..SourceOptions::default() };
+    odograph_video::open(format!("{DEMO}/drive.mp4"), &options).unwrap()
+}
+
+/// Every other frame of the drive's first seconds as JPEG pictures.
+pub fn pictures() -> Vec<Vec<u8>> {
+    let mut source = beginning(2);
+    let mut pictures = Vec::new();
+    while let Some(frame) = source.next_frame().unwrap() {
+        let mut jpeg = Vec::new();
+        let (width, height) = (frame.gray.width() as u16, frame.gray.height() as u16);
+        Encoder::new(&mut jpeg, 90).encode(frame.gray.samples(), width, height, ColorType::Luma).unwrap();
+        pictures.push(jpeg);
+    }
+    pictures
+}
+
+/// The drive's first seconds without compression: what costs almost nothing to read comes faster than it can be tracked.
+pub fn write_uncompressed(path: &Path) {
+    let mut file = fs::File::create(path).unwrap();
+    file.write_all(b"YUV4MPEG2 W640 H480 F30:1 Cmono\n").unwrap();
+    let mut source = beginning(1);
+    while let Some(frame) = source.next_frame().unwrap() {
+        file.write_all(b"FRAME\n").unwrap();
+        file.write_all(frame.gray.samples()).unwrap();
+    }
+}

@@ -1,0 +1,286 @@
+//! Pictures over HTTP, as phones and network cameras send them (Motion JPEG in `multipart/x-mixed-replace`).
+
+use super::back_off::BackOff;
+use super::multipart::{Multipart, boundary};
+use super::url::{HttpUrl, base64};
+use super::{Captured, LiveSource, Watch};
+use odograph::error::{Error, Result};
+use odograph_video::{Frame, Picture, SourceInfo};
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+/// A camera must answer within this time, and no picture may take longer to come.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// The head of the answer must not be longer, bytes.
+const MOST_HEAD: u64 = 16 << 10;
+
+/// A stream of pictures from an address.
+pub struct HttpMjpeg {
+    url: HttpUrl,
+    place: String,
+    info: SourceInfo,
+    connection: Option<Multipart<Box<dyn BufRead + Send>>>,
+    first: Option<(Picture, Instant)>,
+    began: Instant,
+    number: u64,
+    last_time_s: f64,
+    patience: Duration,
+    part: Vec<u8>,
+    damaged: u64,
+    watch: Watch,
+    warnings: Vec<String>,
+}
+
+impl std::fmt::Debug for HttpMjpeg {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("HttpMjpeg").field("info", &self.info).finish_non_exhaustive()
+    }
+}
+
+impl HttpMjpeg {
+    /// Opens an address and waits for the first picture. When the stream breaks off later it is opened again, until that has not
+    /// succeeded for `patience`.
+    ///
+    /// # Errors
+    /// Where there is no such stream.
+    pub fn open(address: &str, patience: Duration, watch: Watch) -> Result<Self> {
+        let url = HttpUrl::parse(address)?;
+        let place = format!("http://{}{}", url.host_header(), url.path);
+        let told = |why: io::Error| Error::input(format!("{place} gives no pictures: {why}"));
+        let mut connection = connect(&url).map_err(told)?;
+        let mut part = Vec::new();
+        let picture = loop {
+            if !connection.next(&mut part).map_err(told)? {
+                return Err(told(io::Error::other("the stream ended at once")));
+            }
+            // The first picture of a stream may be damaged; one that is not a JPEG stays not one.
+            match Picture::from_jpeg(&part, true) {
+                Ok(picture) => break picture,
+                Err(error) if part.starts_with(&[0xff, 0xd8]) => drop(error),
+                Err(error) => return Err(error.at(place)),
+            }
+        };
+        let (width, height) = (picture.gray.width(), picture.gray.height());
+        let description = format!("Motion JPEG over HTTP, {width}x{height}");
+        Ok(Self {
+            info: SourceInfo { width, height, frame_count: None, description },
+            url,
+            place,
+            connection: Some(connection),
+            first: Some((picture, Instant::now())),
+            began: Instant::now(),
+            number: 0,
+            last_time_s: -1.0,
+            patience,
+            part,
+            damaged: 0,
+            watch,
+            warnings: Vec::new(),
+        })
+    }
+
+    /// The next picture that can be decoded; `None` where the source was asked to end.
+    fn next_picture(&mut self) -> Result<Option<(Picture, Instant)>> {
+        let mut back_off = BackOff::new(self.patience);
+        loop {
+            if self.watch.ended() {
+                return Ok(None);
+            }
+            let why = match &mut self.connection {
+                None => match connect(&self.url) {
+                    Ok(connection) => {
+                        self.connection = Some(connection);
+                        continue;
+                    }
+                    Err(error) => error.to_string(),
+                },
+                Some(connection) => match connection.next(&mut self.part) {
+                    Ok(true) => {
+                        let at = Instant::now();
+                        match Picture::from_jpeg(&self.part, true) {
+                            Ok(picture) => {
+                                self.watch.back();
+                                return Ok(Some((picture, at)));
+                            }
+                            Err(_) => self.damaged += 1,
+                        }
+                        continue;
+                    }
+                    Ok(false) => "the stream ended".to_owned(),
+                    Err(error) => in_words(error).to_string(),
+                },
+            };
+            self.connection = None;
+            self.watch.lost(&format!("the camera at {} is gone ({why}); trying again", self.place));
+            match back_off.pause() {
+                Some(pause) => {
+                    if !self.watch.sleep_until(Instant::now() + pause) {
+                        return Ok(None);
+                    }
+                }
+                None => {
+                    return Err(Error::input(format!(
+                        "the camera at {} went away ({why}) and did not come back within {} s",
+                        self.place,
+                        self.patience.as_secs()
+                    )));
+                }
+            }
+        }
+    }
+}
+
+impl LiveSource for HttpMjpeg {
+    fn info(&self) -> &SourceInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Captured>> {
+        let (picture, at) = match self.first.take() {
+            Some(first) => first,
+            None => match self.next_picture()? {
+                Some(next) => next,
+                None => return Ok(None),
+            },
+        };
+        let (width, height) = (picture.gray.width(), picture.gray.height());
+        if (width, height) != (self.info.width, self.info.height) {
+            return Err(Error::input(format!(
+                "{} now sends {width}x{height} pixels, at first it was {}x{}; a camera must keep its size",
+                self.place, self.info.width, self.info.height
+            )));
+        }
+        // The moment it came is its time: the stream has no other. Times that are equal would not be a movement.
+        let time_s = at.saturating_duration_since(self.began).as_secs_f64().max(self.last_time_s + 1e-6);
+        self.last_time_s = time_s;
+        self.number += 1;
+        Ok(Some(Captured { frame: Frame::new(self.number - 1, time_s, picture), at }))
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        if self.damaged > 0 {
+            let damaged = std::mem::take(&mut self.damaged);
+            self.warnings.push(format!("{}: {damaged} damaged pictures were left out", self.place));
+        }
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+/// Connects, asks, and reads the head of the answer.
+fn connect(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
+    ask(url).map_err(in_words)
+}
+
+/// What a time that has run out is called differs between systems, and none of the names says it.
+fn in_words(error: io::Error) -> io::Error {
+    match error.kind() {
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
+            io::Error::new(io::ErrorKind::TimedOut, format!("nothing came for {} s", PATIENCE.as_secs()))
+        }
+        _ => error,
+    }
+}
+
+fn ask(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
+    let addresses = (url.host.as_str(), url.port).to_socket_addrs()?;
+    let mut last = io::Error::other("there is no such host");
+    let stream = addresses
+        .into_iter()
+        .find_map(|address| TcpStream::connect_timeout(&address, PATIENCE).map_err(|e| last = e).ok())
+        .ok_or(last)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    let authorization = match &url.credentials {
+        Some(credentials) => format!("Authorization: Basic {}\r\n", base64(credentials.as_bytes())),
+        None => String::new(),
+    };
+    let request = format!(
+        "GET {} HTTP/1.1\r\nHost: {}\r\nUser-Agent: odograph\r\nAccept: multipart/x-mixed-replace, image/jpeg\r\n{authorization}Connection: close\r\n\r\n",
+        url.path,
+        url.host_header()
+    );
+    (&stream).write_all(request.as_bytes())?;
+    let mut reader = BufReader::with_capacity(64 << 10, stream);
+    let head = answer_head(&mut reader)?;
+    let boundary = boundary(&head.content_type).ok_or_else(|| {
+        io::Error::other(format!(
+            "it answers with `{}`, not with a stream of pictures (multipart/x-mixed-replace)",
+            head.content_type
+        ))
+    })?;
+    let body: Box<dyn BufRead + Send> = if head.chunked {
+        Box::new(BufReader::new(Chunks { reader, left: 0, begun: false }))
+    } else {
+        Box::new(reader)
+    };
+    Ok(Multipart::new(body, &boundary))
+}
+
+struct AnswerHead {
+    content_type: String,
+    chunked: bool,
+}
+
+fn answer_head(reader: &mut impl BufRead) -> io::Result<AnswerHead> {
+    let mut bytes = Vec::new();
+    while !bytes.ends_with(b"\r\n\r\n") && !bytes.ends_with(b"\n\n") {
+        let left = MOST_HEAD.saturating_sub(bytes.len() as u64);
+        if (&mut *reader).take(left).read_until(b'\n', &mut bytes)? == 0 {
+            return Err(io::Error::other("it does not answer as an HTTP server does"));
+        }
+    }
+    let mut space = [httparse::EMPTY_HEADER; 64];
+    let mut head = httparse::Response::new(&mut space);
+    let parsed = head.parse(&bytes);
+    match (parsed, head.code) {
+        (Ok(httparse::Status::Complete(_)), Some(200)) => {}
+        (Ok(httparse::Status::Complete(_)), Some(401)) => {
+            return Err(io::Error::other("it wants a name and a password: http://name:password@…"));
+        }
+        (Ok(httparse::Status::Complete(_)), Some(code)) => {
+            return Err(io::Error::other(format!("it answers {code} {}", head.reason.unwrap_or_default())));
+        }
+        _ => return Err(io::Error::other("it does not answer as an HTTP server does")),
+    }
+    let value = |name: &str| {
+        let header = head.headers.iter().find(|header| header.name.eq_ignore_ascii_case(name));
+        header.map_or(String::new(), |header| String::from_utf8_lossy(header.value).into_owned())
+    };
+    let chunked = value("transfer-encoding").eq_ignore_ascii_case("chunked");
+    Ok(AnswerHead { content_type: value("content-type"), chunked })
+}
+
+/// A body in chunks (RFC 9112, section 7.1).
+struct Chunks<R> {
+    reader: R,
+    left: u64,
+    begun: bool,
+}
+
+impl<R: BufRead> Read for Chunks<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.left == 0 {
+            let mut line = Vec::new();
+            if std::mem::replace(&mut self.begun, true) {
+                (&mut self.reader).take(2).read_until(b'\n', &mut line)?;
+                line.clear();
+            }
+            (&mut self.reader).take(64).read_until(b'\n', &mut line)?;
+            let text = String::from_utf8_lossy(&line);
+            let digits = text.split(';').next().unwrap_or_default().trim().to_owned();
+            self.left = u64::from_str_radix(&digits, 16)
+                .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "the stream's chunks are damaged"))?;
+            if self.left == 0 {
+                return Ok(0);
+            }
+        }
+        let most = buffer.len().min(usize::try_from(self.left).unwrap_or(usize::MAX));
+        let read = self.reader.read(&mut buffer[..most])?;
+        self.left -= read as u64;
+        Ok(read)
+    }
+}
+
+#[cfg(test)]
+mod tests;

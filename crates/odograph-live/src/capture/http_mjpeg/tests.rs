@@ -1,0 +1,85 @@
+use super::*;
+use jpeg_encoder::{ColorType, Encoder};
+use std::net::TcpListener;
+use std::thread;
+
+fn jpeg(shade: u8) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    Encoder::new(&mut bytes, 90).encode(&[shade; 32 * 16], 32, 16, ColorType::Luma).unwrap();
+    bytes
+}
+
+fn part(body: &[u8]) -> Vec<u8> {
+    let head = format!("--b\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", body.len());
+    [head.as_bytes(), body, b"\r\n"].concat()
+}
+
+const HEAD: &str = "HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=--b\r\n";
+
+/// A camera that answers each connection with the next of these, then closes; gives its address.
+fn camera(answers: Vec<Vec<u8>>) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    thread::spawn(move || {
+        for answer in answers {
+            let (stream, _) = listener.accept().unwrap();
+            let mut reader = BufReader::new(&stream);
+            let mut line = String::from("-");
+            while !line.trim().is_empty() {
+                line.clear();
+                reader.read_line(&mut line).unwrap();
+            }
+            (&stream).write_all(&answer).unwrap();
+        }
+    });
+    format!("http://{address}/video")
+}
+
+#[test]
+fn a_camera_that_goes_away_and_comes_back_is_followed_and_said() {
+    let first =
+        [format!("{HEAD}\r\n").into_bytes(), part(&jpeg(50)), part(b"no picture"), part(&jpeg(90))].concat();
+    // The second time it sends chunks, as some do, cut anywhere.
+    let parts = [part(&jpeg(130)), part(&jpeg(170))].concat();
+    let chunks: Vec<u8> = parts
+        .chunks(100)
+        .flat_map(|chunk| [format!("{:x}\r\n", chunk.len()).as_bytes(), chunk, b"\r\n"].concat())
+        .chain(*b"0\r\n\r\n")
+        .collect();
+    let second = [format!("{HEAD}Transfer-Encoding: chunked\r\n\r\n").into_bytes(), chunks].concat();
+    let watch = Watch::default();
+    let address = camera(vec![first, second]);
+    let mut source = HttpMjpeg::open(&address, Duration::from_millis(600), watch.clone()).unwrap();
+    assert_eq!((source.info().width, source.info().height), (32, 16));
+    let mut times = Vec::new();
+    for (number, shade) in [50, 90, 130, 170].into_iter().enumerate() {
+        let frame = source.next_frame().unwrap().unwrap().frame;
+        // A flat picture survives JPEG within a step of its quantisation.
+        assert!(frame.gray.samples()[0].abs_diff(shade) <= 2);
+        assert_eq!(frame.number, number as u64);
+        times.push(frame.time_s);
+    }
+    assert!(times.is_sorted_by(|a, b| a < b));
+    assert_eq!((watch.reconnects(), watch.waiting()), (1, None));
+    // It closes again and does not come back: its port is gone with it.
+    let error = source.next_frame().unwrap_err().to_string();
+    assert!(error.contains("went away") && error.contains("did not come back"), "{error}");
+    assert!(watch.waiting().unwrap().contains("is gone"));
+    assert!(source.take_warnings()[0].contains("1 damaged pictures"));
+}
+
+#[test]
+fn what_is_no_such_camera_is_told_in_a_sentence() {
+    let refused = |answer: &str| {
+        let address = camera(vec![answer.as_bytes().to_vec()]);
+        HttpMjpeg::open(&address, Duration::ZERO, Watch::default()).unwrap_err().to_string()
+    };
+    assert!(refused("HTTP/1.1 404 Not Found\r\n\r\n").contains("it answers 404"));
+    assert!(refused("HTTP/1.1 401 Who\r\n\r\n").contains("name and a password"));
+    let page = refused("HTTP/1.1 200 OK\r\nContent-Type: text/html\r\n\r\n<p>");
+    assert!(page.contains("`text/html`, not with a stream of pictures"), "{page}");
+    assert!(refused("SSH-2.0-OpenSSH\r\n\r\n").contains("does not answer as an HTTP server"));
+    assert!(refused(&format!("{HEAD}\r\n")).contains("ended at once"));
+    let text = refused(&format!("{HEAD}\r\n--b\r\n\r\nhello\r\n--b--\r\n"));
+    assert!(text.contains("JPEG"), "{text}");
+}

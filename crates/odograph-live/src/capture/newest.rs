@@ -1,0 +1,139 @@
+//! A queue that is never late.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// What happens to what comes while the queue is full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// It waits: nothing is lost, and the giver slows down.
+    Wait,
+    /// The oldest gives way: the giver never waits, and what is taken is never old.
+    NewestWins,
+}
+
+/// A short queue between one who gives and one who takes.
+#[derive(Debug)]
+pub struct Newest<T> {
+    policy: Policy,
+    capacity: usize,
+    state: Mutex<State<T>>,
+    changed: Condvar,
+}
+
+#[derive(Debug)]
+struct State<T> {
+    queue: VecDeque<T>,
+    given: u64,
+    dropped: u64,
+    closed: bool,
+}
+
+/// What was taken from a queue.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Taken<T> {
+    /// The oldest there was.
+    Item(T),
+    /// Nothing came in time.
+    Nothing,
+    /// Nothing will come any more.
+    End,
+}
+
+impl<T> Newest<T> {
+    /// A queue for at most `capacity` (at least one).
+    pub fn new(policy: Policy, capacity: usize) -> Self {
+        let state = State { queue: VecDeque::new(), given: 0, dropped: 0, closed: false };
+        Self { policy, capacity: capacity.max(1), state: Mutex::new(state), changed: Condvar::new() }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Gives one; false where nobody takes any more.
+    pub fn give(&self, item: T) -> bool {
+        let mut state = self.state();
+        while self.policy == Policy::Wait && state.queue.len() >= self.capacity && !state.closed {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        if state.closed {
+            return false;
+        }
+        if state.queue.len() >= self.capacity {
+            state.queue.pop_front();
+            state.dropped += 1;
+        }
+        state.queue.push_back(item);
+        state.given += 1;
+        drop(state);
+        self.changed.notify_all();
+        true
+    }
+
+    /// Takes the oldest; waits for it at most so long.
+    pub fn take(&self, patience: Duration) -> Taken<T> {
+        let until = Instant::now() + patience;
+        let mut state = self.state();
+        loop {
+            if let Some(item) = state.queue.pop_front() {
+                drop(state);
+                self.changed.notify_all();
+                return Taken::Item(item);
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if state.closed {
+                return Taken::End;
+            } else if left.is_zero() {
+                return Taken::Nothing;
+            }
+            state = self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Nothing is given any more; what is in the queue can still be taken.
+    pub fn close(&self) {
+        self.state().closed = true;
+        self.changed.notify_all();
+    }
+
+    /// How many were given, and how many of them gave way to newer ones.
+    pub fn counts(&self) -> (u64, u64) {
+        let state = self.state();
+        (state.given, state.dropped)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_win_and_the_others_are_counted() {
+        let queue = Newest::new(Policy::NewestWins, 2);
+        (0..5).for_each(|k| assert!(queue.give(k)));
+        assert_eq!(queue.counts(), (5, 3));
+        assert_eq!(queue.take(Duration::ZERO), Taken::Item(3));
+        queue.close();
+        assert!(!queue.give(9));
+        assert_eq!(queue.take(Duration::ZERO), Taken::Item(4));
+        assert_eq!(queue.take(Duration::ZERO), Taken::End);
+    }
+
+    #[test]
+    fn who_waits_loses_nothing() {
+        let queue = Newest::new(Policy::Wait, 2);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                (0..100).for_each(|k| assert!(queue.give(k)));
+                queue.close();
+            });
+            for k in 0..100 {
+                assert_eq!(queue.take(Duration::from_secs(60)), Taken::Item(k));
+            }
+            assert_eq!(queue.take(Duration::from_secs(60)), Taken::End);
+        });
+        assert_eq!(queue.counts(), (100, 0));
+    }
+}

@@ -1,0 +1,99 @@
+//! Addresses of HTTP streams.
+
+use odograph::error::{Error, Result};
+
+/// What an `http://` address says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct HttpUrl {
+    pub host: String,
+    pub port: u16,
+    /// With its query.
+    pub path: String,
+    /// `user:password`.
+    pub credentials: Option<String>,
+}
+
+impl HttpUrl {
+    pub fn parse(text: &str) -> Result<Self> {
+        let wrong = || Error::usage(format!("{text} is not an address as http://192.168.1.20:8080/video"));
+        let rest = text.strip_prefix("http://").ok_or_else(wrong)?;
+        let (authority, path) = match rest.find(['/', '?']) {
+            Some(at) if rest[at..].starts_with('/') => (&rest[..at], rest[at..].to_owned()),
+            Some(at) => (&rest[..at], format!("/{}", &rest[at..])),
+            None => (rest, "/".to_owned()),
+        };
+        let path = path.split('#').next().unwrap_or_default().to_owned();
+        let (credentials, place) = match authority.rsplit_once('@') {
+            Some((credentials, place)) => (Some(credentials.to_owned()), place),
+            None => (None, authority),
+        };
+        let (host, port) = match place.strip_prefix('[').and_then(|inside| inside.split_once(']')) {
+            Some((host, rest)) => (host, rest.strip_prefix(':')),
+            None => match place.split_once(':') {
+                Some((host, port)) => (host, Some(port)),
+                None => (place, None),
+            },
+        };
+        let port = port.map_or(Ok(80), str::parse).map_err(|_| wrong())?;
+        // What could end the line of the request would let an address say more than a place.
+        let harmless = |text: &str| text.chars().all(|c| !c.is_control() && c != ' ');
+        if host.is_empty() || !harmless(host) || !harmless(&path) {
+            return Err(wrong());
+        }
+        Ok(Self { host: host.to_owned(), port, path, credentials })
+    }
+
+    /// For a `Host` header.
+    pub fn host_header(&self) -> String {
+        let host = if self.host.contains(':') { format!("[{}]", self.host) } else { self.host.clone() };
+        if self.port == 80 { host } else { format!("{host}:{}", self.port) }
+    }
+}
+
+/// Base 64 (RFC 4648, section 4).
+pub(super) fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let digit = |word: u32, place: u32| DIGITS[(word >> (6 * place)) as usize & 63] as char;
+    let group = |group: &[u8]| {
+        let byte = |k: usize| u32::from(group.get(k).copied().unwrap_or(0));
+        let word = byte(0) << 16 | byte(1) << 8 | byte(2);
+        let sign = |place: u32, needed: usize| if group.len() >= needed { digit(word, place) } else { '=' };
+        [digit(word, 3), digit(word, 2), sign(1, 2), sign(0, 3)]
+    };
+    bytes.chunks(3).flat_map(group).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_that_can_and_cannot_be() {
+        let url = HttpUrl::parse("http://me:secret@[::1]:8081/video?a=b#c").unwrap();
+        assert_eq!((url.host.as_str(), url.port, url.path.as_str()), ("::1", 8081, "/video?a=b"));
+        assert_eq!((url.credentials.as_deref(), url.host_header()), (Some("me:secret"), "[::1]:8081".into()));
+        let url = HttpUrl::parse("http://phone?x").unwrap();
+        assert_eq!((url.port, url.path.as_str(), url.host_header()), (80, "/?x", "phone".into()));
+        for wrong in
+            ["http://", "http://:80/", "http://a:b/", "ftp://a/", "http://a:99999/", "http://a/\r\nX: y"]
+        {
+            assert!(HttpUrl::parse(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    /// The test vectors of RFC 4648, section 10.
+    #[test]
+    fn base64_of_the_rfc() {
+        let vectors = [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("fooba", "Zm9vYmE="),
+        ];
+        for (plain, coded) in vectors {
+            assert_eq!(base64(plain.as_bytes()), coded);
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! The ground under the path, in squares that a page fetches as they change.
+
+use odograph::error::{Error, Result};
+use odograph::mapping::{Mosaic, MosaicSquare, Placement};
+use std::sync::{Mutex, PoisonError};
+
+/// What there is of the ground.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GroundState {
+    /// Side of a ground pixel, metres. Where it changes, all squares have changed.
+    pub metres_per_pixel: f64,
+    /// Grows with every change.
+    pub revision: u64,
+}
+
+/// A ground in squares of [`Mosaic::TILE_SIDE_PX`] pixels a side.
+pub trait Ground: Send + Sync {
+    /// What there is; `None` while there is nothing.
+    fn state(&self) -> Option<GroundState>;
+    /// The squares that changed after a revision.
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare>;
+    /// Red, green, blue and opacity of a square; `None` where nothing was seen.
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>>;
+}
+
+/// A mosaic that grows while it is looked at.
+impl Ground for Mutex<Mosaic> {
+    fn state(&self) -> Option<GroundState> {
+        let mosaic = self.lock().unwrap_or_else(PoisonError::into_inner);
+        let metres_per_pixel = mosaic.resolution_m()?;
+        Some(GroundState { metres_per_pixel, revision: mosaic.revision() })
+    }
+
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
+        self.lock().unwrap_or_else(PoisonError::into_inner).changed_since(revision).collect()
+    }
+
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        self.lock().unwrap_or_else(PoisonError::into_inner).tile_rgba(tile)
+    }
+}
+
+impl Ground for Box<dyn Ground> {
+    fn state(&self) -> Option<GroundState> {
+        (**self).state()
+    }
+
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
+        (**self).changed_since(revision)
+    }
+
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        (**self).tile_rgba(tile)
+    }
+}
+
+/// The ground of a finished run: one picture, that does not change any more.
+#[derive(Debug)]
+pub struct GroundPicture {
+    rgba: Vec<u8>,
+    width: i64,
+    height: i64,
+    placement: Placement,
+}
+
+impl GroundPicture {
+    /// A picture of red, green, blue and opacity in row order, and where it lies.
+    ///
+    /// # Errors
+    /// Where it has not as many samples as its size says, or lies nowhere.
+    pub fn new(rgba: Vec<u8>, width: usize, height: usize, placement: Placement) -> Result<Self> {
+        let placed = [placement.metres_per_pixel, placement.x_m, placement.y_m].iter().all(|v| v.is_finite());
+        if rgba.len() != 4 * width * height || !placed || placement.metres_per_pixel <= 0.0 {
+            return Err(Error::input("the mosaic's picture and its world file do not belong together"));
+        }
+        Ok(Self { rgba, width: width as i64, height: height as i64, placement })
+    }
+
+    /// Column and row, counted from the world's origin, of the upper left pixel.
+    fn corner(&self) -> (i64, i64) {
+        let at = |metres: f64| (metres / self.placement.metres_per_pixel - 0.5).round() as i64;
+        (at(self.placement.x_m), at(-self.placement.y_m))
+    }
+}
+
+impl Ground for GroundPicture {
+    fn state(&self) -> Option<GroundState> {
+        Some(GroundState { metres_per_pixel: self.placement.metres_per_pixel, revision: 1 })
+    }
+
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
+        if revision >= 1 {
+            return Vec::new();
+        }
+        let side = Mosaic::TILE_SIDE_PX as i64;
+        let (left, top) = self.corner();
+        let rows = top.div_euclid(side)..=(top + self.height - 1).div_euclid(side);
+        let columns = left.div_euclid(side)..=(left + self.width - 1).div_euclid(side);
+        let tiles = rows.flat_map(|row| columns.clone().map(move |column| MosaicSquare { column, row }));
+        tiles.filter(|&tile| self.tile_rgba(tile).is_some()).collect()
+    }
+
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        let side = Mosaic::TILE_SIDE_PX as i64;
+        let (left, top) = self.corner();
+        // Where the square lies in the picture.
+        let first_x = tile.column.checked_mul(side)?.checked_sub(left)?;
+        let first_y = tile.row.checked_mul(side)?.checked_sub(top)?;
+        let columns = first_x.max(0)..first_x.checked_add(side)?.min(self.width);
+        let rows = first_y.max(0)..first_y.checked_add(side)?.min(self.height);
+        let mut rgba = [255, 255, 255, 0].repeat((side * side) as usize);
+        let mut seen = false;
+        for y in rows {
+            if columns.is_empty() {
+                break;
+            }
+            let from = 4 * (y * self.width + columns.start) as usize;
+            let row = &self.rgba[from..from + 4 * (columns.end - columns.start) as usize];
+            let to = 4 * ((y - first_y) * side + columns.start - first_x) as usize;
+            rgba[to..to + row.len()].copy_from_slice(row);
+            seen |= row.chunks_exact(4).any(|pixel| pixel[3] > 0);
+        }
+        seen.then_some(rgba)
+    }
+}
+
+/// A square as the bytes of a PNG file.
+pub(crate) fn tile_png(rgba: &[u8]) -> Option<Vec<u8>> {
+    let side = Mosaic::TILE_SIDE_PX as u32;
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, side, side);
+    encoder.set_color(png::ColorType::Rgba);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header().ok()?;
+    writer.write_image_data(rgba).ok()?;
+    writer.finish().ok()?;
+    Some(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_squares_of_a_picture_put_together_are_the_picture() {
+        // 300 x 2 pixels that cross the origin, so that squares on both sides of it are needed.
+        let (width, height) = (300usize, 2usize);
+        let rgba: Vec<u8> = (0..width * height).flat_map(|k| [k as u8, (k / 256) as u8, 7, 255]).collect();
+        let placement = Placement { metres_per_pixel: 0.01, x_m: -0.995, y_m: 0.005 };
+        let ground = GroundPicture::new(rgba.clone(), width, height, placement).unwrap();
+        let tiles = ground.changed_since(0);
+        let at = |column, row| MosaicSquare { column, row };
+        assert_eq!(tiles, [at(-1, -1), at(0, -1), at(-1, 0), at(0, 0)]);
+        assert!(ground.changed_since(1).is_empty());
+        let side = Mosaic::TILE_SIDE_PX as i64;
+        for y in 0..height as i64 {
+            for x in 0..width as i64 {
+                let (column, row) = (x - 100, y - 1);
+                let tile = at(column.div_euclid(side), row.div_euclid(side));
+                let pixels = ground.tile_rgba(tile).unwrap();
+                let inside = 4 * (row.rem_euclid(side) * side + column.rem_euclid(side)) as usize;
+                let outside = 4 * (y * width as i64 + x) as usize;
+                assert_eq!(pixels[inside..inside + 4], rgba[outside..outside + 4], "{x} {y}");
+            }
+        }
+        for nowhere in [at(5, 0), at(i64::MAX, 3), at(i64::MIN, i64::MIN)] {
+            assert!(ground.tile_rgba(nowhere).is_none());
+        }
+        assert!(GroundPicture::new(rgba, 299, 2, placement).is_err());
+    }
+}

@@ -1,0 +1,222 @@
+// Joins the socket, the controls and the views. Everything that is drawn is drawn once a frame of the screen, however much came.
+
+import { CAUSES, Track } from "./track.js";
+import { GroundMap } from "./map.js";
+import { CameraView } from "./camera.js";
+import { Plots } from "./plots.js";
+
+const $ = id => document.getElementById(id);
+const track = new Track();
+const map = new GroundMap($("map"), track);
+let camera = null, plots = null, introduction = null;
+let status = { phase: "running" };
+let live = true, playing = null, at = -1, ended = false, connected = false;
+
+// ---- the socket
+
+let pause = 500;
+function connect() {
+  const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => { pause = 500; connected = true; };
+  socket.onmessage = event => typeof event.data === "string" ? told(JSON.parse(event.data)) : came(event.data);
+  socket.onclose = () => {
+    connected = false;
+    showState();
+    if (introduction && ended) return;
+    setTimeout(connect, pause);
+    pause = Math.min(2 * pause, 8000);
+  };
+}
+
+function came(bytes) {
+  const kind = new Uint8Array(bytes, 0, 1)[0];
+  if (kind === 1) {
+    track.add(new DataView(bytes).getUint32(4, true), new Float32Array(bytes, 8));
+    $("time").max = Math.max(0, track.count - 1);
+    document.body.dataset.records = track.count;
+  } else if (kind === 2 && live && camera) camera.show(bytes);
+}
+
+function told(message) {
+  if (message.kind === "hello") greet(message.introduction);
+  else if (message.kind === "status") { status = message.status; showStatus(); }
+  else if (message.kind === "marks") { map.marks.push(...message.marks); map.changed = true; document.body.dataset.marks = map.marks.length; }
+  else if (message.kind === "ground") map.groundChanged(message.metres_per_pixel, message.tiles);
+}
+
+function greet(hello) {
+  const again = introduction;
+  introduction = hello;
+  // After a break all marks and squares come again.
+  map.marks = [];
+  document.title = `${hello.title} – odograph`;
+  $("title").textContent = hello.title;
+  $("title").title = hello.source;
+  document.body.classList.toggle("finished", !hello.live);
+  if (again) return;
+  if (hello.live) camera = new CameraView($("camera"), hello.width, hello.height);
+  plots = new Plots($("plots"), track, hello.live, seek);
+  if (!hello.live) {
+    live = false;
+    map.setFollow(false);
+    // The whole run is shown as soon as it is there.
+    const fit = setInterval(() => { if (track.count && track.count >= (status.captured || 1)) { clearInterval(fit); map.showAll(); seek(0); } }, 60);
+  }
+}
+
+// ---- what is said
+
+function showStatus() {
+  ended = ["saved", "failed"].includes(status.phase);
+  $("message").hidden = !status.message;
+  $("message").textContent = status.message || "";
+  $("stop").disabled = $("mark").disabled = status.phase === "saving" || ended;
+  $("fps").textContent = status.fps.toFixed(0);
+  $("dropped").textContent = status.dropped;
+  $("latency").textContent = status.latency_median_ms.toFixed(1);
+  $("latency99").textContent = status.latency_p99_ms.toFixed(1);
+  document.body.dataset.phase = status.phase;
+  if (ended && introduction?.live) { showFiles(true); if (live) leaveLive(); }
+  showState();
+}
+
+function showState() {
+  const state = $("state");
+  const say = (text, tone) => { if (state.textContent !== text) state.textContent = text; state.dataset.tone = tone; };
+  if (!connected && !ended) return say(introduction ? "no connection" : "connecting", "wait");
+  if (introduction && !introduction.live) return lost(at) ? say(`lost: ${lost(at)}`, "bad") : say("tracked", "good");
+  if (status.phase === "saving") return say("writing the results", "warn");
+  if (status.phase === "saved") return say("saved", "good");
+  if (status.phase === "failed") return say("ended with an error", "bad");
+  if (status.phase === "waiting") return say("waiting for the camera", "warn");
+  if (!track.count) return say("waiting for frames", "wait");
+  lost(at) ? say(`lost: ${lost(at)}`, "bad") : say(status.recording ? "tracked, recording" : "tracked, not recording", status.recording ? "good" : "warn");
+}
+
+const lost = k => k >= 0 && k < track.count ? CAUSES[track.get(k, "state")] : "";
+
+let distances = { count: 0, sums: new Float32Array(4096) };
+function distance(k) {
+  if (distances.sums.length < track.count) { const larger = new Float32Array(2 * track.count); larger.set(distances.sums); distances.sums = larger; }
+  for (let i = distances.count; i < track.count; i++) {
+    const step = i && track.get(i, "segment") === track.get(i - 1, "segment") ? Math.hypot(track.get(i, "x") - track.get(i - 1, "x"), track.get(i, "y") - track.get(i - 1, "y")) : 0;
+    distances.sums[i] = (i ? distances.sums[i - 1] : 0) + (Number.isFinite(step) ? step : 0);
+  }
+  distances.count = track.count;
+  return distances.sums[k] || 0;
+}
+
+function showFigures() {
+  const known = Number.isFinite(track.get(at, "x"));
+  const set = (id, text) => { $(id).textContent = known ? text : "–"; };
+  const degrees = track.get(at, "heading") * 180 / Math.PI;
+  set("speed", track.get(at, "speed").toFixed(2));
+  set("heading", (((degrees + 180) % 360 + 360) % 360 - 180).toFixed(1));
+  set("x", track.get(at, "x").toFixed(3));
+  set("y", track.get(at, "y").toFixed(3));
+  const sigma = 1000 * Math.sqrt(Math.max(track.get(at, "varX"), track.get(at, "varY")));
+  set("sigma", sigma < 1000 ? sigma.toFixed(1) : (sigma / 1000).toFixed(2));
+  $("sigma-unit").textContent = sigma < 1000 ? "mm" : "m";
+  $("distance").textContent = distance(at).toFixed(2);
+  const clock = t => { const tenths = Math.round(10 * t); return `${Math.floor(tenths / 600)}:${(tenths % 600 / 10).toFixed(1).padStart(4, "0")}`; };
+  const text = `${clock(track.get(at, "t"))} / ${clock(track.get(track.count - 1, "t"))}`;
+  $("clock").textContent = text;
+  $("time").value = at;
+  $("time").setAttribute("aria-valuetext", text);
+  document.body.dataset.at = at;
+}
+
+// ---- time
+
+function seek(k) { leaveLive(); at = Math.max(0, Math.min(k, track.count - 1)); playing = null; showPlaying(); }
+function leaveLive() { live = false; $("live").setAttribute("aria-pressed", "false"); }
+function goLive() { live = true; playing = null; $("live").setAttribute("aria-pressed", "true"); showPlaying(); }
+function showPlaying() {
+  const running = playing || live;
+  $("play").textContent = running ? "❚❚" : "▶";
+  $("play").setAttribute("aria-label", running ? "Pause" : "Play");
+}
+function togglePlay() {
+  if (live) leaveLive();
+  else if (playing) playing = null;
+  else if (track.count) {
+    if (at >= track.count - 1) at = 0;
+    playing = { since: performance.now(), from: track.get(at, "t") };
+  }
+  showPlaying();
+}
+
+let plotted = 0, last = -1;
+function frame(now) {
+  if (track.count) {
+    if (live) at = track.count - 1;
+    else if (playing) {
+      at = track.at(playing.from + (now - playing.since) / 1000);
+      if (at >= track.count - 1) { playing = null; showPlaying(); }
+    }
+    at = Math.max(0, at);
+    map.show(at);
+    if (at !== last || live) { last = at; showFigures(); showState(); }
+    if (plots && now - plotted > 150) {
+      plotted = now;
+      const end = track.get(track.count - 1, "t");
+      plots.draw(introduction.live ? Math.max(0, (live ? end : Math.min(end, track.get(at, "t") + 60)) - 120) : 0,
+        introduction.live && !live ? Math.min(end, track.get(at, "t") + 60) || 1 : end || 1, at);
+    }
+  }
+  map.draw();
+  requestAnimationFrame(frame);
+}
+
+// ---- controls
+
+async function showFiles(open) {
+  $("downloads").hidden = !open;
+  $("files").setAttribute("aria-expanded", open);
+  if (!open) return;
+  const files = await (await fetch("/files")).json().catch(() => []);
+  const size = bytes => bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`;
+  $("downloads").querySelector("ul").replaceChildren(...files.map(file => {
+    const item = document.createElement("li"), link = document.createElement("a"), small = document.createElement("small");
+    link.href = `/files/${file.name}`; link.download = file.name; link.textContent = file.name;
+    small.textContent = ` ${size(file.bytes)}`;
+    item.append(link, small);
+    return item;
+  }));
+  if (!files.length) $("downloads").querySelector("ul").textContent = "The files are written when the run ends.";
+}
+
+const post = (path, body = "") => fetch(path, { method: "POST", body }).catch(() => {});
+const mark = () => { if (introduction?.live && !ended) post("/mark"); };
+const setFollow = follow => { map.setFollow(follow); $("follow").setAttribute("aria-pressed", follow); };
+map.onUnfollow = () => $("follow").setAttribute("aria-pressed", "false");
+
+$("mark").onclick = mark;
+$("stop").onclick = () => { $("stop").disabled = true; post("/stop"); };
+$("files").onclick = () => showFiles($("downloads").hidden);
+$("keys").onclick = () => $("help").showModal();
+$("closer").onclick = () => map.zoom(1.5);
+$("farther").onclick = () => map.zoom(1 / 1.5);
+$("whole").onclick = () => map.showAll();
+$("follow").onclick = () => setFollow(!map.follow);
+$("time").oninput = () => seek(Number($("time").value));
+$("live").onclick = goLive;
+$("play").onclick = togglePlay;
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { map.drawn = null; map.changed = true; });
+
+addEventListener("keydown", event => {
+  if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
+  const act = {
+    " ": togglePlay, l: () => introduction?.live && goLive(), f: () => setFollow(!map.follow), 0: () => map.showAll(), "+": () => map.zoom(1.3), "=": () => map.zoom(1.3),
+    "-": () => map.zoom(1 / 1.3), m: mark, ",": () => seek(at - 1), ".": () => seek(at + 1), "?": () => $("help").showModal(),
+  }[event.key.toLowerCase()];
+  // A focused button or slider keeps the keys that are its own.
+  if (!act || (event.key === " " && event.target.matches?.("button, a, input"))) return;
+  event.preventDefault();
+  act();
+});
+
+connect();
+requestAnimationFrame(frame);
+showPlaying();

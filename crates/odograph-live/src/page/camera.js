@@ -1,0 +1,58 @@
+// The camera's picture with its tracks: where each corner was in the keyframe, and where it is now.
+
+export class CameraView {
+  constructor(canvas, width, height) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.size = { width, height };
+    canvas.width = Math.min(width, 960);
+    canvas.height = Math.round(canvas.width * height / width);
+    this.waiting = null;
+    this.busy = false;
+    this.shown = 0;
+  }
+
+  /// Shows a picture; while one is being decoded only the newest of those that come is kept.
+  show(bytes) {
+    this.waiting = bytes;
+    if (!this.busy) this.next();
+  }
+
+  async next() {
+    this.busy = true;
+    while (this.waiting) {
+      const bytes = this.waiting;
+      this.waiting = null;
+      try { await this.draw(bytes); } catch { /* a picture that cannot be decoded is not shown; the next one is */ }
+    }
+    this.busy = false;
+  }
+
+  async draw(bytes) {
+    const head = new DataView(bytes);
+    const count = head.getUint16(2, true), tracks = new Int16Array(bytes, 8, 5 * count);
+    const image = await createImageBitmap(new Blob([new Uint8Array(bytes, 8 + 10 * count)], { type: "image/jpeg" }));
+    const c = this.context, { width, height } = this.canvas;
+    c.drawImage(image, 0, 0, width, height);
+    image.close();
+    const scale = width / this.size.width / 4, r = Math.max(1.8, width / 300);
+    let good = 0;
+    for (const inlier of [0, 1]) {
+      const color = inlier ? "#27d08a" : "#ff5a45";
+      const lines = new Path2D(), dots = new Path2D();
+      for (let k = 0; k < count; k++) {
+        if ((tracks[5 * k + 4] ? 1 : 0) !== inlier) continue;
+        good += inlier;
+        const [x, y, u, v] = [0, 1, 2, 3].map(i => (tracks[5 * k + i] + 2) * scale);
+        if (inlier) { lines.moveTo(u, v); lines.lineTo(x, y); }
+        dots.moveTo(x + r, y); dots.arc(x, y, r, 0, 7);
+      }
+      c.strokeStyle = color; c.globalAlpha = .35; c.lineWidth = Math.max(1, width / 640); c.stroke(lines);
+      c.globalAlpha = 1; c.fillStyle = color; c.fill(dots);
+    }
+    document.getElementById("good").textContent = good;
+    document.getElementById("bad").textContent = count - good;
+    this.shown++;
+    document.body.dataset.pictures = this.shown;
+  }
+}

@@ -1,0 +1,257 @@
+// The path on the ground: squares of the mosaic, the path, the camera and how well its place is known.
+
+const TILE = 256;
+const FETCHES = 6;
+
+export class GroundMap {
+  constructor(canvas, track, token) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.track = track;
+    this.layers = [];
+    this.fetching = 0;
+    this.marks = [];
+    this.follow = true;
+    this.view = { x: 0, y: 0, scale: 160 };
+    this.pathLayer = document.createElement("canvas");
+    this.drawn = null;
+    this.at = -1;
+    this.changed = true;
+    this.onUnfollow = () => {};
+    this.listen();
+    // What is resized is empty: it is drawn again before anybody sees it.
+    new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas);
+    this.resize();
+  }
+
+  resize() {
+    const box = this.canvas.getBoundingClientRect();
+    this.ratio = Math.min(window.devicePixelRatio || 1, 2);
+    this.width = Math.max(1, box.width); this.height = Math.max(1, box.height);
+    for (const canvas of [this.canvas, this.pathLayer]) {
+      canvas.width = Math.round(this.width * this.ratio);
+      canvas.height = Math.round(this.height * this.ratio);
+    }
+    this.drawn = null;
+    this.changed = true;
+  }
+
+  /// Squares that changed; a new side of the ground's pixels begins a new layer, over the old one until that is replaced.
+  groundChanged(metresPerPixel, tiles) {
+    let layer = this.layers.at(-1);
+    if (!layer || layer.metresPerPixel !== metresPerPixel) {
+      layer = { metresPerPixel, tiles: new Map(), wanted: new Map() };
+      this.layers.push(layer);
+    }
+    for (const [column, row] of tiles) layer.wanted.set(`${column}/${row}`, { column, row });
+    this.fetchTiles();
+  }
+
+  fetchTiles() {
+    const layer = this.layers.at(-1);
+    if (!layer) return;
+    const side = TILE * layer.metresPerPixel;
+    const distance = tile => Math.hypot((tile.column + .5) * side - this.view.x, -(tile.row + .5) * side - this.view.y);
+    while (this.fetching < FETCHES && layer.wanted.size) {
+      // What is in the middle first.
+      let next = null, nearest = Infinity;
+      for (const [key, tile] of layer.wanted) {
+        const d = distance(tile);
+        if (d < nearest) { nearest = d; next = [key, tile]; }
+      }
+      const [key, tile] = next;
+      layer.wanted.delete(key);
+      this.fetching++;
+      const image = new Image();
+      layer.version = (layer.version || 0) + 1;
+      image.src = `/tiles/${tile.column}/${tile.row}.png?v=${layer.version}`;
+      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; }, () => {}).finally(() => {
+        this.fetching--;
+        if (!layer.wanted.size && !this.fetching && this.layers.length > 1) { this.layers = [this.layers.at(-1)]; this.changed = true; }
+        this.fetchTiles();
+      });
+    }
+  }
+
+  get tileCount() { return this.layers.reduce((sum, layer) => sum + layer.tiles.size, 0); }
+
+  show(at) { if (at !== this.at) { this.at = at; this.changed = true; } }
+
+  setFollow(follow) { this.follow = follow; this.changed = true; if (!follow) this.onUnfollow(); }
+
+  showAll() {
+    const b = this.track.bounds;
+    if (!b) return;
+    this.setFollow(false);
+    const margin = 0.5;
+    const scale = Math.min(this.width / (b.x1 - b.x0 + 2 * margin), this.height / (b.y1 - b.y0 + 2 * margin)) * 0.92;
+    this.view = { x: (b.x0 + b.x1) / 2, y: (b.y0 + b.y1) / 2, scale: Math.min(Math.max(scale, .02), 4000) };
+    this.changed = true;
+  }
+
+  zoom(factor, px = this.width / 2, py = this.height / 2) {
+    const scale = Math.min(Math.max(this.view.scale * factor, .02), 8000);
+    const k = 1 / this.view.scale - 1 / scale;
+    if (!this.follow) {
+      this.view.x += (px - this.width / 2) * k;
+      this.view.y -= (py - this.height / 2) * k;
+    }
+    this.view.scale = scale;
+    this.changed = true;
+  }
+
+  pan(dx, dy) {
+    if (this.follow) this.setFollow(false);
+    this.view.x -= dx / this.view.scale;
+    this.view.y += dy / this.view.scale;
+    this.changed = true;
+  }
+
+  listen() {
+    const fingers = new Map();
+    const canvas = this.canvas;
+    canvas.addEventListener("pointerdown", event => { canvas.setPointerCapture(event.pointerId); fingers.set(event.pointerId, event); });
+    const up = event => fingers.delete(event.pointerId);
+    canvas.addEventListener("pointerup", up);
+    canvas.addEventListener("pointercancel", up);
+    canvas.addEventListener("pointermove", event => {
+      const before = fingers.get(event.pointerId);
+      if (!before) return;
+      if (fingers.size === 2) {
+        const other = [...fingers.values()].find(finger => finger.pointerId !== event.pointerId);
+        const span = e => Math.hypot(e.clientX - other.clientX, e.clientY - other.clientY);
+        const box = canvas.getBoundingClientRect();
+        this.zoom(span(event) / Math.max(span(before), 1), (event.clientX + other.clientX) / 2 - box.left, (event.clientY + other.clientY) / 2 - box.top);
+      }
+      this.pan((event.clientX - before.clientX) / fingers.size, (event.clientY - before.clientY) / fingers.size);
+      fingers.set(event.pointerId, event);
+    });
+    canvas.addEventListener("wheel", event => {
+      event.preventDefault();
+      this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? .05 : .0016)), event.offsetX, event.offsetY);
+    }, { passive: false });
+    canvas.addEventListener("keydown", event => {
+      const step = { ArrowLeft: [60, 0], ArrowRight: [-60, 0], ArrowUp: [0, 60], ArrowDown: [0, -60] }[event.key];
+      if (step) { this.pan(...step); event.preventDefault(); }
+    });
+  }
+
+  toX(x) { return (x - this.view.x) * this.view.scale + this.width / 2; }
+  toY(y) { return this.height / 2 - (y - this.view.y) * this.view.scale; }
+
+  draw() {
+    const place = this.track.lastPlace(this.at);
+    if (this.follow && place >= 0) {
+      this.view.x = this.track.get(place, "x");
+      this.view.y = this.track.get(place, "y");
+    }
+    if (!this.changed && this.drawn?.count === this.track.count) return;
+    this.changed = false;
+    const c = this.context, style = getComputedStyle(document.documentElement), color = name => style.getPropertyValue(name).trim();
+    c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    c.clearRect(0, 0, this.width, this.height);
+    this.drawGrid(c, color("--grid"));
+    this.drawGround(c);
+    this.drawPath(color("--path"));
+    c.drawImage(this.pathLayer, 0, 0, this.width, this.height);
+    this.drawMarks(c, color("--mark"), color("--card"));
+    if (place >= 0) this.drawCamera(c, place, place === this.at, color);
+    this.drawScale(c, color("--ink"), color("--card"));
+  }
+
+  /// A round length of about so many pixels, metres.
+  round(pixels) {
+    const raw = pixels / this.view.scale, power = 10 ** Math.floor(Math.log10(raw));
+    return [1, 2, 5, 10].map(m => m * power).reduce((a, b) => Math.abs(a - raw) < Math.abs(b - raw) ? a : b);
+  }
+
+  drawGrid(c, color) {
+    const step = this.round(110);
+    c.strokeStyle = color; c.lineWidth = 1;
+    c.beginPath();
+    const left = this.view.x - this.width / 2 / this.view.scale, bottom = this.view.y - this.height / 2 / this.view.scale;
+    for (let x = Math.ceil(left / step) * step; this.toX(x) < this.width; x += step) { const px = Math.round(this.toX(x)) + .5; c.moveTo(px, 0); c.lineTo(px, this.height); }
+    for (let y = Math.ceil(bottom / step) * step; this.toY(y) > 0; y += step) { const py = Math.round(this.toY(y)) + .5; c.moveTo(0, py); c.lineTo(this.width, py); }
+    c.stroke();
+  }
+
+  drawGround(c) {
+    for (const layer of this.layers) {
+      const side = TILE * layer.metresPerPixel, px = side * this.view.scale;
+      c.imageSmoothingEnabled = layer.metresPerPixel * this.view.scale < 3;
+      for (const tile of layer.tiles.values()) {
+        const x = this.toX(tile.column * side), y = this.toY(-tile.row * side);
+        if (x > this.width || y > this.height || x + px < 0 || y + px < 0) continue;
+        // A hair larger, so that no seam shows between squares.
+        c.drawImage(tile.image, x, y, px + .5, px + .5);
+      }
+    }
+  }
+
+  /// The path has a layer of its own: while the view stays only what is new is drawn on it.
+  drawPath(color) {
+    const key = [this.view.x, this.view.y, this.view.scale, color].join();
+    const count = this.track.count;
+    const context = this.pathLayer.getContext("2d");
+    let from = 0;
+    if (this.drawn?.key === key) {
+      if (this.drawn.count === count) return;
+      from = Math.max(0, this.drawn.count - 1);
+    } else {
+      context.setTransform(1, 0, 0, 1, 0, 0);
+      context.clearRect(0, 0, this.pathLayer.width, this.pathLayer.height);
+    }
+    this.drawn = { key, count };
+    if (!count) return;
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    context.lineJoin = context.lineCap = "round";
+    const halfX = this.width / 2 / this.view.scale, halfY = this.height / 2 / this.view.scale;
+    const window = { x0: this.view.x - halfX, x1: this.view.x + halfX, y0: this.view.y - halfY, y1: this.view.y + halfY };
+    context.beginPath();
+    this.track.trace(context, from, count - 1, x => this.toX(x), y => this.toY(y), this.view.scale, window);
+    // A light border keeps the path readable on any floor.
+    context.strokeStyle = "#ffffffd0"; context.lineWidth = 5; context.stroke();
+    context.strokeStyle = color; context.lineWidth = 2.6; context.stroke();
+  }
+
+  drawMarks(c, color, paper) {
+    c.font = "600 12px system-ui, sans-serif"; c.textBaseline = "middle";
+    for (const mark of this.marks) {
+      if (mark.x_m === null) continue;
+      const x = this.toX(mark.x_m), y = this.toY(mark.y_m);
+      c.fillStyle = color; c.strokeStyle = paper; c.lineWidth = 2;
+      c.beginPath(); c.moveTo(x, y); c.lineTo(x - 6, y - 14); c.arc(x, y - 16, 6.3, Math.PI - .3, .3); c.closePath(); c.fill(); c.stroke();
+      c.strokeStyle = paper; c.lineWidth = 4; c.strokeText(mark.name, x + 10, y - 16); c.fillText(mark.name, x + 10, y - 16);
+    }
+  }
+
+  drawCamera(c, k, now, color) {
+    const t = this.track, x = this.toX(t.get(k, "x")), y = this.toY(t.get(k, "y")), heading = t.get(k, "heading");
+    const [a, b, d] = ["varX", "covXY", "varY"].map(name => t.get(k, name));
+    const middle = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
+    // 95 % of a plane's normal distribution lie within 2.45 standard deviations.
+    const radius = value => 2.4477 * Math.sqrt(Math.max(value, 0)) * this.view.scale;
+    const main = now ? color("--path") : color("--bad");
+    c.fillStyle = main;
+    c.globalAlpha = .22; c.beginPath();
+    c.ellipse(x, y, Math.max(radius(middle + spread), .5), Math.max(radius(middle - spread), .5), -.5 * Math.atan2(2 * b, a - d), 0, 7);
+    c.fill();
+    c.globalAlpha = .8; c.strokeStyle = main; c.lineWidth = 1; c.stroke(); c.globalAlpha = 1;
+    c.save(); c.translate(x, y); c.rotate(-heading);
+    c.beginPath(); c.moveTo(15, 0); c.lineTo(-9, 9); c.lineTo(-4, 0); c.lineTo(-9, -9); c.closePath();
+    c.fillStyle = now ? "#ffc24b" : color("--bad"); c.strokeStyle = "#10161a"; c.lineWidth = 1.6; c.fill(); c.stroke();
+    c.restore();
+  }
+
+  drawScale(c, ink, paper) {
+    const length = this.round(110), px = length * this.view.scale, x = 16, y = this.height - 18;
+    const text = length >= 1000 ? `${length / 1000} km` : length >= 1 ? `${length} m` : `${+(length * 1000).toPrecision(2)} mm`;
+    c.lineCap = "round"; c.font = "600 12px system-ui, sans-serif"; c.textBaseline = "alphabetic";
+    for (const [color, width] of [[paper, 5], [ink, 2]]) {
+      c.strokeStyle = color; c.lineWidth = width;
+      c.beginPath(); c.moveTo(x, y - 5); c.lineTo(x, y); c.lineTo(x + px, y); c.lineTo(x + px, y - 5); c.stroke();
+    }
+    c.strokeStyle = paper; c.lineWidth = 4; c.strokeText(text, x + 8, y - 7);
+    c.fillStyle = ink; c.fillText(text, x + 8, y - 7);
+  }
+}

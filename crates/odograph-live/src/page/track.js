@@ -1,0 +1,90 @@
+// The frames of a run, as they come: numbers in one growing array, and in it the path in chunks that can be skipped or thinned when drawn.
+
+export const FIELDS = ["t", "x", "y", "heading", "varX", "covXY", "varY", "sigmaHeading", "speed", "state", "segment", "tracks", "inliers", "latency"];
+export const LENGTH = FIELDS.length;
+const AT = Object.fromEntries(FIELDS.map((name, index) => [name, index]));
+const CHUNK = 256;
+
+export const CAUSES = ["", "too little texture on the ground", "hardly a corner was found again", "the corners do not move as one floor"];
+
+export class Track {
+  constructor() {
+    this.values = new Float32Array(4096 * LENGTH);
+    this.count = 0;
+    this.chunks = [];
+    this.bounds = null;
+  }
+
+  /// Takes records from number `first` on. What is known already is not taken twice.
+  add(first, records) {
+    const skip = Math.max(0, this.count - first);
+    const fresh = records.subarray(skip * LENGTH);
+    const end = this.count + fresh.length / LENGTH;
+    if (end * LENGTH > this.values.length) {
+      const larger = new Float32Array(Math.max(2 * this.values.length, end * LENGTH));
+      larger.set(this.values.subarray(0, this.count * LENGTH));
+      this.values = larger;
+    }
+    this.values.set(fresh, this.count * LENGTH);
+    for (let k = this.count; k < end; k++) this.extend(k);
+    this.count = end;
+  }
+
+  extend(k) {
+    const index = Math.floor(k / CHUNK);
+    let chunk = this.chunks[index];
+    if (!chunk) chunk = this.chunks[index] = { x0: Infinity, x1: -Infinity, y0: Infinity, y1: -Infinity, length: 0, known: 0 };
+    const x = this.get(k, "x"), y = this.get(k, "y");
+    if (!Number.isFinite(x) || !Number.isFinite(y)) return;
+    chunk.x0 = Math.min(chunk.x0, x); chunk.x1 = Math.max(chunk.x1, x);
+    chunk.y0 = Math.min(chunk.y0, y); chunk.y1 = Math.max(chunk.y1, y);
+    if (k > 0) {
+      const step = Math.hypot(x - this.get(k - 1, "x"), y - this.get(k - 1, "y"));
+      if (Number.isFinite(step)) chunk.length += step;
+    }
+    chunk.known++;
+    const b = this.bounds;
+    this.bounds = b ? { x0: Math.min(b.x0, x), x1: Math.max(b.x1, x), y0: Math.min(b.y0, y), y1: Math.max(b.y1, y) } : { x0: x, x1: x, y0: y, y1: y };
+  }
+
+  get(k, name) { return this.values[k * LENGTH + AT[name]]; }
+
+  /// The newest record at or before `k` that has a place.
+  lastPlace(k) {
+    for (let i = Math.min(k, this.count - 1); i >= 0 && i > k - 2000; i--) if (Number.isFinite(this.get(i, "x"))) return i;
+    return -1;
+  }
+
+  /// The record at a time, by halving.
+  at(t) {
+    let low = 0, high = this.count - 1;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (this.get(middle, "t") <= t) low = middle; else high = middle - 1;
+    }
+    return low;
+  }
+
+  /// Draws records `from` to `to` into a path; `toX`, `toY` are functions from metres to pixels, `scale` pixels a metre, `window` what
+  /// can be seen, metres. Chunks out of sight are skipped; where a chunk has more points than pixels only some of them are drawn.
+  trace(context, from, to, toX, toY, scale, window) {
+    let pen = false, segment = NaN;
+    for (let index = Math.floor(from / CHUNK); index * CHUNK <= to && index < this.chunks.length; index++) {
+      const chunk = this.chunks[index];
+      const out = !chunk.known || chunk.x1 < window.x0 || chunk.x0 > window.x1 || chunk.y1 < window.y0 || chunk.y0 > window.y1;
+      if (out) { pen = false; continue; }
+      const stepPx = chunk.length * scale / chunk.known;
+      const stride = Math.max(1, Math.min(CHUNK, Math.floor(0.8 / Math.max(stepPx, 1e-3))));
+      const start = Math.max(from, index * CHUNK - 1), end = Math.min(to, index * CHUNK + CHUNK - 1);
+      for (let k = Math.max(0, start); ; k = Math.min(k + stride, end)) {
+        const x = this.get(k, "x"), y = this.get(k, "y"), s = this.get(k, "segment");
+        if (!Number.isFinite(x)) pen = false;
+        else {
+          if (pen && s === segment) context.lineTo(toX(x), toY(y)); else context.moveTo(toX(x), toY(y));
+          pen = true; segment = s;
+        }
+        if (k >= end) break;
+      }
+    }
+  }
+}

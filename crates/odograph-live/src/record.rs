@@ -1,0 +1,231 @@
+//! What a page needs to know of a frame, in a few numbers.
+
+use odograph::error::{Error, Result};
+use odograph::trajectory::{FrameEstimate, LossReason, TrackStatus};
+
+/// A frame on the page: position, heading and how well they are known, speed, and how the frame was measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackRecord {
+    /// The numbers in the order of [`TrackRecord::FIELDS`]; not a number where a frame has no such value.
+    pub values: [f32; TrackRecord::LENGTH],
+}
+
+impl TrackRecord {
+    /// How many numbers a record has.
+    pub const LENGTH: usize = 14;
+
+    /// What the numbers are: seconds since the first frame, metres, radians, the covariance of x and y in m², the standard deviation of the
+    /// heading, metres a second; `state` is 0 where the pose was measured and otherwise the reason why not (1 bare, 2 jump, 3 disagreement);
+    /// the number of gaps before the frame; corners found again, and how many of them agree; milliseconds from capture to pose.
+    pub const FIELDS: [&'static str; Self::LENGTH] = [
+        "time_s",
+        "x_m",
+        "y_m",
+        "heading_rad",
+        "var_x",
+        "cov_xy",
+        "var_y",
+        "sigma_heading",
+        "speed_m_s",
+        "state",
+        "segment",
+        "tracks",
+        "inliers",
+        "latency_ms",
+    ];
+
+    /// The record of a frame; `first_time_s` is the time of the first one.
+    pub fn new(frame: &FrameEstimate, first_time_s: f64, latency_ms: Option<f64>) -> Self {
+        let state = match frame.status {
+            TrackStatus::Tracked => 0.0,
+            TrackStatus::Lost { reason: LossReason::Bare } => 1.0,
+            TrackStatus::Lost { reason: LossReason::Jump } => 2.0,
+            TrackStatus::Lost { .. } => 3.0,
+        };
+        let mut values = [f32::NAN; Self::LENGTH];
+        if let Some(known) = &frame.estimate {
+            let (pose, covariance) = (&known.pose, &known.covariance);
+            let numbers = [
+                pose.x_m,
+                pose.y_m,
+                pose.heading_rad,
+                covariance[(0, 0)],
+                covariance[(0, 1)],
+                covariance[(1, 1)],
+                covariance[(2, 2)].max(0.0).sqrt(),
+                known.velocity.speed_m_s(),
+            ];
+            values[1..9].iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);
+        }
+        values[0] = (frame.time_s - first_time_s) as f32;
+        values[9] = state;
+        values[10] = frame.segment as f32;
+        values[11] = frame.tracks as f32;
+        values[12] = frame.inliers as f32;
+        values[13] = latency_ms.map_or(f32::NAN, |ms| ms as f32);
+        Self { values }
+    }
+}
+
+/// A finished run cannot have more frames: a week at 60 a second.
+const MOST_FRAMES: usize = 40_000_000;
+
+impl TrackRecord {
+    /// The records of a finished run, from its `trajectory.csv`; columns are found by their names, as `docs/output.md` has them.
+    ///
+    /// # Errors
+    /// Where a column is missing or a line cannot be read. A last line that was cut off, as in a run that was killed, is left out.
+    pub fn from_csv(text: &str) -> Result<Vec<Self>> {
+        let mut lines = text.split_inclusive('\n').enumerate();
+        let header = lines.next().map_or("", |(_, line)| line.trim_end());
+        let columns: Vec<&str> = header.split(',').collect();
+        let column = |name: &str| {
+            columns.iter().position(|known| *known == name).ok_or_else(|| {
+                Error::input(format!("this is not the trajectory.csv of a run: it has no column {name}"))
+            })
+        };
+        const NAMES: [&str; 11] = [
+            "time_s",
+            "x_m",
+            "y_m",
+            "heading_deg",
+            "sigma_x_m",
+            "sigma_y_m",
+            "sigma_heading_deg",
+            "speed_m_s",
+            "segment",
+            "tracks",
+            "inliers",
+        ];
+        let mut places = [0; NAMES.len()];
+        for (place, name) in places.iter_mut().zip(NAMES) {
+            *place = column(name)?;
+        }
+        let status = column("status")?;
+        let mut records = Vec::new();
+        let mut first_time_s = None;
+        for (number, line) in lines.filter(|(_, line)| line.ends_with('\n')).take(MOST_FRAMES) {
+            let cells: Vec<&str> = line.trim_end().split(',').collect();
+            let wrong = |what: &str| Error::input(format!("line {} of trajectory.csv: {what}", number + 1));
+            if cells.len() != columns.len() {
+                return Err(wrong(&format!("{} cells, but {} columns", cells.len(), columns.len())));
+            }
+            let mut numbers = [f64::NAN; NAMES.len()];
+            for (value, &place) in
+                numbers.iter_mut().zip(&places).filter(|(_, place)| !cells[**place].is_empty())
+            {
+                *value =
+                    cells[place].parse().map_err(|_| wrong(&format!("{} is no number", cells[place])))?;
+            }
+            let [
+                time_s,
+                x_m,
+                y_m,
+                heading_deg,
+                sigma_x,
+                sigma_y,
+                sigma_heading_deg,
+                speed,
+                segment,
+                tracks,
+                inliers,
+            ] = numbers;
+            let state = match cells[status] {
+                "tracked" => 0.0,
+                "lost:bare" => 1.0,
+                "lost:jump" => 2.0,
+                _ => 3.0,
+            };
+            let begin = *first_time_s.get_or_insert(time_s);
+            // The table has no covariance between x and y: the ellipse of a finished run is along the axes.
+            let values = [
+                time_s - begin,
+                x_m,
+                y_m,
+                heading_deg.to_radians(),
+                sigma_x * sigma_x,
+                sigma_x * 0.0,
+                sigma_y * sigma_y,
+                sigma_heading_deg.to_radians(),
+                speed,
+                state,
+                segment,
+                tracks,
+                inliers,
+                f64::NAN,
+            ];
+            records.push(Self { values: values.map(|value| value as f32) });
+        }
+        Ok(records)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use odograph::formats::trajectory_file;
+    use odograph::geometry::GroundPose;
+    use odograph::trajectory::{PlaneMeasurement, PoseEstimate, Velocity};
+
+    #[test]
+    fn a_run_read_from_its_table_is_the_run_as_it_was_shown() {
+        let frame = |number: u64, status: TrackStatus| {
+            let pose = GroundPose {
+                x_m: 0.5 * number as f64,
+                y_m: -1.25,
+                heading_rad: 0.75,
+                ..GroundPose::level(1.0)
+            };
+            let covariance = covariance_of_plane();
+            let velocity = Velocity { x_m_s: 0.3, y_m_s: 0.4, heading_rad_s: 0.0 };
+            let measured = PlaneMeasurement::new(&pose, &covariance);
+            FrameEstimate {
+                frame: number,
+                time_s: 100.0 + 0.25 * number as f64,
+                status,
+                estimate: (status == TrackStatus::Tracked).then_some(PoseEstimate {
+                    pose,
+                    velocity,
+                    covariance,
+                    measured,
+                }),
+                tracks: 50,
+                inliers: 40,
+                residual_px: 0.1,
+                keyframe: false,
+                segment: number as usize,
+            }
+        };
+        let lost = |reason| TrackStatus::Lost { reason };
+        let frames = [
+            frame(0, TrackStatus::Tracked),
+            frame(1, lost(LossReason::Jump)),
+            frame(2, TrackStatus::Tracked),
+        ];
+        let text = trajectory_file::csv_from_frames(&frames);
+        let read = TrackRecord::from_csv(&text).unwrap();
+        assert_eq!(read.len(), 3);
+        for (frame, read) in frames.iter().zip(&read) {
+            let shown = TrackRecord::new(frame, 100.0, None);
+            for (field, (a, b)) in TrackRecord::FIELDS.iter().zip(shown.values.iter().zip(read.values)) {
+                // The table has six decimals and more.
+                assert!((a - b).abs() < 2e-6 || (a.is_nan() && b.is_nan()), "{field}: {a} {b}");
+            }
+        }
+        // A run that was killed in the middle of a line.
+        assert_eq!(TrackRecord::from_csv(&text[..text.len() - 9]).unwrap().len(), 2);
+        assert!(TrackRecord::from_csv("a,b\n1,2\n").unwrap_err().to_string().contains("no column time_s"));
+        assert!(
+            TrackRecord::from_csv(&text.replace("100.25", "now")).unwrap_err().to_string().contains("line 3")
+        );
+    }
+
+    /// Standard deviations of 2 mm, 1 mm and 0.01 rad, nothing in common.
+    fn covariance_of_plane() -> nalgebra::Matrix6<f64> {
+        let mut covariance = nalgebra::Matrix6::zeros();
+        for (index, sigma) in [(0, 2e-3), (1, 1e-3), (2, 1e-2)] {
+            covariance[(index, index)] = sigma * sigma;
+        }
+        covariance
+    }
+}

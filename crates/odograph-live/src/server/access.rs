@@ -1,0 +1,116 @@
+//! Who may look.
+
+use super::http::Request;
+use odograph::error::{Error, Result};
+
+/// The name of the cookie that holds the token once it has been given.
+const COOKIE: &str = "odograph";
+
+/// A token nobody guesses: 128 bits of the system's randomness.
+///
+/// # Errors
+/// Where the system has no randomness to give.
+pub fn new_token() -> Result<String> {
+    let mut bytes = [0; 16];
+    getrandom::fill(&mut bytes)
+        .map_err(|error| Error::output(format!("the system gives no random token: {error}")))?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// Decides about requests.
+#[derive(Debug)]
+pub struct Access {
+    token: Option<String>,
+}
+
+/// What becomes of a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// It is answered.
+    Allowed,
+    /// It is answered, and the token is left with the browser so that it need not stand in any address.
+    AllowedWithCookie,
+    /// It is refused.
+    Denied,
+}
+
+impl Access {
+    pub fn new(token: Option<String>) -> Self {
+        Self { token }
+    }
+
+    /// The value of a `Set-Cookie` header.
+    pub fn cookie(&self) -> String {
+        format!("{COOKIE}={}; Path=/; HttpOnly; SameSite=Strict", self.token.as_deref().unwrap_or_default())
+    }
+
+    pub fn judge(&self, request: &Request) -> Verdict {
+        let Some(token) = &self.token else {
+            // Without a token only this machine is served. A page from elsewhere can make a browser here ask us under a name of its own
+            // (DNS rebinding); the name gives it away.
+            let named = request.header("host").is_some_and(is_loopback_name);
+            return if named && same_origin(request) { Verdict::Allowed } else { Verdict::Denied };
+        };
+        let bearer = request.header("authorization").and_then(|value| value.strip_prefix("Bearer "));
+        let known = |given: Option<&str>| given.is_some_and(|given| same(given.as_bytes(), token.as_bytes()));
+        if !same_origin(request) {
+            Verdict::Denied
+        } else if known(request.cookie(COOKIE)) || known(bearer) {
+            Verdict::Allowed
+        } else if known(request.query_value("token")) {
+            Verdict::AllowedWithCookie
+        } else {
+            Verdict::Denied
+        }
+    }
+}
+
+/// Whether a request comes from our own page, as far as the browser says where it comes from.
+fn same_origin(request: &Request) -> bool {
+    match request.header("origin") {
+        None => true,
+        Some(origin) => {
+            origin.split_once("://").is_some_and(|(_, host)| Some(host) == request.header("host"))
+        }
+    }
+}
+
+/// Whether a `Host` header names this machine.
+fn is_loopback_name(host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => return rest.split(']').next() == Some("::1"),
+        None => host.split(':').next().unwrap_or_default(),
+    };
+    name.eq_ignore_ascii_case("localhost")
+        || name.parse::<std::net::Ipv4Addr>().is_ok_and(|address| address.is_loopback())
+}
+
+/// Compares without telling by its time where the first difference is.
+fn same(given: &[u8], token: &[u8]) -> bool {
+    given.len() == token.len()
+        && given.iter().zip(token).fold(0, |different, (a, b)| different | (a ^ b)) == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_this_machine_and_others() {
+        for host in ["localhost:8080", "127.0.0.1", "127.9.9.9:1", "[::1]:8080", "LocalHost"] {
+            assert!(is_loopback_name(host), "{host}");
+        }
+        for host in ["", "evil.example", "127.0.0.1.evil.example", "[::2]", "localhost.evil.example:80"] {
+            assert!(!is_loopback_name(host), "{host}");
+        }
+    }
+
+    #[test]
+    fn tokens_are_compared_whole_and_differ() {
+        let token = new_token().unwrap();
+        assert!(token.len() == 32 && token != new_token().unwrap());
+        assert!(same(token.as_bytes(), token.as_bytes()));
+        assert!(!same(&token.as_bytes()[..31], token.as_bytes()));
+        assert!(!same(b"", token.as_bytes()));
+    }
+}

@@ -1,0 +1,247 @@
+//! Requests and answers of HTTP/1.1 (RFC 9112), as far as a page needs them.
+
+use super::deadline::Deadlined;
+use std::io::{self, Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+/// A request's head must not be longer, bytes.
+const MOST_HEAD: usize = 8 << 10;
+/// A request's body must not be longer, bytes.
+const MOST_BODY: usize = 4 << 10;
+/// A request must be there within this time from its first byte on, or from the answer before.
+const REQUEST_PATIENCE: Duration = Duration::from_secs(8);
+/// An answer in memory must be taken within this time.
+pub const ANSWER_PATIENCE: Duration = Duration::from_secs(15);
+
+/// A request that can be answered.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Request {
+    pub method: Method,
+    /// Without the query.
+    pub path: String,
+    /// What follows the `?`.
+    pub query: String,
+    /// Names in small letters.
+    headers: Vec<(String, String)>,
+    pub body: Vec<u8>,
+    pub keep_alive: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    Get,
+    Head,
+    Post,
+}
+
+/// Why a request cannot be answered: a status of HTTP and its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Refusal(pub u16, pub &'static str);
+
+impl Request {
+    /// A header's value; its name in small letters.
+    pub fn header(&self, name: &str) -> Option<&str> {
+        self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
+    }
+
+    /// A value of the query.
+    pub fn query_value(&self, key: &str) -> Option<&str> {
+        self.query.split('&').filter_map(|pair| pair.split_once('=')).find(|(k, _)| *k == key).map(|(_, v)| v)
+    }
+
+    /// A cookie's value.
+    pub fn cookie(&self, name: &str) -> Option<&str> {
+        let cookies = self.header("cookie")?.split(';').filter_map(|pair| pair.trim().split_once('='));
+        cookies.into_iter().find(|(known, _)| *known == name).map(|(_, value)| value)
+    }
+}
+
+/// Reads requests off a connection.
+pub struct RequestReader {
+    stream: Deadlined,
+    buffer: Vec<u8>,
+}
+
+impl RequestReader {
+    pub fn new(stream: TcpStream) -> Self {
+        Self { stream: Deadlined::new(stream, REQUEST_PATIENCE), buffer: Vec::new() }
+    }
+
+    /// The connection, to write an answer.
+    pub fn stream(&mut self) -> &mut Deadlined {
+        &mut self.stream
+    }
+
+    /// The connection, with nothing more to be read from here.
+    pub fn into_stream(self) -> Deadlined {
+        self.stream
+    }
+
+    /// The next request; `None` where the client has gone or says nothing.
+    pub fn next(&mut self) -> Result<Option<Request>, Refusal> {
+        self.stream.allow(REQUEST_PATIENCE);
+        let (mut request, head_length, body_length) = loop {
+            match parse_head(&self.buffer)? {
+                Some(parsed) => break parsed,
+                None if self.buffer.len() >= MOST_HEAD => {
+                    return Err(Refusal(431, "Request Header Fields Too Large"));
+                }
+                None => {}
+            }
+            if !self.read_more(MOST_HEAD)? {
+                return if self.buffer.is_empty() { Ok(None) } else { Err(Refusal(408, "Request Timeout")) };
+            }
+        };
+        while self.buffer.len() < head_length + body_length {
+            if !self.read_more(head_length + body_length)? {
+                return Err(Refusal(408, "Request Timeout"));
+            }
+        }
+        request.body = self.buffer[head_length..head_length + body_length].to_vec();
+        self.buffer.drain(..head_length + body_length);
+        Ok(Some(request))
+    }
+
+    /// Reads until the buffer has at most `most` bytes; false where nothing more came in time.
+    fn read_more(&mut self, most: usize) -> Result<bool, Refusal> {
+        let before = self.buffer.len();
+        self.buffer.resize(most.max(before + 1), 0);
+        let read = self.stream.read(&mut self.buffer[before..]).unwrap_or(0);
+        self.buffer.truncate(before + read);
+        Ok(read > 0)
+    }
+}
+
+/// A request without its body, the length of its head, and that of its body; `None` while the head is not whole.
+fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, Refusal> {
+    let mut space = [httparse::EMPTY_HEADER; 64];
+    let mut head = httparse::Request::new(&mut space);
+    let length = match head.parse(bytes) {
+        Ok(httparse::Status::Complete(length)) => length,
+        Ok(httparse::Status::Partial) => return Ok(None),
+        Err(httparse::Error::TooManyHeaders) => return Err(Refusal(431, "Request Header Fields Too Large")),
+        Err(_) => return Err(Refusal(400, "Bad Request")),
+    };
+    let method = match head.method {
+        Some("GET") => Method::Get,
+        Some("HEAD") => Method::Head,
+        Some("POST") => Method::Post,
+        _ => return Err(Refusal(405, "Method Not Allowed")),
+    };
+    let text = |value: &[u8]| String::from_utf8_lossy(value).trim().to_owned();
+    let headers: Vec<_> = head.headers.iter().map(|h| (h.name.to_ascii_lowercase(), text(h.value))).collect();
+    let target = head.path.unwrap_or("/");
+    let (path, query) = target.split_once('?').unwrap_or((target, ""));
+    let mut request = Request {
+        method,
+        path: path.to_owned(),
+        query: query.to_owned(),
+        headers,
+        body: Vec::new(),
+        keep_alive: head.version == Some(1),
+    };
+    if request.header("connection").is_some_and(|value| value.eq_ignore_ascii_case("close")) {
+        request.keep_alive = false;
+    }
+    // What says its length in two ways is how requests are smuggled; nothing that talks to this page needs it.
+    if request.header("transfer-encoding").is_some() {
+        return Err(Refusal(411, "Length Required"));
+    }
+    let lengths: Vec<_> = request.headers.iter().filter(|(name, _)| name == "content-length").collect();
+    let body_length = match lengths.as_slice() {
+        [] => 0,
+        [(_, value)] => value.parse::<usize>().map_err(|_| Refusal(400, "Bad Request"))?,
+        _ => return Err(Refusal(400, "Bad Request")),
+    };
+    if body_length > MOST_BODY {
+        return Err(Refusal(413, "Content Too Large"));
+    }
+    Ok(Some((request, length, body_length)))
+}
+
+/// An answer.
+#[derive(Debug, Default)]
+pub struct Answer {
+    pub status: u16,
+    pub reason: &'static str,
+    pub content_type: &'static str,
+    pub headers: Vec<(&'static str, String)>,
+    pub body: Vec<u8>,
+}
+
+impl Answer {
+    pub fn ok(content_type: &'static str, body: impl Into<Vec<u8>>) -> Self {
+        Self { status: 200, reason: "OK", content_type, headers: Vec::new(), body: body.into() }
+    }
+
+    pub fn refusal(Refusal(status, reason): Refusal) -> Self {
+        let body = format!("{reason}\n").into_bytes();
+        Self { status, reason, content_type: "text/plain; charset=utf-8", headers: Vec::new(), body }
+    }
+
+    pub fn with(mut self, name: &'static str, value: impl Into<String>) -> Self {
+        self.headers.push((name, value.into()));
+        self
+    }
+
+    /// The head, for a body of a length.
+    pub fn head(&self, length: u64, keep_alive: bool) -> String {
+        let mut head = format!("HTTP/1.1 {} {}\r\n", self.status, self.reason);
+        head += &format!("Content-Type: {}\r\nContent-Length: {length}\r\n", self.content_type);
+        head += &format!("Connection: {}\r\n", if keep_alive { "keep-alive" } else { "close" });
+        // Nothing from elsewhere is ever loaded, nobody else may frame the page, and nothing is kept by the browser.
+        head +=
+            "Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n";
+        head += "Content-Security-Policy: default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'\r\n";
+        for (name, value) in &self.headers {
+            head += &format!("{name}: {value}\r\n");
+        }
+        head + "\r\n"
+    }
+
+    /// Writes it, within its time.
+    pub fn write(&self, stream: &mut Deadlined, request: &Request) -> io::Result<()> {
+        stream.allow(ANSWER_PATIENCE);
+        let mut bytes = self.head(self.body.len() as u64, request.keep_alive).into_bytes();
+        if request.method != Method::Head {
+            bytes.extend_from_slice(&self.body);
+        }
+        stream.write_all(&bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(text: &str) -> Option<u16> {
+        parse_head(text.as_bytes()).err().map(|Refusal(status, _)| status)
+    }
+
+    #[test]
+    fn a_head_is_read_and_waited_for() {
+        let text =
+            "GET /tiles/1/2.png?r=3&token=a HTTP/1.1\r\nHost: here\r\nCookie: a=1; odograph=xyz\r\n\r\n";
+        let (request, length, body) = parse_head(text.as_bytes()).unwrap().unwrap();
+        assert_eq!((request.path.as_str(), length, body), ("/tiles/1/2.png", text.len(), 0));
+        assert_eq!((request.query_value("token"), request.cookie("odograph")), (Some("a"), Some("xyz")));
+        assert!(request.keep_alive && request.header("host") == Some("here"));
+        for end in 0..text.len() {
+            assert_eq!(parse_head(&text.as_bytes()[..end]), Ok(None), "{end}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_or_would_be_too_much_is_refused() {
+        assert_eq!(refused("BREW / HTTP/1.1\r\n\r\n"), Some(405));
+        assert_eq!(refused("\x00\x01\x02\r\n\r\n"), Some(400));
+        assert_eq!(refused("GET / HTTP/9.9\r\n\r\n"), Some(400));
+        assert_eq!(refused("POST / HTTP/1.1\r\nContent-Length: 99999999\r\n\r\n"), Some(413));
+        assert_eq!(refused("POST / HTTP/1.1\r\nContent-Length: -1\r\n\r\n"), Some(400));
+        assert_eq!(refused("POST / HTTP/1.1\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n"), Some(400));
+        assert_eq!(refused("POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n"), Some(411));
+        let many = "X: y\r\n".repeat(65);
+        assert_eq!(refused(&format!("GET / HTTP/1.1\r\n{many}\r\n")), Some(431));
+    }
+}

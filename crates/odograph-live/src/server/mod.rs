@@ -1,0 +1,187 @@
+//! The page's server: HTTP/1.1 and WebSocket, for browsers near by, over plain threads.
+//!
+//! Everything that comes is untrusted. A request has bounds on its size and on its time, an answer on its time; there are never more than
+//! [`MOST_CONNECTIONS`] connections, and each has a thread of its own that holds no lock while it waits for its client. So whatever a client
+//! does, it is only in its own way.
+
+mod access;
+mod deadline;
+mod http;
+mod routes;
+mod socket;
+
+use crate::hub::Hub;
+use access::Access;
+pub use access::new_token;
+use odograph::error::{Error, Result};
+use std::io;
+use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+/// More than anybody has browsers; beyond it a connection is refused at once.
+pub const MOST_CONNECTIONS: usize = 256;
+
+/// Where a page is served, to whom, and what can be downloaded.
+#[derive(Debug, Clone, Default)]
+pub struct ServerOptions {
+    /// What a client must know to be let in; `None` lets in everybody who can reach the address, which must then be a loopback one.
+    pub token: Option<String>,
+    /// The folder of the run.
+    pub folder: Option<PathBuf>,
+    /// The files in it that may be downloaded: names without folders. No others can be.
+    pub files: Vec<String>,
+}
+
+/// A server that runs until it is dropped.
+#[derive(Debug)]
+pub struct Server {
+    address: SocketAddr,
+    token: Option<String>,
+    shared: Arc<Shared>,
+    acceptor: Option<JoinHandle<()>>,
+}
+
+/// What the threads of all connections share.
+struct Shared {
+    hub: Arc<Hub>,
+    access: Access,
+    options: ServerOptions,
+    connections: AtomicUsize,
+    ended: AtomicBool,
+}
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Shared").field("connections", &self.connections).finish_non_exhaustive()
+    }
+}
+
+impl Server {
+    /// Begins to serve. A port of 0 takes any that is free.
+    ///
+    /// # Errors
+    /// Where the address cannot be had, or is no loopback address and there is no token.
+    pub fn start(address: SocketAddr, hub: Arc<Hub>, options: ServerOptions) -> Result<Self> {
+        if options.token.is_none() && !address.ip().is_loopback() {
+            return Err(Error::usage(format!("{address} can be reached by others: that needs a token")));
+        }
+        let listener = TcpListener::bind(address)
+            .map_err(|error| Error::usage(format!("the page cannot be served at {address}: {error}")))?;
+        let bound = listener.local_addr().unwrap_or(address);
+        let shared = Arc::new(Shared {
+            hub,
+            access: Access::new(options.token.clone()),
+            options: options.clone(),
+            connections: AtomicUsize::new(0),
+            ended: AtomicBool::new(false),
+        });
+        let acceptor = thread::Builder::new()
+            .name("page".into())
+            .spawn({
+                let shared = Arc::clone(&shared);
+                move || accept(&listener, &shared)
+            })
+            .map_err(|error| Error::output(format!("the page's thread cannot be started: {error}")))?;
+        Ok(Self { address: bound, token: options.token, shared, acceptor: Some(acceptor) })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What to type into a browser, with the token where one is needed.
+    pub fn url(&self) -> String {
+        let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
+        format!("http://{}/{token}", self.address)
+    }
+
+    /// How many connections are open.
+    pub fn connections(&self) -> usize {
+        self.shared.connections.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+        self.shared.hub.close();
+        // Wakes the thread that waits for connections.
+        let mut own = self.address;
+        if own.ip().is_unspecified() {
+            own.set_ip(match own.ip() {
+                IpAddr::V4(_) => IpAddr::from([127, 0, 0, 1]),
+                IpAddr::V6(_) => IpAddr::from([0, 0, 0, 0, 0, 0, 0, 1]),
+            });
+        }
+        let woken = TcpStream::connect_timeout(&own, Duration::from_secs(1)).is_ok();
+        if let Some(acceptor) = self.acceptor.take().filter(|_| woken) {
+            let _ = acceptor.join();
+        }
+    }
+}
+
+fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
+    loop {
+        let accepted = listener.accept();
+        if shared.ended.load(Ordering::Relaxed) {
+            return;
+        }
+        let Ok((stream, _)) = accepted else {
+            // Out of file descriptors, mostly: they come back.
+            thread::sleep(Duration::from_millis(50));
+            continue;
+        };
+        let Some(seat) = Seat::take(shared) else {
+            routes::refuse_for_want_of_room(stream);
+            continue;
+        };
+        // Where no thread can be had the connection is closed, and the client may try again.
+        let _ = thread::Builder::new()
+            .name("page client".into())
+            .stack_size(256 << 10)
+            .spawn(move || drop(serve(&seat, stream)));
+    }
+}
+
+/// A connection counted until it ends.
+struct Seat(Arc<Shared>);
+
+impl Seat {
+    fn take(shared: &Arc<Shared>) -> Option<Self> {
+        if shared.connections.fetch_add(1, Ordering::Relaxed) >= MOST_CONNECTIONS {
+            shared.connections.fetch_sub(1, Ordering::Relaxed);
+            return None;
+        }
+        Some(Self(Arc::clone(shared)))
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.0.connections.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// One connection: requests one after another, until it becomes a socket or ends.
+fn serve(seat: &Seat, stream: TcpStream) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    let mut reader = http::RequestReader::new(stream);
+    while !seat.0.ended.load(Ordering::Relaxed) {
+        let request = match reader.next() {
+            Ok(Some(request)) => request,
+            Ok(None) => return Ok(()),
+            Err(refusal) => return routes::refuse(reader.into_stream(), refusal),
+        };
+        match routes::answer(&seat.0, &request, reader.stream())? {
+            routes::Next::Request if request.keep_alive => {}
+            routes::Next::Request => return Ok(()),
+            routes::Next::Socket => return socket::run(&seat.0.hub, reader.into_stream()),
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,204 @@
+//! What is where on the server.
+
+use super::Shared;
+use super::access::Verdict;
+use super::deadline::Deadlined;
+use super::http::{ANSWER_PATIENCE, Answer, Method, Refusal, Request};
+use crate::ground::tile_png;
+use crate::record::TrackRecord;
+use odograph::mapping::MosaicSquare;
+use serde_json::json;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+/// What comes after an answer.
+pub enum Next {
+    /// Another request.
+    Request,
+    /// The connection has become a socket.
+    Socket,
+}
+
+/// The page: where, what kind, and the bytes. Everything it needs is in the program.
+const PAGE: [(&str, &str, &str); 8] = [
+    ("/", "text/html; charset=utf-8", include_str!("../page/index.html")),
+    ("/style.css", "text/css; charset=utf-8", include_str!("../page/style.css")),
+    ("/icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
+    ("/app.js", "text/javascript; charset=utf-8", include_str!("../page/app.js")),
+    ("/track.js", "text/javascript; charset=utf-8", include_str!("../page/track.js")),
+    ("/map.js", "text/javascript; charset=utf-8", include_str!("../page/map.js")),
+    ("/camera.js", "text/javascript; charset=utf-8", include_str!("../page/camera.js")),
+    ("/plots.js", "text/javascript; charset=utf-8", include_str!("../page/plots.js")),
+];
+
+const NOT_FOUND: Refusal = Refusal(404, "Not Found");
+const JSON: &str = "application/json";
+
+/// Answers a request.
+pub fn answer(shared: &Shared, request: &Request, stream: &mut Deadlined) -> io::Result<Next> {
+    let verdict = shared.access.judge(request);
+    let answer = match (verdict, request.method, request.path.as_str()) {
+        (Verdict::Denied, _, _) => Answer::refusal(Refusal(403, "Forbidden")),
+        // The token goes into a cookie and out of the address.
+        (Verdict::AllowedWithCookie, Method::Get, "/") => Answer::refusal(Refusal(303, "See Other"))
+            .with("Location", "/")
+            .with("Set-Cookie", shared.access.cookie()),
+        (_, Method::Get, "/socket") => match upgrade(request) {
+            Ok(head) => {
+                stream.allow(ANSWER_PATIENCE);
+                stream.write_all(head.as_bytes())?;
+                return Ok(Next::Socket);
+            }
+            Err(refusal) => Answer::refusal(refusal),
+        },
+        (_, Method::Get | Method::Head, path) if path.starts_with("/files/") => {
+            match file(shared, &path["/files/".len()..]) {
+                Some((file, name)) => return send_file(file, name, request, stream).map(|()| Next::Request),
+                None => Answer::refusal(NOT_FOUND),
+            }
+        }
+        (_, Method::Get | Method::Head, path) => get(shared, path),
+        (_, Method::Post, path) => post(shared, request, path),
+    };
+    answer.write(stream, request)?;
+    Ok(Next::Request)
+}
+
+/// Answers what is no request.
+pub fn refuse(mut stream: Deadlined, refusal: Refusal) -> io::Result<()> {
+    let answer = Answer::refusal(refusal);
+    stream.allow(Duration::from_secs(2));
+    let mut bytes = answer.head(answer.body.len() as u64, false).into_bytes();
+    bytes.extend_from_slice(&answer.body);
+    stream.write_all(&bytes)?;
+    // Closing with unread bytes would take the answer away again.
+    let mut rest = [0; 1 << 14];
+    stream.allow(Duration::from_millis(500));
+    for _ in 0..16 {
+        if !stream.read(&mut rest).is_ok_and(|read| read > 0) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Says that there are too many, without waiting.
+pub fn refuse_for_want_of_room(mut stream: TcpStream) {
+    let full = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n";
+    let _ = stream.set_nonblocking(true).and_then(|()| stream.write_all(full));
+}
+
+fn get(shared: &Shared, path: &str) -> Answer {
+    if let Some((_, content_type, body)) = PAGE.iter().find(|(known, _, _)| *known == path) {
+        return Answer::ok(content_type, *body);
+    }
+    let hub = &shared.hub;
+    let found = match path {
+        "/state" => {
+            let state = json!({
+                "introduction": hub.introduction(),
+                "status": hub.status(),
+                "fields": TrackRecord::FIELDS,
+                "viewers": hub.viewers(),
+            });
+            Some(Answer::ok(JSON, state.to_string()))
+        }
+        "/files" => Some(Answer::ok(JSON, json!(files(shared)).to_string())),
+        "/marks" => Some(Answer::ok(JSON, json!(hub.marks_from(0)).to_string())),
+        "/picture.jpg" => hub.view().map(|view| Answer::ok("image/jpeg", view.jpeg.clone())),
+        _ => tile(path).and_then(|tile| {
+            let png = tile_png(&hub.ground().tile_rgba(tile)?)?;
+            Some(Answer::ok("image/png", png))
+        }),
+    };
+    found.unwrap_or_else(|| Answer::refusal(NOT_FOUND))
+}
+
+fn post(shared: &Shared, request: &Request, path: &str) -> Answer {
+    match path {
+        "/mark" => match shared.hub.mark(&String::from_utf8_lossy(&request.body)) {
+            Some(mark) => Answer::ok(JSON, json!(mark).to_string()),
+            None => Answer::refusal(Refusal(409, "Conflict")),
+        },
+        "/stop" => {
+            shared.hub.ask_to_stop();
+            Answer::ok(JSON, "{}")
+        }
+        _ => Answer::refusal(NOT_FOUND),
+    }
+}
+
+/// `/tiles/COLUMN/ROW.png`.
+fn tile(path: &str) -> Option<MosaicSquare> {
+    let (column, row) = path.strip_prefix("/tiles/")?.strip_suffix(".png")?.split_once('/')?;
+    Some(MosaicSquare { column: column.parse().ok()?, row: row.parse().ok()? })
+}
+
+/// The files that are there, and their sizes in bytes.
+fn files(shared: &Shared) -> Vec<serde_json::Value> {
+    let Some(folder) = &shared.options.folder else { return Vec::new() };
+    let described = |name: &String| {
+        let bytes = std::fs::metadata(folder.join(name)).ok()?.len();
+        Some(json!({ "name": name, "bytes": bytes }))
+    };
+    shared.options.files.iter().filter_map(described).collect()
+}
+
+/// A file of the run. The name must be one of those on the list, letter by letter: nothing of the request ever becomes part of a path.
+fn file<'a>(shared: &'a Shared, name: &str) -> Option<(File, &'a str)> {
+    let known = shared.options.files.iter().find(|known| *known == name)?;
+    let file = File::open(shared.options.folder.as_ref()?.join(known)).ok()?;
+    file.metadata().ok()?.is_file().then_some((file, known.as_str()))
+}
+
+fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlined) -> io::Result<()> {
+    let length = file.metadata()?.len();
+    let content_type = match name.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("svg") => "image/svg+xml",
+        Some("png") => "image/png",
+        Some("json") => JSON,
+        Some("gpkg") => "application/geopackage+sqlite3",
+        _ => "text/plain; charset=utf-8",
+    };
+    // The report has its style and pictures in itself; as a download it cannot act in this page's name.
+    let answer =
+        Answer::ok(content_type, []).with("Content-Disposition", format!("attachment; filename=\"{name}\""));
+    stream.allow(ANSWER_PATIENCE);
+    stream.write_all(answer.head(length, request.keep_alive).as_bytes())?;
+    if request.method == Method::Head {
+        return Ok(());
+    }
+    let mut left = length;
+    let mut piece = vec![0; 64 << 10];
+    while left > 0 {
+        let want = piece.len().min(usize::try_from(left).unwrap_or(usize::MAX));
+        file.read_exact(&mut piece[..want])?;
+        stream.allow(ANSWER_PATIENCE);
+        stream.write_all(&piece[..want])?;
+        left -= want as u64;
+    }
+    Ok(())
+}
+
+/// The answer that makes a connection a WebSocket (RFC 6455, section 4.2.2).
+fn upgrade(request: &Request) -> Result<String, Refusal> {
+    let asks = |name: &str, wanted: &str| {
+        request
+            .header(name)
+            .is_some_and(|value| value.split(',').any(|part| part.trim().eq_ignore_ascii_case(wanted)))
+    };
+    let key = request.header("sec-websocket-key").filter(|key| key.len() == 24);
+    let version = request.header("sec-websocket-version") == Some("13");
+    match key {
+        Some(key) if version && asks("upgrade", "websocket") && asks("connection", "upgrade") => {
+            let accept = tungstenite::handshake::derive_accept_key(key.as_bytes());
+            Ok(format!(
+                "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {accept}\r\n\r\n"
+            ))
+        }
+        _ => Err(Refusal(426, "Upgrade Required")),
+    }
+}

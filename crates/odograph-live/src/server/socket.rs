@@ -1,0 +1,104 @@
+//! The socket over which a page hears what is new. See `docs/live.md` for its messages.
+
+use super::deadline::Deadlined;
+use crate::hub::{Hub, News, View};
+use serde_json::json;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Error, Message, WebSocket};
+
+/// Kinds of binary messages: their first byte.
+const RECORDS: u8 = 1;
+const VIEW: u8 = 2;
+/// How long to wait for news before looking whether the client is still there.
+const PATIENCE: Duration = Duration::from_millis(500);
+/// A client that has not taken its messages after this time is let go.
+const SEND_PATIENCE: Duration = Duration::from_secs(5);
+/// How long to look for something from the client; it has nothing to say but goodbye.
+const GLANCE: Duration = Duration::from_millis(1);
+
+/// Tells a client what is new until it goes or the hub closes.
+pub fn run(hub: &Arc<Hub>, mut stream: Deadlined) -> io::Result<()> {
+    stream.read_for(GLANCE);
+    let config = WebSocketConfig::default()
+        .read_buffer_size(4 << 10)
+        .max_message_size(Some(4 << 10))
+        .max_frame_size(Some(4 << 10));
+    let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
+    let mut viewer = hub.look();
+    let hello = json!({ "kind": "hello", "introduction": hub.introduction() }).to_string();
+    if send(&mut socket, [Message::text(hello)]).is_err() {
+        return Ok(());
+    }
+    loop {
+        let news = viewer.news(PATIENCE);
+        if send(&mut socket, messages(&news)).is_err() || gone(&mut socket) {
+            return Ok(());
+        }
+        if hub.is_closing() {
+            let _ = socket.close(None).and_then(|()| socket.flush());
+            return Ok(());
+        }
+    }
+}
+
+fn send(socket: &mut WebSocket<Deadlined>, messages: impl IntoIterator<Item = Message>) -> Result<(), Error> {
+    socket.get_mut().allow(SEND_PATIENCE);
+    for message in messages {
+        socket.write(message)?;
+    }
+    socket.flush()
+}
+
+/// Whether the client has said goodbye, or something that it should not.
+fn gone(socket: &mut WebSocket<Deadlined>) -> bool {
+    // A page sends nothing; a client that sends without end is served at most this often in between.
+    for _ in 0..8 {
+        match socket.read() {
+            Ok(Message::Close(_)) => return true,
+            Ok(_) => {}
+            Err(Error::Io(error)) => {
+                return !matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut);
+            }
+            Err(_) => return true,
+        }
+    }
+    false
+}
+
+fn messages(news: &News) -> Vec<Message> {
+    let mut messages = Vec::new();
+    if let Some((first, records)) = &news.records {
+        let mut bytes = vec![RECORDS, 0, 0, 0];
+        bytes.extend((*first as u32).to_le_bytes());
+        bytes.extend(records.iter().flat_map(|value| value.to_le_bytes()));
+        messages.push(Message::binary(bytes));
+    }
+    if let Some(view) = &news.view {
+        messages.push(Message::binary(view_bytes(view)));
+    }
+    if let Some(status) = &news.status {
+        messages.push(Message::text(json!({ "kind": "status", "status": status }).to_string()));
+    }
+    if !news.marks.is_empty() {
+        messages.push(Message::text(json!({ "kind": "marks", "marks": news.marks }).to_string()));
+    }
+    if let Some((metres_per_pixel, tiles)) = &news.ground {
+        let tiles: Vec<_> = tiles.iter().map(|tile| [tile.column, tile.row]).collect();
+        let ground = json!({ "kind": "ground", "metres_per_pixel": metres_per_pixel, "tiles": tiles });
+        messages.push(Message::text(ground.to_string()));
+    }
+    messages
+}
+
+/// Kind, number of tracks, record; the tracks; the picture.
+fn view_bytes(view: &View) -> Vec<u8> {
+    let mut bytes = vec![VIEW, 0];
+    bytes.extend((view.tracks.len() as u16).to_le_bytes());
+    bytes.extend((view.record as u32).to_le_bytes());
+    bytes.extend(view.tracks.iter().flatten().flat_map(|value| value.to_le_bytes()));
+    bytes.extend_from_slice(&view.jpeg);
+    bytes
+}

@@ -1,0 +1,68 @@
+//! Poses for other programs.
+
+use odograph::trajectory::FrameEstimate;
+use serde_json::json;
+use std::io;
+use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
+
+/// A frame as one line of JSON: see `docs/live.md`.
+pub fn json_line(frame: &FrameEstimate, latency_ms: Option<f64>) -> String {
+    let pose = frame.estimate.as_ref().map(|known| {
+        let (pose, velocity) = (&known.pose, &known.velocity);
+        let covariance: Vec<Vec<f64>> =
+            (0..3).map(|row| (0..3).map(|column| known.covariance[(row, column)]).collect()).collect();
+        json!({
+            "x_m": pose.x_m,
+            "y_m": pose.y_m,
+            "heading_rad": pose.heading_rad,
+            "height_m": pose.height_m,
+            "roll_rad": pose.roll_rad,
+            "pitch_rad": pose.pitch_rad,
+            "velocity_x_m_s": velocity.x_m_s,
+            "velocity_y_m_s": velocity.y_m_s,
+            "heading_rate_rad_s": velocity.heading_rad_s,
+            "covariance_x_y_heading": covariance,
+        })
+    });
+    json!({
+        "frame": frame.frame,
+        "time_s": frame.time_s,
+        "status": frame.status.to_string(),
+        "segment": frame.segment,
+        "tracks": frame.tracks,
+        "inliers": frame.inliers,
+        "residual_px": frame.residual_px,
+        "latency_ms": latency_ms,
+        "pose": pose,
+    })
+    .to_string()
+}
+
+/// Sends each frame as a datagram of one JSON line, to whoever listens or not.
+#[derive(Debug)]
+pub struct Datagrams {
+    socket: UdpSocket,
+    to: SocketAddr,
+}
+
+impl Datagrams {
+    /// Sends to `host:port`.
+    ///
+    /// # Errors
+    /// Where there is no such address, or no socket can be had.
+    pub fn to(address: &str) -> io::Result<Self> {
+        let to = address
+            .to_socket_addrs()?
+            .next()
+            .ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, "no such address"))?;
+        let any = if to.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
+        let socket = UdpSocket::bind(any)?;
+        socket.set_nonblocking(true)?;
+        Ok(Self { socket, to })
+    }
+
+    /// Sends a line. What cannot be sent now is not sent later: a newer one follows.
+    pub fn send(&self, line: &str) {
+        let _ = self.socket.send_to(line.as_bytes(), self.to);
+    }
+}

@@ -1,0 +1,49 @@
+//! The camera's picture as a page shows it.
+
+use crate::hub::View;
+use jpeg_encoder::{ColorType, Encoder};
+use odograph::image::GrayImage;
+use odograph::odometry::TrackView;
+
+/// A picture wider than this is shown at half its size: no page shows more, and it would cost the tracking's time.
+const WIDEST_PX: usize = 960;
+/// Good to look at.
+const QUALITY: u8 = 72;
+
+impl View {
+    /// The picture of a record with its tracks; `None` where it cannot be encoded (larger than JPEG can be).
+    pub fn new(record: usize, gray: &GrayImage, tracks: &[TrackView]) -> Option<Self> {
+        let halved;
+        let shown = if gray.width() > WIDEST_PX {
+            halved = half(gray)?;
+            &halved
+        } else {
+            gray
+        };
+        let size = |pixels: usize| u16::try_from(pixels).ok();
+        let (width, height) = (size(shown.width())?, size(shown.height())?);
+        let mut jpeg = Vec::with_capacity(shown.samples().len() / 4);
+        Encoder::new(&mut jpeg, QUALITY).encode(shown.samples(), width, height, ColorType::Luma).ok()?;
+        let quarter = |pixels: f64| (4.0 * pixels).clamp(-32_768.0, 32_767.0) as i16;
+        let track = |track: &TrackView| {
+            let (at, corner) = (track.pixel, track.corner);
+            [quarter(at.x), quarter(at.y), quarter(corner.x), quarter(corner.y), i16::from(track.inlier)]
+        };
+        // The count goes over the wire in two bytes.
+        let tracks = tracks.iter().take(usize::from(u16::MAX)).map(track).collect();
+        Some(Self { record, jpeg, tracks })
+    }
+}
+
+/// At half the size: the mean of four pixels each.
+fn half(gray: &GrayImage) -> Option<GrayImage> {
+    let (width, height) = (gray.width() / 2, gray.height() / 2);
+    let mut samples = Vec::with_capacity(width * height);
+    for y in 0..height {
+        let (above, below) = (gray.row(2 * y), gray.row(2 * y + 1));
+        samples.extend(above.chunks_exact(2).zip(below.chunks_exact(2)).map(|(a, b)| {
+            ((u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) / 4) as u8
+        }));
+    }
+    GrayImage::from_samples(width, height, samples)
+}

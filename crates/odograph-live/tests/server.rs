@@ -1,0 +1,279 @@
+//! The server against clients that are slow, many, malicious or not let in: the one who tracks does not notice, and nothing but the run's own
+//! files is given out.
+
+#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+
+use odograph::mapping::Mosaic;
+use odograph_live::server::MOST_CONNECTIONS;
+use odograph_live::{Hub, Introduction, Server, ServerOptions, Status, TrackRecord, View};
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// More than any answer of these tests takes.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+struct Place {
+    hub: Arc<Hub>,
+    server: Server,
+    _folder: tempfile::TempDir,
+}
+
+/// A server over a folder with one file that may be had, and a secret beside it and above it.
+fn place(token: Option<&str>) -> Place {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    std::fs::create_dir(&run).unwrap();
+    std::fs::write(run.join("stats.json"), "{\"frames\": 3}").unwrap();
+    std::fs::write(run.join("secret.txt"), "secret").unwrap();
+    std::fs::write(folder.path().join("stats.json"), "secret").unwrap();
+    let introduction = Introduction {
+        title: "drive".into(),
+        source: "a drive".into(),
+        width: 640,
+        height: 480,
+        height_m: 1.0,
+        live: true,
+    };
+    let hub = Arc::new(Hub::new(introduction, Arc::new(Mutex::new(Mosaic::new(Default::default())))));
+    let options = ServerOptions {
+        token: token.map(str::to_owned),
+        folder: Some(run),
+        files: vec!["stats.json".into(), "trajectory.csv".into()],
+    };
+    let server = Server::start(([127, 0, 0, 1], 0).into(), Arc::clone(&hub), options).unwrap();
+    Place { hub, server, _folder: folder }
+}
+
+fn connect(address: SocketAddr) -> TcpStream {
+    let stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream
+}
+
+/// Sends bytes as they are and gives the whole answer. Where the server hangs up while they are being sent that is its answer too.
+fn raw(address: SocketAddr, request: &[u8]) -> String {
+    let mut stream = connect(address);
+    let _ = stream.write_all(request);
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+fn get(address: SocketAddr, path: &str, more: &str) -> String {
+    raw(
+        address,
+        format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{more}\r\n").as_bytes(),
+    )
+}
+
+fn status(answer: &str) -> &str {
+    answer.split(' ').nth(1).unwrap_or("none")
+}
+
+#[test]
+fn only_the_files_of_the_run_are_given_out() {
+    let place = place(None);
+    let address = place.server.address();
+    let answer = get(address, "/files/stats.json", "");
+    assert!(answer.starts_with("HTTP/1.1 200") && answer.ends_with("{\"frames\": 3}"), "{answer}");
+    for path in [
+        "/files/secret.txt",
+        "/files/../stats.json",
+        "/files/..%2fstats.json",
+        "/files/%2e%2e/stats.json",
+        "/files/./stats.json",
+        "/files//etc/passwd",
+        "/files/..\\stats.json",
+        "/files/",
+        "/files/trajectory.csv",
+        "/../../etc/passwd",
+        "//etc/passwd",
+        "/tiles/0/../../stats.json.png",
+        "/tiles/99999999999999999999/0.png",
+        "/tiles/1/-9223372036854775808.png",
+        "/run/stats.json",
+    ] {
+        let answer = get(address, path, "");
+        assert_eq!(status(&answer), "404", "{path}: {answer}");
+        assert!(!answer.contains("secret"), "{path}");
+    }
+    // Nothing can be written but a mark and the wish to end.
+    for request in ["PUT /files/stats.json HTTP/1.1", "DELETE /files/stats.json HTTP/1.1"] {
+        assert_eq!(status(&raw(address, format!("{request}\r\nHost: localhost\r\n\r\n").as_bytes())), "405");
+    }
+    let post = raw(address, b"POST /files/stats.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 1\r\n\r\nx");
+    assert_eq!(status(&post), "404");
+}
+
+#[test]
+fn requests_that_are_none_are_refused_and_the_next_one_is_answered() {
+    let place = place(None);
+    let address = place.server.address();
+    let endless_head = [b"GET / HTTP/1.1\r\n".to_vec(), b"X: y\r\n".repeat(100_000)].concat();
+    let endless_line = [b"GET /".to_vec(), b"a".repeat(1 << 20)].concat();
+    let noise: Vec<u8> = (0..4096u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    let large = b"POST /mark HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000000\r\n\r\n".to_vec();
+    let socket = b"GET /socket HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".to_vec();
+    for (request, wanted) in
+        [(endless_head, "431"), (endless_line, "431"), (noise, "400"), (large, "413"), (socket, "426")]
+    {
+        // A server that has refused may close before all of this has been sent; then there may be no answer to read.
+        let answer = raw(address, &request);
+        assert!(answer.is_empty() || status(&answer) == wanted, "{wanted}: {answer}");
+    }
+    assert_eq!(status(&get(address, "/", "")), "200");
+}
+
+#[test]
+fn a_page_from_elsewhere_cannot_ask_through_a_browser() {
+    let place = place(None);
+    let address = place.server.address();
+    let foreign_name =
+        raw(address, b"GET /state HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n");
+    assert_eq!(status(&foreign_name), "403");
+    let foreign_page = raw(
+        address,
+        b"POST /stop HTTP/1.1\r\nHost: localhost\r\nOrigin: http://evil.example\r\nConnection: close\r\nContent-Length: 0\r\n\r\n",
+    );
+    assert_eq!(status(&foreign_page), "403");
+    assert!(!place.hub.stop_asked());
+    let own = raw(
+        address,
+        b"POST /stop HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nConnection: close\r\nContent-Length: 0\r\n\r\n",
+    );
+    assert_eq!(status(&own), "200");
+    assert!(place.hub.stop_asked());
+}
+
+#[test]
+fn without_the_token_nothing_is_told() {
+    let place = place(Some("correct-token-123"));
+    let address = place.server.address();
+    assert!(place.server.url().ends_with("/?token=correct-token-123"));
+    for more in [
+        "",
+        "Cookie: odograph=wrong\r\n",
+        "Authorization: Bearer correct-token-12\r\n",
+        "Cookie: odograph=\r\n",
+    ] {
+        for path in ["/", "/state", "/files/stats.json", "/socket", "/?token=wrong", "/app.js?token="] {
+            assert_eq!(status(&get(address, path, more)), "403", "{path} {more}");
+        }
+    }
+    let redirected = get(address, "/?token=correct-token-123", "");
+    assert!(
+        redirected.starts_with("HTTP/1.1 303") && redirected.contains("\r\nLocation: /\r\n"),
+        "{redirected}"
+    );
+    assert!(redirected.contains("Set-Cookie: odograph=correct-token-123; Path=/; HttpOnly; SameSite=Strict"));
+    assert_eq!(status(&get(address, "/state", "Cookie: odograph=correct-token-123\r\n")), "200");
+    assert_eq!(status(&get(address, "/state", "Authorization: Bearer correct-token-123\r\n")), "200");
+    let open = Server::start(([0, 0, 0, 0], 0).into(), Arc::clone(&place.hub), ServerOptions::default());
+    assert!(open.unwrap_err().to_string().contains("needs a token"));
+}
+
+/// A socket as a browser opens it.
+fn socket(address: SocketAddr) -> TcpStream {
+    let mut stream = connect(address);
+    let request = "GET /socket HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+                   Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut head = Vec::new();
+    while !head.ends_with(b"\r\n\r\n") {
+        let mut byte = [0];
+        stream.read_exact(&mut byte).unwrap();
+        head.push(byte[0]);
+    }
+    let head = String::from_utf8(head).unwrap();
+    // The accept key of the example in RFC 6455, section 1.3.
+    assert!(head.starts_with("HTTP/1.1 101") && head.contains("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="), "{head}");
+    stream
+}
+
+fn show_frames(hub: &Hub, frames: usize) {
+    let mut values = [0.0; TrackRecord::LENGTH];
+    for k in 0..frames {
+        values[0] = k as f32;
+        let record = hub.add_record(&TrackRecord { values });
+        hub.show_view(View { record, jpeg: vec![0; 64 << 10], tracks: vec![[1; 5]; 300] });
+    }
+}
+
+#[test]
+fn a_hundred_clients_of_which_most_never_read_do_not_hold_anybody_up() {
+    let place = place(None);
+    let address = place.server.address();
+    // Some say nothing, some say half of a request, some open a socket and never read from it.
+    let mut silent: Vec<TcpStream> = (0..40).map(|_| connect(address)).collect();
+    for stream in &mut silent[..20] {
+        stream.write_all(b"GET / HTTP/1.1\r\nHost: loc").unwrap();
+    }
+    let deaf: Vec<TcpStream> = (0..60).map(|_| socket(address)).collect();
+    let mut listener = socket(address);
+    let until = Instant::now() + PATIENCE;
+    while place.hub.viewers() < 61 && Instant::now() < until {
+        std::thread::yield_now();
+    }
+    assert_eq!(place.hub.viewers(), 61);
+    // Far more than the buffers of the system take for those who do not read: 200 pictures of 64 KiB.
+    let begun = Instant::now();
+    for _ in 0..20 {
+        show_frames(&place.hub, 10);
+        place.hub.set_status(Status { captured: place.hub.marks_from(0).len() as u64, ..Status::default() });
+    }
+    // To put something into the hub takes microseconds; were it to wait for a client, it would be that client's five seconds.
+    assert!(begun.elapsed() < Duration::from_secs(3), "{:?}", begun.elapsed());
+    // Who reads hears of all 200 frames.
+    let mut heard = Vec::new();
+    let wanted = 200 * 4 * TrackRecord::LENGTH;
+    let mut piece = vec![0; 1 << 16];
+    while heard.len() < wanted {
+        let read = listener.read(&mut piece).unwrap();
+        assert!(read > 0);
+        heard.extend_from_slice(&piece[..read]);
+    }
+    // And a new one is let in and answered.
+    assert_eq!(status(&get(address, "/state", "")), "200");
+    assert!(place.server.connections() <= MOST_CONNECTIONS);
+    // All of them go at once; so do their threads.
+    drop((silent, deaf, listener));
+    let until = Instant::now() + PATIENCE;
+    while place.server.connections() > 0 && Instant::now() < until {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert_eq!((place.server.connections(), place.hub.viewers()), (0, 0));
+}
+
+#[test]
+fn more_clients_than_there_is_room_for_are_told_so() {
+    let place = place(None);
+    let address = place.server.address();
+    let held: Vec<TcpStream> = (0..MOST_CONNECTIONS).map(|_| connect(address)).collect();
+    let until = Instant::now() + PATIENCE;
+    while place.server.connections() < MOST_CONNECTIONS && Instant::now() < until {
+        std::thread::yield_now();
+    }
+    assert_eq!(status(&raw(address, b"")), "503");
+    drop(held);
+    let until = Instant::now() + PATIENCE;
+    while place.server.connections() > 0 && Instant::now() < until {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert_eq!(status(&get(address, "/state", "")), "200");
+}
+
+#[test]
+fn the_page_needs_nothing_from_elsewhere() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/page");
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let text = std::fs::read_to_string(&path).unwrap();
+        for line in text.lines().filter(|line| line.contains("://")) {
+            let harmless = line.contains("www.w3.org/2000/svg") || line.contains("${location.host}");
+            assert!(harmless, "{}: {line}", path.display());
+        }
+    }
+}

@@ -1,0 +1,146 @@
+use super::*;
+use crate::camera::Distortion;
+use crate::image::GrayImage;
+use crate::motion::{MotionModel, Random, RigWander};
+use crate::simulation::{Ground, Renderer, Texture};
+use nalgebra::{Matrix3, Vector3};
+
+const HEIGHT_M: f64 = 0.75;
+
+/// A camera over ground, and images with as much noise as is asked for.
+struct World {
+    camera: Camera,
+    renderer: Renderer,
+    ground: Ground,
+}
+
+impl World {
+    fn new(texture: &str, seed: u64) -> Self {
+        let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
+        let camera = Camera::new((320, 240), (250.0, 250.0), (160.7, 119.2), distortion).unwrap();
+        let renderer = Renderer::new(&camera);
+        let texture = Texture::named(texture).unwrap();
+        let ground = Ground::new(texture, renderer.footprint_m(HEIGHT_M), false, seed).unwrap();
+        Self { camera, renderer, ground }
+    }
+
+    /// Gray levels that a pose sees, exactly.
+    fn view(&self, pose: &GroundPose) -> Vec<f32> {
+        let mut view = vec![0.0; 320 * 240];
+        self.renderer.add_view(&self.ground, pose, 1.0, &mut view);
+        view
+    }
+
+    /// A view as a sensor with this noise (one standard deviation, gray levels) has it.
+    fn image(&self, pose: &GroundPose, noise: f64, random: &mut Random) -> GrayImage {
+        let mut uniform = || ((random.bits() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+        let mut gaussian = || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
+        let rounded = |gray: f32| (f64::from(gray) + noise * gaussian()).round().clamp(0.0, 255.0) as u8;
+        GrayImage::from_samples(320, 240, self.view(pose).into_iter().map(rounded).collect()).unwrap()
+    }
+
+    /// The pose of `image` against `reference`, taken at `from`, both as images.
+    fn refined(
+        &self,
+        from: &GroundPose,
+        reference: &GrayImage,
+        image: &GrayImage,
+        guess: &GroundPose,
+    ) -> Option<DenseEstimate> {
+        let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
+        let reference = DenseReference::new(&self.camera, &DenseImage::new(reference), from, 0);
+        let prior = RigWander::new(from).prior(from, &config);
+        refine(&self.camera, &reference, &DenseImage::new(image), guess, &prior, &config)
+    }
+
+    /// The covariance of (x, y, heading) that no unbiased estimate from two images with this noise falls below (Cramér and Rao), over what `pose`
+    /// shares with `from`.
+    fn bound(&self, from: &GroundPose, pose: &GroundPose, noise: f64) -> Matrix3<f64> {
+        let step = 1e-4;
+        let moved = |i: usize, by: f64| {
+            let mut moved = *pose;
+            *[&mut moved.x_m, &mut moved.y_m, &mut moved.heading_rad][i] += by;
+            self.view(&moved)
+        };
+        let slopes = [0, 1, 2].map(|i| (moved(i, step), moved(i, -step)));
+        let mut information = Matrix3::zeros();
+        for at in 0..320 * 240 {
+            let pixel = Pixel::new((at % 320) as f64, (at / 320) as f64);
+            let ground = self.camera.ray_from_pixel(pixel).and_then(|ray| pose.ground_from_ray(ray));
+            let before = ground.and_then(|ground| ViewingPose::new(*from).pixel(&self.camera, ground));
+            if before.is_some_and(|before| self.camera.contains(before, 0.0)) {
+                let slope =
+                    Vector3::from_fn(|i, _| f64::from(slopes[i].0[at] - slopes[i].1[at]) / (2.0 * step));
+                information += slope * slope.transpose() / (2.0 * noise * noise);
+            }
+        }
+        information.try_inverse().unwrap()
+    }
+}
+
+fn error(found: &DenseEstimate, truth: &GroundPose) -> Vector3<f64> {
+    let pose = &found.estimate.pose;
+    Vector3::new(pose.x_m - truth.x_m, pose.y_m - truth.y_m, pose.heading_rad - truth.heading_rad)
+}
+
+/// A pixel on the ground, metres.
+const PIXEL_M: f64 = HEIGHT_M / 250.0;
+
+#[test]
+fn fractions_of_a_pixel_have_no_bias_of_their_own() {
+    for texture in ["asphalt", "carpet"] {
+        let world = World::new(texture, 7);
+        let from = GroundPose::level(HEIGHT_M);
+        let reference = world.image(&from, 0.0, &mut Random::new(0));
+        for fraction in [0.15, 0.3, 0.5, 0.75] {
+            let truth = GroundPose { x_m: 3.0 * PIXEL_M, y_m: (5.0 + fraction) * PIXEL_M, ..from };
+            let image = world.image(&truth, 0.0, &mut Random::new(0));
+            let guess = GroundPose { x_m: 2.0 * PIXEL_M, y_m: 4.5 * PIXEL_M, ..from };
+            let found = world.refined(&from, &reference, &image, &guess).unwrap();
+            let off = error(&found, &truth) / PIXEL_M;
+            println!("{texture} {fraction}: {:.4} {:.4} px, halvings {}", off.x, off.y, found.halvings);
+            assert!(off.xy().amax() < 0.005, "{texture} {fraction}: {off:?}");
+        }
+    }
+}
+
+#[test]
+fn a_pair_is_registered_nearly_as_well_as_can_be_and_says_how_well() {
+    let from = GroundPose::level(HEIGHT_M);
+    let truth = GroundPose { x_m: 0.081, y_m: -0.043, heading_rad: 0.07, ..from };
+    let guess = GroundPose { x_m: 0.078, y_m: -0.040, heading_rad: 0.074, ..from };
+    let (noise, pairs) = (3.0, 12);
+    // Grass has most of its texture at one or two pixels, which smoothing takes along with the noise.
+    for (texture, within) in [("asphalt", 1.5), ("grass", 2.0)] {
+        let world = World::new(texture, 3);
+        let bound = world.bound(&from, &truth, noise);
+        let (mut squares, mut normalised) = (Vector3::zeros(), 0.0);
+        for seed in 0..pairs {
+            let mut random = Random::new(seed);
+            let reference = world.image(&from, noise, &mut random);
+            let image = world.image(&truth, noise, &mut random);
+            let found = world.refined(&from, &reference, &image, &guess).unwrap();
+            let off = error(&found, &truth);
+            squares += off.component_mul(&off) / pairs as f64;
+            let covariance = found.estimate.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+            normalised += off.dot(&(covariance.try_inverse().unwrap() * off)) / pairs as f64;
+        }
+        let ratios = [0, 1, 2].map(|i| (squares[i] / bound[(i, i)]).sqrt());
+        println!("{texture}: {ratios:.2?} of the bound, NEES {normalised:.2}");
+        assert!(ratios.iter().all(|&ratio| ratio < within), "{texture}: {ratios:?}");
+        // 3 where the covariance is true. Its mean over twelve pairs stays below the upper of its 95 % bounds; the floor for what all tiles share makes it
+        // smaller on the richest ground.
+        assert!((0.3..4.55).contains(&normalised), "{texture}: {normalised}");
+    }
+}
+
+#[test]
+fn other_ground_is_not_taken_for_the_same() {
+    let world = World::new("asphalt", 5);
+    let from = GroundPose::level(HEIGHT_M);
+    let reference = world.image(&from, 2.0, &mut Random::new(1));
+    let elsewhere = GroundPose { x_m: 7.0, y_m: 3.0, ..from };
+    let image = world.image(&elsewhere, 2.0, &mut Random::new(2));
+    let found = world.refined(&from, &reference, &image, &from);
+    assert!(found.is_none_or(|found| found.score < DenseEstimate::LEAST_SCORE));
+}

@@ -1,0 +1,129 @@
+//! Patches of an image that lie on the ground: where, and in which shape, another camera sees them.
+
+use crate::camera::Camera;
+use crate::flow::Warp;
+use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+/// Three points this far around the centre of a patch of 16x16 samples, a third of a turn apart, show where and in which shape it is expected,
+/// samples. In their mean a curvature of the warp (a lens is never straight) shifts as much as in the mean of the whole patch, of
+/// which the samples are (16² − 1) / 12 from the middle along either side: their squared distance is twice that of both.
+const RING: f64 = 6.519_202_405_202_649;
+
+/// Of the ring's points, (right, down) in units of its radius.
+const AROUND: [(f64, f64); 3] =
+    [(1.0, 0.0), (-0.5, 0.866_025_403_784_438_6), (-0.5, -0.866_025_403_784_438_6)];
+
+/// A square patch of 16x16 samples on the ground.
+#[derive(Debug, Clone, Copy)]
+pub struct GroundPatch {
+    /// Where its centre lies.
+    pub ground: GroundPoint,
+    /// Where the points of the ring around the centre lie.
+    ring: [GroundPoint; 3],
+    /// Pixels from one sample to the next.
+    pixels_per_sample: f64,
+}
+
+/// How a patch is expected in an image.
+#[derive(Debug, Clone, Copy)]
+pub struct PatchWarp {
+    /// Of the patch as a whole.
+    pub warp: Warp,
+    /// How far the patch as a whole is from where its centre is, pixels: Lucas–Kanade finds the whole patch, and what lies on the ground is its
+    /// centre. Left out, a lens that bends lines makes every way as much longer as its curvature changes along it.
+    pub bend: Vector2<f64>,
+}
+
+impl GroundPatch {
+    /// The patch about `centre` of the image of a camera, its samples `pixels_per_sample` apart. `None` where that is not ground.
+    pub fn new(
+        camera: &Camera,
+        from: &GroundFromRay<'_>,
+        centre: Pixel,
+        pixels_per_sample: f64,
+    ) -> Option<Self> {
+        let (ray, [first, second, third]) = rays_about(camera, centre, RING * pixels_per_sample)?;
+        let ring = [from.of(first)?, from.of(second)?, from.of(third)?];
+        Some(Self { ground: from.of(ray)?, ring, pixels_per_sample })
+    }
+
+    /// Where and in which shape a camera at `pose` sees the patch; `None` where it would be out of sight.
+    pub fn warp(&self, camera: &Camera, pose: &ViewingPose) -> Option<PatchWarp> {
+        let centre = pose.pixel(camera, self.ground)?;
+        let mut mean = Vector2::zeros();
+        let mut linear = Matrix2::zeros();
+        // Least squares over the ring.
+        let share = 2.0 / (3.0 * RING * self.pixels_per_sample);
+        for (point, (right, down)) in self.ring.iter().zip(AROUND) {
+            let pixel = pose.pixel(camera, *point)?;
+            let from_centre = Vector2::new(pixel.x - centre.x, pixel.y - centre.y);
+            mean += from_centre / 3.0;
+            linear += from_centre * Vector2::new(right, down).transpose() * share;
+        }
+        let position = Pixel::new(centre.x + mean.x, centre.y + mean.y);
+        Some(PatchWarp { warp: Warp { position, linear }, bend: mean })
+    }
+}
+
+/// The rays of a pixel and of the points a radius around it (pixels): the others by one step of Newton's method from where the derivative at the
+/// first puts them, exact to far less than a thousandth of a pixel near the centre.
+fn rays_about(camera: &Camera, pixel: Pixel, radius_px: f64) -> Option<(Ray, [Ray; 3])> {
+    let ray = camera.ray_from_pixel(pixel)?;
+    let (_, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
+    let ray_by_pixel = pixel_by_ray.try_inverse()?;
+    let beside = |(right, down): (f64, f64)| {
+        let offset = radius_px * Vector2::new(right, down);
+        let guess = ray_by_pixel * offset;
+        let guess = Ray::new(ray.x + guess.x, ray.y + guess.y);
+        let seen = camera.pixel_from_ray(guess)?;
+        let left = ray_by_pixel * Vector2::new(pixel.x + offset.x - seen.x, pixel.y + offset.y - seen.y);
+        Some(Ray::new(guess.x + left.x, guess.y + left.y))
+    };
+    Some((ray, [beside(AROUND[0])?, beside(AROUND[1])?, beside(AROUND[2])?]))
+}
+
+/// A pose with its rotation worked out once for many ground points.
+#[derive(Debug, Clone, Copy)]
+pub struct ViewingPose {
+    pose: GroundPose,
+    camera_from_world: Matrix3<f64>,
+}
+
+impl ViewingPose {
+    /// Ready to see points.
+    pub fn new(pose: GroundPose) -> Self {
+        Self { pose, camera_from_world: pose.world_from_camera_rotation().transpose() }
+    }
+
+    /// Where a ground point is seen; may lie outside the image. `None` where it is not in front of the lens.
+    pub fn pixel(&self, camera: &Camera, point: GroundPoint) -> Option<Pixel> {
+        let from_camera =
+            Vector3::new(point.x_m - self.pose.x_m, point.y_m - self.pose.y_m, -self.pose.height_m);
+        let p = self.camera_from_world * from_camera;
+        (p.z > 1e-9).then(|| camera.pixel_from_ray(Ray::new(p.x / p.z, p.y / p.z)))?
+    }
+}
+
+/// [`GroundPose::ground_from_ray`] with the rotation worked out once for many rays.
+#[derive(Debug, Clone, Copy)]
+pub struct GroundFromRay<'a> {
+    pose: &'a GroundPose,
+    world_from_camera: Matrix3<f64>,
+}
+
+impl<'a> GroundFromRay<'a> {
+    /// For the rays of a camera at `pose`.
+    pub fn new(pose: &'a GroundPose) -> Self {
+        Self { pose, world_from_camera: pose.world_from_camera_rotation() }
+    }
+
+    /// The ground point that a ray meets; `None` where it does not go downwards.
+    pub fn of(&self, ray: Ray) -> Option<GroundPoint> {
+        let direction = self.world_from_camera * ray.vector();
+        (direction.z < -1e-9).then(|| {
+            let reach = -self.pose.height_m / direction.z;
+            GroundPoint::new(self.pose.x_m + reach * direction.x, self.pose.y_m + reach * direction.y)
+        })
+    }
+}

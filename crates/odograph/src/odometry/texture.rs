@@ -1,0 +1,123 @@
+//! How much there is to see in an image.
+
+use crate::detection::{DetectionConfig, detect};
+use crate::image::{GrayImage, Pyramid};
+
+/// Whether an image has hardly a corner that stands out of noise. Judged two pyramid levels up, where the sensor's noise is averaged away.
+pub fn is_faint(pyramid: &Pyramid) -> bool {
+    let levels = pyramid.levels();
+    let coarse = &levels[2.min(levels.len() - 1)];
+    let config = DetectionConfig {
+        corners: ENOUGH_CORNERS,
+        minimum_distance_px: 5.0,
+        quality: 0.0,
+        ..Default::default()
+    };
+    let corners = detect(coarse, &config, 3);
+    corners.iter().filter(|c| c.strength >= FAINT_STRENGTH).count() < ENOUGH_CORNERS
+}
+
+/// So many corners on a coarse level make texture.
+const ENOUGH_CORNERS: usize = 20;
+
+/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves about 0.03 there.
+const FAINT_STRENGTH: f32 = 0.1;
+
+/// Whether an image shows nothing but noise and soft light: darkness, a hand over the lens, a floor without any texture.
+///
+/// Of squares of 4x4 pixels the mean of the black and that of the white ones, as on a chessboard, are compared: they have their texture in common and not
+/// their noise, whatever that is. In blocks of 64x64 pixels a plane of light is taken off.
+pub fn is_bare(image: &GrayImage) -> bool {
+    let (columns, rows) = (image.width() / SQUARE, image.height() / SQUARE);
+    let (mut common, mut blacks, mut whites, mut count) = (0.0, 0.0, 0.0, 0usize);
+    for top in (0..(rows + 1).saturating_sub(BLOCK)).step_by(BLOCK) {
+        for left in (0..(columns + 1).saturating_sub(BLOCK)).step_by(BLOCK) {
+            let [black, white] = block(image, left, top);
+            let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            common += product(&black, &white);
+            blacks += product(&black, &black);
+            whites += product(&white, &white);
+            count += BLOCK * BLOCK;
+        }
+    }
+    let chance = (blacks * whites / count.max(1) as f64).sqrt();
+    common < LEAST_TEXTURE_GRAY * LEAST_TEXTURE_GRAY * count as f64 || common <= CERTAIN * chance
+}
+
+/// Pixels along the side of a square.
+const SQUARE: usize = 4;
+
+/// Squares along the side of a block.
+const BLOCK: usize = 16;
+
+/// Texture with a smaller standard deviation than this cannot be followed, gray levels over squares of 4x4 pixels. Light that falls off to the corners by
+/// a third leaves 0.1 within a block.
+const LEAST_TEXTURE_GRAY: f64 = 0.13;
+
+/// Common parts below so many standard deviations of chance are chance.
+const CERTAIN: f64 = 8.0;
+
+/// Whether an image is bare for want of light.
+pub fn is_dark(image: &GrayImage) -> bool {
+    const DARK_GRAY: u64 = 24;
+    let sum: u64 = image.samples().iter().map(|&sample| u64::from(sample)).sum();
+    sum < DARK_GRAY * image.samples().len() as u64
+}
+
+/// Whether an image is so much less sharp than another that little can be found again: in some direction its fine texture has gone and its coarse
+/// texture has not.
+pub fn is_blurred(image: &Pyramid, beside: &Pyramid) -> bool {
+    const BLURRED: f64 = 0.3;
+    let (now, before) = (fineness(image), fineness(beside));
+    now.iter().zip(before).any(|(now, before)| *now < BLURRED * before)
+}
+
+/// The squared differences along x, along y and along both diagonals in the full image over those two levels up.
+fn fineness(pyramid: &Pyramid) -> [f64; 4] {
+    let levels = pyramid.levels();
+    let squares = |image: &GrayImage, (right, down): (usize, isize)| -> f64 {
+        let rows = 1..image.height() - 1;
+        let row = |y: usize| {
+            let other = &image.row((y as isize + down) as usize)[right..];
+            let differences = image.row(y).iter().zip(other).map(|(&a, &b)| f64::from(a) - f64::from(b));
+            differences.map(|difference| difference * difference).sum::<f64>()
+        };
+        rows.map(row).sum::<f64>() / (image.width() * image.height()) as f64
+    };
+    [(1, 0), (0, 1), (1, 1), (1, -1)].map(|direction| {
+        let coarse = squares(&levels[2.min(levels.len() - 1)], direction);
+        squares(&levels[0], direction) / coarse.max(1e-9)
+    })
+}
+
+/// The means of the black and of the white pixels of the squares of a block, less the plane that fits them best.
+fn block(image: &GrayImage, left: usize, top: usize) -> [Vec<f64>; 2] {
+    let mut means = [Vec::with_capacity(BLOCK * BLOCK), Vec::with_capacity(BLOCK * BLOCK)];
+    for at in 0..BLOCK * BLOCK {
+        let (x, y) = (SQUARE * (left + at % BLOCK), SQUARE * (top + at / BLOCK));
+        let mut sums = [0u32; 2];
+        for j in 0..SQUARE {
+            let row = &image.row(y + j)[x..x + SQUARE];
+            row.iter().enumerate().for_each(|(i, &sample)| sums[(i + j) % 2] += u32::from(sample));
+        }
+        let half = (SQUARE * SQUARE / 2) as f64;
+        means.iter_mut().zip(sums).for_each(|(means, sum)| means.push(f64::from(sum) / half));
+    }
+    means.each_mut().map(|means| {
+        remove_plane(means);
+        std::mem::take(means)
+    })
+}
+
+fn remove_plane(values: &mut [f64]) {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let place = |i: usize| i as f64 - 0.5 * (BLOCK as f64 - 1.0);
+    let squares = (BLOCK * BLOCK * (BLOCK * BLOCK - 1)) as f64 / 12.0;
+    let slope = |values: &[f64], along: fn(usize) -> usize| {
+        values.iter().enumerate().map(|(at, value)| place(along(at)) * value).sum::<f64>() / squares
+    };
+    let (right, down) = (slope(values, |at| at % BLOCK), slope(values, |at| at / BLOCK));
+    for (at, value) in values.iter_mut().enumerate() {
+        *value -= mean + right * place(at % BLOCK) + down * place(at / BLOCK);
+    }
+}
