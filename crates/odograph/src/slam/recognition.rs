@@ -64,7 +64,8 @@ pub fn recognise(
         }
         let motion = the_other_way(&hypothesis.motion);
         let prior = there.map(|one| Prior::new(one.clone(), matcher, new.1));
-        let possible = prior.as_ref().is_none_or(|prior| {
+        // What was extrapolated over a gap does not bind: the camera may have been carried anywhere meanwhile.
+        let possible = prior.as_ref().filter(|prior| !prior.reached.across_gap).is_none_or(|prior| {
             closure::squared(&motion, &prior.reached.covariance, &prior.reached.motion) < 4.0 * GATE
         });
         if possible {

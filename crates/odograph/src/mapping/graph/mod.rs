@@ -231,7 +231,7 @@ impl PoseGraph {
         let of = |edge: &Weighted| {
             let squared =
                 edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m).squared();
-            0.5 * if edge.kind == EdgeKind::Loop { loss(squared, reach) } else { squared }
+            0.5 * reach_of(edge.kind, reach).map_or(squared, |reach| loss(squared, reach))
         };
         let mount = 0.5 * self.turn_per_m.norm_squared() / self.turn_sigma.powi(2);
         self.edges.iter().map(of).sum::<f64>() + mount
@@ -278,11 +278,8 @@ impl PoseGraph {
         for edge in &self.edges {
             let linear: Linearized =
                 edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m);
-            let weight = if edge.kind == EdgeKind::Loop {
-                1.0 / (1.0 + linear.squared() / (reach * reach))
-            } else {
-                1.0
-            };
+            let weight = reach_of(edge.kind, reach)
+                .map_or(1.0, |reach| 1.0 / (1.0 + linear.squared() / (reach * reach)));
             equations.add(edge, &linear, weight);
         }
         equations.hold_mount(self.turn_per_m, self.turn_sigma);
@@ -312,6 +309,16 @@ impl PoseGraph {
         let excess = if redundant >= 1.0 { (2.0 * self.cost(reach) / redundant).max(1.0) } else { 1.0 };
         let of = |at: usize| equations.block_of(at).map_or(Matrix4::zeros(), |block| blocks[block] * excess);
         (0..self.nodes.len()).map(of).collect()
+    }
+}
+
+/// Beyond so many standard deviations an edge counts less: a loop may be wrong, and over a gap the camera may have been carried anywhere.
+/// What was measured step by step always counts in full.
+fn reach_of(kind: EdgeKind, of_loops: f64) -> Option<f64> {
+    match kind {
+        EdgeKind::Odometry => None,
+        EdgeKind::Gap => Some(3.0),
+        EdgeKind::Loop => Some(of_loops),
     }
 }
 
