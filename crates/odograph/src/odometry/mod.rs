@@ -135,6 +135,9 @@ const SURPRISE_PX: f64 = 12.0;
 /// Where a smaller part of the corners in view agrees with a surprise, it may be something else.
 const SURPRISING_PRESENCE: f64 = 0.7;
 
+/// For so many frames after a loss, what stands still in the image is not taken for a camera that came to rest exactly where its keyframe was made.
+const MOST_SHADOWED: usize = 15;
+
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
@@ -326,12 +329,15 @@ impl Odometry {
         let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
         let found =
             self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.wander, &mut random);
-        let shadow = |found: &recovery::Found| {
-            reason == LossReason::Shadow
-                && found.remembered.is_none()
-                && follow::stands_still(keyframe, camera, &found.measurement)
-        };
-        let found = found.filter(|found| !shadow(found)).ok_or(reason)?;
+        let found = found.ok_or(reason)?;
+        let shadow = self.lost_frames < MOST_SHADOWED
+            && found.remembered.is_none()
+            && follow::presence(keyframe, camera, &found.measurement)
+                < SURPRISING_PRESENCE * self.usual_presence
+            && follow::stands_still(keyframe, camera, &found.measurement);
+        if shadow {
+            return Err(LossReason::Shadow);
+        }
         if let Some(old) = found.remembered.and_then(|index| self.memory.take(index, camera)) {
             self.memory.remember(std::mem::replace(keyframe, old).retire());
         }

@@ -20,8 +20,8 @@ pub fn is_faint(pyramid: &Pyramid) -> bool {
 /// So many corners on a coarse level make texture.
 const ENOUGH_CORNERS: usize = 20;
 
-/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves about 0.03 there.
-const FAINT_STRENGTH: f32 = 0.1;
+/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves about 0.03 there, half a gray level of texture 0.1.
+const FAINT_STRENGTH: f32 = 0.25;
 
 /// Whether an image shows nothing but noise and soft light: darkness, a hand over the lens, a floor without any texture.
 ///
@@ -64,30 +64,29 @@ pub fn is_dark(image: &GrayImage) -> bool {
     sum < DARK_GRAY * image.samples().len() as u64
 }
 
-/// Whether an image is so much less sharp than another that little can be found again: in some direction its fine texture has gone and its coarse
-/// texture has not.
+/// Whether an image is so much less sharp than another that little can be found again: in some direction its fine texture has gone.
 pub fn is_blurred(image: &Pyramid, beside: &Pyramid) -> bool {
     const BLURRED: f64 = 0.3;
     let (now, before) = (fineness(image), fineness(beside));
     now.iter().zip(before).any(|(now, before)| *now < BLURRED * before)
 }
 
-/// The squared differences along x, along y and along both diagonals in the full image over those two levels up.
+/// The squared differences along x, along y and along both diagonals over the squared mean, so that light does not count. One level up, where there is
+/// less noise.
 fn fineness(pyramid: &Pyramid) -> [f64; 4] {
     let levels = pyramid.levels();
-    let squares = |image: &GrayImage, (right, down): (usize, isize)| -> f64 {
-        let rows = 1..image.height() - 1;
+    let image = &levels[1.min(levels.len() - 1)];
+    let samples = (image.width() * image.height()) as f64;
+    let mean = image.samples().iter().map(|&sample| f64::from(sample)).sum::<f64>() / samples;
+    let squares = |(right, down): (usize, isize)| -> f64 {
         let row = |y: usize| {
             let other = &image.row((y as isize + down) as usize)[right..];
             let differences = image.row(y).iter().zip(other).map(|(&a, &b)| f64::from(a) - f64::from(b));
             differences.map(|difference| difference * difference).sum::<f64>()
         };
-        rows.map(row).sum::<f64>() / (image.width() * image.height()) as f64
+        (1..image.height().saturating_sub(1)).map(row).sum()
     };
-    [(1, 0), (0, 1), (1, 1), (1, -1)].map(|direction| {
-        let coarse = squares(&levels[2.min(levels.len() - 1)], direction);
-        squares(&levels[0], direction) / coarse.max(1e-9)
-    })
+    [(1, 0), (0, 1), (1, 1), (1, -1)].map(|direction| squares(direction) / (samples * mean * mean).max(1e-9))
 }
 
 /// The means of the black and of the white pixels of the squares of a block, less the plane that fits them best.
