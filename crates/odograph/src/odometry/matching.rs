@@ -141,7 +141,7 @@ impl Matcher {
             motion: seen_from(&keyframe.pose, pose),
             covariance: motion_covariance(&keyframe.pose, pose, &found.estimate.covariance),
             inliers: found.estimate.inlier_count(),
-            presence: follow::presence(keyframe, &self.camera, &found),
+            presence: follow::presence(keyframe, &self.camera, found),
         };
         sighting.motion.iter().all(|value| value.is_finite()).then_some(sighting)
     }

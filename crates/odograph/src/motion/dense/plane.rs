@@ -55,12 +55,12 @@ impl Plane {
     }
 
     /// Where a pixel of the full image lies among the samples, along either side.
-    pub fn from_pixel(&self, pixel: f64) -> f64 {
+    pub fn sample_of_pixel(&self, pixel: f64) -> f64 {
         (pixel + 0.5) / self.pixels_per_sample - 0.5
     }
 
     /// The pixel of the full image at a place among the samples.
-    pub fn to_pixel(&self, sample: f64) -> f64 {
+    pub fn pixel_of_sample(&self, sample: f64) -> f64 {
         (sample + 0.5) * self.pixels_per_sample - 0.5
     }
 }

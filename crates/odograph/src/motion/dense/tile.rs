@@ -54,7 +54,7 @@ impl Tile {
         camera: &Camera,
         from: &GroundFromRay<'_>,
     ) -> Option<Self> {
-        let at = |first: usize| plane.to_pixel(first as f64 + TO_CENTRE);
+        let at = |first: usize| plane.pixel_of_sample(first as f64 + TO_CENTRE);
         let centre = Pixel::new(at(left), at(top));
         let patch = GroundPatch::new(camera, from, centre, plane.pixels_per_sample)?;
         let mut contrast = [0.0; AREA];
@@ -126,7 +126,7 @@ fn remove_plane(samples: &mut Samples) {
 fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> bool {
     let linear = &expected.warp.linear;
     let position = expected.warp.position;
-    let centre = Vector2::new(plane.from_pixel(position.x), plane.from_pixel(position.y));
+    let centre = Vector2::new(plane.sample_of_pixel(position.x), plane.sample_of_pixel(position.y));
     let extent = TO_CENTRE * Vector2::new(linear.row(0).abs().sum(), linear.row(1).abs().sum());
     // Not so either where a number is none.
     let inside = centre.x - extent.x >= 1.0
