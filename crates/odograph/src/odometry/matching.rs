@@ -132,14 +132,23 @@ impl Matcher {
         };
         let first = measure(off_px).ok()?;
         let found = follow::confirm(keyframe, &pictured.pyramid, camera, first, config, &wander, &mut random);
+        // Where the camera sits still on its carrier, what fits only with another height or tilt is not seen well.
+        let still = leans_alike(&keyframe.pose, &pictured.pose, STILL);
+        if still && !leans_alike(&prediction, &found.estimate.pose, CONTRADICTING) {
+            return None;
+        }
         self.sighting(keyframe, &found)
     }
 
     fn sighting(&self, keyframe: &Keyframe, found: &Measurement) -> Option<Sighting> {
         let pose = &found.estimate.pose;
+        let off_px = UNMODELLED_PX.powi(2);
+        let off_m2 = off_px * self.pixel_m(&keyframe.pose).powi(2);
+        let off_rad2 = off_px / (0.5 * self.camera.width().min(self.camera.height()) as f64).powi(2);
+        let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));
         let sighting = Sighting {
             motion: seen_from(&keyframe.pose, pose),
-            covariance: motion_covariance(&keyframe.pose, pose, &found.estimate.covariance),
+            covariance: motion_covariance(&keyframe.pose, pose, &found.estimate.covariance) + unmodelled,
             inliers: found.estimate.inlier_count(),
             presence: follow::presence(keyframe, &self.camera, found),
         };
@@ -170,6 +179,20 @@ impl Matcher {
         };
         self.registration.register(from, to, &options).into_iter().map(guess).collect()
     }
+}
+
+/// What lens, tilt and interpolation leave of a piece of ground seen from elsewhere and turned about, pixels: one standard deviation.
+const UNMODELLED_PX: f64 = 0.1;
+
+/// Parts of the height, and radians: less than `STILL` between two keyframes is a camera that sits still; more than `CONTRADICTING` is then
+/// not what moved.
+const STILL: f64 = 3e-4;
+const CONTRADICTING: f64 = 1e-3;
+
+/// Whether two poses have the same height, roll and pitch within `most`, a part of the height and radians.
+fn leans_alike(a: &GroundPose, b: &GroundPose, most: f64) -> bool {
+    let height = (a.height_m / b.height_m - 1.0).abs();
+    height.max((a.roll_rad - b.roll_rad).abs()).max((a.pitch_rad - b.pitch_rad).abs()) < most
 }
 
 fn at_origin(pose: &GroundPose) -> GroundPose {
