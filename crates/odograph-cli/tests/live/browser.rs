@@ -90,6 +90,8 @@ impl Browser {
             self.call(None, "Target.attachToTarget", attach)["sessionId"].as_str().unwrap().to_owned();
         let tab = Tab { session };
         self.look(&tab, size, dark);
+        // Keys reach only a page that believes it has the focus.
+        self.call(Some(&tab.session), "Emulation.setFocusEmulationEnabled", json!({ "enabled": true }));
         self.call(Some(&tab.session), "Page.navigate", json!({ "url": url }));
         tab
     }
