@@ -279,8 +279,6 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     browser
         .wait(&page, &format!("document.body.dataset.records == {frames} && document.body.dataset.at == 0"));
     browser.wait(&page, "document.body.dataset.tiles > 3 && document.body.dataset.marks == 2");
-    // Once all is there the page goes to the beginning, within 60 ms, and stands; a key before that would be undone.
-    browser.evaluate(&page, "new Promise(done => setTimeout(done, 300))");
     browser.press(&page, " ");
     browser.wait(&page, "document.body.dataset.at > 3");
     browser.press(&page, " ");

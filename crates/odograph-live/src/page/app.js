@@ -61,7 +61,7 @@ function greet(hello) {
     live = false;
     map.setFollow(false);
     // The whole run is shown as soon as it is there.
-    const fit = setInterval(() => { if (track.count && track.count >= (status.captured || 1)) { clearInterval(fit); map.showAll(); seek(0); } }, 60);
+    const fit = setInterval(() => { if (track.count && track.count >= (status.captured || 1)) { clearInterval(fit); map.showAll(); if (!playing) seek(0); } }, 60);
   }
 }
 
