@@ -110,6 +110,9 @@ impl Odometry {
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
         self.reference = None;
+        if let Some(keyframe) = &mut self.keyframe {
+            keyframe.prepare(&self.camera);
+        }
         let pyramid = match self.spare.take() {
             Some(mut pyramid) => {
                 pyramid.replace(image);
