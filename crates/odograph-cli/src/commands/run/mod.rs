@@ -273,8 +273,9 @@ pub(super) fn finish(
     folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
     let carrier = carrier_path(&path, &plan.rig);
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
-    let mosaic = tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping)?;
-    map::write(plan, description, &tracked, &mosaic, &reports, folder, arguments.threads())?;
+    let threads = arguments.threads();
+    let mosaic = tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads)?;
+    map::write(plan, description, &tracked, &mosaic, &reports, folder, threads)?;
     tracked.mapping.close()?;
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     folder.finish(&statistics)?;
