@@ -6,6 +6,8 @@
 mod ground;
 #[path = "map/gdal.rs"]
 mod gdal;
+#[path = "map/joining.rs"]
+mod joining;
 
 use odograph::camera::Rig;
 use odograph::formats::trajectory_file;
