@@ -25,7 +25,7 @@ pub struct Mapper {
     pub(super) matcher: Matcher,
     pub(super) graph: PoseGraph,
     pub(super) places: PlaceIndex,
-    places_config: PlacesConfig,
+    pub(super) places_config: PlacesConfig,
     pub(super) map: GroundMap,
     /// Where in the map each keyframe is.
     index: BTreeMap<KeyframeId, usize>,

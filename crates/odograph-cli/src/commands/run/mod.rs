@@ -270,6 +270,7 @@ pub(super) fn finish(
         // The mosaic was laid while sensors and loops were not known yet.
         pipeline::lay_again(plan, &mut tracked);
     }
+    tracked.warnings.extend(tracked.mapping.lay_ground()?);
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     map::write(plan, description, &tracked, &reports, folder)?;
     tracked.mapping.close()?;
