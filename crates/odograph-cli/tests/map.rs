@@ -4,6 +4,8 @@
 
 #[path = "../../odograph-map/tests/ground/mod.rs"]
 mod ground;
+#[path = "map/floor.rs"]
+mod floor;
 #[path = "map/gdal.rs"]
 mod gdal;
 #[path = "map/joining.rs"]

@@ -220,12 +220,18 @@ pub(super) fn best_pair(
     best
 }
 
+/// With fewer matches around a placing a better fit will not find many more.
+const LEAST_TO_GO_ON: usize = 3;
+
 /// Looks under a placing for every feature of the query in the keyframe, fits, and looks again closer by.
 pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> Option<Support> {
     let mut placing = start;
     let mut matches = Vec::new();
     for radius in [6.0, 4.0, 3.0] {
         find_matches(query, keyframe, &placing, radius, &mut matches);
+        if matches.len() < LEAST_TO_GO_ON {
+            return None;
+        }
         placing = Placing::fitted(query, keyframe, &matches)?;
         if !(0.7..1.4).contains(&placing.scale) {
             return None;
@@ -314,17 +320,16 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
     });
     let mut groups: Vec<_> = votes.chunk_by(|a, b| a.bin == b.bin).filter(|group| group.len() > 1).collect();
     groups.sort_by_key(|group| (std::cmp::Reverse(group.len()), group[0].bin));
-    let other = |group: &[Vote]| {
+    // Votes for the placing itself fall into the bins around it, too; where they are the most, they must not keep the others from being tried.
+    let other = |placing: &Placing| placing.differs(&best.placing, middle);
+    let placing = |group: &[Vote]| {
         let mean = |value: fn(&Vote) -> f32| group.iter().map(value).sum::<f32>() / group.len() as f32;
         let turn = Placing { shift: [0.0; 2], heading_rad: mean(|vote| vote.heading_rad), scale: 1.0 };
         let [x, y] = turn.apply(middle);
-        let placing = Placing { shift: [mean(|v| v.middle[0]) - x, mean(|v| v.middle[1]) - y], ..turn };
-        // Votes for the placing itself fall into the bins around it, too.
-        let other = |placing: &Placing| placing.differs(&best.placing, middle);
-        let found = if other(&placing) { support(query, keyframe, placing) } else { None };
-        found.filter(|found| other(&found.placing))
+        Placing { shift: [mean(|v| v.middle[0]) - x, mean(|v| v.middle[1]) - y], ..turn }
     };
-    let found = groups.into_iter().take(MOST_TRIED).filter_map(other);
+    let tried = groups.into_iter().map(placing).filter(other).take(MOST_TRIED);
+    let found = tried.filter_map(|placing| support(query, keyframe, placing)).filter(|s| other(&s.placing));
     found.max_by(|a, b| a.worth.total_cmp(&b.worth).then(a.matches.cmp(&b.matches)))
 }
 
