@@ -56,8 +56,10 @@ fn a_run_leaves_the_floor_in_its_map() {
     // The height may breathe by what the pictures tell, micrometres here.
     assert!((layer.resolution_m / pixel_m - 2.0).abs() < 1e-4, "{} m, {pixel_m} m", layer.resolution_m);
     let (width, _, _) = layer.picture_at(layer.finest);
-    let seen_m = 1.2 + 120.0 * pixel_m;
-    assert!((width as f64 * layer.resolution_m - seen_m).abs() < 0.1 * seen_m, "{width} px for {seen_m} m");
+    let (seen_m, view_m) = (1.2 + 120.0 * pixel_m, 120.0 * pixel_m);
+    let laid_m = width as f64 * layer.resolution_m;
+    // Up to the last keyframe, which the end of the drive sees half of at least.
+    assert!(laid_m < 1.02 * seen_m && laid_m > seen_m - 0.5 * view_m, "{laid_m} m of {seen_m} m");
     drop(map);
 
     // What cannot be read is told before the work; what does not fit is told beside it.

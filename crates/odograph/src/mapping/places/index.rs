@@ -58,7 +58,7 @@ pub struct PlaceHypothesis {
     pub rival_matches: usize,
     /// What the matches are worth: each one over how many features of its own picture look like it. What repeats is worth little.
     pub worth: f64,
-    /// What the matches of the best other motion over the same keyframe are worth.
+    /// What the matches of the best other motion over the same keyframe are worth, as if as much ground were shared under it.
     pub rival_worth: f64,
     /// Root mean square distance between matched features, metres.
     pub residual_m: f64,
