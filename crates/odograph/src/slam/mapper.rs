@@ -173,6 +173,7 @@ impl Mapper {
 
     /// Ends the session: every pose is where all edges agree best, with its covariance.
     pub fn finish(&mut self) {
+        self.graph.doubt_mount();
         self.settle(STEPS_AT_THE_END);
         if !self.is_straightened() {
             return;
