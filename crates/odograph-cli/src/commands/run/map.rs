@@ -4,7 +4,7 @@ use super::RunPlan;
 use super::folder::OutputFolder;
 use super::pipeline::Tracked;
 use crate::files;
-use crate::report::{self, ReportInput, ReportMosaic};
+use crate::report::{self, ReportInput, ReportMosaic, ReportReference};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::mapping::{Backdrop, MapDrawing};
@@ -15,6 +15,7 @@ pub fn write(
     description: &str,
     tracked: &Tracked,
     sensors: &[SensorReport],
+    reference: Option<&ReportReference>,
     folder: &mut OutputFolder,
 ) -> Result<()> {
     let name = plan.source.path.trim_end_matches(['/', '\\']);
@@ -64,6 +65,7 @@ pub fn write(
         run_toml: &plan.text()?,
         warnings: &tracked.warnings,
         sensors,
+        reference,
     });
     folder.write("report.html", page.as_bytes())
 }

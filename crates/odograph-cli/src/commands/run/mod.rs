@@ -7,6 +7,7 @@ mod map;
 pub(super) mod mapping;
 pub(super) mod pipeline;
 mod plan;
+mod reference;
 mod sensors;
 pub(super) mod statistics;
 
@@ -77,6 +78,10 @@ pub struct RunArguments {
     /// Do not look for ground that was seen before: the path is what odometry alone has.
     #[arg(long)]
     pub no_loops: bool,
+    /// A path from elsewhere, such as a satellite receiver's or the truth (TUM: time x y z qx qy qz qw, times as the frames'): the report shows it
+    /// beside the path of the run, laid onto each other by a turn, a shift and a scale. Nothing else is made of it.
+    #[arg(long, value_name = "FILE")]
+    pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -184,6 +189,7 @@ impl RunArguments {
             budget_ms: None,
             sensors: SensorPlan::default(),
             no_loops: false,
+            reference: None,
             output,
         }
     }
@@ -220,6 +226,8 @@ pub fn follow(
 ) -> Result<RunReport> {
     let started = Instant::now();
     let sensors = plan.sensors.read()?;
+    // What cannot be read is told before all the work.
+    reference::read(plan)?;
     let description = source.info().description.clone();
     let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
     finish(plan, &description, tracked, &sensors, &mut folder, arguments, started)
@@ -270,8 +278,15 @@ pub(super) fn finish(
         // The mosaic was laid while sensors and loops were not known yet.
         pipeline::lay_again(plan, &mut tracked);
     }
+    tracked.warnings.extend(tracked.mapping.lay_ground()?);
+    let reference = match (&plan.reference, reference::read(plan)?) {
+        (Some(path), Some(read)) => reference::compared(path, &read, &tracked.frames)
+            .map_err(|error| tracked.warnings.push(format!("the path cannot be compared: {error}")))
+            .ok(),
+        _ => None,
+    };
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
-    map::write(plan, description, &tracked, &reports, folder)?;
+    map::write(plan, description, &tracked, &reports, reference.as_ref(), folder)?;
     tracked.mapping.close()?;
     folder.finish(&statistics)?;
     match failure {
