@@ -20,5 +20,5 @@ mod thinning;
 pub use file::{MapFile, Session};
 pub use frames::FrameImages;
 pub use mosaic::MosaicLayer;
-pub use paths::PathFrame;
+pub use paths::{KeyframeMove, PathFrame, carried};
 pub use thinning::Thinning;

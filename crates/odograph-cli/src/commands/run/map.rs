@@ -4,30 +4,34 @@ use super::RunPlan;
 use super::folder::OutputFolder;
 use super::pipeline::Tracked;
 use crate::files;
-use crate::report::{self, ReportInput, ReportMosaic};
+use crate::report::{self, ReportInput, ReportMosaic, ReportReference};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicPicture, Placement};
 use std::panic::resume_unwind;
 use std::thread;
 
+/// What is drawn.
+pub struct Shown<'a> {
+    /// What the recording is, in words.
+    pub description: &'a str,
+    pub tracked: &'a Tracked,
+    pub mosaic: &'a Mosaic,
+    pub sensors: &'a [SensorReport],
+    /// A path from elsewhere, to be set beside.
+    pub reference: Option<&'a ReportReference>,
+}
+
 /// Writes mosaic, map and report: the mosaic beside the others where there are `threads` for both.
-pub fn write(
-    plan: &RunPlan,
-    description: &str,
-    tracked: &Tracked,
-    mosaic: &Mosaic,
-    sensors: &[SensorReport],
-    folder: &mut OutputFolder,
-    threads: usize,
-) -> Result<()> {
+pub fn write(plan: &RunPlan, shown: &Shown<'_>, folder: &mut OutputFolder, threads: usize) -> Result<()> {
+    let mosaic = shown.mosaic;
     let bands = mosaic.bands(usize::MAX);
     let placement = bands.as_ref().map(|bands| bands.placement);
     let encode = || bands.map(|bands| files::png_from_rgba_bands(bands.width, bands.height, bands));
     let draw = |folder: &mut OutputFolder| {
         // The page tells of the picture in the folder, though it shows a smaller one.
         let small = mosaic.picture_within(LONGEST_SIDE_PX).zip(placement);
-        draw(plan, description, tracked, small, sensors, folder)
+        draw(plan, shown, small, folder)
     };
     let png = if threads > 1 {
         thread::scope(|scope| {
@@ -52,12 +56,11 @@ pub fn write(
 /// Writes map and report, with a small picture of the mosaic that lies at this placement.
 fn draw(
     plan: &RunPlan,
-    description: &str,
-    tracked: &Tracked,
+    shown: &Shown<'_>,
     small: Option<(MosaicPicture, Placement)>,
-    sensors: &[SensorReport],
     folder: &mut OutputFolder,
 ) -> Result<()> {
+    let &Shown { description, tracked, sensors, reference, .. } = shown;
     let name = plan.source.path.trim_end_matches(['/', '\\']);
     let title = name.rsplit(['/', '\\']).next().unwrap_or(name);
     let small_png =
@@ -93,6 +96,7 @@ fn draw(
         run_toml: &plan.text()?,
         warnings: &tracked.warnings,
         sensors,
+        reference,
     });
     folder.write("report.html", page.as_bytes())
 }

@@ -7,6 +7,7 @@ mod map;
 pub(super) mod mapping;
 pub(super) mod pipeline;
 mod plan;
+mod reference;
 mod sensors;
 pub(super) mod statistics;
 pub(super) mod views;
@@ -78,6 +79,10 @@ pub struct RunArguments {
     /// Do not look for ground that was seen before: the path is what odometry alone has.
     #[arg(long)]
     pub no_loops: bool,
+    /// A path from elsewhere, such as a satellite receiver's or the truth (TUM: time x y z qx qy qz qw, times as the frames'): the report shows it
+    /// beside the path of the run, laid onto each other by a turn, a shift and a scale. Nothing else is made of it.
+    #[arg(long, value_name = "FILE")]
+    pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -185,6 +190,7 @@ impl RunArguments {
             budget_ms: None,
             sensors: SensorPlan::default(),
             no_loops: false,
+            reference: None,
             output,
         }
     }
@@ -228,6 +234,8 @@ pub fn follow(
 ) -> Result<RunReport> {
     let started = Instant::now();
     let sensors = plan.sensors.read()?;
+    // What cannot be read is told before all the work.
+    reference::read(plan)?;
     let description = source.info().description.clone();
     let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
     finish(plan, &description, tracked, &sensors, &mut folder, arguments, started)
@@ -275,7 +283,16 @@ pub(super) fn finish(
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
     let threads = arguments.threads();
     let mosaic = tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads)?;
-    map::write(plan, description, &tracked, &mosaic, &reports, folder, threads)?;
+    tracked.warnings.extend(tracked.mapping.lay_ground()?);
+    let reference = match (&plan.reference, reference::read(plan)?) {
+        (Some(path), Some(read)) => reference::compared(path, &read, &tracked.frames)
+            .map_err(|error| tracked.warnings.push(format!("the path cannot be compared: {error}")))
+            .ok(),
+        _ => None,
+    };
+    let (mosaic, reference) = (&mosaic, reference.as_ref());
+    let shown = map::Shown { description, tracked: &tracked, mosaic, sensors: &reports, reference };
+    map::write(plan, &shown, folder, threads)?;
     tracked.mapping.close()?;
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     folder.finish(&statistics)?;
