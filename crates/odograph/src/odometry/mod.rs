@@ -75,6 +75,9 @@ pub struct Odometry {
     reference: Option<FrameReference>,
 }
 
+/// Where this part of the corners in view is found and agrees, what is missing lies out of view: to search again would find nothing.
+const NEARLY_ALL: f64 = 0.95;
+
 /// Weight of the newest frame in the usual presence: about the last five count.
 const PRESENCE_RATE: f64 = 0.2;
 
@@ -189,8 +192,13 @@ impl Odometry {
                 wander,
                 &mut random,
             );
-            // What others will be built on is searched in full.
-            if near.as_ref().is_ok_and(|near| near.settled || near.support >= config.keyframe.support) {
+            // What others will be built on is searched in full, unless that could not find more.
+            let found_enough = |near: &Measurement| {
+                near.settled
+                    || near.support >= config.keyframe.support
+                    || follow::presence(keyframe, camera, near) >= NEARLY_ALL
+            };
+            if near.as_ref().is_ok_and(found_enough) {
                 return near;
             }
         }
