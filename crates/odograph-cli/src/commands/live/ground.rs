@@ -1,12 +1,13 @@
 //! The mosaic while it grows under the page's eyes.
 
-use crate::commands::run::pipeline::{Laying, Posed};
+use super::laying::{Kept, Laying};
+use crate::commands::run::views::Posed;
 use odograph::camera::Camera;
 use odograph::mapping::{Mosaic, MosaicSquare};
 use odograph_live::Ground;
 use odograph_live::ground::GroundState;
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 /// The ground of a live run: laid by one thread, looked at by those of the page.
 #[derive(Clone)]
@@ -14,14 +15,14 @@ pub struct LiveGround(Arc<Mutex<State>>);
 
 enum State {
     Growing(Box<Laying>),
-    /// Taken for writing.
+    /// Neither, for a moment.
     Away,
     Finished(Box<Mosaic>),
 }
 
 impl LiveGround {
-    pub fn new(camera: Camera) -> Self {
-        Self(Arc::new(Mutex::new(State::Growing(Box::new(Laying::new(camera))))))
+    pub fn new(camera: Camera, folder: &Path) -> Self {
+        Self(Arc::new(Mutex::new(State::Growing(Box::new(Laying::new(camera, folder))))))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -35,18 +36,13 @@ impl LiveGround {
         }
     }
 
-    /// The finished ground and how long each frame took; nothing grows any more.
-    pub fn finish(&self) -> (Mosaic, Vec<Duration>) {
-        match std::mem::replace(&mut *self.state(), State::Away) {
-            State::Growing(laying) => laying.finished(),
-            State::Finished(mosaic) => (*mosaic, Vec::new()),
-            State::Away => (Mosaic::new(Default::default()), Vec::new()),
-        }
-    }
-
-    /// Gives the finished ground back to those who look.
-    pub fn show(&self, mosaic: Mosaic) {
-        *self.state() = State::Finished(Box::new(mosaic));
+    /// Ends the laying: nothing grows any more, and those who look see the ground as it is. `None` where it has ended before.
+    pub fn finish(&self) -> Option<Kept> {
+        let mut state = self.state();
+        let State::Growing(laying) = std::mem::replace(&mut *state, State::Away) else { return None };
+        let (mosaic, kept) = laying.finished();
+        *state = State::Finished(Box::new(mosaic));
+        Some(kept)
     }
 
     fn with<T>(&self, look: impl FnOnce(&Mosaic) -> T) -> Option<T> {

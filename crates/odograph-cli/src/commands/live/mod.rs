@@ -2,6 +2,7 @@
 
 mod ground;
 mod latency;
+mod laying;
 mod open;
 mod outputs;
 mod pipeline;
@@ -166,7 +167,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         height_m: plan.rig.height_m,
         live: true,
     };
-    let laying = ground::LiveGround::new(plan.camera.clone());
+    let laying = ground::LiveGround::new(plan.camera.clone(), folder.path());
     let serving = Serving::start(&arguments.serve, introduction, laying.clone(), Some(folder.path()))?;
     if let Some(url) = serving.url()
         && !arguments.quiet

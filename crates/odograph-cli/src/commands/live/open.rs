@@ -14,8 +14,6 @@ use std::time::Duration;
 pub struct Opened {
     pub source: Box<dyn LiveSource>,
     pub policy: Policy,
-    /// Whether it can be read a second time.
-    pub repeatable: bool,
 }
 
 /// Opens a source by its name.
@@ -24,8 +22,7 @@ pub fn open(plan: &SourcePlan, arguments: &LiveArguments, watch: &Watch) -> Resu
     if arguments.raw.is_some() && name != "-" {
         return Err(Error::usage("--raw says how the frames on standard input look; give - as the source"));
     }
-    let never_late =
-        |source: Box<dyn LiveSource>| Opened { source, policy: Policy::NewestWins, repeatable: false };
+    let never_late = |source: Box<dyn LiveSource>| Opened { source, policy: Policy::NewestWins };
     if name.starts_with("https://") {
         return Err(Error::usage(format!(
             "{name}: encrypted streams are not read here; most cameras give http:// too"
@@ -45,11 +42,7 @@ pub fn open(plan: &SourcePlan, arguments: &LiveArguments, watch: &Watch) -> Resu
     // A pipe or a stream has a pace of its own already; what it has is what there is now.
     let speed = arguments.realtime.filter(|_| !streams);
     let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };
-    Ok(Opened {
-        source: Box::new(Recording::new(plan.open()?, speed, watch.clone())),
-        policy,
-        repeatable: !streams,
-    })
+    Ok(Opened { source: Box::new(Recording::new(plan.open()?, speed, watch.clone())), policy })
 }
 
 #[cfg(target_os = "linux")]

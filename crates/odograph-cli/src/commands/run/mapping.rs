@@ -158,6 +158,18 @@ impl Mapping {
         }
     }
 
+    /// The keyframes of this run, each with the number of its frame.
+    pub fn own_keyframes(&self) -> impl Iterator<Item = (KeyframeId, u64)> {
+        let session = self.mapper.session();
+        let own = self.mapper.map().keyframes.iter().filter(move |keyframe| keyframe.session == session);
+        own.map(|keyframe| (keyframe.id, keyframe.frame))
+    }
+
+    /// The image of a keyframe. Fails where it cannot be read back.
+    pub fn image(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        self.file.load(keyframe)
+    }
+
     /// The places that were recognised: where the camera was, and where it had been.
     pub fn loops(&self) -> Vec<[GroundPoint; 2]> {
         let map = self.mapper.map();
@@ -220,11 +232,6 @@ impl Mapping {
 }
 
 impl LoopStatistics {
-    /// Whether the picture of the ground would show what the loops moved: half a pixel in the middle of a frame.
-    pub fn moved_noticeably(&self, camera: &Camera, rig: &Rig) -> bool {
-        self.correction_most_m > 0.5 * rig.height_m / camera.focal_px().0
-    }
-
     /// For people, a line; empty without loops.
     pub fn summary(&self) -> String {
         match self.closed + self.revisited {

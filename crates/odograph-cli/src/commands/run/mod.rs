@@ -10,6 +10,7 @@ mod plan;
 mod reference;
 mod sensors;
 pub(super) mod statistics;
+pub(super) mod views;
 
 use crate::{Outcome, console};
 pub use folder::OutputFolder;
@@ -195,6 +196,13 @@ impl RunArguments {
     }
 }
 
+impl OutputArguments {
+    /// Threads that a run may have: decoding, tracking and mapping side by side where nothing else is asked for.
+    pub fn threads(&self) -> usize {
+        self.threads.map_or(3, usize::from)
+    }
+}
+
 /// Runs the command.
 pub fn run(arguments: RunArguments) -> Result<Outcome> {
     if let Some(recordings) = many::recordings(&arguments)? {
@@ -260,7 +268,6 @@ pub(super) fn finish(
     let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references)?;
     let loops = tracked.mapping.statistics(&fused.frames, &straight);
     tracked.warnings.extend(tracked.mapping.warning());
-    let moved = fused.moved || loops.moved_noticeably(&plan.camera, &plan.rig);
     let fused = fused.laid(straight);
     let path = fused.smooth(&plan.odometry.filter);
     tracked.warnings.extend(plan.sensors.warnings(&fused.reports));
@@ -274,10 +281,7 @@ pub(super) fn finish(
     folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
     let carrier = carrier_path(&path, &plan.rig);
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
-    if moved {
-        // The mosaic was laid while sensors and loops were not known yet.
-        pipeline::lay_again(plan, &mut tracked);
-    }
+    let mosaic = tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping)?;
     tracked.warnings.extend(tracked.mapping.lay_ground()?);
     let reference = match (&plan.reference, reference::read(plan)?) {
         (Some(path), Some(read)) => reference::compared(path, &read, &tracked.frames)
@@ -285,9 +289,11 @@ pub(super) fn finish(
             .ok(),
         _ => None,
     };
-    let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
-    map::write(plan, description, &tracked, &reports, reference.as_ref(), folder)?;
+    let (mosaic, reference) = (&mosaic, reference.as_ref());
+    let shown = map::Shown { description, tracked: &tracked, mosaic, sensors: &reports, reference };
+    map::write(plan, &shown, folder, arguments.threads())?;
     tracked.mapping.close()?;
+    let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     folder.finish(&statistics)?;
     match failure {
         Some(error) => Err(error),
