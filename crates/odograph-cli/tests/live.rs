@@ -10,6 +10,7 @@ mod program;
 use browser::Browser;
 use program::{DEMO, Place, names, pictures, statistics, write_uncompressed};
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::process::Stdio;
@@ -22,7 +23,8 @@ const DRIVE_M: f64 = 12.8;
 fn every_frame_of_a_recording_gives_what_run_gives() {
     let place = Place::new();
     write_uncompressed(&place.path("drive.y4m"));
-    let live = place.command("live", "drive.y4m -o live --print poses --quiet").output().unwrap();
+    let live =
+        place.command("live", "drive.y4m -o live --print poses --mcap live.mcap --quiet").output().unwrap();
     assert!(live.status.success(), "{}", String::from_utf8_lossy(&live.stderr));
     let run = place.command("run", "drive.y4m -o run --quiet").output().unwrap();
     assert!(run.status.success());
@@ -51,6 +53,20 @@ fn every_frame_of_a_recording_gives_what_run_gives() {
     let last: Vec<&str> = table.lines().last().unwrap().split(',').collect();
     let x_m = lines.last().unwrap()["pose"]["x_m"].as_f64().unwrap();
     assert!((x_m - last[2].parse::<f64>().unwrap()).abs() < 1e-6);
+    // The same lines in the MCAP file, and a picture for every third of the thirty frames a second.
+    let mut topics: BTreeMap<String, Vec<serde_json::Value>> = BTreeMap::new();
+    for message in mcap::MessageStream::new(&place.read("live.mcap")).unwrap() {
+        let message = message.unwrap();
+        let value = serde_json::from_slice(&message.data).unwrap();
+        topics.entry(message.channel.topic.clone()).or_default().push(value);
+    }
+    assert!(topics["/frame"] == lines);
+    assert_eq!(topics["/camera"].len(), lines.len().div_ceil(3));
+    assert_eq!(topics["/pose"].last().unwrap()["pose"]["position"]["x"], json!(x_m));
+    // It is not overwritten unasked.
+    let again = place.command("live", "drive.y4m -o again --mcap live.mcap").output().unwrap();
+    assert_eq!(again.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("live.mcap is already there"));
 }
 
 #[test]

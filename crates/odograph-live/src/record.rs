@@ -15,7 +15,7 @@ impl TrackRecord {
     pub const LENGTH: usize = 14;
 
     /// What the numbers are: seconds since the first frame, metres, radians, the covariance of x and y in m², the standard deviation of the
-    /// heading, metres a second; `state` is 0 where the pose was measured and otherwise the reason why not (1 bare, 2 jump, 3 disagreement);
+    /// heading, metres a second; `state` is 0 where the pose was measured and otherwise the reason why not (1 bare, 2 jump, 3 not planar, 4 dark, 5 blur, 6 shadow);
     /// the number of gaps before the frame; corners found again, and how many of them agree; milliseconds from capture to pose.
     pub const FIELDS: [&'static str; Self::LENGTH] = [
         "time_s",
@@ -40,6 +40,9 @@ impl TrackRecord {
             TrackStatus::Tracked => 0.0,
             TrackStatus::Lost { reason: LossReason::Bare } => 1.0,
             TrackStatus::Lost { reason: LossReason::Jump } => 2.0,
+            TrackStatus::Lost { reason: LossReason::Dark } => 4.0,
+            TrackStatus::Lost { reason: LossReason::Blur } => 5.0,
+            TrackStatus::Lost { reason: LossReason::Shadow } => 6.0,
             TrackStatus::Lost { .. } => 3.0,
         };
         let mut values = [f32::NAN; Self::LENGTH];
@@ -134,6 +137,9 @@ impl TrackRecord {
                 "tracked" => 0.0,
                 "lost:bare" => 1.0,
                 "lost:jump" => 2.0,
+                "lost:dark" => 4.0,
+                "lost:blur" => 5.0,
+                "lost:shadow" => 6.0,
                 _ => 3.0,
             };
             let begin = *first_time_s.get_or_insert(time_s);
@@ -197,14 +203,19 @@ mod tests {
             }
         };
         let lost = |reason| TrackStatus::Lost { reason };
-        let frames = [
-            frame(0, TrackStatus::Tracked),
-            frame(1, lost(LossReason::Jump)),
-            frame(2, TrackStatus::Tracked),
-        ];
+        use LossReason::{Bare, Blur, Dark, Jump, NotPlanar, Shadow};
+        let mut frames =
+            vec![frame(0, TrackStatus::Tracked), frame(1, lost(Jump)), frame(2, TrackStatus::Tracked)];
+        let others = [Bare, Blur, Dark, NotPlanar, Shadow];
+        frames.extend((3..).zip(others).map(|(number, reason)| frame(number, lost(reason))));
+        // Each reason is told from every other.
+        let mut states: Vec<_> =
+            frames[2..].iter().map(|frame| TrackRecord::new(frame, 0.0, None).values[9] as u8).collect();
+        states.sort_unstable();
+        assert_eq!(states, [0, 1, 3, 4, 5, 6]);
         let text = trajectory_file::csv_from_frames(&frames);
         let read = TrackRecord::from_csv(&text).unwrap();
-        assert_eq!(read.len(), 3);
+        assert_eq!(read.len(), 8);
         for (frame, read) in frames.iter().zip(&read) {
             let shown = TrackRecord::new(frame, 100.0, None);
             for (field, (a, b)) in TrackRecord::FIELDS.iter().zip(shown.values.iter().zip(read.values)) {
@@ -213,7 +224,7 @@ mod tests {
             }
         }
         // A run that was killed in the middle of a line.
-        assert_eq!(TrackRecord::from_csv(&text[..text.len() - 9]).unwrap().len(), 2);
+        assert_eq!(TrackRecord::from_csv(&text[..text.len() - 9]).unwrap().len(), 7);
         assert!(TrackRecord::from_csv("a,b\n1,2\n").unwrap_err().to_string().contains("no column time_s"));
         assert!(
             TrackRecord::from_csv(&text.replace("100.25", "now")).unwrap_err().to_string().contains("line 3")

@@ -2,6 +2,7 @@
 
 mod ground;
 mod latency;
+mod mcap;
 mod open;
 mod outputs;
 mod pipeline;
@@ -10,6 +11,7 @@ mod serving;
 
 use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
 use crate::{Outcome, console, interrupt};
+use mcap::McapLog;
 use odograph::error::Result;
 use odograph_live::capture::camera::PixelFormat;
 use odograph_live::capture::{RawFormat, Watch};
@@ -74,6 +76,9 @@ pub struct LiveArguments {
     /// Send a line of JSON for each frame as a datagram.
     #[arg(long, value_name = "HOST:PORT")]
     pub udp: Option<String>,
+    /// Write poses, pictures with tracks, and the path into an MCAP file too, which Foxglove and others open.
+    #[arg(long, value_name = "FILE")]
+    pub mcap: Option<PathBuf>,
     /// Folder for the results. [default: live- and the date and time]
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
@@ -94,7 +99,8 @@ Examples:
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --serve
   odograph live http://192.168.1.20:8080/video --camera phone.yaml --height 1.20 --serve -o walk/
   odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 127.0.0.1:8080
-  odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot";
+  odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
+  odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/";
 
 /// What can be printed for each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -146,6 +152,7 @@ impl LiveArguments {
 pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let run_arguments = arguments.as_run();
     let outputs = Outputs::new(&arguments)?;
+    arguments.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, arguments.force))?;
     let folder = run::folder::OutputFolder::new(&run_arguments.output.output, arguments.force)?;
     let watch = Watch::default();
     let (plan, source) = RunPlan::over(&run_arguments, |plan| {
@@ -175,6 +182,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     }
     let mapping = run::mapping::Mapping::new(&plan, folder.path(), &run_arguments.output)?;
     let recorder = Recorder::new(folder, &plan)?;
+    let log = McapLog::new(&arguments, &info.description, source.policy)?;
     let result = pipeline::follow(
         &plan,
         source,
@@ -185,6 +193,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         mapping,
         recorder,
         outputs,
+        log.as_ref(),
     );
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
     let report = match result {

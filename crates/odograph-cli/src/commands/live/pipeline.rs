@@ -2,6 +2,7 @@
 
 use super::ground::LiveGround;
 use super::latency::Latencies;
+use super::mcap::McapLog;
 use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
@@ -16,6 +17,7 @@ use odograph::image::GrayImage;
 use odograph::odometry::{FrameReference, KeyframeEvent, Odometry, TrackView};
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, LiveSource, Newest, Policy, Taken, Watch};
+use odograph_live::foxglove::Picture;
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
 use odograph_video::Frame;
 use std::sync::{Arc, mpsc};
@@ -46,6 +48,7 @@ pub fn follow(
     mapping: Mapping,
     recorder: Recorder,
     outputs: Outputs,
+    log: Option<&McapLog>,
 ) -> Result<RunReport> {
     let started = Instant::now();
     let repeatable = opened.repeatable;
@@ -61,6 +64,7 @@ pub fn follow(
         distance_m: 0.0,
         recorder,
         outputs,
+        log,
         hub,
         watch,
         queue: Arc::new(Newest::new(opened.policy, QUEUE)),
@@ -84,7 +88,7 @@ pub fn follow(
         references: following.references,
         mosaic: mosaic.clone(),
         mapping,
-        warnings: farewell.warnings,
+        warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
         times: following.times,
         interrupted: interrupt::asked() || hub.stop_asked(),
         repeatable,
@@ -131,13 +135,14 @@ fn capture(
 }
 
 /// Closes the queues of the threads beside however tracking ends, so that they end too.
-struct Closing<'a>(&'a Beside);
+struct Closing<'a>(&'a Beside, Option<&'a McapLog>);
 
 impl Drop for Closing<'_> {
     fn drop(&mut self) {
         self.0.laying.close();
         self.0.mapping.close();
         self.0.views.close();
+        self.1.inspect(|log| log.close());
     }
 }
 
@@ -171,6 +176,7 @@ struct Following<'a> {
     distance_m: f64,
     recorder: Recorder,
     outputs: Outputs,
+    log: Option<&'a McapLog>,
     hub: &'a Hub,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
@@ -187,8 +193,11 @@ impl Following<'_> {
             mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
             views: Newest::new(Policy::NewestWins, 1),
         };
-        let (beside, hub) = (&beside, self.hub);
+        let (beside, hub, log) = (&beside, self.hub, self.log);
         let outcome = thread::scope(|scope| {
+            if let Some(log) = log {
+                scope.spawn(|| log.write_all());
+            }
             scope.spawn(move || each(&beside.laying, |posed| ground.lay(posed)));
             scope.spawn(move || {
                 each(&beside.views, |sight: Sight| {
@@ -208,7 +217,7 @@ impl Following<'_> {
                 failure
             });
             let outcome = {
-                let _ending = Closing(beside);
+                let _ending = Closing(beside, log);
                 self.track_all(beside)
             };
             let unmapped =
@@ -250,6 +259,10 @@ impl Following<'_> {
         self.times.track.push(begun.elapsed());
         self.outputs.tell(&estimate, latency_ms)?;
         self.recorder.record(&estimate);
+        if let Some(log) = self.log {
+            let tracks = || self.odometry.tracks().to_vec();
+            log.give(&estimate, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
+        }
         let first_time_s = self.frames.first().map_or(estimate.time_s, |first| first.time_s);
         let record = self.hub.add_record(&TrackRecord::new(&estimate, first_time_s, Some(latency_ms)));
         if self.hub.viewers() > 0 {
@@ -286,7 +299,11 @@ impl Following<'_> {
         let (captured, dropped) = self.queue.counts();
         self.hub.set_status(Status {
             phase,
-            message: self.watch.waiting().or_else(|| self.recorder.message()),
+            message: self
+                .watch
+                .waiting()
+                .or_else(|| self.recorder.message())
+                .or_else(|| self.log.and_then(McapLog::message)),
             captured,
             dropped,
             fps,
