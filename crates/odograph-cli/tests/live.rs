@@ -224,6 +224,14 @@ fn what_cannot_be_followed_is_told_in_a_sentence() {
     );
     assert!(refused(&format!("{DEMO}/drive.mp4 --raw gray:1x1@1 -o out"), 2).contains("standard input"));
     assert!(refused("- --raw gray:640x480@30 -o out", 3).contains("no frame"));
+    let view = |path: &str| {
+        let done = place.command("view", path).output().unwrap();
+        assert_eq!(done.status.code(), Some(3), "{path}");
+        String::from_utf8_lossy(&done.stderr).into_owned()
+    };
+    std::fs::write(place.path("text.gpkg"), "no map").unwrap();
+    assert!(view("text.gpkg").contains("text.gpkg"));
+    assert!(view("nowhere").contains("nowhere is not the folder of a run"));
 }
 
 #[test]
@@ -312,6 +320,32 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     browser.look(&page, (390, 844), false);
     browser.evaluate(&page, "new Promise(done => setTimeout(done, 400))");
     browser.picture(&page, "view-phone-light");
+    view.end();
+    look_at_the_map(browser, place);
+}
+
+/// The map that the run left, which has no mosaic of its own: it is laid under the eyes of who looks.
+fn look_at_the_map(browser: &mut Browser, place: &Place) {
+    let map = odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap();
+    let keyframes = map.map().unwrap().keyframes.len();
+    let frames = map.path_of(0).unwrap();
+    let mut view = place.server("view", "out/map.gpkg");
+    let page = browser.open(&view.url, (1280, 800), false);
+    let all = format!(
+        "document.body.dataset.records == {} && document.body.dataset.keyframes == {keyframes}",
+        frames.len()
+    );
+    browser.wait(
+        &page,
+        &format!("{all} && document.body.dataset.tiles > 3 && document.body.dataset.marks == 1"),
+    );
+    browser.wait(&page, "document.body.dataset.at == 0");
+    let shown = browser.evaluate(&page, "Number(document.getElementById('x').textContent)").as_f64().unwrap();
+    assert!((shown - frames[0].pose.x_m).abs() < 6e-4, "{shown}");
+    browser.picture(&page, "map-desktop-light");
+    browser.look(&page, (390, 844), true);
+    browser.evaluate(&page, "new Promise(done => setTimeout(done, 400))");
+    browser.picture(&page, "map-phone-dark");
     view.end();
 }
 

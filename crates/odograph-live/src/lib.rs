@@ -12,6 +12,7 @@
 pub mod capture;
 pub mod ground;
 pub mod record;
+mod shown;
 pub mod hub;
 mod view;
 pub mod stream;

@@ -11,6 +11,7 @@ export class GroundMap {
     this.layers = [];
     this.fetching = 0;
     this.marks = [];
+    this.graph = { keyframes: [], loops: [] };
     this.follow = true;
     this.view = { x: 0, y: 0, scale: 160 };
     this.pathLayer = document.createElement("canvas");
@@ -78,6 +79,9 @@ export class GroundMap {
   show(at) { if (at !== this.at) { this.at = at; this.changed = true; } }
 
   setFollow(follow) { this.follow = follow; this.changed = true; if (!follow) this.onUnfollow(); }
+
+  /// Keyframes, and between which of them ground was seen again.
+  setGraph(graph) { this.graph = graph; this.changed = true; document.body.dataset.keyframes = graph.keyframes.length; }
 
   showAll() {
     const b = this.track.bounds;
@@ -154,6 +158,7 @@ export class GroundMap {
     this.drawGround(c);
     this.drawPath(color("--path"));
     c.drawImage(this.pathLayer, 0, 0, this.width, this.height);
+    this.drawGraph(c, color("--path"), color("--mark"));
     this.drawMarks(c, color("--mark"), color("--card"));
     if (place >= 0) this.drawCamera(c, place, place === this.at, color);
     this.drawScale(c, color("--ink"), color("--card"));
@@ -212,6 +217,23 @@ export class GroundMap {
     // A light border keeps the path readable on any floor.
     context.strokeStyle = "#ffffffd0"; context.lineWidth = 5; context.stroke();
     context.strokeStyle = color; context.lineWidth = 2.6; context.stroke();
+  }
+
+  drawGraph(c, dot, tie) {
+    const { keyframes, loops } = this.graph, radius = Math.min(3, Math.max(1.2, .03 * this.view.scale));
+    const inside = (x, y) => x > -20 && y > -20 && x < this.width + 20 && y < this.height + 20;
+    c.strokeStyle = tie; c.lineWidth = 1.5; c.beginPath();
+    for (const [from, to] of loops) {
+      const [a, b] = [keyframes[from], keyframes[to]];
+      c.moveTo(this.toX(a[0]), this.toY(a[1])); c.lineTo(this.toX(b[0]), this.toY(b[1]));
+    }
+    c.stroke();
+    c.fillStyle = "#fff"; c.strokeStyle = dot; c.lineWidth = 1.5; c.beginPath();
+    for (const [x, y] of keyframes) {
+      const px = this.toX(x), py = this.toY(y);
+      if (inside(px, py)) { c.moveTo(px + radius, py); c.arc(px, py, radius, 0, 7); }
+    }
+    c.fill(); c.stroke();
   }
 
   drawMarks(c, color, paper) {

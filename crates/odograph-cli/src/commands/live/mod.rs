@@ -3,23 +3,24 @@
 mod ground;
 mod latency;
 mod mcap;
-mod open;
+pub(super) mod open;
 mod outputs;
-mod pipeline;
+pub(super) mod pipeline;
 mod recorder;
 mod serving;
 
 use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
-use crate::{Outcome, console, interrupt};
+use crate::{Outcome, console, files, interrupt};
 use mcap::McapLog;
 use odograph::error::Result;
-use odograph_live::capture::camera::PixelFormat;
-use odograph_live::capture::{RawFormat, Watch};
+use odograph::formats::camera_file;
+use odograph_live::capture::Watch;
 use odograph_live::{Introduction, Phase};
+pub use open::CaptureArguments;
 use outputs::Outputs;
 use recorder::Recorder;
-pub use serving::{ServeArguments, Serving};
-use std::path::PathBuf;
+pub use serving::{Offer, ServeArguments, Serving};
+use std::path::{Path, PathBuf};
 
 /// Follow a camera as it moves, and show it in the browser.
 ///
@@ -46,28 +47,8 @@ pub struct LiveArguments {
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
-    /// Play a recording at its own pace, or at SPEED times that; frames that come too fast are dropped. Without it every frame is taken,
-    /// as fast as can be. Frames on standard input are taken as they come, and the newest win.
-    #[arg(long, value_name = "SPEED", num_args = 0..=1, default_missing_value = "1", value_parser = speed)]
-    pub realtime: Option<f64>,
-    /// Frames a second: of a recording that does not say, or wished of a camera.
-    #[arg(long, value_name = "RATE")]
-    pub fps: Option<f64>,
-    /// Size wished of a camera, pixels, e.g. 640x480. [default: the camera file's]
-    #[arg(long, value_name = "WxH", value_parser = pixels)]
-    pub size: Option<(u32, u32)>,
-    /// Format wished of a camera: grey, yuyv or mjpeg.
-    #[arg(long, value_name = "FORMAT")]
-    pub format: Option<PixelFormat>,
-    /// Leave a camera's exposure to itself; otherwise it is held once it has settled.
-    #[arg(long)]
-    pub auto_exposure: bool,
-    /// Standard input has bare frames: gray:640x480@30, yuyv:… or rgb:….
-    #[arg(long, value_name = "FORMAT")]
-    pub raw: Option<RawFormat>,
-    /// How long to wait for a network camera that has gone to come back, seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
-    pub patience: u64,
+    #[command(flatten)]
+    pub capture: CaptureArguments,
     #[command(flatten)]
     pub serve: ServeArguments,
     /// Print a line of JSON for each frame to standard output.
@@ -109,19 +90,6 @@ pub enum Print {
     Poses,
 }
 
-fn speed(text: &str) -> std::result::Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(speed) if speed.is_finite() && speed > 0.0 => Ok(speed),
-        _ => Err("give a number above zero, 1 for the recording's own pace".to_owned()),
-    }
-}
-
-fn pixels(text: &str) -> std::result::Result<(u32, u32), String> {
-    let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-    size.filter(|(w, h)| *w > 0 && *h > 0)
-        .ok_or_else(|| "give width and height in pixels, as 640x480".to_owned())
-}
-
 impl LiveArguments {
     /// The arguments of a run over the same source into the same folder.
     fn as_run(&self) -> RunArguments {
@@ -133,7 +101,7 @@ impl LiveArguments {
             rig: self.rig.clone(),
             field_of_view: self.field_of_view,
             motion: self.motion,
-            fps: self.fps,
+            fps: self.capture.fps,
             ..RunArguments::over(OutputArguments {
                 output,
                 force: self.force,
@@ -148,6 +116,12 @@ impl LiveArguments {
     }
 }
 
+/// The size of the pictures for which a camera was calibrated, pixels.
+fn calibrated_size(camera: &Path) -> Option<(u32, u32)> {
+    let camera = camera_file::parse(&files::read_text(camera).ok()?, None).ok()?;
+    Some((camera.width() as u32, camera.height() as u32))
+}
+
 /// Runs the command.
 pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let run_arguments = arguments.as_run();
@@ -156,7 +130,9 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let folder = run::folder::OutputFolder::new(&run_arguments.output.output, arguments.force)?;
     let watch = Watch::default();
     let (plan, source) = RunPlan::over(&run_arguments, |plan| {
-        let source = open::open(plan, &arguments, &watch)?;
+        // A calibration holds for one size only: that is the one to ask a camera for.
+        let calibrated = || calibrated_size(arguments.camera.as_deref()?);
+        let source = open::open(plan, &arguments.capture, calibrated, &watch)?;
         let size = (source.source.info().width, source.source.info().height);
         Ok((source, size))
     })?;
@@ -172,9 +148,11 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         height: info.height,
         height_m: plan.rig.height_m,
         live: true,
+        calibration: false,
     };
     let laying = ground::LiveGround::new(plan.camera.clone());
-    let serving = Serving::start(&arguments.serve, introduction, laying.clone(), Some(folder.path()))?;
+    let serving =
+        Serving::start(&arguments.serve, introduction, laying.clone(), Offer::of_run(folder.path()))?;
     if let Some(url) = serving.url()
         && !arguments.quiet
     {

@@ -25,17 +25,17 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Frames that wait for tracking: one that is next, and one for the time in which it is taken.
-const QUEUE: usize = 2;
+pub const QUEUE: usize = 2;
 /// Frames that wait to be laid on the ground.
 const LAYING_QUEUE: usize = 4;
 /// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is waited for.
 const MAPPING_QUEUE: usize = 64;
 /// How long to wait for a frame before looking at everything else.
-const PATIENCE: Duration = Duration::from_millis(100);
+pub const PATIENCE: Duration = Duration::from_millis(100);
 /// How often the page hears how the run goes.
-const STATUS_EVERY: Duration = Duration::from_millis(250);
+pub const STATUS_EVERY: Duration = Duration::from_millis(250);
 /// A source that is asked to end is waited for so long; one that hangs in the system is left behind.
-const FAREWELL: Duration = Duration::from_secs(2);
+pub const FAREWELL: Duration = Duration::from_secs(2);
 
 /// Follows a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
@@ -102,14 +102,14 @@ pub fn follow(
 
 /// What a source left when it ended.
 #[derive(Default)]
-struct Farewell {
-    warnings: Vec<String>,
-    failure: Option<Error>,
+pub struct Farewell {
+    pub warnings: Vec<String>,
+    pub failure: Option<Error>,
 }
 
 /// Takes frames from the source on a thread of its own, which ends with the queue or the source. It is not joined: reading a pipe or a
 /// device may hang as long as its other end wills.
-fn capture(
+pub fn capture(
     mut source: Box<dyn LiveSource>,
     queue: Arc<Newest<(Captured, Duration)>>,
 ) -> mpsc::Receiver<Farewell> {
