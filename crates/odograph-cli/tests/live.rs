@@ -6,6 +6,8 @@
 mod browser;
 #[path = "live/program.rs"]
 mod program;
+#[path = "live/rtsp.rs"]
+mod rtsp;
 
 use browser::Browser;
 use program::{DEMO, Place, names, pictures, statistics, write_uncompressed};
@@ -153,6 +155,47 @@ fn a_phone_over_http_that_hangs_up_once_is_followed_to_its_end() {
     let (length_m, posed) =
         (figures["distance_m"].as_f64().unwrap(), figures["frames_with_pose"].as_u64().unwrap());
     assert!(posed > 1 && length_m > 0.0 && length_m < DRIVE_M, "{figures}");
+}
+
+#[test]
+fn an_rtsp_camera_that_goes_away_and_comes_back_is_followed_to_its_end() {
+    let place = Place::new();
+    let clip = match rtsp::clip(&place.path("clip.h264")) {
+        Ok(clip) => clip,
+        Err(why) => {
+            println!("skipped: {why}");
+            return;
+        }
+    };
+    let server = rtsp::Server::start(clip);
+    let address = server.address();
+    let done = place
+        .command("live", &format!("rtsp://name:secret@{address}/floor --patience 1 -o out --quiet"))
+        .env_remove("ODOGRAPH_FFMPEG")
+        .output()
+        .unwrap();
+    let sent = server.sent();
+    // Both times it was asked in the order of the protocol, over TCP.
+    assert_eq!(server.asked(), ["OPTIONS", "DESCRIBE", "SETUP", "PLAY"].repeat(2));
+    assert_eq!(done.status.code(), Some(3));
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert!(
+        told.contains(&format!("rtsp://{address}/floor went away")) && told.contains("within 1 s"),
+        "{told}"
+    );
+    assert!(!told.contains("secret"), "{told}");
+    let figures = statistics(&place.path("out"));
+    assert_eq!(figures["live"]["reconnects"], json!(1), "{figures}");
+    // Each time ffmpeg spends the first second on finding out what it is sent, and begins with the next picture that is whole: of the two times
+    // three seconds at least one and a half come through.
+    let captured = figures["live"]["frames_captured"].as_u64().unwrap();
+    assert!(2 * captured >= sent && captured <= sent, "{captured} of {sent}");
+    let length_m = figures["distance_m"].as_f64().unwrap();
+    assert!(length_m > 0.0 && length_m < DRIVE_M, "{figures}");
+    // What is written for others to read does not have the password either.
+    for name in ["run.toml", "report.html", "stats.json"] {
+        assert!(!String::from_utf8_lossy(&place.read(&format!("out/{name}"))).contains("secret"), "{name}");
+    }
 }
 
 #[test]

@@ -13,7 +13,7 @@ use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
 use odograph::mapping::Mosaic;
 use odograph::odometry::TrackView;
-use odograph_live::capture::{Captured, Newest, Taken, Watch};
+use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};
 use serde_json::json;
 use std::path::Path;
@@ -52,7 +52,7 @@ pub fn calibrate(
     let watch = Watch::default();
     let opened = open(arguments, &watch)?;
     let info = opened.source.info().clone();
-    let name = arguments.sources.first().map_or("", String::as_str);
+    let name = &without_credentials(arguments.sources.first().map_or("", String::as_str));
     let introduction = Introduction {
         title: format!("calibration with {}", if name == "-" { "standard input" } else { name }),
         source: info.description.clone(),

@@ -14,7 +14,7 @@ use crate::{Outcome, console, files, interrupt};
 use mcap::McapLog;
 use odograph::error::Result;
 use odograph::formats::camera_file;
-use odograph_live::capture::Watch;
+use odograph_live::capture::{Watch, without_credentials};
 use odograph_live::{Introduction, Phase};
 pub use open::CaptureArguments;
 use outputs::Outputs;
@@ -129,13 +129,15 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     arguments.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, arguments.force))?;
     let folder = run::folder::OutputFolder::new(&run_arguments.output.output, arguments.force)?;
     let watch = Watch::default();
-    let (plan, source) = RunPlan::over(&run_arguments, |plan| {
+    let (mut plan, source) = RunPlan::over(&run_arguments, |plan| {
         // A calibration holds for one size only: that is the one to ask a camera for.
         let calibrated = || calibrated_size(arguments.camera.as_deref()?);
         let source = open::open(plan, &arguments.capture, calibrated, &watch)?;
         let size = (source.source.info().width, source.source.info().height);
         Ok((source, size))
     })?;
+    // What is written and shown is for others to read.
+    plan.source.path = without_credentials(&plan.source.path);
     let info = source.source.info().clone();
     let name = arguments.source.trim_end_matches(['/', '\\']);
     let introduction = Introduction {

@@ -3,7 +3,9 @@
 use crate::commands::run::SourcePlan;
 use odograph::error::{Error, Result};
 use odograph_live::capture::camera::{ModeWish, PixelFormat};
-use odograph_live::capture::{HttpMjpeg, LiveSource, Policy, RawFormat, RawFrames, Recording, Watch};
+use odograph_live::capture::{
+    HttpMjpeg, LiveSource, NetworkStream, Policy, RawFormat, RawFrames, Recording, Watch,
+};
 use std::path::Path;
 use std::time::Duration;
 
@@ -95,8 +97,14 @@ pub fn open(
     if let Some(format) = arguments.raw {
         return Ok(never_late(Box::new(RawFrames::new(std::io::stdin(), format, watch.clone()))));
     }
-    let streams = name == "-" || odograph_video::is_stream(name);
-    // A pipe or a stream has a pace of its own already; what it has is what there is now.
+    if odograph_video::is_stream(name) {
+        let patience = Duration::from_secs(arguments.patience.unwrap_or(PATIENCE_S));
+        let again = plan.clone();
+        let stream = NetworkStream::open(name, Box::new(move || again.open()), patience, watch.clone())?;
+        return Ok(never_late(Box::new(stream)));
+    }
+    let streams = name == "-";
+    // A pipe has a pace of its own already; what it has is what there is now.
     let speed = arguments.realtime.filter(|_| !streams);
     let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };
     Ok(Opened {
