@@ -12,11 +12,12 @@ pub struct TrackRecord {
 
 impl TrackRecord {
     /// How many numbers a record has.
-    pub const LENGTH: usize = 14;
+    pub const LENGTH: usize = 15;
 
     /// What the numbers are: seconds since the first frame, metres, radians, the covariance of x and y in m², the standard deviation of the
     /// heading, metres a second; `state` is 0 where the pose was measured and otherwise the reason why not (1 bare, 2 jump, 3 not planar, 4 dark, 5 blur, 6 shadow);
-    /// the number of gaps before the frame; corners found again, and how many of them agree; milliseconds from capture to pose.
+    /// the number of gaps before the frame; corners found again, and how many of them agree; milliseconds from capture to pose; the
+    /// number of the keyframe that it was measured against.
     pub const FIELDS: [&'static str; Self::LENGTH] = [
         "time_s",
         "x_m",
@@ -32,6 +33,7 @@ impl TrackRecord {
         "tracks",
         "inliers",
         "latency_ms",
+        "keyframe",
     ];
 
     /// The record of a frame; `first_time_s` is the time of the first one.
@@ -67,6 +69,14 @@ impl TrackRecord {
         values[12] = frame.inliers as f32;
         values[13] = latency_ms.map_or(f32::NAN, |ms| ms as f32);
         Self { values }
+    }
+}
+
+impl TrackRecord {
+    /// The same, with the number of the keyframe against which it was measured, counted from 0 in this run.
+    pub fn measured_against(mut self, keyframe: Option<u64>) -> Self {
+        self.values[14] = keyframe.map_or(f32::NAN, |number| number as f32);
+        self
     }
 }
 
@@ -158,6 +168,7 @@ impl TrackRecord {
                 segment,
                 tracks,
                 inliers,
+                f64::NAN,
                 f64::NAN,
             ];
             records.push(Self { values: values.map(|value| value as f32) });

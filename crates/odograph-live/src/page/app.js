@@ -44,7 +44,11 @@ function told(message) {
   else if (message.kind === "status") { status = message.status; showStatus(); }
   else if (message.kind === "marks") { map.marks.push(...message.marks); map.changed = true; document.body.dataset.marks = map.marks.length; }
   else if (message.kind === "calibration") { calibration?.show(message.calibration); showState(); }
-  else if (message.kind === "map") { map.setGraph(message.map); if (!introduction.live) plots.drop("corners that agree"); }
+  else if (message.kind === "map") {
+    map.setGraph(message.map);
+    if (message.map.corrections) { track.correct(message.map.corrections); distances.count = 0; last = -1; }
+    else plots.drop("corners that agree");
+  }
   else if (message.kind === "ground") map.groundChanged(message.metres_per_pixel, message.tiles);
 }
 

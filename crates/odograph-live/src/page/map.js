@@ -66,7 +66,9 @@ export class GroundMap {
       const image = new Image();
       layer.version = (layer.version || 0) + 1;
       image.src = `/tiles/${tile.column}/${tile.row}.png?v=${layer.version}`;
-      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; }, () => {}).finally(() => {
+      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; },
+        // There is nothing there any more: a loop has moved the ground elsewhere.
+        () => { layer.tiles.delete(key); this.changed = true; }).finally(() => {
         this.fetching--;
         if (!layer.wanted.size && !this.fetching && this.layers.length > 1) { this.layers = [this.layers.at(-1)]; this.changed = true; }
         this.fetchTiles();
@@ -81,7 +83,7 @@ export class GroundMap {
   setFollow(follow) { this.follow = follow; this.changed = true; if (!follow) this.onUnfollow(); }
 
   /// Keyframes, and between which of them ground was seen again.
-  setGraph(graph) { this.graph = graph; this.changed = true; document.body.dataset.keyframes = graph.keyframes.length; }
+  setGraph(graph) { this.graph = graph; this.drawn = null; this.changed = true; document.body.dataset.keyframes = graph.keyframes.length; }
 
   showAll() {
     const b = this.track.bounds;
@@ -240,7 +242,9 @@ export class GroundMap {
     c.font = "600 12px system-ui, sans-serif"; c.textBaseline = "middle";
     for (const mark of this.marks) {
       if (mark.x_m === null) continue;
-      const x = this.toX(mark.x_m), y = this.toY(mark.y_m);
+      // Where its frame lies now.
+      const moved = mark.record < this.track.count && Number.isFinite(this.track.get(mark.record, "x"));
+      const x = this.toX(moved ? this.track.get(mark.record, "x") : mark.x_m), y = this.toY(moved ? this.track.get(mark.record, "y") : mark.y_m);
       c.fillStyle = color; c.strokeStyle = paper; c.lineWidth = 2;
       c.beginPath(); c.moveTo(x, y); c.lineTo(x - 6, y - 14); c.arc(x, y - 16, 6.3, Math.PI - .3, .3); c.closePath(); c.fill(); c.stroke();
       c.strokeStyle = paper; c.lineWidth = 4; c.strokeText(mark.name, x + 10, y - 16); c.fillText(mark.name, x + 10, y - 16);

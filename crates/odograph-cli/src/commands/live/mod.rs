@@ -8,6 +8,7 @@ mod outputs;
 pub(super) mod pipeline;
 mod recorder;
 mod serving;
+mod straight;
 
 use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
 use crate::{Outcome, console, files, interrupt};

@@ -6,6 +6,7 @@ use super::mcap::McapLog;
 use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
+use super::straight::{self, Relaying, Straightening};
 use crate::commands::run::mapping::Mapping;
 use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, number_as_source};
 use crate::commands::run::statistics::LiveStatistics;
@@ -157,6 +158,7 @@ struct Beside {
     laying: Newest<Posed>,
     mapping: Newest<Happened>,
     views: Newest<Sight>,
+    relaying: Newest<Relaying>,
 }
 
 /// A picture to be shown.
@@ -192,7 +194,10 @@ impl Following<'_> {
             laying: Newest::new(self.policy, LAYING_QUEUE),
             mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
             views: Newest::new(Policy::NewestWins, 1),
+            relaying: Newest::new(Policy::NewestWins, 1),
         };
+        // Where every frame is waited for the ground is that of `run`, which lays it anew at the end.
+        let shows_loops = self.policy == Policy::NewestWins;
         let (beside, hub, log) = (&beside, self.hub, self.log);
         let outcome = thread::scope(|scope| {
             if let Some(log) = log {
@@ -206,14 +211,20 @@ impl Following<'_> {
                     }
                 });
             });
+            scope.spawn(move || straight::relay(&beside.relaying, ground));
             let mapper = scope.spawn(move || {
                 let mut failure = None;
+                let mut straightening = Straightening::new(hub, &beside.relaying);
                 each(&beside.mapping, |happened: Happened| {
                     // A map that cannot be written (the disk is full) ends; tracking does not.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, Some(&happened.frame)).err();
+                        if shows_loops {
+                            straightening.look(mapping);
+                        }
                     }
                 });
+                beside.relaying.close();
                 failure
             });
             let outcome = {
@@ -264,7 +275,10 @@ impl Following<'_> {
             log.give(&estimate, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
         }
         let first_time_s = self.frames.first().map_or(estimate.time_s, |first| first.time_s);
-        let record = self.hub.add_record(&TrackRecord::new(&estimate, first_time_s, Some(latency_ms)));
+        let reference = self.odometry.reference();
+        let keyframe = reference.map(|reference| reference.keyframe.0);
+        let record = TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
+        let record = self.hub.add_record(&record);
         if self.hub.viewers() > 0 {
             let tracks = self.odometry.tracks().to_vec();
             beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
@@ -273,7 +287,7 @@ impl Following<'_> {
         let pose = estimate.estimate.as_ref().map(|known| known.pose);
         let segment = estimate.segment;
         self.frames.push(estimate);
-        self.references.push(self.odometry.reference());
+        self.references.push(reference);
         if !events.is_empty() {
             number_as_source(&mut events, &self.frames);
             beside.mapping.give(Happened { events, frame: frame.clone() });

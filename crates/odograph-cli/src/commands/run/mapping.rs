@@ -5,8 +5,8 @@ use super::{OutputArguments, RunPlan};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Fusion;
-use odograph::geometry::GroundPoint;
-use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use odograph::geometry::{GroundPoint, GroundPose};
+use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe, Mosaic};
 use odograph::odometry::{FrameReference, KeyframeEvent};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, map_frames};
 use odograph::trajectory::FrameEstimate;
@@ -94,6 +94,24 @@ impl Mapping {
             self.times.push(started.elapsed());
         }
         Ok(())
+    }
+
+    /// What has been made of the keyframes so far.
+    pub fn mapper(&self) -> &Mapper {
+        &self.mapper
+    }
+
+    /// Where the map file is, or will be.
+    pub fn path(&self) -> &Path {
+        &self.file.path
+    }
+
+    /// The mosaic of this run's keyframes where they now lie.
+    pub fn lay(&mut self, camera: &Camera) -> Result<Mosaic> {
+        let session = self.mapper.session();
+        let own = self.mapper.map().keyframes.iter().filter(|keyframe| keyframe.session == session);
+        let keyframes: Vec<_> = own.map(|keyframe| (keyframe.id, keyframe.pose)).collect();
+        lay_keyframes(&mut self.file, camera, &keyframes)
     }
 
     /// How long each keyframe took.
@@ -200,6 +218,23 @@ impl LoopStatistics {
             ),
         }
     }
+}
+
+/// Lays keyframes on the ground, in their order.
+pub fn lay_keyframes(
+    images: &mut dyn KeyframeImages,
+    camera: &Camera,
+    keyframes: &[(KeyframeId, GroundPose)],
+) -> Result<Mosaic> {
+    let mut mosaic = Mosaic::new(Default::default());
+    for (id, pose) in keyframes {
+        let KeyframeImage { gray, color } = images.load(*id)?;
+        match &color {
+            Some(color) => mosaic.add(color, camera, pose),
+            None => mosaic.add(&gray, camera, pose),
+        };
+    }
+    Ok(mosaic)
 }
 
 /// A map file that is made with its first keyframe: a run that shows nothing leaves none.

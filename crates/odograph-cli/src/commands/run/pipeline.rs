@@ -89,10 +89,17 @@ pub fn track(
     })
 }
 
-/// Lays the mosaic anew, under poses that have changed since. Where the source cannot be read twice it stays as it is, and that is said.
+/// Lays the mosaic anew, under poses that have changed since: from the keyframes in the map where the source cannot be read twice. Where neither
+/// can be read it stays as it is, and that is said.
 pub fn lay_again(plan: &RunPlan, tracked: &mut Tracked) {
     let source = match tracked.repeatable {
-        false => Err(Error::input("what comes live cannot be read twice")),
+        false => match tracked.mapping.lay(&plan.camera) {
+            Ok(mosaic) => {
+                tracked.mosaic = mosaic;
+                return;
+            }
+            Err(error) => Err(error),
+        },
         true => plan.source.open(),
     };
     let mut decoding = match source {
@@ -275,6 +282,11 @@ pub struct Laying {
 impl Laying {
     pub fn new(camera: Camera) -> Self {
         Self { camera, mosaic: Mosaic::new(Default::default()), times: Vec::new(), before: None }
+    }
+
+    /// Goes on upon a ground that is there.
+    pub fn upon(camera: Camera, mosaic: Mosaic) -> Self {
+        Self { camera, mosaic, times: Vec::new(), before: None }
     }
 
     /// The ground so far.

@@ -1,6 +1,6 @@
 //! `odograph view`: a finished run, or a map, in the browser.
 
-mod map;
+pub(super) mod map;
 
 use super::live::{Offer, ServeArguments, Serving};
 use super::run::RunPlan;
