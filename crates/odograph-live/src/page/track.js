@@ -104,7 +104,7 @@ export class Track {
       const out = !chunk.known || chunk.x1 < window.x0 || chunk.x0 > window.x1 || chunk.y1 < window.y0 || chunk.y0 > window.y1;
       if (out) { pen = false; continue; }
       const stepPx = chunk.length * scale / chunk.known;
-      const stride = Math.max(1, Math.min(CHUNK, Math.floor(0.8 / Math.max(stepPx, 1e-3))));
+      const stride = Math.max(1, Math.min(CHUNK, Math.floor(1.5 / Math.max(stepPx, 1e-3))));
       const start = Math.max(from, index * CHUNK - 1), end = Math.min(to, index * CHUNK + CHUNK - 1);
       for (let k = Math.max(0, start); ; k = Math.min(k + stride, end)) {
         const x = this.get(k, "x"), y = this.get(k, "y"), s = this.get(k, "segment");

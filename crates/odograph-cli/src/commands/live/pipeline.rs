@@ -71,6 +71,7 @@ pub fn follow(
         queue: Arc::new(Newest::new(opened.policy, QUEUE)),
         policy: opened.policy,
         not_laid: 0,
+        unmapped: None,
         status_told: None,
     };
     let ended = capture(opened.source, Arc::clone(&following.queue));
@@ -95,6 +96,7 @@ pub fn follow(
         repeatable,
         live: Some(live),
         failure: outcome.err().or(farewell.failure),
+        unmapped: following.unmapped,
     };
     ground.show(mosaic);
     let mut folder = following.recorder.into_folder();
@@ -184,6 +186,7 @@ struct Following<'a> {
     queue: Arc<Newest<(Captured, Duration)>>,
     policy: Policy,
     not_laid: u64,
+    unmapped: Option<Error>,
     status_told: Option<Instant>,
 }
 
@@ -231,9 +234,9 @@ impl Following<'_> {
                 let _ending = Closing(beside, log);
                 self.track_all(beside)
             };
-            let unmapped =
+            self.unmapped =
                 mapper.join().unwrap_or_else(|_| Some(Error::output("the map ended unexpectedly")));
-            outcome.and(unmapped.map_or(Ok(()), Err))
+            outcome
         });
         self.not_laid = beside.laying.counts().1;
         outcome

@@ -244,12 +244,16 @@ pub(super) fn finish(
             ))
         }));
     }
-    let failure = tracked.failure.take();
+    let mut failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
+    if let Some(error) = tracked.unmapped.take() {
+        tracked.warnings.push(format!("the map ended early: {error}"));
+        failure.get_or_insert(error);
+    }
     let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, sensors);
-    let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references)?;
+    let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references);
     let loops = tracked.mapping.statistics(&fused.frames, &straight);
     tracked.warnings.extend(tracked.mapping.warning());
     let moved = fused.moved || loops.moved_noticeably(&plan.camera, &plan.rig);
@@ -260,7 +264,11 @@ pub(super) fn finish(
     tracked.frames = fused.frames;
     folder.write_trajectories(&tracked.frames, &plan.text()?)?;
     folder.write("odometry.tum", at_once.as_bytes())?;
-    tracked.mapping.write_path(&tracked.frames)?;
+    // Only now the map, which may not fit on its disk any more: the trajectories are there all the same, and so is all that follows.
+    if let Err(error) = tracked.mapping.save(&tracked.frames) {
+        tracked.warnings.push(format!("the map is not where the trajectories are: {error}"));
+        failure.get_or_insert(error);
+    }
     folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
     let smoothed = SmoothedFrame::trajectory(&path);
     folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
@@ -272,9 +280,9 @@ pub(super) fn finish(
     }
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     map::write(plan, description, &tracked, &reports, folder)?;
-    tracked.mapping.close()?;
+    let closed = tracked.mapping.close();
     folder.finish(&statistics)?;
-    match failure {
+    match failure.or(closed.err()) {
         Some(error) => Err(error),
         None => Ok(RunReport {
             statistics,

@@ -34,6 +34,8 @@ pub struct Tracked {
     pub live: Option<LiveStatistics>,
     /// What ended the recording before its end, if anything did.
     pub failure: Option<Error>,
+    /// What ended the map before that, if anything did: a disk that is full. The path does not need it.
+    pub unmapped: Option<Error>,
 }
 
 /// How long each frame took in each stage.
@@ -66,13 +68,13 @@ pub fn track(
         folder,
     };
     let mut decoding = Decoding { source, times: Vec::new() };
-    let mut ground = Ground { laying: Laying::new(plan.camera.clone()), mapping };
+    let mut ground = Ground { laying: Laying::new(plan.camera.clone()), mapping, unmapped: None };
     let outcome = match arguments.threads.map_or(3, usize::from) {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads),
     };
     tracking.progress.finish_and_clear();
-    let Ground { laying, mapping } = ground;
+    let Ground { laying, mapping, unmapped } = ground;
     let (mosaic, map_times) = laying.finished();
     Ok(Tracked {
         keyframes: tracking.odometry.keyframes(),
@@ -86,6 +88,7 @@ pub fn track(
         repeatable: plan.source.path != "-",
         live: None,
         failure: outcome.err(),
+        unmapped,
     })
 }
 
@@ -257,12 +260,15 @@ pub fn number_as_source(events: &mut [KeyframeEvent], frames: &[FrameEstimate]) 
 struct Ground {
     laying: Laying,
     mapping: Mapping,
+    unmapped: Option<Error>,
 }
 
 impl Ground {
     fn next(&mut self, followed: Followed) -> Result<()> {
         let Followed { posed, events } = followed;
-        self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame))?;
+        if self.unmapped.is_none() {
+            self.unmapped = self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame)).err();
+        }
         if let Some(posed) = posed {
             self.laying.next(posed);
         }
