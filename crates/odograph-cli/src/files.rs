@@ -93,6 +93,31 @@ pub fn png_from_rgba(width: usize, height: usize, rgba: &[u8]) -> Result<Vec<u8>
     encode_png(width, height, png::ColorType::Rgba, rgba, None)
 }
 
+/// A picture with opacity that comes in bands of whole rows from top to bottom, as the bytes of a PNG file.
+pub fn png_from_rgba_bands(
+    width: usize,
+    height: usize,
+    bands: impl Iterator<Item = Vec<u8>>,
+) -> Result<Vec<u8>> {
+    let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+        encoder.set_color(png::ColorType::Rgba);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
+        let mut writer = encoder.write_header()?;
+        let mut rows = writer.stream_writer_with_size(CHUNK_BYTES)?;
+        bands.into_iter().try_for_each(|band| rows.write_all(&band))?;
+        rows.finish()?;
+        writer.finish()?;
+        Ok(bytes)
+    };
+    encode().map_err(|error| Error::output(format!("a {width}x{height} PNG cannot be encoded: {error}")))
+}
+
+/// Bytes of a chunk of a PNG file that is written in several.
+const CHUNK_BYTES: usize = 1 << 18;
+
 fn encode_png(
     width: usize,
     height: usize,

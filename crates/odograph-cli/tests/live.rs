@@ -223,6 +223,17 @@ fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
     let state: serde_json::Value = serde_json::from_str(&view.get("/state")).unwrap();
     assert_eq!((&state["introduction"]["live"], &state["status"]["captured"]), (&json!(false), &json!(kept)));
     view.end();
+    // Its map has neither a path nor a picture: the keyframes stand for the one, the other is laid while one looks.
+    let keyframes =
+        odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap().map().unwrap().keyframes;
+    let mut view = place.server("view", "out/map.gpkg");
+    let state: serde_json::Value = serde_json::from_str(&view.get("/state")).unwrap();
+    assert_eq!(state["status"]["captured"], json!(keyframes.len()));
+    let begun = std::time::Instant::now();
+    while view.answer("/tiles/0/0.png").is_err() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no ground was laid");
+    }
+    view.end();
 }
 
 #[test]
@@ -435,7 +446,7 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     look_at_the_map(browser, place);
 }
 
-/// The map that the run left, which has no mosaic of its own: it is laid under the eyes of who looks.
+/// The map that the run left.
 fn look_at_the_map(browser: &mut Browser, place: &Place) {
     let map = odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap();
     let keyframes = map.map().unwrap().keyframes.len();

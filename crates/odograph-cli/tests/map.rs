@@ -4,8 +4,12 @@
 
 #[path = "../../odograph-map/tests/ground/mod.rs"]
 mod ground;
+#[path = "map/floor.rs"]
+mod floor;
 #[path = "map/gdal.rs"]
 mod gdal;
+#[path = "map/joining.rs"]
+mod joining;
 
 use odograph::camera::Rig;
 use odograph::formats::trajectory_file;

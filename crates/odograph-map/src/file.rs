@@ -136,6 +136,23 @@ impl MapFile {
         Ok(())
     }
 
+    /// Writes the whole map into a new file, as small as it can be. Fails where there is a file already, and where none can be written.
+    pub fn copy_to(&self, path: &Path) -> Result<()> {
+        let complaint = Complaint::about(path);
+        if path.exists() {
+            return Err(complaint.usage("there is a file already; choose another name"));
+        }
+        let Some(name) = path.to_str() else {
+            return Err(complaint.usage("the name is no text; choose another"));
+        };
+        let written = self.connection.execute("VACUUM INTO ?1", [name]);
+        if let Err(failure) = written {
+            let _ = Self::remove(path);
+            return Err(complaint.writing(&failure));
+        }
+        Ok(())
+    }
+
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path

@@ -6,12 +6,14 @@ use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
+use crate::paths::{self, KeyframeMove, PathFrame, carried};
 use nalgebra::Matrix6;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use odograph::mapping::places::Signature;
 use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 use rusqlite::{Connection, OptionalExtension, Row, params};
+use std::collections::BTreeMap;
 
 const INSERT: &str = "INSERT INTO keyframes VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, \
                       ?21, ?22, ?23, ?24, ?25)";
@@ -53,28 +55,83 @@ impl MapFile {
                 self.camera().height()
             )));
         }
+        self.store(keyframe, &image::encode(image)?, edges)
+    }
+
+    /// Adds a keyframe whose picture another map of the same camera has under `there`: as it is there, not encoded a second time.
+    ///
+    /// Fails as [`MapFile::add_keyframe`], and where the other map has no such picture. What the bytes show is not looked at.
+    pub fn add_keyframe_of(
+        &mut self,
+        keyframe: &MapKeyframe,
+        other: &MapFile,
+        there: KeyframeId,
+        edges: &[MapEdge],
+    ) -> Result<()> {
+        self.store(keyframe, &other.stored_image(there)?, edges)
+    }
+
+    fn store(&mut self, keyframe: &MapKeyframe, image: &StoredImage, edges: &[MapEdge]) -> Result<()> {
         let whole = [&keyframe.pose, &keyframe.odometry_pose].into_iter().all(is_pose)
             && keyframe.time_s.is_finite()
             && keyframe.covariance.iter().all(|value| value.is_finite());
         if !whole {
+            let id = keyframe.id.0;
             return Err(self.complaint.usage(format!("keyframe {id} has a pose that is not finite")));
         }
-        let stored = image::encode(image)?;
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
-        insert(&transaction, keyframe, &stored)
+        insert(&transaction, keyframe, image)
             .and_then(|()| edges::insert(&transaction, edges))
             .and_then(|()| transaction.commit())
             .while_writing(&self.complaint)
     }
 
-    /// Puts keyframes where they are now known to be: (keyframe, pose, covariance) each. The frames between them (the stored paths) stay as they
-    /// are until [`MapFile::set_path`] puts them right.
+    /// Puts keyframes where they are now known to be: (keyframe, pose, covariance) each. The frames of the stored paths move with the keyframes
+    /// before and after them.
     pub fn set_poses(&mut self, poses: &[(KeyframeId, GroundPose, Matrix6<f64>)]) -> Result<()> {
         if let Some((id, ..)) = poses.iter().find(|(_, pose, _)| !is_pose(pose)) {
             return Err(self.complaint.usage(format!("keyframe {} has a pose that is not finite", id.0)));
         }
+        let paths = self.paths_with(poses)?;
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
-        move_keyframes(&transaction, poses).and_then(|()| transaction.commit()).while_writing(&self.complaint)
+        move_keyframes(&transaction, poses)
+            .and_then(|()| {
+                paths.iter().try_for_each(|(session, path)| paths::write(&transaction, *session, path))
+            })
+            .and_then(|()| transaction.commit())
+            .while_writing(&self.complaint)
+    }
+
+    /// The paths that keyframes take with them when they go to these poses, each with its session.
+    fn paths_with(
+        &self,
+        poses: &[(KeyframeId, GroundPose, Matrix6<f64>)],
+    ) -> Result<Vec<(u32, Vec<PathFrame>)>> {
+        let after: BTreeMap<KeyframeId, GroundPose> =
+            poses.iter().map(|(id, pose, _)| (*id, *pose)).collect();
+        let mut moves: BTreeMap<u32, Vec<KeyframeMove>> = BTreeMap::new();
+        for (id, session, segment, time_s, before) in self.places()? {
+            let after = after.get(&id).copied().unwrap_or(before);
+            moves.entry(session).or_default().push(KeyframeMove { segment, time_s, before, after });
+        }
+        moves.retain(|_, moves| moves.iter().any(|moved| moved.before != moved.after));
+        let path = |(session, moves): (u32, Vec<_>)| Ok((session, carried(&self.path_of(session)?, &moves)));
+        moves.into_iter().map(path).collect()
+    }
+
+    /// Number, session, segment, time and pose of every keyframe.
+    fn places(&self) -> Result<Vec<(KeyframeId, u32, usize, f64, GroundPose)>> {
+        let mut statement = self
+            .connection
+            .prepare(
+                "SELECT id, session, segment, time_s, x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad FROM keyframes ORDER BY id",
+            )
+            .while_reading(&self.complaint)?;
+        let place = |row: &Row<'_>| {
+            Ok((KeyframeId(row.get(0)?), row.get(1)?, row.get(2)?, row.get(3)?, pose_from(row, 4)?))
+        };
+        let rows = statement.query_map([], place).while_reading(&self.complaint)?;
+        rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
 
     /// Takes keyframes out of the map with their images and their edges, and puts `edges` in place of those: what tied the map together through the
@@ -132,9 +189,15 @@ impl MapFile {
 
 impl KeyframeImages for MapFile {
     fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
-        let bad = |why: String| self.complaint.input(format!("the image of keyframe {} {why}", keyframe.0));
-        let stored = self
-            .connection
+        let stored = self.stored_image(keyframe)?;
+        image::decode(&stored, (self.camera().width(), self.camera().height()))
+            .map_err(|why| self.complaint.input(format!("the image of keyframe {} {why}", keyframe.0)))
+    }
+}
+
+impl MapFile {
+    fn stored_image(&self, keyframe: KeyframeId) -> Result<StoredImage> {
+        self.connection
             .prepare_cached(
                 "SELECT colored, luma_scale, luma_offset, jpeg FROM odograph_image WHERE keyframe = ?1",
             )
@@ -151,8 +214,7 @@ impl KeyframeImages for MapFile {
                     .optional()
             })
             .while_reading(&self.complaint)?
-            .ok_or_else(|| bad("is missing".to_owned()))?;
-        image::decode(&stored, (self.camera().width(), self.camera().height())).map_err(bad)
+            .ok_or_else(|| self.complaint.input(format!("the image of keyframe {} is missing", keyframe.0)))
     }
 }
 
@@ -246,18 +308,21 @@ fn set_extent(connection: &Connection) -> rusqlite::Result<()> {
     geopackage::set_extent(connection, "keyframes", extent)
 }
 
+/// Six columns in a row.
+pub(crate) fn pose_from(row: &Row<'_>, first: usize) -> rusqlite::Result<GroundPose> {
+    Ok(GroundPose {
+        x_m: row.get(first)?,
+        y_m: row.get(first + 1)?,
+        heading_rad: row.get(first + 2)?,
+        height_m: row.get(first + 3)?,
+        roll_rad: row.get(first + 4)?,
+        pitch_rad: row.get(first + 5)?,
+    })
+}
+
 /// A keyframe without covariance and signature, and the bytes of those.
 fn read(row: &Row<'_>) -> rusqlite::Result<(MapKeyframe, Vec<u8>, Option<Vec<u8>>)> {
-    let pose = |first: usize| -> rusqlite::Result<GroundPose> {
-        Ok(GroundPose {
-            x_m: row.get(first)?,
-            y_m: row.get(first + 1)?,
-            heading_rad: row.get(first + 2)?,
-            height_m: row.get(first + 3)?,
-            roll_rad: row.get(first + 4)?,
-            pitch_rad: row.get(first + 5)?,
-        })
-    };
+    let pose = |first: usize| pose_from(row, first);
     let keyframe = MapKeyframe {
         id: KeyframeId(row.get(0)?),
         session: row.get(1)?,

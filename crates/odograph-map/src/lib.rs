@@ -7,6 +7,7 @@
 mod complaint;
 mod edges;
 mod file;
+mod frames;
 mod geopackage;
 mod image;
 mod keyframes;
@@ -17,6 +18,7 @@ mod schema;
 mod thinning;
 
 pub use file::{MapFile, Session};
+pub use frames::FrameImages;
 pub use mosaic::MosaicLayer;
-pub use paths::PathFrame;
+pub use paths::{KeyframeMove, PathFrame, carried};
 pub use thinning::Thinning;

@@ -3,8 +3,10 @@
 use crate::complaint::Told;
 use crate::file::MapFile;
 use crate::geopackage::{self, Extent, line_geometry};
+use crate::keyframes::pose_from;
 use odograph::error::Result;
-use odograph::geometry::GroundPose;
+use odograph::geometry::{GroundPose, wrap_angle};
+use odograph::mapping::plane_motion::{laid_from, seen_from};
 use rusqlite::{Connection, Row, params};
 
 /// Where the camera was at one frame.
@@ -43,14 +45,7 @@ impl MapFile {
                 frame: row.get(0)?,
                 segment: row.get(1)?,
                 time_s: row.get(2)?,
-                pose: GroundPose {
-                    x_m: row.get(3)?,
-                    y_m: row.get(4)?,
-                    heading_rad: row.get(5)?,
-                    height_m: row.get(6)?,
-                    roll_rad: row.get(7)?,
-                    pitch_rad: row.get(8)?,
-                },
+                pose: pose_from(row, 3)?,
             })
         };
         let rows = statement.query_map([session], frame).while_reading(&self.complaint)?;
@@ -58,7 +53,66 @@ impl MapFile {
     }
 }
 
-fn write(connection: &Connection, session: u32, frames: &[PathFrame]) -> rusqlite::Result<()> {
+/// A keyframe that goes from one pose to another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KeyframeMove {
+    /// Number of gaps before it in its session.
+    pub segment: usize,
+    /// Its time, seconds.
+    pub time_s: f64,
+    /// Where it was when the path was measured.
+    pub before: GroundPose,
+    /// Where it is.
+    pub after: GroundPose,
+}
+
+impl KeyframeMove {
+    fn take(&self, pose: &GroundPose) -> GroundPose {
+        if self.before == self.after {
+            return *pose;
+        }
+        let scale = self.after.height_m / self.before.height_m;
+        let laid = laid_from(&self.after, &seen_from(&self.before, pose), scale);
+        // Whole turns are kept, and how the camera leaned.
+        let heading_rad = pose.heading_rad + self.after.heading_rad - self.before.heading_rad;
+        GroundPose { heading_rad, roll_rad: pose.roll_rad, pitch_rad: pose.pitch_rad, ..laid }
+    }
+}
+
+/// A session's path after its keyframes, given in their order, were moved: each frame goes with the keyframe before it and the one after it, with the nearer more,
+/// so that the path has no steps.
+pub fn carried(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame> {
+    let carry = |frame: &PathFrame| {
+        let next = keyframes.partition_point(|keyframe| keyframe.time_s <= frame.time_s);
+        let own = |keyframe: &&KeyframeMove| keyframe.segment == frame.segment;
+        let before = next.checked_sub(1).and_then(|at| keyframes.get(at)).filter(own);
+        let after = keyframes.get(next).filter(own);
+        let pose = match (before, after) {
+            (Some(before), Some(after)) => {
+                let share = (frame.time_s - before.time_s) / (after.time_s - before.time_s);
+                between(&before.take(&frame.pose), &after.take(&frame.pose), share)
+            }
+            (Some(keyframe), None) | (None, Some(keyframe)) => keyframe.take(&frame.pose),
+            // A segment that has no keyframe goes with the one before.
+            (None, None) => keyframes.get(next.saturating_sub(1)).map_or(frame.pose, |k| k.take(&frame.pose)),
+        };
+        PathFrame { pose, ..*frame }
+    };
+    path.iter().map(carry).collect()
+}
+
+fn between(a: &GroundPose, b: &GroundPose, share: f64) -> GroundPose {
+    let mean = |a: f64, b: f64| a + share * (b - a);
+    GroundPose {
+        x_m: mean(a.x_m, b.x_m),
+        y_m: mean(a.y_m, b.y_m),
+        heading_rad: a.heading_rad + share * wrap_angle(b.heading_rad - a.heading_rad),
+        height_m: mean(a.height_m, b.height_m),
+        ..*a
+    }
+}
+
+pub(crate) fn write(connection: &Connection, session: u32, frames: &[PathFrame]) -> rusqlite::Result<()> {
     connection.execute("DELETE FROM odograph_frame WHERE session = ?1", [session])?;
     connection.execute("DELETE FROM paths WHERE session = ?1", [session])?;
     let mut statement = connection

@@ -1,6 +1,7 @@
 //! A frame, and the decoded picture it is made of.
 
 use odograph::image::{GrayImage, RgbImage};
+use std::sync::Arc;
 
 /// One frame of a recording.
 #[derive(Debug, Clone)]
@@ -41,6 +42,10 @@ impl Frame {
                     .unwrap_or_else(|| RgbImage::from(&self.gray))
             }
             Some(Color::Chroma(chroma)) => chroma.rgb(&self.gray),
+            Some(Color::Deferred(deferred)) => match deferred.chroma() {
+                Some(chroma) => chroma.rgb(&self.gray),
+                None => RgbImage::from(&self.gray),
+            },
         }
     }
 }
@@ -66,7 +71,35 @@ pub(crate) enum Color {
     Chroma(Chroma),
     /// Interleaved red, green, blue at the gray image's size.
     Rgb(Vec<u8>),
+    /// Not decoded yet: few frames are asked for their colours, and those cost as much as the luminance.
+    Deferred(Deferred),
 }
+
+/// Colour differences that are still in the bytes of their picture.
+#[derive(Debug, Clone)]
+pub(crate) struct Deferred {
+    bytes: Arc<[u8]>,
+    /// Decodes them; `None` where that fails.
+    decode: fn(&[u8]) -> Option<Chroma>,
+}
+
+impl Deferred {
+    pub fn new(bytes: &[u8], decode: fn(&[u8]) -> Option<Chroma>) -> Self {
+        Self { bytes: bytes.into(), decode }
+    }
+
+    pub fn chroma(&self) -> Option<Chroma> {
+        (self.decode)(&self.bytes)
+    }
+}
+
+impl PartialEq for Deferred {
+    fn eq(&self, other: &Self) -> bool {
+        self.bytes == other.bytes
+    }
+}
+
+impl Eq for Deferred {}
 
 /// The two colour-difference planes of a video, as decoded.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -49,18 +49,20 @@ impl Orientation {
         let (new_width, new_height) = self.size(width, height);
         let gray =
             GrayImage::from_samples(new_width, new_height, turned).unwrap_or_else(|| GrayImage::new(0, 0));
-        let color = picture.color.map(|color| match color {
-            Color::Rgb(samples) => Color::Rgb(self.plane::<3>(width, height, &samples)),
-            Color::Chroma(chroma) => {
-                let (chroma_width, chroma_height) = self.size(chroma.width, chroma.height);
-                Color::Chroma(Chroma {
-                    width: chroma_width,
-                    height: chroma_height,
-                    blue: self.plane::<1>(chroma.width, chroma.height, &chroma.blue),
-                    red: self.plane::<1>(chroma.width, chroma.height, &chroma.red),
-                    encoding: chroma.encoding,
-                })
-            }
+        let turned = |chroma: Chroma| {
+            let (new_width, new_height) = self.size(chroma.width, chroma.height);
+            Color::Chroma(Chroma {
+                width: new_width,
+                height: new_height,
+                blue: self.plane::<1>(chroma.width, chroma.height, &chroma.blue),
+                red: self.plane::<1>(chroma.width, chroma.height, &chroma.red),
+                encoding: chroma.encoding,
+            })
+        };
+        let color = picture.color.and_then(|color| match color {
+            Color::Rgb(samples) => Some(Color::Rgb(self.plane::<3>(width, height, &samples))),
+            Color::Chroma(chroma) => Some(turned(chroma)),
+            Color::Deferred(deferred) => deferred.chroma().map(turned),
         });
         Picture { gray, color }
     }

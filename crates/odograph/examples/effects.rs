@@ -232,6 +232,24 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
+/// A row's medians, as a line of the table.
+fn line(row: &Row, results: &[std::result::Result<Figures, String>]) -> String {
+    let of = |what: fn(&Figures) -> f64| median(results.iter().flatten().map(what));
+    let failed = results.iter().find_map(|result| result.as_ref().err());
+    format!(
+        "| {} | {} | {:.1} % | {:.4} % | {:.4}° | {:.2} mm | {:.3}° | {:.2} |{}",
+        row.name,
+        row.texture,
+        of(|f| f.posed_percent),
+        of(|f| f.drift_percent),
+        of(|f| f.heading_deg_per_m),
+        of(|f| f.end_mm),
+        of(|f| f.end_deg),
+        of(|f| f.nees),
+        failed.map_or(String::new(), |error| format!(" {error}")),
+    )
+}
+
 fn main() -> Result<()> {
     let (mut first_seed, mut seeds) = (0, 5);
     let mut words = Vec::new();
@@ -255,41 +273,29 @@ fn main() -> Result<()> {
     let jobs: Vec<(usize, u64)> = (0..rows.len())
         .flat_map(|row| (first_seed..first_seed + seeds).map(move |seed| (row, seed)))
         .collect();
-    let results = Mutex::new(vec![Vec::new(); rows.len()]);
+    println!("Medians over {seeds} seeds from {first_seed}.\n");
+    println!(
+        "| recording | ground | frames posed | error over each metre | heading over each metre | at the end | heading at the end | NEES (3 is true) |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    // A line is printed as soon as it and those above it are known.
+    let results = Mutex::new((vec![Vec::new(); rows.len()], 0));
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
         for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
             scope.spawn(|| {
                 while let Some(&(row, seed)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
                     let result = measure(&rows[row], seed);
-                    if let Ok(mut results) = results.lock() {
-                        results[row].push(result.map_err(|error| error.to_string()));
+                    let Ok(mut known) = results.lock() else { continue };
+                    let (results, printed) = &mut *known;
+                    results[row].push(result.map_err(|error| error.to_string()));
+                    while results.get(*printed).is_some_and(|results| results.len() as u64 == seeds) {
+                        println!("{}", line(&rows[*printed], &results[*printed]));
+                        *printed += 1;
                     }
                 }
             });
         }
     });
-    println!("Medians over {seeds} seeds from {first_seed}.\n");
-    println!(
-        "| recording | ground | frames posed | error over each metre | heading over each metre | at the end | heading at the end | NEES (3 is true) |"
-    );
-    println!("|---|---|---|---|---|---|---|---|");
-    for (row, results) in rows.iter().zip(results.into_inner().unwrap_or_default()) {
-        let failed = results.iter().filter_map(|result| result.as_ref().err()).next().cloned();
-        let good: Vec<Figures> = results.into_iter().flatten().collect();
-        let of = |what: fn(&Figures) -> f64| median(good.iter().map(what));
-        println!(
-            "| {} | {} | {:.1} % | {:.4} % | {:.4}° | {:.2} mm | {:.3}° | {:.2} |{}",
-            row.name,
-            row.texture,
-            of(|f| f.posed_percent),
-            of(|f| f.drift_percent),
-            of(|f| f.heading_deg_per_m),
-            of(|f| f.end_mm),
-            of(|f| f.end_deg),
-            of(|f| f.nees),
-            failed.map_or(String::new(), |error| format!(" {error}")),
-        );
-    }
     Ok(())
 }

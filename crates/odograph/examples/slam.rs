@@ -27,6 +27,7 @@ struct Drive {
     size: (usize, usize),
     height_m: f64,
     noise_gray: f64,
+    fps: f64,
 }
 
 fn camera((width, height): (usize, usize)) -> Result<Camera> {
@@ -58,6 +59,7 @@ fn drives() -> Vec<Drive> {
         size: (640, 480),
         height_m: 0.75,
         noise_gray: 2.0,
+        fps: 30.0,
     };
     let degree = 1f64.to_radians();
     vec![
@@ -71,27 +73,32 @@ fn drives() -> Vec<Drive> {
         Drive {
             size: (320, 240),
             noise_gray: 10.0,
+            fps: 15.0,
             ..drive("lanes, poor picture", "concrete", lanes, (0.0, 0.0))
         },
         Drive {
             size: (320, 240),
             noise_gray: 10.0,
+            fps: 15.0,
             ..drive("lanes, poor picture", "carpet", lanes, (0.0, 0.0))
         },
         Drive {
             size: (320, 240),
             noise_gray: 10.0,
+            fps: 15.0,
             ..drive("large eight, poor picture", "asphalt", large, (0.0, 0.0))
         },
         Drive {
             size: (320, 240),
             noise_gray: 10.0,
+            fps: 15.0,
             ..drive("large eight, poor picture", "tiles", large, (0.0, 0.0))
         },
         Drive {
             speed_m_s: 2.0,
+            // A fifth to a quarter of the view a frame, which is enough to be followed and takes a minute or two.
+            fps: 10.0,
             size: (320, 240),
-            height_m: 1.0,
             ..drive(
                 "kilometre at random, rig off",
                 "asphalt",
@@ -144,7 +151,7 @@ fn line(drive: &Drive) -> Result<String> {
         texture: Texture::named(drive.texture).unwrap_or(Texture::Asphalt),
         path: Path::new(drive.path, drive.speed_m_s, 1.0, true)?,
         effects: Effects { noise_gray: drive.noise_gray, ..Effects::default() },
-        fps: if drive.size.0 < 640 { 15.0 } else { 30.0 },
+        fps: drive.fps,
         duration_s: None,
         colored: false,
         seed: 5,
@@ -164,6 +171,13 @@ fn line(drive: &Drive) -> Result<String> {
             mapper.take(event, None, &mut images)?;
             if made {
                 times_ms.push(1e3 * started.elapsed().as_secs_f64());
+                if times_ms.len() % 500 == 0 {
+                    let (keyframes, loops) = (times_ms.len(), mapper.closures().len());
+                    println!(
+                        "  {:.0} s: {keyframes} keyframes, {loops} loops",
+                        frames.len() as f64 / drive.fps
+                    );
+                }
             }
         }
     }

@@ -99,6 +99,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     odometry.motion.model = MotionModel::from(arguments.motion);
     let plan = RunPlan {
         odograph: env!("CARGO_PKG_VERSION").to_owned(),
+        reference: None,
         source: source_plan,
         camera,
         rig,

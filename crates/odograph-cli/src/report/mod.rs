@@ -8,7 +8,7 @@ mod parts;
 mod plot;
 mod raster;
 
-pub use page::{ReportInput, ReportMosaic, html};
+pub use page::{ReportInput, ReportMosaic, ReportReference, html};
 pub use raster::{MAP_WIDTH_PX, drawing_png, gray_picture};
 
 #[cfg(test)]

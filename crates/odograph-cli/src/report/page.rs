@@ -36,6 +36,28 @@ pub struct ReportInput<'a> {
     pub warnings: &'a [String],
     /// What became of the sensors beside the camera.
     pub sensors: &'a [SensorReport],
+    /// A path from elsewhere, where one was given.
+    pub reference: Option<&'a ReportReference>,
+}
+
+/// A path from elsewhere beside that of the run.
+pub struct ReportReference {
+    /// Both paths from above, a whole SVG document.
+    pub svg: String,
+    /// Name of its file; any text.
+    pub name: String,
+    /// How many frames have a time in it.
+    pub compared: usize,
+    /// Its length over those, metres.
+    pub length_m: f64,
+    /// What the lengths of the run were multiplied by; `None` where the paths do not tell it.
+    pub scale: Option<f64>,
+    /// How far apart the two are then, metres.
+    pub rms_m: f64,
+    /// The median of that.
+    pub median_m: f64,
+    /// The most.
+    pub most_m: f64,
 }
 
 /// The mosaic as the report shows it.
@@ -60,6 +82,7 @@ pub fn html(input: &ReportInput<'_>) -> String {
     warnings(input.warnings, &mut page);
     cards(&figures, &mut page);
     ground(input, &mut page);
+    beside(input.reference, &mut page);
     over_time(input.frames, &figures, &mut page);
     doubts(input.frames, &figures, &mut page);
     sensors(input.sensors, &mut page);
@@ -203,6 +226,25 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
             data_uri("image/png", mosaic.png)
         );
     }
+}
+
+fn beside(reference: Option<&ReportReference>, page: &mut String) {
+    let Some(reference) = reference else { return };
+    let scale = reference.scale.map_or(String::new(), |scale| {
+        format!(" Its lengths were multiplied by {scale:.5}; 1 is a scale that agrees.")
+    });
+    let _ = writeln!(
+        page,
+        "<h2>Beside {}</h2>\n<figure><figcaption><span>{} frames have a time in it, over {} of its way. Laid onto it by a turn, a shift and a scale, the path of \
+         the run is <b>{}</b> off (root mean square; median {}, at most {}).{scale}</span></figcaption>\n{}</figure>",
+        escape(&reference.name),
+        reference.compared,
+        length_text(reference.length_m),
+        length_text(reference.rms_m),
+        length_text(reference.median_m),
+        length_text(reference.most_m),
+        reference.svg
+    );
 }
 
 fn doubts(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {

@@ -98,6 +98,7 @@ fn report(frames: &[FrameEstimate], title: &str, warnings: &[String]) -> String 
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\n",
         warnings,
         sensors: &[],
+        reference: None,
     })
 }
 
@@ -274,6 +275,7 @@ fn a_look() {
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\nseed = 1\n",
         warnings: &["the video ends in the middle of a frame; 900 of about 905 frames were read".into()],
         sensors: &[],
+        reference: None,
     });
     crate::files::write(&folder.join("report.html"), page.as_bytes()).unwrap();
 }

@@ -87,19 +87,22 @@ impl Serving {
         self.url.trim_start_matches("http://").split('/').next().unwrap().to_owned()
     }
 
-    /// The body of an answer.
+    /// The body of an answer, which must be text.
     pub fn get(&self, path: &str) -> String {
+        let body = self.answer(path).unwrap_or_else(|head| panic!("{path}: {head}"));
+        String::from_utf8(body).unwrap()
+    }
+
+    /// The body of an answer, or the head of one that has none to give.
+    pub fn answer(&self, path: &str) -> Result<Vec<u8>, String> {
         let mut stream = TcpStream::connect(self.address()).unwrap();
-        stream
-            .write_all(
-                format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").as_bytes(),
-            )
-            .unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-        assert!(head.starts_with("HTTP/1.1 200"), "{path}: {head}");
-        body.to_owned()
+        let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap();
+        let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+        if head.starts_with("HTTP/1.1 200") { Ok(answer.split_off(end + 4)) } else { Err(head) }
     }
 
     /// Asks it to end, and waits until it has.

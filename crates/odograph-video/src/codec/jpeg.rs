@@ -1,7 +1,7 @@
 //! JPEG (ITU-T T.81), single pictures and the frames of Motion JPEG.
 
 use super::{Decoded, Decoder, Refusal, Stamp};
-use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture, picture_from_rgb};
+use crate::frame::{Chroma, Color, ColorEncoding, Deferred, Matrix, Picture, picture_from_rgb};
 use crate::guard::guarded;
 use crate::limits;
 use odograph::error::{Error, Result};
@@ -11,42 +11,55 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// Decodes a picture: the luminance as it stands where the file stores it, otherwise from red, green and blue.
+fn options() -> DecoderOptions {
+    DecoderOptions::default()
+        .set_max_width(limits::MAX_SIDE)
+        .set_max_height(limits::MAX_SIDE)
+        .set_strict_mode(false)
+}
+
+/// Decodes a picture: the luminance as it stands where the file stores it, and its colours not before they are asked for; otherwise from red,
+/// green and blue.
 ///
 /// May panic in the decoder; callers guard it.
 pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     let damaged =
         |error: &dyn std::fmt::Display| Error::input(format!("the JPEG picture cannot be decoded: {error}"));
-    let options = DecoderOptions::default()
-        .set_max_width(limits::MAX_SIDE)
-        .set_max_height(limits::MAX_SIDE)
-        .set_strict_mode(false);
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options());
     decoder.decode_headers().map_err(|e| damaged(&e))?;
     let info = decoder.info().ok_or_else(|| damaged(&"it has no head"))?;
     let (width, height) = (usize::from(info.width), usize::from(info.height));
-    let pixels = limits::check_size(width, height)?;
-    let wanted = match decoder.input_colorspace() {
-        Some(ColorSpace::Luma) => ColorSpace::Luma,
-        Some(ColorSpace::YCbCr) if color => ColorSpace::YCbCr,
-        Some(ColorSpace::YCbCr) => ColorSpace::Luma,
-        _ => ColorSpace::RGB,
+    limits::check_size(width, height)?;
+    let (wanted, deferred) = match decoder.input_colorspace() {
+        Some(ColorSpace::Luma) => (ColorSpace::Luma, false),
+        Some(ColorSpace::YCbCr) => (ColorSpace::Luma, color),
+        _ => (ColorSpace::RGB, false),
     };
-    decoder.set_options(options.jpeg_set_out_colorspace(wanted));
+    decoder.set_options(options().jpeg_set_out_colorspace(wanted));
     let samples = decoder.decode().map_err(|e| damaged(&e))?;
     let picture = match wanted {
-        ColorSpace::Luma => GrayImage::from_samples(width, height, samples).map(Picture::gray),
-        ColorSpace::YCbCr if samples.len() == 3 * pixels => {
-            let plane =
-                |channel: usize| samples.iter().copied().skip(channel).step_by(3).collect::<Vec<u8>>();
-            let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: true };
-            let chroma = Chroma { width, height, blue: plane(1), red: plane(2), encoding };
-            GrayImage::from_samples(width, height, plane(0))
-                .map(|gray| Picture { gray, color: Some(Color::Chroma(chroma)) })
-        }
+        ColorSpace::Luma => GrayImage::from_samples(width, height, samples).map(|gray| {
+            let color = deferred.then(|| Color::Deferred(Deferred::new(bytes, chroma)));
+            Picture { gray, color }
+        }),
         _ => picture_from_rgb(width, height, samples, color),
     };
     picture.ok_or_else(|| damaged(&"it does not have as many samples as its size says"))
+}
+
+/// The colour differences of a picture whose luminance could be decoded.
+fn chroma(bytes: &[u8]) -> Option<Chroma> {
+    let whole = || {
+        let options = options().jpeg_set_out_colorspace(ColorSpace::YCbCr);
+        let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+        let samples = decoder.decode().ok()?;
+        let info = decoder.info()?;
+        let plane = |channel: usize| samples.chunks_exact(3).map(|pixel| pixel[channel]).collect();
+        let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: true };
+        let (width, height) = (usize::from(info.width), usize::from(info.height));
+        Some(Chroma { width, height, blue: plane(1), red: plane(2), encoding }).filter(Chroma::is_whole)
+    };
+    guarded("JPEG", whole).ok()?
 }
 
 /// Motion JPEG: every sample is a picture of its own.

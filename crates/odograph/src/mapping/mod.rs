@@ -13,5 +13,8 @@ pub mod mosaic;
 
 pub use drawing::{Backdrop, MapDrawing};
 pub use ground_map::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
-pub use mosaic::{MOSAIC_TILE_PX, MapMosaic, Mosaic, MosaicOptions, MosaicPicture, MosaicSquare, MosaicTile};
+pub use mosaic::{
+    Coverage, MOSAIC_TILE_PX, MapMosaic, Mosaic, MosaicBands, MosaicOptions, MosaicPicture, MosaicSquare,
+    MosaicTile,
+};
 pub use placement::Placement;

@@ -5,6 +5,7 @@
 //! fine, as often as needed. Overlapping frames are averaged with weights that favour the middle of the image and the
 //! steeper view (feathering), after each frame's brightness has been fitted to the ground that is already there.
 
+mod coverage;
 mod footprint;
 mod laying;
 mod relaid;
@@ -15,10 +16,13 @@ use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::image::{GrayImage, RgbImage};
 use crate::mapping::Placement;
+pub use coverage::Coverage;
 use footprint::{Footprint, View};
 use laying::{BLOCK, Blocks, Corner, feather};
 pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
 use sampling::Samples;
+use std::borrow::Cow;
+use std::ops::Range;
 use tiles::{TILE, Tiles};
 
 /// Share of the footprint that must be new, or seen at least twice as well as before, for a frame to be wanted.
@@ -76,6 +80,36 @@ pub struct MosaicPicture {
     pub rgba: Vec<u8>,
     /// Where it lies.
     pub placement: Placement,
+}
+
+/// A picture of the ground, world x to the right and world y up, as bands of rows from top to bottom: red, green, blue and opacity of each pixel in
+/// row order, as in [`MosaicPicture::rgba`].
+#[derive(Debug)]
+pub struct MosaicBands<'a> {
+    /// Columns.
+    pub width: usize,
+    /// Rows of all bands.
+    pub height: usize,
+    /// Where it lies.
+    pub placement: Placement,
+    tiles: Cow<'a, Tiles>,
+    columns: Range<i64>,
+    /// What is left.
+    rows: Range<i64>,
+}
+
+impl Iterator for MosaicBands<'_> {
+    type Item = Vec<u8>;
+
+    fn next(&mut self) -> Option<Vec<u8>> {
+        if self.rows.is_empty() {
+            return None;
+        }
+        let next_tile = (self.rows.start.div_euclid(TILE) + 1) * TILE;
+        let band = self.rows.start..self.rows.end.min(next_tile);
+        self.rows.start = band.end;
+        Some(self.tiles.rgba(&self.columns, &band))
+    }
 }
 
 /// A square of the stored ground, [`Mosaic::TILE_SIDE_PX`] pixels a side: column and row count from the world's origin, columns along x and
@@ -231,13 +265,20 @@ impl Mosaic {
 
     /// The picture made coarser by halves until no side is longer than `max_side_px`.
     pub fn picture_within(&self, max_side_px: usize) -> Option<MosaicPicture> {
+        let bands = self.bands(max_side_px)?;
+        let (width, height, placement) = (bands.width, bands.height, bands.placement);
+        let mut rgba = Vec::with_capacity(4 * width * height);
+        bands.for_each(|band| rgba.extend(band));
+        Some(MosaicPicture { width, height, rgba, placement })
+    }
+
+    /// The picture of [`Mosaic::picture_within`] from top to bottom, a band of rows at a time: for writing it without having it in memory.
+    pub fn bands(&self, max_side_px: usize) -> Option<MosaicBands<'_>> {
         let mut resolution_m = self.resolution_m?;
-        let mut coarser: Option<Tiles> = None;
+        let mut tiles = Cow::Borrowed(&self.tiles);
         for _ in 0..200 {
-            let tiles = coarser.as_ref().unwrap_or(&self.tiles);
             let (columns, rows) = tiles.extent()?;
-            let size =
-                |range: &std::ops::Range<i64>| usize::try_from(range.end - range.start).unwrap_or(usize::MAX);
+            let size = |range: &Range<i64>| usize::try_from(range.end - range.start).unwrap_or(usize::MAX);
             let (width, height) = (size(&columns), size(&rows));
             let area = width.saturating_mul(height);
             if width.max(height) <= max_side_px.max(1) && area <= self.options.max_pixels.max(1) {
@@ -246,9 +287,9 @@ impl Mosaic {
                     x_m: (columns.start as f64 + 0.5) * resolution_m,
                     y_m: -(rows.start as f64 + 0.5) * resolution_m,
                 };
-                return Some(MosaicPicture { width, height, rgba: tiles.rgba(&columns, &rows), placement });
+                return Some(MosaicBands { width, height, placement, tiles, columns, rows });
             }
-            coarser = Some(tiles.halved());
+            tiles = Cow::Owned(tiles.halved());
             resolution_m *= 2.0;
         }
         None

@@ -90,7 +90,19 @@ impl Matcher {
     /// The part of a keyframe at height, roll and pitch of `from` that one at those of `to` has in view, seen at `motion`.
     pub fn overlap(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> f64 {
         let from = at_origin(from);
-        seen_share(&from, &self.rays, &self.camera, &ViewingPose::new(placed(&from, to, motion)))
+        seen_share(&from, &self.rays, &self.camera, &ViewingPose::new(self.placed(&from, to, motion)))
+    }
+
+    /// Where a camera with roll and pitch of `to` is that `from` sees at `motion`. Its height is that of `to` too, unless heights drift: then what was
+    /// seen of it counts.
+    fn placed(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> GroundPose {
+        let laid = laid_from(from, motion, 1.0);
+        let height_m = if self.scale_is_free() { laid.height_m } else { to.height_m };
+        GroundPose { height_m, roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..laid }
+    }
+
+    fn scale_is_free(&self) -> bool {
+        matches!(self.config.motion.model, MotionModel::Similarity | MotionModel::Free)
     }
 
     /// Metres on the ground that a pixel in the middle of an image covers.
@@ -113,7 +125,7 @@ impl Matcher {
         off_px: f64,
     ) -> Option<Sighting> {
         let keyframe = &sought.keyframe;
-        let prediction = placed(&keyframe.pose, &pictured.pose, motion);
+        let prediction = self.placed(&keyframe.pose, &pictured.pose, motion);
         let (camera, config) = (&self.camera, &self.config);
         // Height and tilt of both are known; where the recording shows otherwise the prior opens.
         let wander = RigWander::new(&prediction);
@@ -137,12 +149,12 @@ impl Matcher {
         if still && !leans_alike(&prediction, &found.estimate.pose, CONTRADICTING) {
             return None;
         }
-        self.sighting(keyframe, &found)
+        self.sighting(keyframe, &found, if still { UNMODELLED_PX } else { UNMODELLED_MOVING_PX })
     }
 
-    fn sighting(&self, keyframe: &Keyframe, found: &Measurement) -> Option<Sighting> {
+    fn sighting(&self, keyframe: &Keyframe, found: &Measurement, off_px: f64) -> Option<Sighting> {
         let pose = &found.estimate.pose;
-        let off_px = UNMODELLED_PX.powi(2);
+        let off_px = off_px.powi(2);
         let off_m2 = off_px * self.pixel_m(&keyframe.pose).powi(2);
         let off_rad2 = off_px / (0.5 * self.camera.width().min(self.camera.height()) as f64).powi(2);
         let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));
@@ -169,9 +181,11 @@ impl Matcher {
             pictured.view = self.registration.view(&pictured.pyramid, &pictured.pose);
         }
         let (Some(from), Some(to)) = (sought.keyframe.view(), &pictured.view) else { return Vec::new() };
-        let scale_free = matches!(self.config.motion.model, MotionModel::Similarity | MotionModel::Free);
-        let options =
-            CoarseOptions { heading_rad: (motion[2], heading_off_rad), scale_free, ..Default::default() };
+        let options = CoarseOptions {
+            heading_rad: (motion[2], heading_off_rad),
+            scale_free: self.scale_is_free(),
+            ..Default::default()
+        };
         let here = &sought.keyframe.pose;
         let guess = |hypothesis: crate::motion::Hypothesis| Guess {
             motion: seen_from(here, &hypothesis.pose(here, &pictured.pose)),
@@ -181,8 +195,10 @@ impl Matcher {
     }
 }
 
-/// What lens, tilt and interpolation leave of a piece of ground seen from elsewhere and turned about, pixels: one standard deviation.
-const UNMODELLED_PX: f64 = 0.1;
+/// What lens and interpolation leave of a piece of ground seen from elsewhere and turned about, pixels: one standard deviation. Rendered drives show
+/// 0.02 where nothing but the carrier moves; where height and tilt do, each keyframe knows its own to a ten-thousandth, and that looks like a shift.
+const UNMODELLED_PX: f64 = 0.03;
+const UNMODELLED_MOVING_PX: f64 = 0.1;
 
 /// Parts of the height, and radians: less than `STILL` between two keyframes is a camera that sits still; more than `CONTRADICTING` is then
 /// not what moved.
@@ -197,10 +213,4 @@ fn leans_alike(a: &GroundPose, b: &GroundPose, most: f64) -> bool {
 
 fn at_origin(pose: &GroundPose) -> GroundPose {
     GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*pose }
-}
-
-/// Where a camera with height, roll and pitch of `to` is that `from` sees at `motion`.
-fn placed(from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> GroundPose {
-    let laid = laid_from(from, motion, 1.0);
-    GroundPose { roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..laid }
 }

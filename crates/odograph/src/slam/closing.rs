@@ -26,7 +26,10 @@ impl Mapper {
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
         let near = {
-            let known = |id: KeyframeId| self.keyframe(id).map(|keyframe| keyframe.odometry_pose);
+            let compared = |id: KeyframeId| id == new || self.own_loops || !self.is_new(id);
+            let known = |id: KeyframeId| {
+                self.keyframe(id).filter(|_| compared(id)).map(|keyframe| keyframe.odometry_pose)
+            };
             candidates::candidates(&self.graph, new, &known, &self.matcher, &self.config)
         };
         let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);

@@ -25,7 +25,7 @@ pub struct Mapper {
     pub(super) matcher: Matcher,
     pub(super) graph: PoseGraph,
     pub(super) places: PlaceIndex,
-    places_config: PlacesConfig,
+    pub(super) places_config: PlacesConfig,
     pub(super) map: GroundMap,
     /// Where in the map each keyframe is.
     index: BTreeMap<KeyframeId, usize>,
@@ -37,6 +37,8 @@ pub struct Mapper {
     /// The run that is being mapped, and what its keyframes' numbers begin with.
     session: u32,
     first: u64,
+    /// Whether keyframes of the run are compared with each other: not where all that ties them is known.
+    pub(super) own_loops: bool,
 }
 
 /// An optimisation while running takes at most so many steps: what is left, the next brings.
@@ -65,6 +67,7 @@ impl Mapper {
             places_config,
             session: 0,
             first: 0,
+            own_loops: true,
             map: GroundMap { camera: camera.clone(), rig, keyframes: Vec::new(), edges: Vec::new() },
             index: BTreeMap::new(),
             closures: Vec::new(),
@@ -101,7 +104,7 @@ impl Mapper {
 
     /// Whether the session's keyframes are tied to the map that it continues; always where it continues none.
     pub fn is_recognised(&self) -> bool {
-        let new = self.map.keyframes.iter().find(|keyframe| keyframe.session == self.session);
+        let new = self.map.keyframes.iter().find(|keyframe| self.is_new(keyframe.id));
         match (self.map.keyframes.first(), new) {
             (Some(old), Some(new)) => old.id == new.id || self.graph.are_connected(old.id, new.id),
             _ => true,
@@ -124,20 +127,8 @@ impl Mapper {
     ) -> Result<()> {
         match event {
             KeyframeEvent::Made(new) => {
-                let new = *new;
-                let sought = self.matcher.sought(new.image.clone(), &new.pose);
-                let signature = sought.signature(&self.map.camera, &self.places_config);
-                let id = self.insert(&new, signature);
                 let ties: Vec<MapEdge> = new.tie.map(|tie| self.renumbered(tie)).into_iter().collect();
-                if let Some(keyframe) = self.keyframe(id) {
-                    images.keep(keyframe, KeyframeImage { gray: new.image, color }, &ties)?;
-                }
-                if self.config.loops {
-                    self.close_loops(id, sought, images)?;
-                }
-                if let Some(keyframe) = self.index.get(&id).map(|&at| &self.map.keyframes[at]) {
-                    self.places.insert(id, &keyframe.signature);
-                }
+                self.made(*new, self.session, &ties, color, images)?;
             }
             KeyframeEvent::Revisited(edge) if self.config.loops => {
                 let edge = self.renumbered(edge);
@@ -145,14 +136,44 @@ impl Mapper {
             }
             KeyframeEvent::Revisited(_) => {}
         }
-        if self.unsettled > 0 && self.is_due() {
-            self.settle(STEPS_ON_THE_WAY);
+        self.settle_where_due();
+        Ok(())
+    }
+
+    /// Takes a new keyframe of a session, with the edges to the keyframes of the map that are known to it.
+    pub(super) fn made(
+        &mut self,
+        new: NewKeyframe,
+        session: u32,
+        ties: &[MapEdge],
+        color: Option<RgbImage>,
+        images: &mut dyn KeyframeStore,
+    ) -> Result<()> {
+        let sought = self.matcher.sought(new.image.clone(), &new.pose);
+        let signature = sought.signature(&self.map.camera, &self.places_config);
+        let id = self.insert(&new, session, ties, signature);
+        if let Some(keyframe) = self.keyframe(id) {
+            images.keep(keyframe, KeyframeImage { gray: new.image, color }, ties)?;
+        }
+        if self.config.loops {
+            self.close_loops(id, sought, images)?;
+        }
+        if let Some(keyframe) = self.index.get(&id).map(|&at| &self.map.keyframes[at])
+            && self.own_loops
+        {
+            self.places.insert(id, &keyframe.signature);
         }
         Ok(())
     }
 
+    /// Whether a keyframe is of the run that is being mapped.
+    pub(super) fn is_new(&self, id: KeyframeId) -> bool {
+        id.0 >= self.first
+    }
+
     /// Ends the session: every pose is where all edges agree best, with its covariance.
     pub fn finish(&mut self) {
+        self.graph.doubt_mount();
         self.settle(STEPS_AT_THE_END);
         if !self.is_straightened() {
             return;
@@ -203,20 +224,24 @@ impl Mapper {
 
     /// Where a pose that was measured against a keyframe is in the map as known now; `None` where there is no such keyframe.
     pub fn in_map(&self, keyframe: KeyframeId, odometry: &GroundPose) -> Option<GroundPose> {
-        let keyframe = self.of_run(keyframe)?;
+        Some(Self::in_map_beside(self.of_run(keyframe)?, odometry))
+    }
+
+    /// Where a pose in the odometry frame of a keyframe is in the map, as that keyframe has it.
+    fn in_map_beside(keyframe: &MapKeyframe, odometry: &GroundPose) -> GroundPose {
         if keyframe.pose == keyframe.odometry_pose {
-            return Some(*odometry);
+            return *odometry;
         }
         let scale = keyframe.pose.height_m / keyframe.odometry_pose.height_m;
         let laid = laid_from(&keyframe.pose, &seen_from(&keyframe.odometry_pose, odometry), scale);
         let turned = keyframe.pose.heading_rad - keyframe.odometry_pose.heading_rad;
-        Some(GroundPose {
+        GroundPose {
             // Whole turns are kept.
             heading_rad: odometry.heading_rad + turned,
             roll_rad: odometry.roll_rad,
             pitch_rad: odometry.pitch_rad,
             ..laid
-        })
+        }
     }
 
     /// A keyframe by its number in the run.
@@ -225,7 +250,7 @@ impl Mapper {
     }
 
     /// An edge between keyframes of the run, with their numbers in the map.
-    fn renumbered(&self, edge: MapEdge) -> MapEdge {
+    pub(super) fn renumbered(&self, edge: MapEdge) -> MapEdge {
         let [from, to] = [edge.from, edge.to].map(|id| KeyframeId(self.first + id.0));
         MapEdge { from, to, ..edge }
     }
@@ -245,18 +270,25 @@ impl Mapper {
         self.index.get(&id).map(|&at| &self.map.keyframes[at])
     }
 
-    /// Lays a new keyframe in the map, where the one it was measured against has it.
-    fn insert(&mut self, new: &NewKeyframe, signature: Signature) -> KeyframeId {
+    /// Lays a new keyframe in the map, where the first that it is tied to has it.
+    fn insert(
+        &mut self,
+        new: &NewKeyframe,
+        session: u32,
+        ties: &[MapEdge],
+        signature: Signature,
+    ) -> KeyframeId {
         let id = KeyframeId(self.first + new.id.0);
-        let pose = match &new.tie {
-            Some(tie) if self.is_straightened() => self.in_map(tie.from, &new.pose).unwrap_or(new.pose),
+        let known = ties.first().map(|tie| if tie.from == id { tie.to } else { tie.from });
+        let pose = match known.and_then(|known| self.keyframe(known)) {
+            Some(known) if self.is_straightened() => Self::in_map_beside(known, &new.pose),
             _ => new.pose,
         };
         self.graph.insert(id, pose, new.pose.height_m);
         self.index.insert(id, self.map.keyframes.len());
         self.map.keyframes.push(MapKeyframe {
             id,
-            session: self.session,
+            session,
             segment: new.segment,
             frame: new.frame,
             time_s: new.time_s,
@@ -265,9 +297,9 @@ impl Mapper {
             covariance: new.covariance,
             signature,
         });
-        if let Some(tie) = new.tie.map(|tie| self.renumbered(tie)) {
-            self.graph.tie(&tie);
-            self.map.edges.push(tie);
+        for tie in ties {
+            self.graph.tie(tie);
+            self.map.edges.push(*tie);
         }
         id
     }
@@ -277,6 +309,12 @@ impl Mapper {
         let last = self.map.edges.iter().rev().filter(|edge| edge.kind == EdgeKind::Loop);
         let bent = last.take(1).any(|edge| self.graph.misfit(edge).is_some_and(|misfit| misfit > MISFIT));
         bent || 20 * self.unsettled > self.map.keyframes.len()
+    }
+
+    pub(super) fn settle_where_due(&mut self) {
+        if self.unsettled > 0 && self.is_due() {
+            self.settle(STEPS_ON_THE_WAY);
+        }
     }
 
     /// Optimises, and takes the poses over into the map.

@@ -10,6 +10,7 @@ mod closure;
 mod correction;
 mod fused;
 mod images;
+mod locate;
 mod mapper;
 mod merge;
 mod recognition;
@@ -17,6 +18,7 @@ mod recognition;
 pub use closure::LoopClosure;
 pub use correction::map_frames;
 pub use images::{KeyframeStore, MemoryImages};
+pub use locate::Located;
 pub use mapper::Mapper;
 pub use merge::{Merged, merge, optimize};
 

@@ -1,7 +1,7 @@
 //! `odograph evaluate`: how far an estimated trajectory is from the truth.
 
 mod figures;
-mod plot;
+pub mod plot;
 mod table;
 
 use crate::{Outcome, files};
@@ -185,6 +185,11 @@ fn check_plot(path: &Path, force: bool) -> Result<()> {
 struct Loaded {
     trajectory: Trajectory,
     timed: bool,
+}
+
+/// A trajectory of whichever form it has.
+pub fn trajectory_in(path: &Path) -> Result<Trajectory> {
+    read_trajectory(path, None, None).map(|read| read.trajectory)
 }
 
 fn read_trajectory(path: &Path, format: Option<Format>, times_s: Option<&[f64]>) -> Result<Loaded> {

@@ -31,7 +31,7 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
         "<text x=\"{LEFT}\" y=\"50\">absolute position error: rmse {:.6} m, largest {:.6} m; path {:.3} m</text>",
         evaluation.absolute.translation.rmse, evaluation.absolute.translation.max, evaluation.truth_length_m
     );
-    draw_paths(&mut out, &view, evaluation);
+    draw_paths(&mut out, &view, evaluation, "truth");
     let start_s = evaluation.pairs.first().map_or(0.0, |pair| pair.time_s);
     let degrees: Vec<f64> = evaluation.absolute.rotation_rad.iter().map(|angle| angle.to_degrees()).collect();
     let position_m = &evaluation.absolute.translation_m;
@@ -57,6 +57,19 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
         0.5 * (LEFT + RIGHT),
         height - 14.0
     );
+    out.push_str("</svg>\n");
+    out
+}
+
+/// Only the paths, from above: an SVG element that fits into a page.
+pub fn from_above(evaluation: &Evaluation, truth: &Trajectory) -> String {
+    let view = View::along(evaluation, truth, |_| (0, 1));
+    let (top, height) = (TOP - 10.0, view.bottom - TOP + 60.0);
+    let mut out = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 {top} {WIDTH} {height}\" font-family=\"sans-serif\" font-size=\"13\" fill=\"#222222\">\n\
+         <rect y=\"{top}\" width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n"
+    );
+    draw_paths(&mut out, &view, evaluation, "reference");
     out.push_str("</svg>\n");
     out
 }
@@ -107,11 +120,20 @@ struct View {
 
 impl View {
     fn of(evaluation: &Evaluation, truth: &Trajectory) -> Self {
+        Self::along(evaluation, truth, seen_axes)
+    }
+
+    /// Seen so that `axes` of the paths' extents go across and up.
+    fn along(
+        evaluation: &Evaluation,
+        truth: &Trajectory,
+        axes: impl FnOnce([f64; 3]) -> (usize, usize),
+    ) -> Self {
         let position = |pose: &nalgebra::Isometry3<f64>| <[f64; 3]>::from(pose.translation.vector);
         let truth: Vec<_> = truth.poses.iter().map(|pose| position(&pose.world_from_camera)).collect();
         let estimate: Vec<_> = evaluation.pairs.iter().map(|pair| position(&pair.estimate)).collect();
         let (low, high) = bounds(truth.iter().chain(&estimate));
-        let (across, up) = seen_axes([0, 1, 2].map(|i| high[i] - low[i]));
+        let (across, up) = axes([0, 1, 2].map(|i| high[i] - low[i]));
         // A margin of 5 %, and at least a millimetre to look at.
         let wide_m = (high[across] - low[across]).max(1e-3) * 1.1;
         let tall_m = (high[up] - low[up]) * 1.1;
@@ -129,7 +151,7 @@ impl View {
     }
 }
 
-fn draw_paths(out: &mut String, view: &View, evaluation: &Evaluation) {
+fn draw_paths(out: &mut String, view: &View, evaluation: &Evaluation, truth_name: &str) {
     let View { truth: true_path, estimate: estimated, across, up, x, y, bottom } = view;
     let (across, up, bottom) = (*across, *up, *bottom);
     let names = ["x", "y", "z"];
@@ -164,12 +186,12 @@ fn draw_paths(out: &mut String, view: &View, evaluation: &Evaluation) {
     }
     let _ = writeln!(
         out,
-        "<g transform=\"translate({} {})\"><rect width=\"350\" height=\"26\" fill=\"#ffffff\" fill-opacity=\"0.85\"/>\
-         <path d=\"M8 13h34\" stroke=\"{TRUTH}\" stroke-width=\"3\" stroke-dasharray=\"7 4\"/><text x=\"48\" y=\"18\">truth</text>\
-         <path d=\"M92 13h34\" stroke=\"{ESTIMATE}\" stroke-width=\"1.6\"/><text x=\"132\" y=\"18\">estimate</text>\
-         <circle cx=\"208\" cy=\"13\" r=\"6\" fill=\"#ffffff\" stroke=\"{ESTIMATE}\" stroke-width=\"2\"/><text x=\"220\" y=\"18\">start</text>\
-         <rect x=\"268\" y=\"8\" width=\"10\" height=\"10\" fill=\"{ESTIMATE}\"/><text x=\"285\" y=\"18\">end</text></g>",
-        RIGHT - 352.0,
+        "<g transform=\"translate({} {})\"><rect width=\"376\" height=\"26\" fill=\"#ffffff\" fill-opacity=\"0.85\"/>\
+         <path d=\"M8 13h34\" stroke=\"{TRUTH}\" stroke-width=\"3\" stroke-dasharray=\"7 4\"/><text x=\"48\" y=\"18\">{truth_name}</text>\
+         <path d=\"M118 13h34\" stroke=\"{ESTIMATE}\" stroke-width=\"1.6\"/><text x=\"158\" y=\"18\">estimate</text>\
+         <circle cx=\"234\" cy=\"13\" r=\"6\" fill=\"#ffffff\" stroke=\"{ESTIMATE}\" stroke-width=\"2\"/><text x=\"246\" y=\"18\">start</text>\
+         <rect x=\"294\" y=\"8\" width=\"10\" height=\"10\" fill=\"{ESTIMATE}\"/><text x=\"311\" y=\"18\">end</text></g>",
+        RIGHT - 378.0,
         TOP + 2.0
     );
 }

@@ -1,17 +1,17 @@
 //! The mosaic while it grows under the page's eyes.
 
-use super::straight::{Correction, Relaying};
-use crate::commands::run::mapping::lay_keyframes;
-use crate::commands::run::pipeline::{Laying, Posed};
+use super::laying::{Kept, Laying};
+use super::straight::Relaying;
+use crate::commands::run::views::Posed;
 use odograph::camera::Camera;
 use odograph::error::Result;
-use odograph::mapping::{Mosaic, MosaicSquare};
+use odograph::mapping::{KeyframeImage, KeyframeImages, Mosaic, MosaicSquare};
 use odograph_live::Ground;
 use odograph_live::ground::GroundState;
 use odograph_map::MapFile;
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 /// The ground of a live run: laid by one thread, looked at by those of the page, and laid anew by a third.
 #[derive(Clone)]
@@ -22,8 +22,6 @@ pub struct LiveGround {
 
 struct State {
     mosaic: Stage,
-    /// Where frames are laid: as odometry has them, until a loop has moved that.
-    correction: Correction,
     /// How often all was laid anew; the revisions of each time begin beyond those of the time before.
     generation: u64,
     /// Squares of the time before that have no ground any more.
@@ -32,7 +30,7 @@ struct State {
 
 enum Stage {
     Growing(Box<Laying>),
-    /// Taken for writing.
+    /// Neither, for a moment.
     Away,
     Finished(Box<Mosaic>),
 }
@@ -51,13 +49,9 @@ impl State {
 }
 
 impl LiveGround {
-    pub fn new(camera: Camera) -> Self {
-        let state = State {
-            mosaic: Stage::Growing(Box::new(Laying::new(camera.clone()))),
-            correction: Correction::NONE,
-            generation: 0,
-            bare: BTreeSet::new(),
-        };
+    pub fn new(camera: Camera, folder: &Path) -> Self {
+        let laying = Laying::new(camera.clone(), folder);
+        let state = State { mosaic: Stage::Growing(Box::new(laying)), generation: 0, bare: BTreeSet::new() };
         Self { camera, state: Arc::new(Mutex::new(state)) }
     }
 
@@ -66,10 +60,8 @@ impl LiveGround {
     }
 
     /// Lays a frame where it shows something new.
-    pub fn lay(&self, mut posed: Posed) {
-        let state = &mut *self.state();
-        if let Stage::Growing(laying) = &mut state.mosaic {
-            posed.pose = state.correction.pose(&posed.pose);
+    pub fn lay(&self, posed: Posed) {
+        if let Stage::Growing(laying) = &mut self.state().mosaic {
             laying.next(posed);
         }
     }
@@ -77,30 +69,31 @@ impl LiveGround {
     /// Lays everything anew from the keyframes in the map file, and what comes where the newest of them is. Meanwhile the old ground is there.
     pub fn lay_again(&self, relaying: &Relaying) -> Result<()> {
         let mut file = MapFile::open_read_only(&relaying.file)?;
-        let fresh = lay_keyframes(&mut file, &self.camera, &relaying.keyframes)?;
-        let state = &mut *self.state();
-        let Stage::Growing(laying) = &state.mosaic else { return Ok(()) };
+        let mut fresh = Mosaic::new(Default::default());
+        for (id, pose) in &relaying.keyframes {
+            let KeyframeImage { gray, color } = file.load(*id)?;
+            match &color {
+                Some(color) => fresh.add(color, &self.camera, pose),
+                None => fresh.add(&gray, &self.camera, pose),
+            };
+        }
         let there: BTreeSet<MosaicSquare> = fresh.changed_since(0).collect();
+        let state = &mut *self.state();
+        let Stage::Growing(laying) = &mut state.mosaic else { return Ok(()) };
         state.bare.extend(laying.mosaic().changed_since(0));
         state.bare.retain(|square| !there.contains(square));
-        state.mosaic = Stage::Growing(Box::new(Laying::upon(self.camera.clone(), fresh)));
-        state.correction = relaying.correction;
+        laying.go_on(fresh, relaying.correction);
         state.generation += 1;
         Ok(())
     }
 
-    /// The finished ground and how long each frame took; nothing grows any more.
-    pub fn finish(&self) -> (Mosaic, Vec<Duration>) {
-        match std::mem::replace(&mut self.state().mosaic, Stage::Away) {
-            Stage::Growing(laying) => laying.finished(),
-            Stage::Finished(mosaic) => (*mosaic, Vec::new()),
-            Stage::Away => (Mosaic::new(Default::default()), Vec::new()),
-        }
-    }
-
-    /// Gives the finished ground back to those who look.
-    pub fn show(&self, mosaic: Mosaic) {
-        self.state().mosaic = Stage::Finished(Box::new(mosaic));
+    /// Ends the laying: nothing grows any more, and those who look see the ground as it is. `None` where it has ended before.
+    pub fn finish(&self) -> Option<Kept> {
+        let mut state = self.state();
+        let Stage::Growing(laying) = std::mem::replace(&mut state.mosaic, Stage::Away) else { return None };
+        let (mosaic, kept) = laying.finished();
+        state.mosaic = Stage::Finished(Box::new(mosaic));
+        Some(kept)
     }
 }
 
@@ -131,11 +124,12 @@ impl Ground for LiveGround {
 mod tests {
     #![allow(clippy::unwrap_used)] // a test fails by panicking
 
+    use super::super::straight::Correction;
     use super::*;
     use odograph::camera::{Distortion, Rig};
     use odograph::geometry::GroundPose;
     use odograph::image::GrayImage;
-    use odograph::mapping::{KeyframeId, KeyframeImage, MapKeyframe};
+    use odograph::mapping::{KeyframeId, MapKeyframe};
     use odograph_video::{Frame, Picture, SampleLayout};
 
     fn camera() -> Camera {
@@ -150,7 +144,7 @@ mod tests {
     fn posed(number: u64, shade: u8, pose: GroundPose) -> Posed {
         let picture =
             Picture::from_samples(SampleLayout::Gray, 64, 48, 64, &[shade; 64 * 48], false).unwrap();
-        Posed { frame: Frame::new(number, number as f64, picture), pose, segment: 0 }
+        Posed { frame: Frame::new(number, number as f64, picture), pose, segment: 0, is_keyframe: false }
     }
 
     /// The shade of the ground at x on the x axis.
@@ -186,7 +180,7 @@ mod tests {
             let gray = GrayImage::from_samples(64, 48, vec![shade; 64 * 48]).unwrap();
             file.add_keyframe(keyframe, &KeyframeImage { gray, color: None }, &[]).unwrap();
         }
-        let ground = LiveGround::new(camera);
+        let ground = LiveGround::new(camera, folder.path());
         ground.lay(posed(0, 50, at(0.0)));
         ground.lay(posed(1, 90, at(30.0)));
         let before = Ground::state(&ground).unwrap().revision;

@@ -2,6 +2,7 @@
 
 mod ground;
 mod latency;
+mod laying;
 mod mcap;
 pub(super) mod open;
 mod outputs;
@@ -153,7 +154,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         live: true,
         calibration: false,
     };
-    let laying = ground::LiveGround::new(plan.camera.clone());
+    let laying = ground::LiveGround::new(plan.camera.clone(), folder.path());
     let serving =
         Serving::start(&arguments.serve, introduction, laying.clone(), Offer::of_run(folder.path()))?;
     if let Some(url) = serving.url()

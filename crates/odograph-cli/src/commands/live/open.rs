@@ -65,8 +65,6 @@ impl CaptureArguments {
 pub struct Opened {
     pub source: Box<dyn LiveSource>,
     pub policy: Policy,
-    /// Whether it can be read a second time.
-    pub repeatable: bool,
 }
 
 /// Opens a source by its name. Of a camera, pictures of the size `calibrated` are wanted where nothing else is wished.
@@ -80,8 +78,7 @@ pub fn open(
     if arguments.raw.is_some() && name != "-" {
         return Err(Error::usage("--raw says how the frames on standard input look; give - as the source"));
     }
-    let never_late =
-        |source: Box<dyn LiveSource>| Opened { source, policy: Policy::NewestWins, repeatable: false };
+    let never_late = |source: Box<dyn LiveSource>| Opened { source, policy: Policy::NewestWins };
     if name.starts_with("https://") {
         return Err(Error::usage(format!(
             "{name}: encrypted streams are not read here; most cameras give http:// too"
@@ -107,11 +104,7 @@ pub fn open(
     // A pipe has a pace of its own already; what it has is what there is now.
     let speed = arguments.realtime.filter(|_| !streams);
     let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };
-    Ok(Opened {
-        source: Box::new(Recording::new(plan.open()?, speed, watch.clone())),
-        policy,
-        repeatable: !streams,
-    })
+    Ok(Opened { source: Box::new(Recording::new(plan.open()?, speed, watch.clone())), policy })
 }
 
 #[cfg(target_os = "linux")]

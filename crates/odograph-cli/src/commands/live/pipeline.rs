@@ -2,13 +2,14 @@
 
 use super::ground::LiveGround;
 use super::latency::Latencies;
+use super::laying;
 use super::mcap::McapLog;
 use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
 use super::straight::{self, Relaying, Straightening};
 use crate::commands::run::mapping::Mapping;
-use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, number_as_source};
+use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, is_made, number_as_source};
 use crate::commands::run::statistics::LiveStatistics;
 use crate::commands::run::{self, OutputArguments, RunPlan, RunReport};
 use crate::interrupt;
@@ -52,7 +53,6 @@ pub fn follow(
     log: Option<&McapLog>,
 ) -> Result<RunReport> {
     let started = Instant::now();
-    let repeatable = opened.repeatable;
     let description = opened.source.info().description.clone();
     let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
     odometry.tell_keyframes();
@@ -81,24 +81,24 @@ pub fn follow(
     following.queue.close();
     let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
     following.tell_status(Phase::Saving);
-    let (mosaic, map_times) = ground.finish();
-    following.times.map = map_times;
+    let Some(laying::Kept { views, failure: not_kept, times }) = ground.finish() else {
+        return Err(Error::usage("a live run ends once"));
+    };
+    following.times.map = times;
     let live = following.statistics();
     let tracked = Tracked {
         keyframes: following.odometry.keyframes(),
         frames: following.frames,
         references: following.references,
-        mosaic: mosaic.clone(),
+        views,
         mapping,
         warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
         times: following.times,
         interrupted: interrupt::asked() || hub.stop_asked(),
-        repeatable,
         live: Some(live),
-        failure: outcome.err().or(farewell.failure),
+        failure: outcome.err().or(farewell.failure).or(not_kept),
         unmapped: following.unmapped,
     };
-    ground.show(mosaic);
     let mut folder = following.recorder.into_folder();
     run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)
 }
@@ -199,8 +199,6 @@ impl Following<'_> {
             views: Newest::new(Policy::NewestWins, 1),
             relaying: Newest::new(Policy::NewestWins, 1),
         };
-        // Where every frame is waited for the ground is that of `run`, which lays it anew at the end.
-        let shows_loops = self.policy == Policy::NewestWins;
         let (beside, hub, log) = (&beside, self.hub, self.log);
         let outcome = thread::scope(|scope| {
             if let Some(log) = log {
@@ -222,9 +220,7 @@ impl Following<'_> {
                     // A map that cannot be written (the disk is full) ends; tracking does not.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, Some(&happened.frame)).err();
-                        if shows_loops {
-                            straightening.look(mapping);
-                        }
+                        straightening.look(mapping);
                     }
                 });
                 beside.relaying.close();
@@ -291,12 +287,13 @@ impl Following<'_> {
         let segment = estimate.segment;
         self.frames.push(estimate);
         self.references.push(reference);
+        number_as_source(&mut events, &self.frames);
+        let is_keyframe = is_made(&events, frame.number);
         if !events.is_empty() {
-            number_as_source(&mut events, &self.frames);
             beside.mapping.give(Happened { events, frame: frame.clone() });
         }
         if let Some(pose) = pose {
-            beside.laying.give(Posed { frame, pose, segment });
+            beside.laying.give(Posed { frame, pose, segment, is_keyframe });
         }
         Ok(())
     }

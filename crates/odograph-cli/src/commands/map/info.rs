@@ -137,7 +137,7 @@ fn extent_m(map: &GroundMap) -> Option<[f64; 4]> {
 }
 
 /// How many pieces the edges leave of the map.
-fn pieces(map: &GroundMap) -> usize {
+pub fn pieces(map: &GroundMap) -> usize {
     let place: BTreeMap<KeyframeId, usize> =
         map.keyframes.iter().enumerate().map(|(index, keyframe)| (keyframe.id, index)).collect();
     let mut leader: Vec<usize> = (0..place.len()).collect();

@@ -2,14 +2,16 @@
 
 mod export;
 mod info;
+mod merge;
 mod mosaic;
+mod optimize;
 mod thin;
 
 use crate::Outcome;
 use odograph::error::{Error, Result};
 use std::path::Path;
 
-/// Look into a map, write it for other programs, lay its mosaic, make it smaller.
+/// Look into a map, join it with others, write it for other programs, lay its mosaic, straighten it, make it smaller.
 #[derive(Debug, clap::Args)]
 pub struct MapArguments {
     #[command(subcommand)]
@@ -19,8 +21,10 @@ pub struct MapArguments {
 #[derive(Debug, clap::Subcommand)]
 enum MapCommand {
     Info(info::InfoArguments),
+    Merge(merge::MergeArguments),
     Export(export::ExportArguments),
     Mosaic(mosaic::MosaicArguments),
+    Optimize(optimize::OptimizeArguments),
     Thin(thin::ThinArguments),
 }
 
@@ -28,8 +32,10 @@ enum MapCommand {
 pub fn map(arguments: MapArguments) -> Result<Outcome> {
     match arguments.command {
         MapCommand::Info(arguments) => info::info(&arguments),
+        MapCommand::Merge(arguments) => merge::merge(&arguments),
         MapCommand::Export(arguments) => export::export(&arguments),
         MapCommand::Mosaic(arguments) => mosaic::mosaic(&arguments),
+        MapCommand::Optimize(arguments) => optimize::optimize(&arguments),
         MapCommand::Thin(arguments) => thin::thin(&arguments),
     }
 }

@@ -4,7 +4,7 @@ use super::{check_free, export};
 use crate::{Outcome, console, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
-use odograph_map::MapFile;
+use odograph_map::{MapFile, MosaicLayer};
 use std::path::PathBuf;
 
 /// Lay the mosaic of a map anew, at the resolution that is asked for, and keep it in the map.
@@ -45,26 +45,7 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
         check_free(path, arguments.force)?;
     }
     let mut file = MapFile::open(&arguments.map)?;
-    let bar = if arguments.quiet { ProgressBar::hidden() } else { ProgressBar::no_length() };
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} patches, {eta} left") {
-        bar.set_style(style);
-    }
-    let laid = file.lay_mosaic(arguments.resolution, &mut |left| {
-        bar.inc(1);
-        bar.set_length(bar.position() + left as u64);
-        !interrupt::asked()
-    })?;
-    bar.finish_and_clear();
-    let Some(layer) = file.mosaic()?.filter(|_| laid) else {
-        return Err(Error::input(if interrupt::asked() {
-            "interrupted; the map has the mosaic that it had".to_owned()
-        } else {
-            format!(
-                "{} has no keyframe that looks at the ground; there is no mosaic to lay",
-                arguments.map.display()
-            )
-        }));
-    };
+    let layer = laid(&mut file, arguments.resolution, arguments.quiet)?;
     if let Some((path, form)) = arguments.output.as_deref().zip(form) {
         export::write_picture(&file, path, form, None)?;
     }
@@ -74,4 +55,28 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
         console::print(&format!("{width}x{height} px of {:.2} mm\n", 1000.0 * layer.resolution_m))?;
     }
     Ok(Outcome::Done)
+}
+
+/// Lays the mosaic of a map and keeps it there, with a bar for people. Fails where it is interrupted, and where no keyframe looks at the ground.
+pub fn laid(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Result<MosaicLayer> {
+    let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::no_length() };
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} patches, {eta} left") {
+        bar.set_style(style);
+    }
+    let laid = file.lay_mosaic(resolution_m, &mut |left| {
+        bar.inc(1);
+        bar.set_length(bar.position() + left as u64);
+        !interrupt::asked()
+    })?;
+    bar.finish_and_clear();
+    file.mosaic()?.filter(|_| laid).ok_or_else(|| {
+        Error::input(if interrupt::asked() {
+            "interrupted; the map has the mosaic that it had".to_owned()
+        } else {
+            format!(
+                "{} has no keyframe that looks at the ground; there is no mosaic to lay",
+                file.path().display()
+            )
+        })
+    })
 }

@@ -144,7 +144,8 @@ impl OutputFolder {
     /// away what was only there in case of a crash.
     pub fn write_trajectories(&mut self, frames: &[FrameEstimate], run_toml: &str) -> Result<()> {
         let csv = trajectory_file::csv_from_frames(frames);
-        // Written under a third name: where the disk is full what was recorded as it came must stay.
+        // Written under a third name: where the disk is full what was recorded as it came must stay, with its last second as far as it goes.
+        let _ = self.flush();
         let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
         files::write(&whole, csv.as_bytes())?;
         fs::rename(&whole, &path)

@@ -54,6 +54,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
     let one_alone = [
         ("--timestamps", arguments.timestamps.is_some()),
         ("--gyro, --heading, --wheel or --range", !arguments.sensors.is_empty()),
+        ("--reference", arguments.reference.is_some()),
     ];
     if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {
         return Err(Error::usage(format!("{option} belongs to one recording; run it by itself")));

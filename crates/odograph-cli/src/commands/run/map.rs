@@ -4,37 +4,69 @@ use super::RunPlan;
 use super::folder::OutputFolder;
 use super::pipeline::Tracked;
 use crate::files;
-use crate::report::{self, ReportInput, ReportMosaic};
+use crate::report::{self, ReportInput, ReportMosaic, ReportReference};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
-use odograph::mapping::{Backdrop, MapDrawing};
+use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicPicture, Placement};
+use std::panic::resume_unwind;
+use std::thread;
 
-/// Writes mosaic, map and report.
-pub fn write(
-    plan: &RunPlan,
-    description: &str,
-    tracked: &Tracked,
-    sensors: &[SensorReport],
-    folder: &mut OutputFolder,
-) -> Result<()> {
-    let name = plan.source.path.trim_end_matches(['/', '\\']);
-    let title = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    let mosaic = tracked.mosaic.picture();
-    // The page tells of the picture in the folder, though it shows a smaller one.
-    let placement = mosaic.as_ref().map(|mosaic| mosaic.placement);
-    if let Some(mosaic) = mosaic {
-        let png = files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba)?;
+/// What is drawn.
+pub struct Shown<'a> {
+    /// What the recording is, in words.
+    pub description: &'a str,
+    pub tracked: &'a Tracked,
+    pub mosaic: &'a Mosaic,
+    pub sensors: &'a [SensorReport],
+    /// A path from elsewhere, to be set beside.
+    pub reference: Option<&'a ReportReference>,
+}
+
+/// Writes mosaic, map and report: the mosaic beside the others where there are `threads` for both.
+pub fn write(plan: &RunPlan, shown: &Shown<'_>, folder: &mut OutputFolder, threads: usize) -> Result<()> {
+    let mosaic = shown.mosaic;
+    let bands = mosaic.bands(usize::MAX);
+    let placement = bands.as_ref().map(|bands| bands.placement);
+    let encode = || bands.map(|bands| files::png_from_rgba_bands(bands.width, bands.height, bands));
+    let draw = |folder: &mut OutputFolder| {
+        // The page tells of the picture in the folder, though it shows a smaller one.
+        let small = mosaic.picture_within(LONGEST_SIDE_PX).zip(placement);
+        draw(plan, shown, small, folder)
+    };
+    let png = if threads > 1 {
+        thread::scope(|scope| {
+            let encoded = scope.spawn(encode);
+            draw(folder)?;
+            encoded.join().unwrap_or_else(|panic| resume_unwind(panic)).transpose()
+        })?
+    } else {
+        draw(folder)?;
+        encode().transpose()?
+    };
+    if let Some((png, placement)) = png.zip(placement) {
         folder.write("mosaic.png", &png)?;
-        folder.write("mosaic.pgw", mosaic.placement.world_file().as_bytes())?;
+        folder.write("mosaic.pgw", placement.world_file().as_bytes())
     } else {
         // One of an earlier drive would show other ground.
         folder.remove("mosaic.png")?;
-        folder.remove("mosaic.pgw")?;
+        folder.remove("mosaic.pgw")
     }
-    let small = tracked.mosaic.picture_within(LONGEST_SIDE_PX);
-    let small_png = small.as_ref().map(|m| files::png_from_rgba(m.width, m.height, &m.rgba)).transpose()?;
+}
+
+/// Writes map and report, with a small picture of the mosaic that lies at this placement.
+fn draw(
+    plan: &RunPlan,
+    shown: &Shown<'_>,
+    small: Option<(MosaicPicture, Placement)>,
+    folder: &mut OutputFolder,
+) -> Result<()> {
+    let &Shown { description, tracked, sensors, reference, .. } = shown;
+    let name = plan.source.path.trim_end_matches(['/', '\\']);
+    let title = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    let small_png =
+        small.as_ref().map(|(m, _)| files::png_from_rgba(m.width, m.height, &m.rgba)).transpose()?;
     let small = small.as_ref().zip(small_png.as_deref());
-    let backdrop = small.map(|(mosaic, png)| Backdrop {
+    let backdrop = small.map(|((mosaic, _), png)| Backdrop {
         png,
         width_px: mosaic.width,
         height_px: mosaic.height,
@@ -54,16 +86,17 @@ pub fn write(
         camera: &plan.camera,
         rig: &plan.rig,
         map_svg: &drawing.svg(&tracked.frames),
-        mosaic: small.map(|(mosaic, png)| ReportMosaic {
+        mosaic: small.map(|((mosaic, placement), png)| ReportMosaic {
             png,
             width_px: mosaic.width,
             height_px: mosaic.height,
-            placement: placement.unwrap_or(mosaic.placement),
+            placement: *placement,
             file_name: "mosaic.png",
         }),
         run_toml: &plan.text()?,
         warnings: &tracked.warnings,
         sensors,
+        reference,
     });
     folder.write("report.html", page.as_bytes())
 }

@@ -2,11 +2,12 @@
 
 use super::statistics::StageTime;
 use super::{OutputArguments, RunPlan};
+use crate::interrupt;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Fusion;
-use odograph::geometry::{GroundPoint, GroundPose};
-use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe, Mosaic};
+use odograph::geometry::GroundPoint;
+use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 use odograph::odometry::{FrameReference, KeyframeEvent};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, map_frames};
 use odograph::trajectory::FrameEstimate;
@@ -22,6 +23,12 @@ pub struct Mapping {
     file: GrowingFile,
     times: Vec<Duration>,
 }
+
+/// A ground pixel of the mosaic that a run lays into the map is so many times as wide as what a pixel in the middle of an image sees.
+const COARSER: f64 = 2.0;
+
+/// A map with more than so many times the keyframes of this run is not laid anew.
+const MOST_OLD: usize = 4;
 
 /// What was seen again, and what that did.
 #[derive(Debug, Clone, Serialize)]
@@ -106,14 +113,6 @@ impl Mapping {
         &self.file.path
     }
 
-    /// The mosaic of this run's keyframes where they now lie.
-    pub fn lay(&mut self, camera: &Camera) -> Result<Mosaic> {
-        let session = self.mapper.session();
-        let own = self.mapper.map().keyframes.iter().filter(|keyframe| keyframe.session == session);
-        let keyframes: Vec<_> = own.map(|keyframe| (keyframe.id, keyframe.pose)).collect();
-        lay_keyframes(&mut self.file, camera, &keyframes)
-    }
-
     /// How long each keyframe took.
     pub fn times(&self) -> &[Duration] {
         &self.times
@@ -174,6 +173,18 @@ impl Mapping {
         }
     }
 
+    /// The keyframes of this run, each with the number of its frame.
+    pub fn own_keyframes(&self) -> impl Iterator<Item = (KeyframeId, u64)> {
+        let session = self.mapper.session();
+        let own = self.mapper.map().keyframes.iter().filter(move |keyframe| keyframe.session == session);
+        own.map(|keyframe| (keyframe.id, keyframe.frame))
+    }
+
+    /// The image of a keyframe. Fails where it cannot be read back.
+    pub fn image(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        self.file.load(keyframe)
+    }
+
     /// The places that were recognised: where the camera was, and where it had been.
     pub fn loops(&self) -> Vec<[GroundPoint; 2]> {
         let map = self.mapper.map();
@@ -197,6 +208,34 @@ impl Mapping {
         file.set_path(self.file.session, &frames)
     }
 
+    /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the camera sees it, which costs a few hundredths of the run where
+    /// the finest would cost a tenth. Gives a sentence where the file has no picture of all of its ground: because the run was interrupted, or because most of a
+    /// map that was continued is ground of earlier runs, which is not to be laid again for every short one.
+    pub fn lay_ground(&mut self) -> Result<Option<String>> {
+        let map = self.mapper.map();
+        let session = self.mapper.session();
+        let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session).count();
+        let mut heights_m: Vec<f64> = map.keyframes.iter().map(|keyframe| keyframe.pose.height_m).collect();
+        heights_m.sort_by(f64::total_cmp);
+        let height_m = heights_m.get(heights_m.len() / 2).copied().unwrap_or(map.rig.height_m);
+        let coarse_m = COARSER * height_m / map.camera.focal_px().0;
+        let short = map.keyframes.len() > MOST_OLD * own;
+        let writable = self.file.kept.is_none();
+        let Some(file) = self.file.file.as_mut().filter(|_| writable && own > 0) else { return Ok(None) };
+        let before = file.mosaic()?;
+        let laid = !short && {
+            let resolution_m = before.as_ref().map_or(coarse_m, |layer| layer.resolution_m);
+            file.lay_mosaic(Some(resolution_m), &mut |_| !interrupt::asked())?
+        };
+        let path = self.file.path.display();
+        Ok((!laid).then(|| match before {
+            Some(_) => format!(
+                "the picture of the ground in {path} is that of before this run; odograph map mosaic {path} lays it anew"
+            ),
+            None => format!("{path} has no picture of the ground; odograph map mosaic {path} lays it"),
+        }))
+    }
+
     /// Ends the file. Takes away the map of an earlier run where this one is in its place and saw no ground.
     pub fn close(&mut self) -> Result<()> {
         match self.file.file.take() {
@@ -207,11 +246,6 @@ impl Mapping {
 }
 
 impl LoopStatistics {
-    /// Whether the picture of the ground would show what the loops moved: half a pixel in the middle of a frame.
-    pub fn moved_noticeably(&self, camera: &Camera, rig: &Rig) -> bool {
-        self.correction_most_m > 0.5 * rig.height_m / camera.focal_px().0
-    }
-
     /// For people, a line; empty without loops.
     pub fn summary(&self) -> String {
         match self.closed + self.revisited {
@@ -222,23 +256,6 @@ impl LoopStatistics {
             ),
         }
     }
-}
-
-/// Lays keyframes on the ground, in their order.
-pub fn lay_keyframes(
-    images: &mut dyn KeyframeImages,
-    camera: &Camera,
-    keyframes: &[(KeyframeId, GroundPose)],
-) -> Result<Mosaic> {
-    let mut mosaic = Mosaic::new(Default::default());
-    for (id, pose) in keyframes {
-        let KeyframeImage { gray, color } = images.load(*id)?;
-        match &color {
-            Some(color) => mosaic.add(color, camera, pose),
-            None => mosaic.add(&gray, camera, pose),
-        };
-    }
-    Ok(mosaic)
 }
 
 /// A map file that is made with its first keyframe: a run that shows nothing leaves none.

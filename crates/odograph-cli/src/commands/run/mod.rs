@@ -7,8 +7,10 @@ mod map;
 pub(super) mod mapping;
 pub(super) mod pipeline;
 mod plan;
+mod reference;
 mod sensors;
 pub(super) mod statistics;
+pub(super) mod views;
 
 use crate::{Outcome, console};
 pub use folder::OutputFolder;
@@ -16,6 +18,7 @@ use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
 use odograph::formats::trajectory_file;
+use odograph::mapping::Mosaic;
 use odograph::motion::MotionModel;
 use pipeline::Tracked;
 pub use plan::{RunPlan, SourcePlan};
@@ -77,6 +80,10 @@ pub struct RunArguments {
     /// Do not look for ground that was seen before: the path is what odometry alone has.
     #[arg(long)]
     pub no_loops: bool,
+    /// A path from elsewhere, such as a satellite receiver's or the truth (TUM: time x y z qx qy qz qw, times as the frames'): the report shows it
+    /// beside the path of the run, laid onto each other by a turn, a shift and a scale. Nothing else is made of it.
+    #[arg(long, value_name = "FILE")]
+    pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -184,8 +191,16 @@ impl RunArguments {
             budget_ms: None,
             sensors: SensorPlan::default(),
             no_loops: false,
+            reference: None,
             output,
         }
+    }
+}
+
+impl OutputArguments {
+    /// Threads that a run may have: decoding, tracking and mapping side by side where nothing else is asked for.
+    pub fn threads(&self) -> usize {
+        self.threads.map_or(3, usize::from)
     }
 }
 
@@ -220,6 +235,8 @@ pub fn follow(
 ) -> Result<RunReport> {
     let started = Instant::now();
     let sensors = plan.sensors.read()?;
+    // What cannot be read is told before all the work.
+    reference::read(plan)?;
     let description = source.info().description.clone();
     let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
     finish(plan, &description, tracked, &sensors, &mut folder, arguments, started)
@@ -256,7 +273,6 @@ pub(super) fn finish(
     let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references);
     let loops = tracked.mapping.statistics(&fused.frames, &straight);
     tracked.warnings.extend(tracked.mapping.warning());
-    let moved = fused.moved || loops.moved_noticeably(&plan.camera, &plan.rig);
     let fused = fused.laid(straight);
     let path = fused.smooth(&plan.odometry.filter);
     tracked.warnings.extend(plan.sensors.warnings(&fused.reports));
@@ -274,13 +290,32 @@ pub(super) fn finish(
     folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
     let carrier = carrier_path(&path, &plan.rig);
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
-    if moved {
-        // The mosaic was laid while sensors and loops were not known yet.
-        pipeline::lay_again(plan, &mut tracked);
+    let mosaic = match tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping) {
+        Ok(mosaic) => mosaic,
+        Err(error) => {
+            tracked.warnings.push(format!("there is no picture of the ground: {error}"));
+            failure.get_or_insert(error);
+            Mosaic::new(Default::default())
+        }
+    };
+    match tracked.mapping.lay_ground() {
+        Ok(warning) => tracked.warnings.extend(warning),
+        Err(error) => {
+            tracked.warnings.push(format!("the map has no new picture of the ground: {error}"));
+            failure.get_or_insert(error);
+        }
     }
-    let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
-    map::write(plan, description, &tracked, &reports, folder)?;
+    let reference = match (&plan.reference, reference::read(plan)?) {
+        (Some(path), Some(read)) => reference::compared(path, &read, &tracked.frames)
+            .map_err(|error| tracked.warnings.push(format!("the path cannot be compared: {error}")))
+            .ok(),
+        _ => None,
+    };
+    let (mosaic, reference) = (&mosaic, reference.as_ref());
+    let shown = map::Shown { description, tracked: &tracked, mosaic, sensors: &reports, reference };
+    map::write(plan, &shown, folder, arguments.threads())?;
     let closed = tracked.mapping.close();
+    let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     folder.finish(&statistics)?;
     match failure.or(closed.err()) {
         Some(error) => Err(error),

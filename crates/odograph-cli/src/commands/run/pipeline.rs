@@ -3,13 +3,12 @@
 use super::folder::OutputFolder;
 use super::mapping::Mapping;
 use super::statistics::LiveStatistics;
+pub use super::views::Posed;
+use super::views::Views;
 use super::{OutputArguments, RunPlan};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
-use odograph::camera::Camera;
 use odograph::error::{Error, Result};
-use odograph::geometry::GroundPose;
-use odograph::mapping::Mosaic;
 use odograph::odometry::{FrameReference, KeyframeEvent, Odometry};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
@@ -22,14 +21,13 @@ pub struct Tracked {
     pub frames: Vec<FrameEstimate>,
     /// For each frame, what it was measured against.
     pub references: Vec<Option<FrameReference>>,
-    pub mosaic: Mosaic,
+    /// Of which frames the mosaic is laid.
+    pub views: Views,
     pub mapping: Mapping,
     pub keyframes: u64,
     pub warnings: Vec<String>,
     pub times: StageTimes,
     pub interrupted: bool,
-    /// Whether the source can be read a second time.
-    pub repeatable: bool,
     /// How a live run kept up with its source.
     pub live: Option<LiveStatistics>,
     /// What ended the recording before its end, if anything did.
@@ -59,6 +57,7 @@ pub fn track(
     let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
     odometry.tell_keyframes();
     let mapping = Mapping::new(plan, folder.path(), arguments)?;
+    let views = Views::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,
         frames: Vec::new(),
@@ -68,63 +67,26 @@ pub fn track(
         folder,
     };
     let mut decoding = Decoding { source, times: Vec::new() };
-    let mut ground = Ground { laying: Laying::new(plan.camera.clone()), mapping, unmapped: None };
-    let outcome = match arguments.threads.map_or(3, usize::from) {
+    let mut ground = Ground { views, mapping, unmapped: None, times: Vec::new() };
+    let outcome = match arguments.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads),
     };
     tracking.progress.finish_and_clear();
-    let Ground { laying, mapping, unmapped } = ground;
-    let (mosaic, map_times) = laying.finished();
+    let Ground { views, mapping, unmapped, times: map_times } = ground;
     Ok(Tracked {
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
         references: tracking.references,
-        mosaic,
+        views,
         mapping,
         warnings: decoding.source.take_warnings(),
         times: StageTimes { decode: decoding.times, track: tracking.times, map: map_times },
         interrupted: interrupt::asked(),
-        repeatable: plan.source.path != "-",
         live: None,
         failure: outcome.err(),
         unmapped,
     })
-}
-
-/// Lays the mosaic anew, under poses that have changed since: from the keyframes in the map where the source cannot be read twice. Where neither
-/// can be read it stays as it is, and that is said.
-pub fn lay_again(plan: &RunPlan, tracked: &mut Tracked) {
-    let source = match tracked.repeatable {
-        false => match tracked.mapping.lay(&plan.camera) {
-            Ok(mosaic) => {
-                tracked.mosaic = mosaic;
-                return;
-            }
-            Err(error) => Err(error),
-        },
-        true => plan.source.open(),
-    };
-    let mut decoding = match source {
-        Ok(source) => Decoding { source, times: Vec::new() },
-        Err(error) => {
-            tracked.warnings.push(format!(
-                "the mosaic lies where odometry alone puts it, not where loops and other sensors do: {error}"
-            ));
-            return;
-        }
-    };
-    let mut laying = Laying::new(plan.camera.clone());
-    let mut estimates = tracked.frames.iter().peekable();
-    // Where the recording ends early it did so the first time, and that is told already.
-    while let Ok(Some(frame)) = decoding.next() {
-        while estimates.next_if(|estimate| estimate.frame < frame.number).is_some() {}
-        let Some(estimate) = estimates.next_if(|estimate| estimate.frame == frame.number) else { continue };
-        if let Some(known) = &estimate.estimate {
-            laying.next(Posed { frame, pose: known.pose, segment: estimate.segment });
-        }
-    }
-    tracked.mosaic = laying.finished().0;
 }
 
 /// The three stages in turn.
@@ -220,13 +182,6 @@ struct Followed {
     events: Vec<KeyframeEvent>,
 }
 
-/// A frame with its pose, for the mosaic.
-pub struct Posed {
-    pub frame: Frame,
-    pub pose: GroundPose,
-    pub segment: usize,
-}
-
 impl Tracking<'_> {
     fn next(&mut self, frame: Frame) -> Result<Followed> {
         let started = Instant::now();
@@ -241,7 +196,8 @@ impl Tracking<'_> {
         self.frames.push(estimate);
         self.references.push(self.odometry.reference());
         number_as_source(&mut events, &self.frames);
-        Ok(Followed { posed: pose.map(|pose| Posed { frame, pose, segment }), events })
+        let is_keyframe = is_made(&events, frame.number);
+        Ok(Followed { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events })
     }
 }
 
@@ -256,11 +212,17 @@ pub fn number_as_source(events: &mut [KeyframeEvent], frames: &[FrameEstimate]) 
     }
 }
 
+/// Whether a frame of the source became a keyframe.
+pub fn is_made(events: &[KeyframeEvent], frame: u64) -> bool {
+    events.iter().any(|event| matches!(event, KeyframeEvent::Made(new) if new.frame == frame))
+}
+
 /// Stage three: what is made of the ground.
 struct Ground {
-    laying: Laying,
+    views: Views,
     mapping: Mapping,
     unmapped: Option<Error>,
+    times: Vec<Duration>,
 }
 
 impl Ground {
@@ -269,65 +231,11 @@ impl Ground {
         if self.unmapped.is_none() {
             self.unmapped = self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame)).err();
         }
-        if let Some(posed) = posed {
-            self.laying.next(posed);
-        }
-        Ok(())
-    }
-}
-
-/// The mosaic.
-pub struct Laying {
-    camera: Camera,
-    mosaic: Mosaic,
-    times: Vec<Duration>,
-    /// The frame before, where it was not laid: laid after all when it turns out to be the last of its stretch.
-    before: Option<Posed>,
-}
-
-impl Laying {
-    pub fn new(camera: Camera) -> Self {
-        Self { camera, mosaic: Mosaic::new(Default::default()), times: Vec::new(), before: None }
-    }
-
-    /// Goes on upon a ground that is there.
-    pub fn upon(camera: Camera, mosaic: Mosaic) -> Self {
-        Self { camera, mosaic, times: Vec::new(), before: None }
-    }
-
-    /// The ground so far.
-    pub fn mosaic(&self) -> &Mosaic {
-        &self.mosaic
-    }
-
-    /// Lays a frame where it shows something new.
-    pub fn next(&mut self, posed: Posed) {
+        let Some(posed) = posed else { return Ok(()) };
         let started = Instant::now();
-        if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
-            self.lay(&before);
-        }
-        if self.mosaic.wants(&self.camera, &posed.pose) {
-            self.lay(&posed);
-        } else {
-            self.before = Some(posed);
-        }
+        self.views.next(posed)?;
         self.times.push(started.elapsed());
-    }
-
-    fn lay(&mut self, posed: &Posed) {
-        if posed.frame.has_color() {
-            self.mosaic.add(&posed.frame.rgb(), &self.camera, &posed.pose);
-        } else {
-            self.mosaic.add(&posed.frame.gray, &self.camera, &posed.pose);
-        }
-    }
-
-    /// The mosaic with the last frame on it.
-    pub fn finished(mut self) -> (Mosaic, Vec<Duration>) {
-        if let Some(before) = self.before.take() {
-            self.lay(&before);
-        }
-        (self.mosaic, self.times)
+        Ok(())
     }
 }
 

@@ -19,6 +19,9 @@ use std::path::PathBuf;
 pub struct RunPlan {
     /// The version of the program that made the plan.
     pub odograph: String,
+    /// A path to be seen beside that of the run; it changes nothing of the run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<PathBuf>,
     pub source: SourcePlan,
     pub camera: Camera,
     pub rig: Rig,
@@ -132,6 +135,7 @@ impl RunPlan {
         };
         let plan = Self {
             odograph: env!("CARGO_PKG_VERSION").to_owned(),
+            reference: arguments.reference.clone(),
             source: source_plan,
             camera,
             rig,
@@ -164,6 +168,7 @@ impl RunPlan {
             ("--wheel", arguments.sensors.wheel.is_some()),
             ("--range", arguments.sensors.range.is_some()),
             ("--no-loops", arguments.no_loops),
+            ("--reference", arguments.reference.is_some()),
         ];
         if let Some((option, _)) = given.iter().find(|(_, given)| *given) {
             return Err(Error::usage(format!(

@@ -9,7 +9,8 @@
 //!
 //! * **A mount that is a little off** turns every movement by the same angle per metre: a roll of ε at height h by about ε/2h. That is no
 //!   noise that averages away, it bends the whole path. So the turn per metre ahead and per metre to the left are unknowns of the graph too,
-//!   with a prior; loops tell them, and the path between the loops is straightened also where nothing was seen twice.
+//!   with a prior; loops tell them, and the path between the loops is straightened also where nothing was seen twice. They are held at none until
+//!   the loops show them beyond doubt: freed for nothing they turn the noise of a loop into a bend of the whole path.
 //! * **A loop may be wrong.** Loops have Cauchy's loss, whose scale is what the loops themselves show: wide while the path is still bent, and
 //!   narrow once it fits (graduated non-convexity; H. Yang et al., 2020).
 
@@ -52,9 +53,18 @@ pub struct PoseGraph {
     edges_at: Vec<Vec<usize>>,
     /// Turn per metre ahead and per metre to the left, radians, that the mount makes.
     turn_per_m: Vector2<f64>,
-    /// Standard deviation of those two.
+    /// Standard deviation of those two where they are free.
     turn_sigma: f64,
+    /// Whether the loops have shown that there is such a turn.
+    mount_turns: bool,
 }
+
+/// What freeing the mount's turn must explain before it is freed: the squares of the misses, in variances, that it takes away. Chance takes away
+/// as much in four of a million graphs (chi-square, two degrees of freedom).
+const MOUNT_SHOWN: f64 = 25.0;
+
+/// Standard deviation of the turn while it is held, radians per metre: a millimetre in a kilometre's square.
+const HELD_TURN_SIGMA: f64 = 1e-9;
 
 /// A keyframe in the graph.
 #[derive(Debug, Clone)]
@@ -95,7 +105,14 @@ impl PoseGraph {
             edges_at: Vec::new(),
             turn_per_m: Vector2::zeros(),
             turn_sigma: TURN_OF_MOUNT / height_m,
+            mount_turns: false,
         }
+    }
+
+    /// Takes back what the loops were thought to show of the mount's turn: the next optimisation judges it anew.
+    pub fn doubt_mount(&mut self) {
+        self.mount_turns = false;
+        self.turn_per_m = Vector2::zeros();
     }
 
     /// Adds a keyframe at `pose`, whose motions were measured at the height `measured_at_m`. One that is there already is moved there.
@@ -168,20 +185,37 @@ impl PoseGraph {
     pub fn optimize(&mut self, steps: usize) -> Optimization {
         let mut outcome = Optimization { steps: 0, cost: (0.0, 0.0), converged: true };
         let Some(mut equations) = self.equations() else { return outcome };
-        // A second round with the loss that fits what the first left of the loops, where there is time for one.
-        for round in 0..2 {
-            let reach = self.loop_reach();
-            let before = self.cost(reach);
+        let mut reach = self.loop_reach();
+        outcome.cost.0 = self.cost(reach);
+        // A second round with the loss that fits what the first left of the loops, where there is time for one, and a third where the mount turns.
+        for round in 0..3 {
             let left = steps - outcome.steps;
-            let (taken, after, converged) = self.descend(&mut equations, reach, left, before);
-            outcome.cost = (if round == 0 { before } else { outcome.cost.0 }, after);
+            let (taken, after, converged) = self.descend(&mut equations, reach, left, self.cost(reach));
             outcome.steps += taken;
-            outcome.converged = converged;
-            if outcome.steps >= steps {
+            (outcome.cost.1, outcome.converged) = (after, converged);
+            let last = round == 2 || outcome.steps >= steps;
+            if (round > 0 || last) && !self.mount_turns {
+                self.mount_turns = self.shows_turn(&mut equations, reach);
+                if last || !self.mount_turns {
+                    break;
+                }
+            } else if round > 0 || last {
                 break;
             }
+            reach = self.loop_reach();
         }
         outcome
+    }
+
+    /// Whether the loops would be explained far better by a mount that turns.
+    fn shows_turn(&self, equations: &mut NormalEquations, reach: f64) -> bool {
+        let mut explained = |turn_sigma: f64| {
+            self.fill(equations, reach, turn_sigma);
+            let change = equations.solve(0.0)?;
+            Some(equations.explained(&change))
+        };
+        let (held, free) = (explained(HELD_TURN_SIGMA), explained(self.turn_sigma));
+        held.zip(free).is_some_and(|(held, free)| free - held > MOUNT_SHOWN)
     }
 
     /// Levenberg–Marquardt; gives the steps taken, the cost at the end, and whether it is the least.
@@ -194,7 +228,7 @@ impl PoseGraph {
     ) -> (usize, f64, bool) {
         let mut damping = 0.0;
         for taken in 0..steps {
-            self.fill(equations, reach);
+            self.fill(equations, reach, self.turn_sigma());
             loop {
                 let Some(change) = equations.solve(damping) else {
                     damping = next_damping(damping);
@@ -233,7 +267,7 @@ impl PoseGraph {
                 edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m).squared();
             0.5 * reach_of(edge.kind, reach).map_or(squared, |reach| loss(squared, reach))
         };
-        let mount = 0.5 * self.turn_per_m.norm_squared() / self.turn_sigma.powi(2);
+        let mount = 0.5 * self.turn_per_m.norm_squared() / self.turn_sigma().powi(2);
         self.edges.iter().map(of).sum::<f64>() + mount
     }
 
@@ -273,7 +307,11 @@ impl PoseGraph {
         NormalEquations::new(size, count, ties, unknown.clone())
     }
 
-    fn fill(&self, equations: &mut NormalEquations, reach: f64) {
+    fn turn_sigma(&self) -> f64 {
+        if self.mount_turns { self.turn_sigma } else { HELD_TURN_SIGMA }
+    }
+
+    fn fill(&self, equations: &mut NormalEquations, reach: f64, turn_sigma: f64) {
         equations.clear();
         for edge in &self.edges {
             let linear: Linearized =
@@ -282,7 +320,7 @@ impl PoseGraph {
                 .map_or(1.0, |reach| 1.0 / (1.0 + linear.squared() / (reach * reach)));
             equations.add(edge, &linear, weight);
         }
-        equations.hold_mount(self.turn_per_m, self.turn_sigma);
+        equations.hold_mount(self.turn_per_m, turn_sigma);
     }
 
     fn step(&mut self, equations: &NormalEquations, change: &DVector<f64>) {
@@ -302,7 +340,7 @@ impl PoseGraph {
         let none = || vec![Matrix4::zeros(); self.nodes.len()];
         let Some(mut equations) = self.equations() else { return none() };
         let reach = self.loop_reach();
-        self.fill(&mut equations, reach);
+        self.fill(&mut equations, reach, self.turn_sigma());
         let Some(blocks) = equations.marginals() else { return none() };
         let numbers = if self.heights == Heights::Held { 3.0 } else { 4.0 };
         let redundant = numbers * (self.edges.len() as f64 - equations.unknowns() as f64);

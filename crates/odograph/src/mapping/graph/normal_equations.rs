@@ -160,6 +160,11 @@ impl NormalEquations {
         change.iter().all(|value| value.is_finite()).then_some(change)
     }
 
+    /// How much less the weighted squares will be after the step that solves the equations.
+    pub fn explained(&self, change: &DVector<f64>) -> f64 {
+        self.right.dot(change)
+    }
+
     fn factorize(&mut self, damping: f64) -> Option<()> {
         let mut values = self.matrix.values().to_vec();
         if damping > 0.0 {

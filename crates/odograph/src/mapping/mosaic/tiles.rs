@@ -116,12 +116,15 @@ impl Tiles {
     pub fn extent(&self) -> Option<(Range<i64>, Range<i64>)> {
         let mut extent: Option<[i64; 4]> = None;
         for (&(row, column), &slot) in &self.index {
-            for (k, pixel) in self.tiles[slot].iter().enumerate() {
-                if pixel[3] > 0 {
-                    let (x, y) = (column * TILE + (k % SIDE) as i64, row * TILE + (k / SIDE) as i64);
-                    let [left, right, top, bottom] = extent.unwrap_or([x, x, y, y]);
-                    extent = Some([left.min(x), right.max(x), top.min(y), bottom.max(y)]);
-                }
+            for (line, y) in self.tiles[slot].chunks_exact(SIDE).zip(row * TILE..) {
+                let seen = |pixel: &[u8; 4]| pixel[3] > 0;
+                let (Some(first), Some(last)) = (line.iter().position(seen), line.iter().rposition(seen))
+                else {
+                    continue;
+                };
+                let (from, to) = (column * TILE + first as i64, column * TILE + last as i64);
+                let [left, right, top, bottom] = extent.unwrap_or([from, to, y, y]);
+                extent = Some([left.min(from), right.max(to), top.min(y), bottom.max(y)]);
             }
         }
         extent.map(|[left, right, top, bottom]| (left..right + 1, top..bottom + 1))

@@ -14,6 +14,10 @@ const MOST_COMPARISONS: u32 = 12_000;
 /// At most so many keyframes are looked at closely for a query.
 const MOST_CANDIDATES: usize = 16;
 
+/// Where so many matches agree on a motion over one keyframe, another with less than a fifth of them is not looked at closely.
+const MANY_AGREEING: usize = 15;
+const FEW_OF_MANY: usize = 5;
+
 /// With fewer matches a hypothesis is not worth telling.
 const LEAST_MATCHES: usize = 5;
 
@@ -54,7 +58,7 @@ pub struct PlaceHypothesis {
     pub rival_matches: usize,
     /// What the matches are worth: each one over how many features of its own picture look like it. What repeats is worth little.
     pub worth: f64,
-    /// What the matches of the best other motion over the same keyframe are worth.
+    /// What the matches of the best other motion over the same keyframe are worth, as if as much ground were shared under it.
     pub rival_worth: f64,
     /// Root mean square distance between matched features, metres.
     pub residual_m: f64,
@@ -184,6 +188,11 @@ impl PlaceIndex {
         }
         candidates.sort_by_key(|&(agreeing, slot, _)| (Reverse(agreeing), slot));
         candidates.truncate(MOST_CANDIDATES);
+        // Beside one that most speaks for, those that little speaks for are not looked at.
+        let most = candidates.first().map_or(0, |&(agreeing, ..)| agreeing);
+        if most >= MANY_AGREEING {
+            candidates.retain(|&(agreeing, ..)| FEW_OF_MANY * agreeing >= most);
+        }
         candidates.into_iter().map(|(_, slot, placing)| (slot, placing)).collect()
     }
 
@@ -200,7 +209,7 @@ impl PlaceIndex {
             left = rest;
             let number = address.query as usize;
             let descriptor = &query.features[number].descriptor;
-            for other in self.buckets.features(address) {
+            for other in self.buckets.features(address, descriptor) {
                 let there = &self.slots[other.slot()].features.features[other.feature()];
                 if let Some(difference) = difference(descriptor, &there.descriptor, MOST_DIFFERENCE) {
                     alike.push((other, number, difference));

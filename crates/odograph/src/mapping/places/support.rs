@@ -1,7 +1,7 @@
 //! What speaks for a motion between two pictures of the ground.
 
 use super::GroundFeature;
-use super::lookup::difference;
+use super::lookup::{MOST_SKETCH_DIFFERENCE, difference, sketch};
 use std::f32::consts::{PI, TAU};
 
 /// Descriptors that differ in more bits than this do not show the same. Unrelated ones differ in 128 on the average.
@@ -38,14 +38,17 @@ pub(super) struct Features {
     pub features: Vec<GroundFeature>,
     /// What a match of each is worth: one over the number of features of the picture that look like it, itself included.
     pub worth: Vec<f32>,
+    /// Some of each descriptor's bits, for a first look at many.
+    sketches: Vec<u32>,
     low: [f32; 2],
     high: [f32; 2],
 }
 
-/// The angle brought near zero.
+/// The angle brought near zero. Angles here are a few turns at most, so the nearest number of turns is got by cutting off, which costs a tenth of rounding.
 #[inline]
 fn turned(angle: f32) -> f32 {
-    angle - TAU * (angle / TAU).round()
+    let turns = angle * (1.0 / TAU);
+    angle - TAU * (turns + 0.5f32.copysign(turns)) as i32 as f32
 }
 
 impl Features {
@@ -67,17 +70,39 @@ impl Features {
                 high[k] = high[k].max(feature.position_m[k]);
             }
         }
-        let mut alike = vec![1u16; features.len()];
-        for (i, a) in features.iter().enumerate() {
-            for (j, b) in features.iter().enumerate().take(i) {
-                if difference(&a.descriptor, &b.descriptor, LOOKALIKE_DIFFERENCE).is_some() {
-                    alike[i] += 1;
-                    alike[j] += 1;
-                }
+        let sketches: Vec<u32> = features.iter().map(|feature| sketch(&feature.descriptor)).collect();
+        let mut found = Self { features, worth: Vec::new(), sketches, low, high };
+        let mut alike = vec![1u16; found.features.len()];
+        for (i, a) in found.features.iter().enumerate() {
+            found.each_alike(&a.descriptor, i, LOOKALIKE_DIFFERENCE, |j, _| {
+                alike[i] += 1;
+                alike[j] += 1;
+            });
+        }
+        found.worth = alike.into_iter().map(|alike| 1.0 / f32::from(alike)).collect();
+        found
+    }
+
+    /// Tells those of the first `count` features that differ from a descriptor in at most `most` bits. The sketches of all are compared first, without a branch.
+    fn each_alike(
+        &self,
+        descriptor: &[u64; 4],
+        count: usize,
+        most: u32,
+        mut take: impl FnMut(usize, &GroundFeature),
+    ) {
+        let own = sketch(descriptor);
+        let mut differing = [0u8; super::MOST_FEATURES];
+        for (differing, sketch) in differing.iter_mut().zip(&self.sketches[..count]) {
+            *differing = (sketch ^ own).count_ones() as u8;
+        }
+        for (at, &differing) in differing[..count.min(super::MOST_FEATURES)].iter().enumerate() {
+            if u32::from(differing) <= MOST_SKETCH_DIFFERENCE
+                && difference(descriptor, &self.features[at].descriptor, most).is_some()
+            {
+                take(at, &self.features[at]);
             }
         }
-        let worth = alike.into_iter().map(|alike| 1.0 / f32::from(alike)).collect();
-        Self { features, worth, low, high }
     }
 
     pub fn position(&self, at: usize) -> [f32; 2] {
@@ -220,12 +245,18 @@ pub(super) fn best_pair(
     best
 }
 
+/// With fewer matches around a placing a better fit will not find many more.
+const LEAST_TO_GO_ON: usize = 3;
+
 /// Looks under a placing for every feature of the query in the keyframe, fits, and looks again closer by.
 pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> Option<Support> {
     let mut placing = start;
     let mut matches = Vec::new();
     for radius in [6.0, 4.0, 3.0] {
         find_matches(query, keyframe, &placing, radius, &mut matches);
+        if matches.len() < LEAST_TO_GO_ON {
+            return None;
+        }
         placing = Placing::fitted(query, keyframe, &matches)?;
         if !(0.7..1.4).contains(&placing.scale) {
             return None;
@@ -291,22 +322,23 @@ fn find_matches(
     matches.dedup_by_key(|m| m.keyframe);
 }
 
-/// The support of the best other placing of the two pictures, of those that most single matches vote for. Where a pattern repeats there is one.
+/// Unrelated ground has up to five matches by chance; so many tell that ground is alike.
+const LEAST_TO_EXTRAPOLATE: usize = 8;
+
+/// The support of the best other placing of the two pictures, of those that most single matches vote for; its worth as if they shared as much ground under it as
+/// under the best. Where a pattern repeats there is one.
 pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Option<Support> {
     const MOST_TRIED: usize = 8;
     let middle: [f32; 2] = std::array::from_fn(|k| 0.5 * (query.low[k] + query.high[k]));
     let mut votes = Vec::new();
     for feature in &query.features {
-        for other in &keyframe.features {
-            if difference(&feature.descriptor, &other.descriptor, MOST_DIFFERENCE).is_none() {
-                continue;
-            }
+        keyframe.each_alike(&feature.descriptor, keyframe.features.len(), MOST_DIFFERENCE, |_, other| {
             let heading_rad = turned(other.direction_rad - feature.direction_rad);
             let turn = Placing { shift: [0.0; 2], heading_rad, scale: 1.0 };
             let off = turn.apply(std::array::from_fn(|k| middle[k] - feature.position_m[k]));
             let middle: [f32; 2] = std::array::from_fn(|k| other.position_m[k] + off[k]);
             votes.push(Vote { bin: bin(middle, heading_rad), middle, heading_rad });
-        }
+        });
     }
     votes.sort_unstable_by(|a, b| {
         let by_place = a.middle[0].total_cmp(&b.middle[0]).then(a.middle[1].total_cmp(&b.middle[1]));
@@ -314,18 +346,23 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
     });
     let mut groups: Vec<_> = votes.chunk_by(|a, b| a.bin == b.bin).filter(|group| group.len() > 1).collect();
     groups.sort_by_key(|group| (std::cmp::Reverse(group.len()), group[0].bin));
-    let other = |group: &[Vote]| {
+    // Votes for the placing itself fall into the bins around it, too; where they are the most, they must not keep the others from being tried.
+    let other = |placing: &Placing| placing.differs(&best.placing, middle);
+    let placing = |group: &[Vote]| {
         let mean = |value: fn(&Vote) -> f32| group.iter().map(value).sum::<f32>() / group.len() as f32;
         let turn = Placing { shift: [0.0; 2], heading_rad: mean(|vote| vote.heading_rad), scale: 1.0 };
         let [x, y] = turn.apply(middle);
-        let placing = Placing { shift: [mean(|v| v.middle[0]) - x, mean(|v| v.middle[1]) - y], ..turn };
-        // Votes for the placing itself fall into the bins around it, too.
-        let other = |placing: &Placing| placing.differs(&best.placing, middle);
-        let found = if other(&placing) { support(query, keyframe, placing) } else { None };
-        found.filter(|found| other(&found.placing))
+        Placing { shift: [mean(|v| v.middle[0]) - x, mean(|v| v.middle[1]) - y], ..turn }
     };
-    let found = groups.into_iter().take(MOST_TRIED).filter_map(other);
-    found.max_by(|a, b| a.worth.total_cmp(&b.worth).then(a.matches.cmp(&b.matches)))
+    // A floor that repeats shows the same shifted by a tile, only less of it: what counts is how much of the ground that is shared is alike.
+    let as_much_ground = |found: Support| {
+        let more = best.shared as f32 / found.shared.max(1) as f32;
+        let told = found.matches >= LEAST_TO_EXTRAPOLATE;
+        Support { worth: found.worth * if told { more.max(1.0) } else { 1.0 }, ..found }
+    };
+    let tried = groups.into_iter().map(placing).filter(other).take(MOST_TRIED);
+    let found = tried.filter_map(|placing| support(query, keyframe, placing)).filter(|s| other(&s.placing));
+    found.map(as_much_ground).max_by(|a, b| a.worth.total_cmp(&b.worth).then(a.matches.cmp(&b.matches)))
 }
 
 /// Where one match alone would put the middle of the query, and which way.

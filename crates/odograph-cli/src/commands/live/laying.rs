@@ -1,0 +1,92 @@
+//! The mosaic as it is laid while the frames come.
+
+use super::straight::Correction;
+use crate::commands::run::views::{Posed, Views};
+use odograph::camera::Camera;
+use odograph::error::Error;
+use odograph::mapping::Mosaic;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// The mosaic so far, and the frames of which it is laid again at the end, where they then are.
+pub struct Laying {
+    camera: Camera,
+    mosaic: Mosaic,
+    /// Where frames are laid: as odometry has them, until a loop has moved that.
+    correction: Correction,
+    views: Views,
+    /// Of the first frame that could not be kept.
+    failure: Option<Error>,
+    times: Vec<Duration>,
+    /// The frame before, where it was not laid: laid after all when it turns out to be the last of its stretch.
+    before: Option<Posed>,
+}
+
+/// What laying leaves beside the mosaic.
+pub struct Kept {
+    pub views: Views,
+    /// Why not all frames could be kept of which the mosaic is laid again.
+    pub failure: Option<Error>,
+    /// How long each frame took.
+    pub times: Vec<Duration>,
+}
+
+impl Laying {
+    /// Of a run that writes into `folder`.
+    pub fn new(camera: Camera, folder: &Path) -> Self {
+        Self {
+            views: Views::new(&camera, folder),
+            camera,
+            mosaic: Mosaic::new(Default::default()),
+            correction: Correction::NONE,
+            failure: None,
+            times: Vec::new(),
+            before: None,
+        }
+    }
+
+    /// The ground so far.
+    pub fn mosaic(&self) -> &Mosaic {
+        &self.mosaic
+    }
+
+    /// Goes on upon a ground that was laid anew, with frames corrected from now on.
+    pub fn go_on(&mut self, mosaic: Mosaic, correction: Correction) {
+        (self.mosaic, self.correction) = (mosaic, correction);
+    }
+
+    /// Lays a frame where it shows something new.
+    pub fn next(&mut self, posed: Posed) {
+        let started = Instant::now();
+        if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
+            self.lay(&before);
+        }
+        if self.failure.is_none() {
+            self.failure = self.views.next(posed.clone()).err();
+        }
+        if self.mosaic.wants(&self.camera, &self.correction.pose(&posed.pose)) {
+            self.lay(&posed);
+        } else {
+            self.before = Some(posed);
+        }
+        self.times.push(started.elapsed());
+    }
+
+    fn lay(&mut self, posed: &Posed) {
+        let pose = self.correction.pose(&posed.pose);
+        if posed.frame.has_color() {
+            self.mosaic.add(&posed.frame.rgb(), &self.camera, &pose);
+        } else {
+            self.mosaic.add(&posed.frame.gray, &self.camera, &pose);
+        }
+    }
+
+    /// The mosaic with the last frame on it, and the rest.
+    pub fn finished(mut self) -> (Mosaic, Kept) {
+        if let Some(before) = self.before.take() {
+            self.lay(&before);
+        }
+        let Self { mosaic, views, failure, times, .. } = self;
+        (mosaic, Kept { views, failure, times })
+    }
+}

@@ -1,0 +1,207 @@
+//! `odograph map merge`: maps that overlap, joined.
+
+use super::{check_free, info::pieces, mosaic};
+use crate::{Outcome, console, files, interrupt};
+use odograph::error::{Error, Result};
+use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use odograph::odometry::OdometryConfig;
+use odograph::slam::{self, KeyframeStore, Mapper, SlamConfig};
+use odograph_map::{KeyframeMove, MapFile, carried};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Join maps that show some of the same ground, made with the same camera. The first one's frame is kept; the others are recognised in it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct MergeArguments {
+    /// The maps, two or more: each must overlap one before it. They are not changed.
+    #[arg(value_name = "MAP", num_args = 2.., required = true)]
+    maps: Vec<PathBuf>,
+    /// The joined map.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// What may change between frames: as when the maps were made.
+    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    motion: crate::commands::run::Motion,
+    /// Overwrite the joined map where it is there.
+    #[arg(long)]
+    force: bool,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph map merge monday/map.gpkg tuesday/map.gpkg -o hall.gpkg
+  odograph map merge north.gpkg middle.gpkg south.gpkg -o yard.gpkg";
+
+/// Runs the command.
+pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
+    check_free(&arguments.output, arguments.force)?;
+    check_different(&arguments.maps)?;
+    let [first, others @ ..] = arguments.maps.as_slice() else {
+        return Err(Error::usage("give two maps or more to join"));
+    };
+    // Whatever fails, what was there stays, and nothing half joined is left.
+    let beside = files::beside(&arguments.output);
+    MapFile::remove(&beside)?;
+    let joined = joined(first, others, &beside, arguments);
+    let told = joined.inspect_err(|_| {
+        let _ = MapFile::remove(&beside);
+    })?;
+    MapFile::remove(&arguments.output)?;
+    fs::rename(&beside, &arguments.output).map_err(|error| {
+        let _ = MapFile::remove(&beside);
+        Error::output(format!("{} cannot be written: {error}", arguments.output.display()))
+    })?;
+    if !arguments.quiet {
+        console::print(&format!("{told}{}\n", arguments.output.display()))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// Refuses a map that is given twice, under whatever name: it would be laid over itself.
+fn check_different(maps: &[PathBuf]) -> Result<()> {
+    let files: Vec<Option<PathBuf>> = maps.iter().map(|path| fs::canonicalize(path).ok()).collect();
+    for (at, file) in files.iter().enumerate() {
+        if file.is_some() && files[..at].contains(file) {
+            return Err(Error::usage(format!(
+                "{} is given twice; a map cannot be joined to itself",
+                maps[at].display()
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Makes the joined map; gives what is to be told of it.
+fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArguments) -> Result<String> {
+    MapFile::open_read_only(first)?.copy_to(path)?;
+    let mut file = MapFile::open(path)?;
+    if file.map()?.keyframes.is_empty() {
+        return Err(Error::input(format!(
+            "{} has no keyframes; there is nothing to join to",
+            first.display()
+        )));
+    }
+    let mut told = String::new();
+    let mut finest_m = file.mosaic()?.map(|layer| layer.resolution_m);
+    for other in others {
+        let (back, added) = join(file, other, arguments)?;
+        file = back;
+        told += &format!(
+            "{}: {} keyframes, seen again in {} places\n",
+            other.display(),
+            added.merged.keyframes,
+            added.merged.ties
+        );
+        finest_m = match (finest_m, added.mosaic_m) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        };
+    }
+    let map = file.map()?;
+    told += &match pieces(&map) {
+        1 => String::new(),
+        pieces => format!("{pieces} pieces that nothing ties to each other: where they lie is not known\n"),
+    };
+    if finest_m.is_some() {
+        mosaic::laid(&mut file, finest_m, arguments.quiet)?;
+    }
+    file.close()?;
+    Ok(told)
+}
+
+/// What a map brought.
+struct Added {
+    merged: slam::Merged,
+    /// Side of a ground pixel of its mosaic, where it has one.
+    mosaic_m: Option<f64>,
+}
+
+/// Joins one more map.
+fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(MapFile, Added)> {
+    let mut other = MapFile::open_read_only(path)?;
+    let mosaic_m = other.mosaic()?.map(|layer| layer.resolution_m);
+    let map = file.map()?;
+    let mut added = other.map()?;
+    if added.camera != map.camera {
+        return Err(Error::input(format!(
+            "{} was made with another camera than {}; only maps of one camera, calibrated once, can be joined",
+            path.display(),
+            arguments.maps[0].display()
+        )));
+    }
+    // Its sessions go on with the numbers that are free.
+    let mut sessions = Vec::new();
+    for session in other.sessions()? {
+        sessions.push((session.id, file.begin_session(&session.source)?));
+    }
+    for keyframe in &mut added.keyframes {
+        let new = sessions.iter().find(|(old, _)| *old == keyframe.session);
+        keyframe.session = new.map_or(keyframe.session, |(_, new)| *new);
+    }
+    let before = added.keyframes.clone();
+    let mut odometry = OdometryConfig::default();
+    odometry.motion.model = arguments.motion.into();
+    let beginning = file.next_keyframe()?;
+    let last = map.keyframes.iter().map(|keyframe| keyframe.session).max().unwrap_or(0);
+    let mut mapper = Mapper::continuing(map, &odometry, SlamConfig::default(), last + 1, beginning);
+    let pictures = MapFile::open_read_only(path)?;
+    let mut store = Joined { file, other: pictures, beginning: beginning.0 };
+    let merged = slam::merge(&mut mapper, &mut store, &added, &mut other)?;
+    if merged.ties == 0 {
+        let earlier = if arguments.maps.len() > 2 { "the maps before it" } else { "the other" };
+        return Err(Error::input(format!(
+            "no ground of {} was recognised in {earlier}, so it is not known how they lie to each other; a drive over ground of both, \
+             made with run --map, ties them",
+            path.display()
+        )));
+    }
+    let mut file = store.file;
+    let keyframes = &mapper.map().keyframes;
+    let poses: Vec<_> = keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
+    file.set_poses(&poses)?;
+    for (old, new) in sessions {
+        let moves: Vec<KeyframeMove> = before
+            .iter()
+            .filter(|keyframe| keyframe.session == new)
+            .filter_map(|keyframe| {
+                let id = KeyframeId(beginning.0 + keyframe.id.0);
+                let now = keyframes.iter().find(|now| now.id == id)?;
+                let (segment, time_s) = (keyframe.segment, keyframe.time_s);
+                Some(KeyframeMove { segment, time_s, before: keyframe.pose, after: now.pose })
+            })
+            .collect();
+        file.set_path(new, &carried(&other.path_of(old)?, &moves))?;
+    }
+    Ok((file, Added { merged, mosaic_m }))
+}
+
+/// The joined map as it grows: pictures come from the other map as they are there.
+struct Joined {
+    file: MapFile,
+    other: MapFile,
+    beginning: u64,
+}
+
+impl KeyframeImages for Joined {
+    fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        self.file.load(keyframe)
+    }
+}
+
+impl KeyframeStore for Joined {
+    fn keep(&mut self, keyframe: &MapKeyframe, _: KeyframeImage, ties: &[MapEdge]) -> Result<()> {
+        if interrupt::asked() {
+            return Err(Error::input("interrupted; nothing was written"));
+        }
+        let there = KeyframeId(keyframe.id.0 - self.beginning);
+        self.file.add_keyframe_of(keyframe, &self.other, there, ties)
+    }
+
+    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
+        self.file.add_edges(std::slice::from_ref(edge))
+    }
+}

@@ -1,0 +1,92 @@
+//! `odograph map optimize`: keyframes where all that is known of them agrees best.
+
+use super::{check_free, mosaic};
+use crate::{Outcome, console, files};
+use odograph::error::{Error, Result};
+use odograph::mapping::{EdgeKind, GroundMap};
+use odograph::odometry::OdometryConfig;
+use odograph::slam;
+use odograph_map::MapFile;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Put the keyframes of a map where all that was measured between them agrees best, and the paths and the mosaic with them.
+///
+/// A run does this at its end; a run that was killed did not, nor does a map hold together as well as it could after it was thinned.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct OptimizeArguments {
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// Write the result here and leave the map as it is.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// What may change between frames: as when the map was made.
+    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    motion: crate::commands::run::Motion,
+    /// Overwrite the result where it is there.
+    #[arg(long, requires = "output")]
+    force: bool,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph map optimize drive/map.gpkg
+  odograph map optimize hall.gpkg -o hall-straight.gpkg";
+
+/// Runs the command.
+pub fn optimize(arguments: &OptimizeArguments) -> Result<Outcome> {
+    let Some(output) = &arguments.output else {
+        return in_place(&arguments.map, arguments);
+    };
+    check_free(output, arguments.force)?;
+    let beside = files::beside(output);
+    MapFile::remove(&beside)?;
+    MapFile::open_read_only(&arguments.map)?.copy_to(&beside)?;
+    let outcome = in_place(&beside, arguments).inspect_err(|_| {
+        let _ = MapFile::remove(&beside);
+    })?;
+    MapFile::remove(output)?;
+    fs::rename(&beside, output)
+        .map_err(|error| Error::output(format!("{} cannot be written: {error}", output.display())))?;
+    Ok(outcome)
+}
+
+fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {
+    let mut file = MapFile::open(path)?;
+    let map = file.map()?;
+    let mut odometry = OdometryConfig::default();
+    odometry.motion.model = arguments.motion.into();
+    let straight = slam::optimize(&map, &odometry);
+    let moved_m = most_moved_m(&map, &straight);
+    let poses: Vec<_> = straight.keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
+    file.set_poses(&poses)?;
+    // A mosaic that is off by less than half of its pixels shows the same.
+    let resolution_m = file.mosaic()?.map(|layer| layer.resolution_m);
+    if let Some(resolution_m) = resolution_m.filter(|resolution_m| moved_m > 0.5 * resolution_m) {
+        mosaic::laid(&mut file, Some(resolution_m), arguments.quiet)?;
+    }
+    file.close()?;
+    if !arguments.quiet {
+        let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
+        console::print(&match loops {
+            0 => "no loops: there is nothing that could disagree, and nothing was moved\n".to_owned(),
+            _ => format!(
+                "{} keyframes, {} edges, {loops} of them loops; moved by up to {:.2} mm\n",
+                map.keyframes.len(),
+                map.edges.len(),
+                1e3 * moved_m
+            ),
+        })?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn most_moved_m(before: &GroundMap, after: &GroundMap) -> f64 {
+    let pairs = before.keyframes.iter().zip(&after.keyframes);
+    pairs.map(|(a, b)| (a.pose.x_m - b.pose.x_m).hypot(a.pose.y_m - b.pose.y_m)).fold(0.0, f64::max)
+}

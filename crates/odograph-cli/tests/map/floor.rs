@@ -1,0 +1,72 @@
+//! What a run leaves in its map for who opens it, and a path from elsewhere beside its own.
+
+use odograph_map::MapFile;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+fn odograph(arguments: &str, folder: &Path) -> (i32, String) {
+    let done = Command::new(env!("CARGO_BIN_EXE_odograph"))
+        .args(arguments.split(' '))
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    (done.status.code().unwrap(), String::from_utf8(done.stderr).unwrap())
+}
+
+#[test]
+fn a_run_leaves_the_floor_in_its_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let simulate = "simulate --path straight --length 1.2 --speed 1 --size 160x120 --fps 20 --height 0.8 --texture asphalt -o sim --quiet";
+    let simulated = odograph(simulate, folder.path());
+    assert_eq!(simulated, (0, String::new()));
+    // The truth in other metres, and turned by a quarter: a receiver knows nothing of where a run begins.
+    let truth = fs::read_to_string(folder.path().join("sim/truth.tum")).unwrap();
+    let elsewhere: String = truth
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| {
+            let numbers: Vec<f64> = line.split(' ').map(|number| number.parse().unwrap()).collect();
+            let [time, x, y, z] = numbers[..4] else { panic!("{line}") };
+            format!("{time} {} {} {} 0 0 0 1\n", 7.0 - 2.0 * y, 5.0 + 2.0 * x, 2.0 * z)
+        })
+        .collect();
+    fs::write(folder.path().join("fixes & more.tum"), elsewhere).unwrap();
+    let run = "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --rig sim/rig.toml";
+    let done = Command::new(env!("CARGO_BIN_EXE_odograph"))
+        .args(run.split(' '))
+        .args(["--reference", "fixes & more.tum", "-o", "out"])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert_eq!((done.status.code(), String::from_utf8(done.stderr).unwrap().as_str()), (Some(0), ""));
+    let page = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
+    let section = &page[page.find("Beside fixes &amp; more.tum").unwrap()..];
+    // Lengths were doubled, to the exactness of a run that travels a metre.
+    assert!(
+        section.contains("lengths were multiplied by 2.00")
+            || section.contains("lengths were multiplied by 1.99")
+    );
+    assert!(section.contains(">reference</text>"));
+
+    // The floor is there without a further command: as much of it as the camera saw, of pixels twice as wide as the image's.
+    let map = MapFile::open_read_only(&folder.path().join("out/map.gpkg")).unwrap();
+    let layer = map.mosaic().unwrap().expect("the run lays the ground");
+    let pixel_m = 0.8 / map.camera().focal_px().0;
+    // The height may breathe by what the pictures tell, micrometres here.
+    assert!((layer.resolution_m / pixel_m - 2.0).abs() < 1e-4, "{} m, {pixel_m} m", layer.resolution_m);
+    let (width, _, _) = layer.picture_at(layer.finest);
+    let (seen_m, view_m) = (1.2 + 120.0 * pixel_m, 120.0 * pixel_m);
+    let laid_m = width as f64 * layer.resolution_m;
+    // Up to the last keyframe, which the end of the drive sees half of at least.
+    assert!(laid_m < 1.02 * seen_m && laid_m > seen_m - 0.5 * view_m, "{laid_m} m of {seen_m} m");
+    drop(map);
+
+    // What cannot be read is told before the work; what does not fit is told beside it.
+    let missing = odograph(&format!("{run} --reference none.tum -o out2 --quiet"), folder.path());
+    assert!(missing.0 == 3 && missing.1.contains("none.tum"), "{missing:?}");
+    fs::write(folder.path().join("later.tum"), "900 0 0 0 0 0 0 1\n901 1 0 0 0 0 0 1\n902 2 0 0 0 0 0 1\n")
+        .unwrap();
+    let later = odograph(&format!("{run} --reference later.tum -o out3"), folder.path());
+    assert!(later.0 == 0 && later.1.contains("cannot be compared"), "{later:?}");
+}

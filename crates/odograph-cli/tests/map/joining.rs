@@ -1,0 +1,201 @@
+//! Maps that are joined and straightened: `odograph map merge` and `odograph map optimize`.
+
+use super::{odograph, text};
+use nalgebra::{Matrix4, Matrix6, Vector4};
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::geometry::GroundPose;
+use odograph::image::Pyramid;
+use odograph::mapping::places::{PlacesConfig, Signature};
+use odograph::mapping::plane_motion::{laid_from, seen_from};
+use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use odograph::simulation::{Ground, Renderer, Texture};
+use odograph_map::{MapFile, PathFrame};
+use std::fs;
+use std::path::Path;
+use std::sync::LazyLock;
+
+const HEIGHT_M: f64 = 0.75;
+
+/// It sees 0.96 m across and 0.72 m along; a pixel is 3 mm.
+fn camera() -> Camera {
+    Camera::new((320, 240), (250.0, 250.0), (160.0, 119.5), Distortion::None).unwrap()
+}
+
+static GROUND: LazyLock<Ground> = LazyLock::new(|| {
+    Ground::new(Texture::named("asphalt").unwrap(), Renderer::new(&camera()).footprint_m(HEIGHT_M), false, 3)
+        .unwrap()
+});
+
+/// Straight on from a place, a quarter of a metre a step.
+fn way(from: (f64, f64), heading_rad: f64, count: usize) -> Vec<GroundPose> {
+    let (sin, cos) = heading_rad.sin_cos();
+    let step = |i: usize| 0.25 * i as f64;
+    let level = GroundPose::level(HEIGHT_M);
+    (0..count)
+        .map(|i| GroundPose {
+            x_m: from.0 + step(i) * cos,
+            y_m: from.1 + step(i) * sin,
+            heading_rad,
+            ..level
+        })
+        .collect()
+}
+
+fn tie(from: usize, to: usize, kind: EdgeKind, motion: Vector4<f64>) -> MapEdge {
+    let [from, to] = [from, to].map(|number| KeyframeId(number as u64));
+    let covariance = Matrix4::from_diagonal(&Vector4::new(1e-6, 1e-6, 1e-6, 0.0));
+    MapEdge { from, to, kind, motion, covariance }
+}
+
+/// A map of what is seen from `truth`, with the keyframes at `known`, a frame of the path at each, and these edges.
+fn map_of(path: &Path, truth: &[GroundPose], known: &[GroundPose], edges: &[MapEdge]) {
+    let camera = camera();
+    let renderer = Renderer::new(&camera);
+    let mut map = MapFile::create(path, &camera, &Rig::level(HEIGHT_M)).unwrap();
+    let session = map.begin_session(path.file_name().unwrap().to_str().unwrap()).unwrap();
+    let mut frames = Vec::new();
+    for (number, (truth, known)) in truth.iter().zip(known).enumerate() {
+        let gray = renderer.gray_view(&GROUND, truth);
+        let config = PlacesConfig::new(&camera, HEIGHT_M);
+        let keyframe = MapKeyframe {
+            id: KeyframeId(number as u64),
+            session,
+            segment: 0,
+            frame: number as u64,
+            time_s: number as f64,
+            odometry_pose: *known,
+            pose: *known,
+            covariance: Matrix6::zeros(),
+            signature: Signature::of(&Pyramid::new(gray.clone(), 4), &camera, known, &config),
+        };
+        let own: Vec<MapEdge> = edges.iter().filter(|e| e.from.max(e.to) == keyframe.id).copied().collect();
+        map.add_keyframe(&keyframe, &KeyframeImage { gray, color: None }, &own).unwrap();
+        frames.push(PathFrame { frame: keyframe.frame, segment: 0, time_s: keyframe.time_s, pose: *known });
+    }
+    map.set_path(session, &frames).unwrap();
+    map.close().unwrap();
+}
+
+/// A drive whose frame of reference is its first camera, as it is where it knows nothing else.
+fn drive(path: &Path, truth: &[GroundPose]) {
+    let level = GroundPose::level(HEIGHT_M);
+    let known: Vec<_> =
+        truth.iter().map(|pose| laid_from(&level, &seen_from(&truth[0], pose), 1.0)).collect();
+    let edges: Vec<_> = (1..truth.len())
+        .map(|i| tie(i - 1, i, EdgeKind::Odometry, seen_from(&truth[i - 1], &truth[i])))
+        .collect();
+    map_of(path, truth, &known, &edges);
+}
+
+fn apart_m(a: &GroundPose, b: &GroundPose) -> f64 {
+    (a.x_m - b.x_m).hypot(a.y_m - b.y_m)
+}
+
+#[test]
+fn maps_that_overlap_are_joined() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    drive(&at("a.gpkg"), &way((0.0, 0.0), 0.0, 9));
+    let second = way((2.3, 0.4), -2.7, 9);
+    drive(&at("b.gpkg"), &second);
+    let before = [fs::read(at("a.gpkg")).unwrap(), fs::read(at("b.gpkg")).unwrap()];
+    let mut laid = MapFile::open(&at("b.gpkg")).unwrap();
+    laid.lay_mosaic(Some(0.01), &mut |_| true).unwrap();
+    laid.close().unwrap();
+
+    let merge = ["merge", "a.gpkg", "b.gpkg", "-o", "c.gpkg"];
+    let (code, told, complaints) = text(&odograph(&merge, folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    assert!(told.starts_with("b.gpkg: 9 keyframes, seen again in ") && told.ends_with("c.gpkg\n"), "{told}");
+    let mut joined = MapFile::open_read_only(&at("c.gpkg")).unwrap();
+    joined.check().unwrap();
+    let sources: Vec<_> = joined.sessions().unwrap().into_iter().map(|session| session.source).collect();
+    assert_eq!(sources, ["a.gpkg", "b.gpkg"]);
+    let map = joined.map().unwrap();
+    assert_eq!(map.keyframes.len(), 18);
+    // Both lie in the frame of the first, to half a pixel, and each frame of the path with its keyframe.
+    let truth: Vec<GroundPose> = way((0.0, 0.0), 0.0, 9).into_iter().chain(second).collect();
+    let paths = [0, 1].map(|session| joined.path_of(session).unwrap()).concat();
+    for ((keyframe, truth), frame) in map.keyframes.iter().zip(&truth).zip(&paths) {
+        assert!(apart_m(&keyframe.pose, truth) < 1.5e-3, "{:?} is not at {truth:?}", keyframe.pose);
+        assert!(apart_m(&keyframe.pose, &frame.pose) < 1e-9, "{frame:?} is not at {:?}", keyframe.pose);
+    }
+    // Pictures are taken over as they are, and the floor is laid as fine as it was.
+    let mut other = MapFile::open_read_only(&at("b.gpkg")).unwrap();
+    assert_eq!(joined.load(KeyframeId(12)).unwrap(), other.load(KeyframeId(3)).unwrap());
+    assert_eq!(joined.mosaic().unwrap().map(|layer| layer.resolution_m), Some(0.01));
+    assert_eq!(fs::read(at("a.gpkg")).unwrap(), before[0]);
+
+    // Without a reason to it, nothing is written over and nothing laid over itself.
+    let whole = fs::read(at("c.gpkg")).unwrap();
+    fs::write(at("b.gpkg"), &before[1]).unwrap();
+    drive(&at("far.gpkg"), &way((30.0, 5.0), 1.0, 5));
+    let other_camera = super::made();
+    fs::copy(other_camera.path().join("map.gpkg"), at("small.gpkg")).unwrap();
+    for (arguments, code, part) in [
+        (merge.to_vec(), 2, "already there"),
+        (vec!["merge", "a.gpkg", "./a.gpkg", "-o", "d.gpkg"], 2, "given twice"),
+        (vec!["merge", "a.gpkg", "-o", "d.gpkg"], 2, "2 values required"),
+        (vec!["merge", "a.gpkg", "small.gpkg", "-o", "d.gpkg"], 3, "another camera"),
+        (vec!["merge", "a.gpkg", "far.gpkg", "-o", "d.gpkg"], 3, "no ground of far.gpkg was recognised"),
+        (vec!["merge", "a.gpkg", "none.gpkg", "-o", "d.gpkg"], 3, "none.gpkg"),
+        (vec!["merge", "a.gpkg", "far.gpkg", "-o", "c.gpkg", "--force"], 3, "no ground of far.gpkg"),
+    ] {
+        let (found, told, complaint) = text(&odograph(&arguments, folder.path()));
+        assert_eq!((found, told.as_str()), (code, ""), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(part), "{arguments:?}: {complaint}");
+    }
+    let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["a.gpkg", "b.gpkg", "c.gpkg", "far.gpkg", "small.gpkg"]);
+    assert_eq!(fs::read(at("c.gpkg")).unwrap(), whole, "what failed left what was there");
+}
+
+#[test]
+fn a_bent_map_is_straightened_with_its_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    // To and fro; every step bends by half a degree, and the way back saw the way there.
+    let there = way((0.0, 0.0), 0.0, 6);
+    let back = way((1.25, 0.2), std::f64::consts::PI, 6);
+    let truth: Vec<GroundPose> = there.into_iter().chain(back).collect();
+    let (mut edges, mut known) = (Vec::new(), vec![truth[0]]);
+    for i in 1..truth.len() {
+        let mut motion = seen_from(&truth[i - 1], &truth[i]);
+        motion[2] += 0.01;
+        edges.push(tie(i - 1, i, EdgeKind::Odometry, motion));
+        known.push(laid_from(&known[i - 1], &motion, 1.0));
+    }
+    let exact = |edge: MapEdge| MapEdge { covariance: edge.covariance * 1e-2, ..edge };
+    edges
+        .extend((6..12).map(|i| exact(tie(i, 11 - i, EdgeKind::Loop, seen_from(&truth[i], &truth[11 - i])))));
+    map_of(&path, &truth, &known, &edges);
+    let worst_m = |map: &MapFile| {
+        let keyframes = map.map().unwrap().keyframes;
+        keyframes.iter().zip(&truth).map(|(k, truth)| apart_m(&k.pose, truth)).fold(0.0, f64::max)
+    };
+    let bent_m = worst_m(&MapFile::open_read_only(&path).unwrap());
+
+    let bytes = fs::read(&path).unwrap();
+    let (code, told, complaints) =
+        text(&odograph(&["optimize", "map.gpkg", "-o", "straight.gpkg"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    assert!(told.starts_with("12 keyframes, 17 edges, 6 of them loops; moved by up to "), "{told}");
+    assert_eq!(fs::read(&path).unwrap(), bytes, "the map itself was not asked to be changed");
+    let straight = MapFile::open_read_only(&folder.path().join("straight.gpkg")).unwrap();
+    // The loops take up what they can tell: all but a turn of the first keyframes, which nothing but the bent steps measures.
+    let straight_m = worst_m(&straight);
+    assert!(straight_m < 0.2 * bent_m, "{bent_m} m bent, {straight_m} m straightened");
+    for (frame, keyframe) in straight.path_of(0).unwrap().iter().zip(straight.map().unwrap().keyframes) {
+        assert!(apart_m(&frame.pose, &keyframe.pose) < 1e-9);
+        assert!(keyframe.id.0 == 0 || keyframe.covariance[(0, 0)] > 0.0, "{:?}", keyframe.id);
+    }
+    drop(straight);
+
+    // Again, in place: it is where it agrees best already, so nothing moves by a micrometre.
+    let told = text(&odograph(&["optimize", "straight.gpkg"], folder.path()));
+    assert!(told.0 == 0 && told.1.ends_with("moved by up to 0.00 mm\n"), "{told:?}");
+    let (code, _, complaint) =
+        text(&odograph(&["optimize", "map.gpkg", "-o", "straight.gpkg"], folder.path()));
+    assert!(code == 2 && complaint.contains("already there"), "{complaint}");
+}
