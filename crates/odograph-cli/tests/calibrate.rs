@@ -1,9 +1,14 @@
 //! `odograph calibrate` from outside: what it writes, and what it says of what cannot be calibrated with.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // in a test, what cannot be is a failure of the test; one says why it skips
 
 #[path = "calibrate/boards.rs"]
 mod boards;
+#[path = "live/browser.rs"]
+#[allow(dead_code)] // of the browser not all is needed here
+mod browser;
+#[path = "calibrate/watching.rs"]
+mod watching;
 
 use boards::{BOARD, camera, folder, held, mirrored, pictures, scene, scene_of, write_png, y4m};
 use odograph::formats::camera_file;
@@ -353,4 +358,73 @@ fn the_boards_of_opencv() {
         let near = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).abs() < 1.0 && (a.1 - b.1).abs() < 1.0;
         assert!(near(camera.focal_px(), focal_px) && near(camera.principal_px(), principal_px), "{camera:?}");
     }
+}
+
+/// A camera that shows what the test holds before it: Y4M on standard input, and what the page is told about it.
+#[test]
+fn through_a_camera_it_is_said_what_is_missing_until_it_is_good() {
+    let place = Place::new();
+    // With a space: the page must ask for it as addresses have it.
+    let mut command =
+        place.command(&format!("--live - --board {BOARD} --model brown4 --serve 127.0.0.1:0 -o"));
+    let mut camera = watching::Camera::start(command.arg("my camera.yaml"), (320, 240));
+    let pictures = pictures(&scene(), 40);
+    let told = camera.hold(&pictures[0]);
+    assert!(told["why"].is_null() && told["with_board"] == 1 && told["looked_at"] == 2, "{told}");
+    pictures[1..6].iter().for_each(|picture| drop(camera.hold(picture)));
+    let mut told = camera.guided(&pictures[6]);
+    let missing = |told: &serde_json::Value| told["missing"].as_array().unwrap().len();
+    assert!(missing(&told) > 0 && told["views"].as_u64().unwrap() > 2, "{told}");
+    let mut browser = browser::Browser::start().map_err(|why| println!("no look at the page: {why}")).ok();
+    let page = browser.as_mut().map(|browser| browser.open(&camera.url, (1280, 800), false));
+    if let (Some(browser), Some(page)) = (&mut browser, &page) {
+        browser.wait(page, "document.body.dataset.views > 2");
+        camera.hold(&pictures[6]);
+        browser.wait(page, "document.body.dataset.pictures > 0");
+        let hint = browser.evaluate(page, "document.querySelector('#missing li').textContent");
+        assert_eq!(hint, told["missing"][0]);
+        browser.picture(page, "calibrate-desktop-light");
+        browser.look(page, (390, 844), true);
+        browser
+            .evaluate(page, "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))");
+        browser.picture(page, "calibrate-phone-dark");
+        browser.look(page, (1280, 800), false);
+    }
+    for picture in &pictures[7..] {
+        told = camera.hold_still(picture);
+    }
+    // It ends by itself, with nothing missing, however long the trial takes.
+    let told = camera.until_it_ends(told, &pictures[39]);
+    assert_eq!((&told["verdict"], missing(&told)), (&"good".into(), 0), "{told}");
+    if let (Some(browser), Some(page)) = (&mut browser, &page) {
+        browser
+            .wait(page, "document.body.dataset.verdict == 'good' && document.body.dataset.phase == 'saved'");
+        let download = "[...document.querySelectorAll('#downloads a')].map(link => link.href).filter(link => link.endsWith('.yaml'))[0]";
+        browser.wait(page, download);
+        let text = browser.evaluate(page, &format!("fetch({download}).then(answer => answer.text())"));
+        assert_eq!(text.as_str().unwrap().as_bytes(), fs::read(place.path("my camera.yaml")).unwrap());
+        browser.picture(page, "calibrated-desktop-light");
+    }
+    drop(browser);
+    let done = camera.end();
+    fs::rename(place.path("my camera.yaml"), place.path("camera.yaml")).unwrap();
+    fs::rename(place.path("my camera-report"), place.path("camera-report")).unwrap();
+    assert_calibrated(&place, "camera", &done);
+}
+
+#[test]
+fn what_a_stranger_does_wrong_before_a_camera_is_told() {
+    let place = Place::new();
+    fs::write(place.path("board.y4m"), y4m(&pictures(&scene(), 4))).unwrap();
+    place.refused(&format!("board.y4m --board {BOARD} -o a.yaml --serve"), 2, &["--live"]);
+    place.refused(&format!("board.y4m --board {BOARD} -o a.yaml --size 640x480"), 2, &["--live"]);
+    place.refused(&format!("--live board.y4m more.y4m --board {BOARD} -o a.yaml"), 2, &["more.y4m"]);
+    place.refused(&format!("--live /dev/video99 --board {BOARD} -o a.yaml"), 3, &["/dev/video99"]);
+    // Another board than the one before the camera.
+    place.refused(
+        "--live board.y4m --board chessboard:9x6:25mm -o a.yaml -q",
+        3,
+        &["was not found in any of 4 frames"],
+    );
+    place.refused(&format!("--live board.y4m --board {BOARD} -o no/a.yaml"), 2, &["no such folder"]);
 }

@@ -4,12 +4,17 @@
 
 #[path = "live/browser.rs"]
 mod browser;
+#[path = "live/disk.rs"]
+mod disk;
 #[path = "live/program.rs"]
 mod program;
+#[path = "live/rtsp.rs"]
+mod rtsp;
 
 use browser::Browser;
 use program::{DEMO, Place, names, pictures, statistics, write_uncompressed};
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::process::Stdio;
@@ -22,7 +27,8 @@ const DRIVE_M: f64 = 12.8;
 fn every_frame_of_a_recording_gives_what_run_gives() {
     let place = Place::new();
     write_uncompressed(&place.path("drive.y4m"));
-    let live = place.command("live", "drive.y4m -o live --print poses --quiet").output().unwrap();
+    let live =
+        place.command("live", "drive.y4m -o live --print poses --mcap live.mcap --quiet").output().unwrap();
     assert!(live.status.success(), "{}", String::from_utf8_lossy(&live.stderr));
     let run = place.command("run", "drive.y4m -o run --quiet").output().unwrap();
     assert!(run.status.success());
@@ -51,6 +57,20 @@ fn every_frame_of_a_recording_gives_what_run_gives() {
     let last: Vec<&str> = table.lines().last().unwrap().split(',').collect();
     let x_m = lines.last().unwrap()["pose"]["x_m"].as_f64().unwrap();
     assert!((x_m - last[2].parse::<f64>().unwrap()).abs() < 1e-6);
+    // The same lines in the MCAP file, and a picture for every third of the thirty frames a second.
+    let mut topics: BTreeMap<String, Vec<serde_json::Value>> = BTreeMap::new();
+    for message in mcap::MessageStream::new(&place.read("live.mcap")).unwrap() {
+        let message = message.unwrap();
+        let value = serde_json::from_slice(&message.data).unwrap();
+        topics.entry(message.channel.topic.clone()).or_default().push(value);
+    }
+    assert!(topics["/frame"] == lines);
+    assert_eq!(topics["/camera"].len(), lines.len().div_ceil(3));
+    assert_eq!(topics["/pose"].last().unwrap()["pose"]["position"]["x"], json!(x_m));
+    // It is not overwritten unasked.
+    let again = place.command("live", "drive.y4m -o again --mcap live.mcap").output().unwrap();
+    assert_eq!(again.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("live.mcap is already there"));
 }
 
 #[test]
@@ -140,6 +160,47 @@ fn a_phone_over_http_that_hangs_up_once_is_followed_to_its_end() {
 }
 
 #[test]
+fn an_rtsp_camera_that_goes_away_and_comes_back_is_followed_to_its_end() {
+    let place = Place::new();
+    let clip = match rtsp::clip(&place.path("clip.h264")) {
+        Ok(clip) => clip,
+        Err(why) => {
+            println!("skipped: {why}");
+            return;
+        }
+    };
+    let server = rtsp::Server::start(clip);
+    let address = server.address();
+    let done = place
+        .command("live", &format!("rtsp://name:secret@{address}/floor --patience 1 -o out --quiet"))
+        .env_remove("ODOGRAPH_FFMPEG")
+        .output()
+        .unwrap();
+    let sent = server.sent();
+    // Both times it was asked in the order of the protocol, over TCP.
+    assert_eq!(server.asked(), ["OPTIONS", "DESCRIBE", "SETUP", "PLAY"].repeat(2));
+    assert_eq!(done.status.code(), Some(3));
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert!(
+        told.contains(&format!("rtsp://{address}/floor went away")) && told.contains("within 1 s"),
+        "{told}"
+    );
+    assert!(!told.contains("secret"), "{told}");
+    let figures = statistics(&place.path("out"));
+    assert_eq!(figures["live"]["reconnects"], json!(1), "{figures}");
+    // Each time ffmpeg spends the first second on finding out what it is sent, and begins with the next picture that is whole: of the two times
+    // three seconds at least one and a half come through.
+    let captured = figures["live"]["frames_captured"].as_u64().unwrap();
+    assert!(2 * captured >= sent && captured <= sent, "{captured} of {sent}");
+    let length_m = figures["distance_m"].as_f64().unwrap();
+    assert!(length_m > 0.0 && length_m < DRIVE_M, "{figures}");
+    // What is written for others to read does not have the password either.
+    for name in ["run.toml", "report.html", "stats.json"] {
+        assert!(!String::from_utf8_lossy(&place.read(&format!("out/{name}"))).contains("secret"), "{name}");
+    }
+}
+
+#[test]
 #[cfg(unix)]
 fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
     let place = Place::new();
@@ -161,6 +222,17 @@ fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
     let mut view = place.server("view", "out");
     let state: serde_json::Value = serde_json::from_str(&view.get("/state")).unwrap();
     assert_eq!((&state["introduction"]["live"], &state["status"]["captured"]), (&json!(false), &json!(kept)));
+    view.end();
+    // Its map has neither a path nor a picture: the keyframes stand for the one, the other is laid while one looks.
+    let keyframes =
+        odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap().map().unwrap().keyframes;
+    let mut view = place.server("view", "out/map.gpkg");
+    let state: serde_json::Value = serde_json::from_str(&view.get("/state")).unwrap();
+    assert_eq!(state["status"]["captured"], json!(keyframes.len()));
+    let begun = std::time::Instant::now();
+    while view.answer("/tiles/0/0.png").is_err() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no ground was laid");
+    }
     view.end();
 }
 
@@ -189,6 +261,72 @@ fn a_full_disk_is_said_and_tracking_goes_on() {
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_it() {
+    let place = Place::new();
+    std::fs::create_dir(place.path("disk")).unwrap();
+    let disk = match disk::SmallDisk::mount(&place.path("disk"), 32 << 20) {
+        Ok(disk) => disk,
+        Err(why) => {
+            println!("skipped: {why}");
+            return;
+        }
+    };
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 4 --print poses -o disk/out"));
+    let mut poses = BufReader::new(live.output()).lines();
+    let mut status = |live: &program::Serving| {
+        assert!(poses.by_ref().take(20).count() == 20, "the drive ended");
+        serde_json::from_str::<serde_json::Value>(&live.get("/state")).unwrap()["status"].clone()
+    };
+    let mut told = status(&live);
+    while told["message"].is_null() {
+        told = status(&live);
+    }
+    let message = told["message"].as_str().unwrap();
+    assert!(message.contains("nearly full") && message.contains(" MB are left"), "{message}");
+    assert_eq!(told["recording"], json!(true));
+    disk.fill();
+    while told["recording"] == json!(true) {
+        told = status(&live);
+    }
+    let message = told["message"].as_str().unwrap();
+    assert!(message.contains("No space left on device") && message.contains("tracking goes on"), "{message}");
+    let captured = told["captured"].as_u64().unwrap();
+    while told["captured"].as_u64().unwrap() < captured + 40 {
+        told = status(&live);
+    }
+    live.end();
+    // What was recorded before is there, line by line.
+    let table = String::from_utf8(place.read("disk/out/trajectory.csv.part")).unwrap();
+    let columns = |line: &str| line.split(',').count();
+    let whole = table.lines().filter(|line| columns(line) == columns(table.lines().next().unwrap())).count();
+    assert!(whole > 10 && whole + 1 >= table.lines().count(), "{whole}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_map_that_does_not_fit_on_its_disk_costs_no_trajectory() {
+    let place = Place::new();
+    write_uncompressed(&place.path("drive.y4m"));
+    std::fs::create_dir(place.path("disk")).unwrap();
+    let _disk = match disk::SmallDisk::mount(&place.path("disk"), 300 << 10) {
+        Ok(disk) => disk,
+        Err(why) => {
+            println!("skipped: {why}");
+            return;
+        }
+    };
+    let done = place.command("run", "drive.y4m --map disk/map.gpkg -o out --quiet").output().unwrap();
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(3), "{told}");
+    assert!(told.contains("disk/map.gpkg"), "{told}");
+    let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
+    assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
+    // All of the 121 frames of four seconds.
+    assert!(table.lines().count() > 120 && place.path("out/report.html").is_file(), "{table}");
+}
+
+#[test]
 fn what_cannot_be_followed_is_told_in_a_sentence() {
     let place = Place::new();
     let refused = |arguments: &str, code: i32| {
@@ -208,6 +346,14 @@ fn what_cannot_be_followed_is_told_in_a_sentence() {
     );
     assert!(refused(&format!("{DEMO}/drive.mp4 --raw gray:1x1@1 -o out"), 2).contains("standard input"));
     assert!(refused("- --raw gray:640x480@30 -o out", 3).contains("no frame"));
+    let view = |path: &str| {
+        let done = place.command("view", path).output().unwrap();
+        assert_eq!(done.status.code(), Some(3), "{path}");
+        String::from_utf8_lossy(&done.stderr).into_owned()
+    };
+    std::fs::write(place.path("text.gpkg"), "no map").unwrap();
+    assert!(view("text.gpkg").contains("text.gpkg"));
+    assert!(view("nowhere").contains("nowhere is not the folder of a run"));
 }
 
 #[test]
@@ -297,6 +443,104 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     browser.evaluate(&page, "new Promise(done => setTimeout(done, 400))");
     browser.picture(&page, "view-phone-light");
     view.end();
+    look_at_the_map(browser, place);
+}
+
+/// The map that the run left.
+fn look_at_the_map(browser: &mut Browser, place: &Place) {
+    let map = odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap();
+    let keyframes = map.map().unwrap().keyframes.len();
+    let frames = map.path_of(0).unwrap();
+    let mut view = place.server("view", "out/map.gpkg");
+    let page = browser.open(&view.url, (1280, 800), false);
+    let all = format!(
+        "document.body.dataset.records == {} && document.body.dataset.keyframes == {keyframes}",
+        frames.len()
+    );
+    browser.wait(
+        &page,
+        &format!("{all} && document.body.dataset.tiles > 3 && document.body.dataset.marks == 1"),
+    );
+    browser.wait(&page, "document.body.dataset.at == 0");
+    let shown = browser.evaluate(&page, "Number(document.getElementById('x').textContent)").as_f64().unwrap();
+    assert!((shown - frames[0].pose.x_m).abs() < 6e-4, "{shown}");
+    browser.picture(&page, "map-desktop-light");
+    browser.look(&page, (390, 844), true);
+    browser.evaluate(&page, "new Promise(done => setTimeout(done, 400))");
+    browser.picture(&page, "map-phone-dark");
+    view.end();
+}
+
+/// What the page makes of an hour at 30 frames a second, and of the loops in it. The figures are printed, and not judged: they depend on the machine.
+#[test]
+#[ignore = "a measurement; cargo test -p odograph-cli --test live -- --ignored --nocapture hour"]
+fn an_hour_on_the_page() {
+    let mut browser = Browser::start().unwrap();
+    let place = Place::new();
+    std::fs::create_dir(place.path("hour")).unwrap();
+    std::fs::write(place.path("hour/trajectory.csv"), place.table_of(108_000)).unwrap();
+    let mut view = place.server("view", "hour");
+    let page = browser.open(&view.url, (1280, 800), false);
+    browser.wait(&page, "document.body.dataset.records == 108000 && document.body.dataset.at == 0");
+    let measure = r#"(async () => {
+        const { Track } = await import('/track.js'), { GroundMap } = await import('/map.js');
+        const track = new Track(), bytes = await new Promise((done, fail) => {
+            const socket = new WebSocket(`ws://${location.host}/socket`); let bytes = 0; const begun = performance.now();
+            socket.binaryType = 'arraybuffer';
+            socket.onmessage = event => { if (typeof event.data === 'string') return; bytes += event.data.byteLength;
+                track.add(new DataView(event.data).getUint32(4, true), new Float32Array(event.data, 8));
+                if (track.count === 108000) { socket.close(); done({ bytes, ms: performance.now() - begun }); } };
+            socket.onerror = fail;
+        });
+        const canvas = document.createElement('canvas'); canvas.style.cssText = 'position:fixed;inset:0;width:910px;height:700px'; document.body.append(canvas);
+        const map = new GroundMap(canvas, track); map.resize(); map.showAll(); map.show(track.count - 1);
+        const time = act => { const times = []; for (let k = 0; k < 30; k++) { const begun = performance.now(); act(k); canvas.getContext('2d').getImageData(0, 0, 1, 1); times.push(performance.now() - begun); } return times.sort((a, b) => a - b)[15]; };
+        const whole = time(() => { map.drawn = null; map.changed = true; map.draw(); });
+        const still = time(() => { map.changed = true; map.draw(); });
+        map.setFollow(true); map.view.scale = 300;
+        const following = time(k => { map.show(track.count - 1 - k); map.draw(); });
+        map.view.scale = 25;
+        const followingAll = time(k => { map.show(track.count - 1 - k); map.draw(); });
+        const keyframes = 10000, corrections = new Array(4 * keyframes).fill(0).map((_, k) => k % 4 ? 0 : 1);
+        const correct = time(() => track.correct(corrections));
+        canvas.remove();
+        return { bytes: bytes.bytes, load: bytes.ms, whole, still, following, followingAll, correct };
+    })()"#;
+    let figures = browser.evaluate(&page, measure);
+    println!("an hour: {figures}");
+    // 15 numbers of four bytes for each frame, and a head for each of the messages of 8192 frames.
+    assert_eq!(figures["bytes"], json!(108_000 * 60 + 14 * 8));
+    view.end();
+}
+
+/// The whole drive as a replay, with its loops.
+#[test]
+#[ignore = "takes as long as the drive, half a minute"]
+fn loops_pull_the_path_on_the_page_straight_and_nothing_that_is_told_jumps() {
+    let mut browser = Browser::start().unwrap();
+    let place = Place::new();
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"));
+    let output = live.output();
+    let told = std::thread::spawn(move || {
+        let poses = BufReader::new(output).lines().map_while(Result::ok);
+        let poses =
+            poses.map(|line| serde_json::from_str::<serde_json::Value>(&line).unwrap()["pose"].clone());
+        poses.filter_map(|pose| Some([pose["x_m"].as_f64()?, pose["y_m"].as_f64()?])).collect::<Vec<_>>()
+    });
+    let page = browser.open(&live.url, (1280, 800), false);
+    browser.wait(&page, "document.body.dataset.keyframes > 3");
+    browser.wait(&page, "document.body.dataset.phase == 'saved'");
+    browser.evaluate(&page, "document.getElementById('whole').click()");
+    browser.evaluate(&page, "new Promise(done => setTimeout(done, 600))");
+    browser.picture(&page, "loops-desktop-light");
+    let text = browser.evaluate(&page, "document.body.innerText");
+    println!("{text}");
+    live.end();
+    let poses = told.join().unwrap();
+    // No step is longer than the fastest of the drive between frames of which some may have been dropped: 0.6 m/s for a second.
+    let longest = poses.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1])).fold(0.0, f64::max);
+    println!("longest step {longest} m of {} poses", poses.len());
+    assert!(longest < 0.6, "{longest}");
 }
 
 #[test]

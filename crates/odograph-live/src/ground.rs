@@ -2,7 +2,8 @@
 
 use odograph::error::{Error, Result};
 use odograph::mapping::{Mosaic, MosaicSquare, Placement};
-use std::sync::{Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// What there is of the ground.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,6 +52,80 @@ impl Ground for Box<dyn Ground> {
 
     fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         (**self).tile_rgba(tile)
+    }
+}
+
+impl<G: Ground> Ground for Arc<G> {
+    fn state(&self) -> Option<GroundState> {
+        (**self).state()
+    }
+
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
+        (**self).changed_since(revision)
+    }
+
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        (**self).tile_rgba(tile)
+    }
+}
+
+/// A ground whose squares come one by one, each whole.
+#[derive(Debug, Default)]
+pub struct GrowingTiles(Mutex<Tiles>);
+
+#[derive(Debug, Default)]
+struct Tiles {
+    metres_per_pixel: Option<f64>,
+    revision: u64,
+    squares: BTreeMap<MosaicSquare, (u64, Vec<u8>)>,
+}
+
+impl GrowingTiles {
+    fn tiles(&self) -> MutexGuard<'_, Tiles> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Begins anew with ground pixels of a size, metres.
+    pub fn begin(&self, metres_per_pixel: f64) {
+        let mut tiles = self.tiles();
+        tiles.metres_per_pixel = Some(metres_per_pixel);
+        tiles.squares.clear();
+    }
+
+    /// Takes a square in place of the one that was there: red, green, blue and opacity in row order. One of another size is not taken.
+    pub fn put(&self, square: MosaicSquare, rgba: Vec<u8>) {
+        if rgba.len() == 4 * Mosaic::TILE_SIDE_PX * Mosaic::TILE_SIDE_PX {
+            let mut tiles = self.tiles();
+            tiles.revision += 1;
+            let revision = tiles.revision;
+            tiles.squares.insert(square, (revision, rgba));
+        }
+    }
+
+    /// How many squares there are.
+    pub fn count(&self) -> usize {
+        self.tiles().squares.len()
+    }
+}
+
+impl Ground for GrowingTiles {
+    fn state(&self) -> Option<GroundState> {
+        let tiles = self.tiles();
+        Some(GroundState { metres_per_pixel: tiles.metres_per_pixel?, revision: tiles.revision })
+    }
+
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
+        let tiles = self.tiles();
+        tiles
+            .squares
+            .iter()
+            .filter(|(_, (changed, _))| *changed > revision)
+            .map(|(square, _)| *square)
+            .collect()
+    }
+
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        self.tiles().squares.get(&tile).map(|(_, rgba)| rgba.clone())
     }
 }
 
@@ -141,6 +216,25 @@ pub(crate) fn tile_png(rgba: &[u8]) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn squares_that_come_one_by_one_are_new_once_and_replaced_whole() {
+        let tiles = GrowingTiles::default();
+        assert!(tiles.state().is_none());
+        tiles.begin(0.01);
+        let square = |shade: u8| vec![shade; 4 * Mosaic::TILE_SIDE_PX * Mosaic::TILE_SIDE_PX];
+        let at = |column| MosaicSquare { column, row: -2 };
+        tiles.put(at(1), square(1));
+        tiles.put(at(2), square(2));
+        tiles.put(at(3), vec![0; 7]);
+        let revision = tiles.state().unwrap().revision;
+        assert_eq!((tiles.count(), tiles.changed_since(0)), (2, vec![at(1), at(2)]));
+        tiles.put(at(1), square(3));
+        assert_eq!(tiles.changed_since(revision), [at(1)]);
+        assert_eq!((tiles.tile_rgba(at(1)).unwrap()[0], tiles.tile_rgba(at(3))), (3, None));
+        tiles.begin(0.02);
+        assert_eq!((tiles.count(), tiles.state().unwrap().metres_per_pixel), (0, 0.02));
+    }
 
     #[test]
     fn the_squares_of_a_picture_put_together_are_the_picture() {

@@ -2,96 +2,12 @@
 
 use crate::ground::Ground;
 use crate::record::TrackRecord;
+pub use crate::shown::{Introduction, Mark, Phase, Status, View};
 use odograph::mapping::MosaicSquare;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-
-/// What does not change while a run is looked at.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Introduction {
-    /// The name of the run, e.g. that of its source.
-    pub title: String,
-    /// The source in words.
-    pub source: String,
-    /// Size of the camera's picture, pixels.
-    pub width: usize,
-    /// Size of the camera's picture, pixels.
-    pub height: usize,
-    /// Height of the camera above the ground, metres.
-    pub height_m: f64,
-    /// Whether frames are still coming; otherwise a finished run is shown.
-    pub live: bool,
-}
-
-/// Where a run stands.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Phase {
-    /// Frames come and are tracked.
-    #[default]
-    Running,
-    /// The source does not give frames at the moment.
-    Waiting,
-    /// No frame comes any more; the results are being written.
-    Saving,
-    /// All is in the folder.
-    Saved,
-    /// The run has ended, and not all could be written.
-    Failed,
-}
-
-/// How the run goes.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
-pub struct Status {
-    /// Where it stands.
-    pub phase: Phase,
-    /// What a person should know now, e.g. that the camera is gone, or that the disk is full.
-    pub message: Option<String>,
-    /// Frames that came from the source.
-    pub captured: u64,
-    /// Frames that gave way to newer ones.
-    pub dropped: u64,
-    /// Frames a second that are tracked, over the last seconds.
-    pub fps: f64,
-    /// Milliseconds from capture to pose, median of the last seconds.
-    pub latency_median_ms: f64,
-    /// Milliseconds from capture to pose that 99 of 100 frames of the last seconds stay below.
-    pub latency_p99_ms: f64,
-    /// Keyframes made.
-    pub keyframes: u64,
-    /// Length of the path, metres.
-    pub distance_m: f64,
-    /// Whether what is seen is being recorded.
-    pub recording: bool,
-}
-
-/// A picture of the camera with its tracks.
-#[derive(Debug, Clone, PartialEq)]
-pub struct View {
-    /// Which record it belongs to.
-    pub record: usize,
-    /// The picture.
-    pub jpeg: Vec<u8>,
-    /// Where the tracks are and where their corners were in the keyframe, quarters of a pixel of the camera, and whether they agree.
-    pub tracks: Vec<[i16; 5]>,
-}
-
-/// A place that a person marked.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Mark {
-    /// Which record it belongs to.
-    pub record: usize,
-    /// Seconds since the first frame.
-    pub time_s: f32,
-    /// Where, metres; `null` where the pose was not known.
-    pub x_m: Option<f32>,
-    /// Where, metres; `null` where the pose was not known.
-    pub y_m: Option<f32>,
-    /// How it was called.
-    pub name: String,
-}
 
 /// More marks than a person sets.
 const MOST_MARKS: usize = 10_000;
@@ -119,6 +35,15 @@ struct Seen {
     status: Status,
     statuses: u64,
     marks: Vec<Mark>,
+    notices: Vec<Notice>,
+    notices_told: u64,
+}
+
+/// The newest of what is told whole each time it changes.
+struct Notice {
+    kind: &'static str,
+    number: u64,
+    json: Arc<str>,
 }
 
 /// How far somebody has looked.
@@ -128,6 +53,7 @@ pub struct Cursor {
     view: u64,
     status: u64,
     marks: usize,
+    notices: u64,
     ground: u64,
     metres_per_pixel: f64,
     ground_looked: Option<Instant>,
@@ -146,6 +72,8 @@ pub struct News {
     pub status: Option<Status>,
     /// New marks.
     pub marks: Vec<Mark>,
+    /// Messages in JSON, each the newest of its kind.
+    pub notices: Vec<Arc<str>>,
     /// Squares of the ground that changed, and the side of a ground pixel, metres.
     pub ground: Option<(f64, Vec<MosaicSquare>)>,
 }
@@ -256,6 +184,18 @@ impl Hub {
         self.news.notify_all();
     }
 
+    /// Tells something that is whole in itself, in place of what was told of its kind before: a page gets `{"kind": kind, kind: value}`.
+    pub fn tell(&self, kind: &'static str, value: &impl Serialize) {
+        let json: Arc<str> = serde_json::json!({ "kind": kind, kind: value }).to_string().into();
+        let mut seen = self.seen();
+        seen.notices_told += 1;
+        let number = seen.notices_told;
+        seen.notices.retain(|notice| notice.kind != kind);
+        seen.notices.push(Notice { kind, number, json });
+        drop(seen);
+        self.news.notify_all();
+    }
+
     /// Asks the run to end and to write everything.
     pub fn ask_to_stop(&self) {
         self.stop_asked.store(true, Ordering::Relaxed);
@@ -321,6 +261,12 @@ impl Hub {
         if seen.marks.len() > cursor.marks {
             news.marks = seen.marks[cursor.marks..].to_vec();
             cursor.marks = seen.marks.len();
+            any = true;
+        }
+        if seen.notices_told > cursor.notices {
+            let new = seen.notices.iter().filter(|notice| notice.number > cursor.notices);
+            news.notices = new.map(|notice| Arc::clone(&notice.json)).collect();
+            cursor.notices = seen.notices_told;
             any = true;
         }
         any.then_some(news)
@@ -390,6 +336,7 @@ mod tests {
             height: 3,
             height_m: 1.0,
             live: true,
+            calibration: false,
         };
         Arc::new(Hub::new(introduction, Arc::new(Mutex::new(Mosaic::new(Default::default())))))
     }
@@ -415,6 +362,15 @@ mod tests {
         assert_eq!(news.records.unwrap().1.len(), 3 * TrackRecord::LENGTH);
         assert_eq!(news.view.unwrap().jpeg, [2]);
         assert!(slow.news(Duration::ZERO).records.is_none());
+        // Of what is told whole each hears the newest once, whenever he comes.
+        hub.tell("map", &1);
+        hub.tell("board", &2);
+        hub.tell("map", &3);
+        let told = |viewer: &mut Viewer| viewer.news(Duration::ZERO).notices.concat();
+        assert_eq!(told(&mut slow), r#"{"board":2,"kind":"board"}{"kind":"map","map":3}"#);
+        assert_eq!(told(&mut slow), "");
+        hub.tell("board", &4);
+        assert_eq!(told(&mut slow), r#"{"board":4,"kind":"board"}"#);
         drop(slow);
         assert_eq!(hub.viewers(), 1);
     }

@@ -12,11 +12,12 @@ pub struct TrackRecord {
 
 impl TrackRecord {
     /// How many numbers a record has.
-    pub const LENGTH: usize = 14;
+    pub const LENGTH: usize = 15;
 
     /// What the numbers are: seconds since the first frame, metres, radians, the covariance of x and y in m², the standard deviation of the
-    /// heading, metres a second; `state` is 0 where the pose was measured and otherwise the reason why not (1 bare, 2 jump, 3 disagreement);
-    /// the number of gaps before the frame; corners found again, and how many of them agree; milliseconds from capture to pose.
+    /// heading, metres a second; `state` is 0 where the pose was measured and otherwise the reason why not (1 bare, 2 jump, 3 not planar, 4 dark, 5 blur, 6 shadow);
+    /// the number of gaps before the frame; corners found again, and how many of them agree; milliseconds from capture to pose; the
+    /// number of the keyframe that it was measured against.
     pub const FIELDS: [&'static str; Self::LENGTH] = [
         "time_s",
         "x_m",
@@ -32,6 +33,7 @@ impl TrackRecord {
         "tracks",
         "inliers",
         "latency_ms",
+        "keyframe",
     ];
 
     /// The record of a frame; `first_time_s` is the time of the first one.
@@ -40,6 +42,9 @@ impl TrackRecord {
             TrackStatus::Tracked => 0.0,
             TrackStatus::Lost { reason: LossReason::Bare } => 1.0,
             TrackStatus::Lost { reason: LossReason::Jump } => 2.0,
+            TrackStatus::Lost { reason: LossReason::Dark } => 4.0,
+            TrackStatus::Lost { reason: LossReason::Blur } => 5.0,
+            TrackStatus::Lost { reason: LossReason::Shadow } => 6.0,
             TrackStatus::Lost { .. } => 3.0,
         };
         let mut values = [f32::NAN; Self::LENGTH];
@@ -64,6 +69,14 @@ impl TrackRecord {
         values[12] = frame.inliers as f32;
         values[13] = latency_ms.map_or(f32::NAN, |ms| ms as f32);
         Self { values }
+    }
+}
+
+impl TrackRecord {
+    /// The same, with the number of the keyframe against which it was measured, counted from 0 in this run.
+    pub fn measured_against(mut self, keyframe: Option<u64>) -> Self {
+        self.values[14] = keyframe.map_or(f32::NAN, |number| number as f32);
+        self
     }
 }
 
@@ -134,6 +147,9 @@ impl TrackRecord {
                 "tracked" => 0.0,
                 "lost:bare" => 1.0,
                 "lost:jump" => 2.0,
+                "lost:dark" => 4.0,
+                "lost:blur" => 5.0,
+                "lost:shadow" => 6.0,
                 _ => 3.0,
             };
             let begin = *first_time_s.get_or_insert(time_s);
@@ -152,6 +168,7 @@ impl TrackRecord {
                 segment,
                 tracks,
                 inliers,
+                f64::NAN,
                 f64::NAN,
             ];
             records.push(Self { values: values.map(|value| value as f32) });
@@ -197,14 +214,19 @@ mod tests {
             }
         };
         let lost = |reason| TrackStatus::Lost { reason };
-        let frames = [
-            frame(0, TrackStatus::Tracked),
-            frame(1, lost(LossReason::Jump)),
-            frame(2, TrackStatus::Tracked),
-        ];
+        use LossReason::{Bare, Blur, Dark, Jump, NotPlanar, Shadow};
+        let mut frames =
+            vec![frame(0, TrackStatus::Tracked), frame(1, lost(Jump)), frame(2, TrackStatus::Tracked)];
+        let others = [Bare, Blur, Dark, NotPlanar, Shadow];
+        frames.extend((3..).zip(others).map(|(number, reason)| frame(number, lost(reason))));
+        // Each reason is told from every other.
+        let mut states: Vec<_> =
+            frames[2..].iter().map(|frame| TrackRecord::new(frame, 0.0, None).values[9] as u8).collect();
+        states.sort_unstable();
+        assert_eq!(states, [0, 1, 3, 4, 5, 6]);
         let text = trajectory_file::csv_from_frames(&frames);
         let read = TrackRecord::from_csv(&text).unwrap();
-        assert_eq!(read.len(), 3);
+        assert_eq!(read.len(), 8);
         for (frame, read) in frames.iter().zip(&read) {
             let shown = TrackRecord::new(frame, 100.0, None);
             for (field, (a, b)) in TrackRecord::FIELDS.iter().zip(shown.values.iter().zip(read.values)) {
@@ -213,7 +235,7 @@ mod tests {
             }
         }
         // A run that was killed in the middle of a line.
-        assert_eq!(TrackRecord::from_csv(&text[..text.len() - 9]).unwrap().len(), 2);
+        assert_eq!(TrackRecord::from_csv(&text[..text.len() - 9]).unwrap().len(), 7);
         assert!(TrackRecord::from_csv("a,b\n1,2\n").unwrap_err().to_string().contains("no column time_s"));
         assert!(
             TrackRecord::from_csv(&text.replace("100.25", "now")).unwrap_err().to_string().contains("line 3")

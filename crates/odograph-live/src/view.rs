@@ -13,17 +13,7 @@ const QUALITY: u8 = 72;
 impl View {
     /// The picture of a record with its tracks; `None` where it cannot be encoded (larger than JPEG can be).
     pub fn new(record: usize, gray: &GrayImage, tracks: &[TrackView]) -> Option<Self> {
-        let halved;
-        let shown = if gray.width() > WIDEST_PX {
-            halved = half(gray)?;
-            &halved
-        } else {
-            gray
-        };
-        let size = |pixels: usize| u16::try_from(pixels).ok();
-        let (width, height) = (size(shown.width())?, size(shown.height())?);
-        let mut jpeg = Vec::with_capacity(shown.samples().len() / 4);
-        Encoder::new(&mut jpeg, QUALITY).encode(shown.samples(), width, height, ColorType::Luma).ok()?;
+        let (jpeg, _) = encode(gray)?;
         let quarter = |pixels: f64| (4.0 * pixels).clamp(-32_768.0, 32_767.0) as i16;
         let track = |track: &TrackView| {
             let (at, corner) = (track.pixel, track.corner);
@@ -33,6 +23,22 @@ impl View {
         let tracks = tracks.iter().take(usize::from(u16::MAX)).map(track).collect();
         Some(Self { record, jpeg, tracks })
     }
+}
+
+/// The picture as JPEG, and its size as a share of the camera's; `None` where it is larger than JPEG can be.
+pub(crate) fn encode(gray: &GrayImage) -> Option<(Vec<u8>, f64)> {
+    let halved;
+    let (shown, scale) = if gray.width() > WIDEST_PX {
+        halved = half(gray)?;
+        (&halved, 0.5)
+    } else {
+        (gray, 1.0)
+    };
+    let size = |pixels: usize| u16::try_from(pixels).ok();
+    let (width, height) = (size(shown.width())?, size(shown.height())?);
+    let mut jpeg = Vec::with_capacity(shown.samples().len() / 4);
+    Encoder::new(&mut jpeg, QUALITY).encode(shown.samples(), width, height, ColorType::Luma).ok()?;
+    Some((jpeg, scale))
 }
 
 /// At half the size: the mean of four pixels each.

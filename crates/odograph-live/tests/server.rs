@@ -36,6 +36,7 @@ fn place(token: Option<&str>) -> Place {
         height: 480,
         height_m: 1.0,
         live: true,
+        calibration: false,
     };
     let hub = Arc::new(Hub::new(introduction, Arc::new(Mutex::new(Mosaic::new(Default::default())))));
     let options = ServerOptions {

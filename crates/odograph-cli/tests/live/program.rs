@@ -30,6 +30,20 @@ impl Place {
         fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
+    /// The table of a run that goes around a hall for so many frames at 30 a second, half a metre a second.
+    pub fn table_of(&self, frames: usize) -> String {
+        let head = "frame,time_s,x_m,y_m,heading_deg,sigma_x_m,sigma_y_m,sigma_heading_deg,speed_m_s,segment,tracks,inliers,status\n";
+        let line = |frame: usize| {
+            let time_s = frame as f64 / 30.0;
+            // Lanes of twenty metres, a metre apart, there and back.
+            let way_m = 0.5 * time_s;
+            let (lane, along) = ((way_m / 20.0).floor(), way_m % 20.0);
+            let x_m = if lane % 2.0 == 0.0 { along } else { 20.0 - along } + 0.01 * (7.0 * time_s).sin();
+            format!("{frame},{time_s:.3},{x_m:.4},{:.4},0,0.01,0.01,0.1,0.5,0,300,280,tracked\n", lane % 20.0)
+        };
+        head.to_owned() + &(0..frames).map(line).collect::<String>()
+    }
+
     /// A command of the program over the drive's camera and rig.
     pub fn command(&self, name: &str, arguments: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
@@ -73,19 +87,22 @@ impl Serving {
         self.url.trim_start_matches("http://").split('/').next().unwrap().to_owned()
     }
 
-    /// The body of an answer.
+    /// The body of an answer, which must be text.
     pub fn get(&self, path: &str) -> String {
+        let body = self.answer(path).unwrap_or_else(|head| panic!("{path}: {head}"));
+        String::from_utf8(body).unwrap()
+    }
+
+    /// The body of an answer, or the head of one that has none to give.
+    pub fn answer(&self, path: &str) -> Result<Vec<u8>, String> {
         let mut stream = TcpStream::connect(self.address()).unwrap();
-        stream
-            .write_all(
-                format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").as_bytes(),
-            )
-            .unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-        assert!(head.starts_with("HTTP/1.1 200"), "{path}: {head}");
-        body.to_owned()
+        let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap();
+        let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+        if head.starts_with("HTTP/1.1 200") { Ok(answer.split_off(end + 4)) } else { Err(head) }
     }
 
     /// Asks it to end, and waits until it has.

@@ -3,6 +3,7 @@
 mod back_off;
 mod http_mjpeg;
 mod multipart;
+mod network_stream;
 mod newest;
 mod raw_frames;
 mod recording;
@@ -10,6 +11,7 @@ mod url;
 pub mod camera;
 
 pub use http_mjpeg::HttpMjpeg;
+pub use network_stream::{NetworkStream, without_credentials};
 pub use newest::{Newest, Policy, Taken};
 pub use raw_frames::{RawFormat, RawFrames};
 pub use recording::Recording;

@@ -4,11 +4,12 @@ import { CAUSES, Track } from "./track.js";
 import { GroundMap } from "./map.js";
 import { CameraView } from "./camera.js";
 import { Plots } from "./plots.js";
+import { Calibration } from "./calibration.js";
 
 const $ = id => document.getElementById(id);
 const track = new Track();
 const map = new GroundMap($("map"), track);
-let camera = null, plots = null, introduction = null;
+let camera = null, plots = null, calibration = null, introduction = null;
 let status = { phase: "running" };
 let live = true, playing = null, at = -1, ended = false, connected = false;
 
@@ -42,6 +43,12 @@ function told(message) {
   if (message.kind === "hello") greet(message.introduction);
   else if (message.kind === "status") { status = message.status; showStatus(); }
   else if (message.kind === "marks") { map.marks.push(...message.marks); map.changed = true; document.body.dataset.marks = map.marks.length; }
+  else if (message.kind === "calibration") { calibration?.show(message.calibration); showState(); }
+  else if (message.kind === "map") {
+    map.setGraph(message.map);
+    if (message.map.corrections) { track.correct(message.map.corrections); distances.count = 0; last = -1; }
+    else plots.drop("corners that agree");
+  }
   else if (message.kind === "ground") map.groundChanged(message.metres_per_pixel, message.tiles);
 }
 
@@ -56,6 +63,14 @@ function greet(hello) {
   document.body.classList.toggle("finished", !hello.live);
   if (again) return;
   if (hello.live) camera = new CameraView($("camera"), hello.width, hello.height);
+  if (hello.calibration) {
+    calibration = new Calibration(camera);
+    document.body.classList.add("calibrating");
+    $("board").hidden = false;
+    $("stop").title = "Calibrate with what was seen so far";
+    $("camera").setAttribute("aria-label", "The camera's picture: the board's points, and which parts of the picture have seen it");
+    return;
+  }
   plots = new Plots($("plots"), track, hello.live, seek);
   if (!hello.live) {
     live = false;
@@ -90,6 +105,7 @@ function showState() {
   if (status.phase === "saved") return say("saved", "good");
   if (status.phase === "failed") return say("ended with an error", "bad");
   if (status.phase === "waiting") return say("waiting for the camera", "warn");
+  if (calibration) return say(...calibration.state());
   if (!track.count) return say("waiting for frames", "wait");
   lost(at) ? say(`lost: ${lost(at)}`, "bad") : say(status.recording ? "tracked, recording" : "tracked, not recording", status.recording ? "good" : "warn");
 }
@@ -179,7 +195,7 @@ async function showFiles(open) {
   const size = bytes => bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`;
   $("downloads").querySelector("ul").replaceChildren(...files.map(file => {
     const item = document.createElement("li"), link = document.createElement("a"), small = document.createElement("small");
-    link.href = `/files/${file.name}`; link.download = file.name; link.textContent = file.name;
+    link.href = `/files/${file.name.split("/").map(encodeURIComponent).join("/")}`; link.download = file.name.split("/").pop(); link.textContent = file.name;
     small.textContent = ` ${size(file.bytes)}`;
     item.append(link, small);
     return item;

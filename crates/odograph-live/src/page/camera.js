@@ -10,6 +10,7 @@ export class CameraView {
     this.waiting = null;
     this.busy = false;
     this.shown = 0;
+    this.overlay = null;
   }
 
   /// Shows a picture; while one is being decoded only the newest of those that come is kept.
@@ -35,6 +36,7 @@ export class CameraView {
     const c = this.context, { width, height } = this.canvas;
     c.drawImage(image, 0, 0, width, height);
     image.close();
+    this.overlay?.(c, width, height);
     const scale = width / this.size.width / 4, r = Math.max(1.8, width / 300);
     let good = 0;
     for (const inlier of [0, 1]) {

@@ -2,6 +2,8 @@
 
 const TILE = 256;
 const FETCHES = 6;
+// The path is drawn so far beyond the borders, pixels: so far the view can be moved before it is drawn again.
+const MARGIN = 256;
 
 export class GroundMap {
   constructor(canvas, track, token) {
@@ -11,6 +13,7 @@ export class GroundMap {
     this.layers = [];
     this.fetching = 0;
     this.marks = [];
+    this.graph = { keyframes: [], loops: [] };
     this.follow = true;
     this.view = { x: 0, y: 0, scale: 160 };
     this.pathLayer = document.createElement("canvas");
@@ -28,9 +31,9 @@ export class GroundMap {
     const box = this.canvas.getBoundingClientRect();
     this.ratio = Math.min(window.devicePixelRatio || 1, 2);
     this.width = Math.max(1, box.width); this.height = Math.max(1, box.height);
-    for (const canvas of [this.canvas, this.pathLayer]) {
-      canvas.width = Math.round(this.width * this.ratio);
-      canvas.height = Math.round(this.height * this.ratio);
+    for (const [canvas, margin] of [[this.canvas, 0], [this.pathLayer, MARGIN]]) {
+      canvas.width = Math.round((this.width + 2 * margin) * this.ratio);
+      canvas.height = Math.round((this.height + 2 * margin) * this.ratio);
     }
     this.drawn = null;
     this.changed = true;
@@ -65,7 +68,9 @@ export class GroundMap {
       const image = new Image();
       layer.version = (layer.version || 0) + 1;
       image.src = `/tiles/${tile.column}/${tile.row}.png?v=${layer.version}`;
-      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; }, () => {}).finally(() => {
+      image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; },
+        // There is nothing there any more: a loop has moved the ground elsewhere.
+        () => { layer.tiles.delete(key); this.changed = true; }).finally(() => {
         this.fetching--;
         if (!layer.wanted.size && !this.fetching && this.layers.length > 1) { this.layers = [this.layers.at(-1)]; this.changed = true; }
         this.fetchTiles();
@@ -78,6 +83,9 @@ export class GroundMap {
   show(at) { if (at !== this.at) { this.at = at; this.changed = true; } }
 
   setFollow(follow) { this.follow = follow; this.changed = true; if (!follow) this.onUnfollow(); }
+
+  /// Keyframes, and between which of them ground was seen again.
+  setGraph(graph) { this.graph = graph; this.drawn = null; this.changed = true; document.body.dataset.keyframes = graph.keyframes.length; }
 
   showAll() {
     const b = this.track.bounds;
@@ -152,8 +160,9 @@ export class GroundMap {
     c.clearRect(0, 0, this.width, this.height);
     this.drawGrid(c, color("--grid"));
     this.drawGround(c);
-    this.drawPath(color("--path"));
-    c.drawImage(this.pathLayer, 0, 0, this.width, this.height);
+    const [dx, dy] = this.drawPath(color("--path"));
+    c.drawImage(this.pathLayer, dx - MARGIN, dy - MARGIN, this.width + 2 * MARGIN, this.height + 2 * MARGIN);
+    this.drawGraph(c, color("--path"), color("--mark"));
     this.drawMarks(c, color("--mark"), color("--card"));
     if (place >= 0) this.drawCamera(c, place, place === this.at, color);
     this.drawScale(c, color("--ink"), color("--card"));
@@ -188,37 +197,60 @@ export class GroundMap {
     }
   }
 
-  /// The path has a layer of its own: while the view stays only what is new is drawn on it.
+  /// The path has a layer of its own, wider than the view: while that moves within it only what is new is drawn. Gives by how many pixels the
+  /// layer is to be moved.
   drawPath(color) {
-    const key = [this.view.x, this.view.y, this.view.scale, color].join();
-    const count = this.track.count;
+    const { scale } = this.view, count = this.track.count, key = [scale, color].join();
+    const shift = () => [(this.drawn.x - this.view.x) * scale, (this.view.y - this.drawn.y) * scale];
     const context = this.pathLayer.getContext("2d");
     let from = 0;
-    if (this.drawn?.key === key) {
-      if (this.drawn.count === count) return;
+    if (this.drawn?.key === key && shift().every(pixels => Math.abs(pixels) <= MARGIN)) {
+      if (this.drawn.count === count) return shift();
       from = Math.max(0, this.drawn.count - 1);
     } else {
       context.setTransform(1, 0, 0, 1, 0, 0);
       context.clearRect(0, 0, this.pathLayer.width, this.pathLayer.height);
+      this.drawn = { x: this.view.x, y: this.view.y };
     }
-    this.drawn = { key, count };
-    if (!count) return;
+    Object.assign(this.drawn, { key, count });
+    if (!count) return [0, 0];
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     context.lineJoin = context.lineCap = "round";
-    const halfX = this.width / 2 / this.view.scale, halfY = this.height / 2 / this.view.scale;
-    const window = { x0: this.view.x - halfX, x1: this.view.x + halfX, y0: this.view.y - halfY, y1: this.view.y + halfY };
+    const { x, y } = this.drawn, middleX = this.width / 2 + MARGIN, middleY = this.height / 2 + MARGIN;
+    const halfX = middleX / scale, halfY = middleY / scale;
+    const window = { x0: x - halfX, x1: x + halfX, y0: y - halfY, y1: y + halfY };
     context.beginPath();
-    this.track.trace(context, from, count - 1, x => this.toX(x), y => this.toY(y), this.view.scale, window);
+    this.track.trace(context, from, count - 1, px => (px - x) * scale + middleX, py => middleY - (py - y) * scale, scale, window);
     // A light border keeps the path readable on any floor.
     context.strokeStyle = "#ffffffd0"; context.lineWidth = 5; context.stroke();
     context.strokeStyle = color; context.lineWidth = 2.6; context.stroke();
+    return shift();
+  }
+
+  drawGraph(c, dot, tie) {
+    const { keyframes, loops } = this.graph, radius = Math.min(3, Math.max(1.2, .03 * this.view.scale));
+    const inside = (x, y) => x > -20 && y > -20 && x < this.width + 20 && y < this.height + 20;
+    c.strokeStyle = tie; c.lineWidth = 1.5; c.beginPath();
+    for (const [from, to] of loops) {
+      const [a, b] = [keyframes[from], keyframes[to]];
+      c.moveTo(this.toX(a[0]), this.toY(a[1])); c.lineTo(this.toX(b[0]), this.toY(b[1]));
+    }
+    c.stroke();
+    c.fillStyle = "#fff"; c.strokeStyle = dot; c.lineWidth = 1.5; c.beginPath();
+    for (const [x, y] of keyframes) {
+      const px = this.toX(x), py = this.toY(y);
+      if (inside(px, py)) { c.moveTo(px + radius, py); c.arc(px, py, radius, 0, 7); }
+    }
+    c.fill(); c.stroke();
   }
 
   drawMarks(c, color, paper) {
     c.font = "600 12px system-ui, sans-serif"; c.textBaseline = "middle";
     for (const mark of this.marks) {
       if (mark.x_m === null) continue;
-      const x = this.toX(mark.x_m), y = this.toY(mark.y_m);
+      // Where its frame lies now.
+      const moved = mark.record < this.track.count && Number.isFinite(this.track.get(mark.record, "x"));
+      const x = this.toX(moved ? this.track.get(mark.record, "x") : mark.x_m), y = this.toY(moved ? this.track.get(mark.record, "y") : mark.y_m);
       c.fillStyle = color; c.strokeStyle = paper; c.lineWidth = 2;
       c.beginPath(); c.moveTo(x, y); c.lineTo(x - 6, y - 14); c.arc(x, y - 16, 6.3, Math.PI - .3, .3); c.closePath(); c.fill(); c.stroke();
       c.strokeStyle = paper; c.lineWidth = 4; c.strokeText(mark.name, x + 10, y - 16); c.fillText(mark.name, x + 10, y - 16);

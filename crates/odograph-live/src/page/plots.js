@@ -25,6 +25,11 @@ export class Plots {
     this.span = [0, 1];
   }
 
+  /// Takes away a plot that has nothing to show: of a map only poses are known.
+  drop(name) {
+    this.plots = this.plots.filter(plot => plot.name !== name || (plot.canvas.parentElement.remove(), false));
+  }
+
   /// Draws what lies between two times, seconds, and where record `at` is.
   draw(from, to, at) {
     this.span = [from, to];

@@ -1,15 +1,19 @@
 // The frames of a run, as they come: numbers in one growing array, and in it the path in chunks that can be skipped or thinned when drawn.
 
-export const FIELDS = ["t", "x", "y", "heading", "varX", "covXY", "varY", "sigmaHeading", "speed", "state", "segment", "tracks", "inliers", "latency"];
+export const FIELDS = ["t", "x", "y", "heading", "varX", "covXY", "varY", "sigmaHeading", "speed", "state", "segment", "tracks", "inliers", "latency", "keyframe"];
 export const LENGTH = FIELDS.length;
 const AT = Object.fromEntries(FIELDS.map((name, index) => [name, index]));
 const CHUNK = 256;
 
-export const CAUSES = ["", "too little texture on the ground", "hardly a corner was found again", "the corners do not move as one floor"];
+export const CAUSES = ["", "too little texture on the ground", "hardly a corner was found again", "the corners do not move as one floor",
+  "it is too dark", "the picture is blurred", "a shadow or a part of the carrier is followed, not the ground"];
 
 export class Track {
   constructor() {
     this.values = new Float32Array(4096 * LENGTH);
+    // Place and heading as odometry has them, and what takes those measured against each keyframe to the map: a, b, x, y.
+    this.odometry = new Float32Array(4096 * 3);
+    this.corrections = null;
     this.count = 0;
     this.chunks = [];
     this.bounds = null;
@@ -24,10 +28,36 @@ export class Track {
       const larger = new Float32Array(Math.max(2 * this.values.length, end * LENGTH));
       larger.set(this.values.subarray(0, this.count * LENGTH));
       this.values = larger;
+      const places = new Float32Array(larger.length / LENGTH * 3);
+      places.set(this.odometry.subarray(0, this.count * 3));
+      this.odometry = places;
     }
     this.values.set(fresh, this.count * LENGTH);
-    for (let k = this.count; k < end; k++) this.extend(k);
+    for (let k = this.count; k < end; k++) {
+      this.odometry.set(this.values.subarray(k * LENGTH + AT.x, k * LENGTH + AT.x + 3), k * 3);
+      this.place(k);
+      this.extend(k);
+    }
     this.count = end;
+  }
+
+  /// Takes over where the map has everything after a loop.
+  correct(corrections) {
+    this.corrections = corrections.length ? corrections : null;
+    this.chunks = [];
+    this.bounds = null;
+    for (let k = 0; k < this.count; k++) { this.place(k); this.extend(k); }
+  }
+
+  /// Puts a record where the map has the keyframe it was measured against; one that is newer than what the map told lies as the newest told.
+  place(k) {
+    if (!this.corrections) return;
+    const known = this.corrections.length / 4, keyframe = this.get(k, "keyframe");
+    const c = 4 * Math.min(keyframe >= 0 ? keyframe : known, known - 1), [a, b, x, y] = [0, 1, 2, 3].map(i => this.corrections[c + i]), at = k * LENGTH;
+    const [u, v, heading] = this.odometry.subarray(3 * k, 3 * k + 3);
+    this.values[at + AT.x] = a * u - b * v + x;
+    this.values[at + AT.y] = b * u + a * v + y;
+    this.values[at + AT.heading] = heading + Math.atan2(b, a);
   }
 
   extend(k) {
@@ -74,7 +104,7 @@ export class Track {
       const out = !chunk.known || chunk.x1 < window.x0 || chunk.x0 > window.x1 || chunk.y1 < window.y0 || chunk.y0 > window.y1;
       if (out) { pen = false; continue; }
       const stepPx = chunk.length * scale / chunk.known;
-      const stride = Math.max(1, Math.min(CHUNK, Math.floor(0.8 / Math.max(stepPx, 1e-3))));
+      const stride = Math.max(1, Math.min(CHUNK, Math.floor(1.5 / Math.max(stepPx, 1e-3))));
       const start = Math.max(from, index * CHUNK - 1), end = Math.min(to, index * CHUNK + CHUNK - 1);
       for (let k = Math.max(0, start); ; k = Math.min(k + stride, end)) {
         const x = this.get(k, "x"), y = this.get(k, "y"), s = this.get(k, "segment");

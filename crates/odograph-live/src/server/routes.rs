@@ -22,7 +22,7 @@ pub enum Next {
 }
 
 /// The page: where, what kind, and the bytes. Everything it needs is in the program.
-const PAGE: [(&str, &str, &str); 8] = [
+const PAGE: [(&str, &str, &str); 9] = [
     ("/", "text/html; charset=utf-8", include_str!("../page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../page/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
@@ -30,6 +30,7 @@ const PAGE: [(&str, &str, &str); 8] = [
     ("/track.js", "text/javascript; charset=utf-8", include_str!("../page/track.js")),
     ("/map.js", "text/javascript; charset=utf-8", include_str!("../page/map.js")),
     ("/camera.js", "text/javascript; charset=utf-8", include_str!("../page/camera.js")),
+    ("/calibration.js", "text/javascript; charset=utf-8", include_str!("../page/calibration.js")),
     ("/plots.js", "text/javascript; charset=utf-8", include_str!("../page/plots.js")),
 ];
 
@@ -148,7 +149,7 @@ fn files(shared: &Shared) -> Vec<serde_json::Value> {
 
 /// A file of the run. The name must be one of those on the list, letter by letter: nothing of the request ever becomes part of a path.
 fn file<'a>(shared: &'a Shared, name: &str) -> Option<(File, &'a str)> {
-    let known = shared.options.files.iter().find(|known| *known == name)?;
+    let known = shared.options.files.iter().find(|known| *known == name || encoded(known) == name)?;
     let file = File::open(shared.options.folder.as_ref()?.join(known)).ok()?;
     file.metadata().ok()?.is_file().then_some((file, known.as_str()))
 }
@@ -164,8 +165,9 @@ fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlin
         _ => "text/plain; charset=utf-8",
     };
     // The report has its style and pictures in itself; as a download it cannot act in this page's name.
+    let plain: String = name.rsplit('/').next().unwrap_or(name).chars().map(safe_in_header).collect();
     let answer =
-        Answer::ok(content_type, []).with("Content-Disposition", format!("attachment; filename=\"{name}\""));
+        Answer::ok(content_type, []).with("Content-Disposition", format!("attachment; filename=\"{plain}\""));
     stream.allow(ANSWER_PATIENCE);
     stream.write_all(answer.head(length, request.keep_alive).as_bytes())?;
     if request.method == Method::Head {
@@ -181,6 +183,23 @@ fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlin
         left -= want as u64;
     }
     Ok(())
+}
+
+/// A file's name as a page asks for it (RFC 3986, section 2.1; the letters that ECMAScript's `encodeURIComponent` leaves, and slashes).
+fn encoded(name: &str) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.!~*'()/".contains(&byte);
+    name.bytes().fold(String::new(), |mut text, byte| {
+        match plain(byte) {
+            true => text.push(char::from(byte)),
+            false => text.push_str(&format!("%{byte:02X}")),
+        }
+        text
+    })
+}
+
+/// A file's name comes from the command line: what a header cannot hold is replaced.
+fn safe_in_header(letter: char) -> char {
+    if letter.is_ascii_graphic() && !matches!(letter, '"' | '\\') || letter == ' ' { letter } else { '_' }
 }
 
 /// The answer that makes a connection a WebSocket (RFC 6455, section 4.2.2).

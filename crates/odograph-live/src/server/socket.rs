@@ -85,6 +85,7 @@ fn messages(news: &News) -> Vec<Message> {
     if !news.marks.is_empty() {
         messages.push(Message::text(json!({ "kind": "marks", "marks": news.marks }).to_string()));
     }
+    messages.extend(news.notices.iter().map(|notice| Message::text(&**notice)));
     if let Some((metres_per_pixel, tiles)) = &news.ground {
         let tiles: Vec<_> = tiles.iter().map(|tile| [tile.column, tile.row]).collect();
         let ground = json!({ "kind": "ground", "metres_per_pixel": metres_per_pixel, "tiles": tiles });

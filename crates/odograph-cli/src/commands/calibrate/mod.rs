@@ -1,10 +1,12 @@
 //! `odograph calibrate`: views of a board go in, a camera file and a report of how far it can be trusted come out.
 
 mod input;
+mod live;
 mod output;
 mod search;
 mod summary;
 
+use super::live::{CaptureArguments, ServeArguments};
 use crate::{Outcome, console, interrupt};
 use input::Input;
 use odograph::calibration::selection::{Guidance, SelectionConfig, Sighting};
@@ -20,7 +22,7 @@ use std::time::{Duration, Instant};
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct CalibrateArguments {
-    /// A video, a folder of pictures, pictures, or `-` for Y4M on standard input.
+    /// A video, a folder of pictures, pictures, or `-` for Y4M on standard input; with --live a camera, as `odograph live` takes it.
     #[arg(value_name = "SOURCE", required = true)]
     sources: Vec<String>,
     /// The board: chessboard:9x6:25mm (inner corners, side of a square), charuco:8x11:20mm, aprilgrid:6x6:88mm,
@@ -33,6 +35,13 @@ pub struct CalibrateArguments {
     /// Folder for the report. [default: beside the camera file, its name with -report]
     #[arg(long, value_name = "FOLDER")]
     report: Option<PathBuf>,
+    /// Look through a camera as it comes, say what to show next (on a page, with --serve), and end when the calibration is good.
+    #[arg(long)]
+    live: bool,
+    #[command(flatten)]
+    serve: ServeArguments,
+    #[command(flatten)]
+    capture: CaptureArguments,
     /// The lens model; auto tries them all and takes the one that foretells views it has not seen.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     model: Model,
@@ -75,6 +84,7 @@ const EXAMPLES: &str = "\
 Examples:
   odograph calibrate board.mp4 --board chessboard:9x6:25mm -o camera.yaml
   odograph calibrate pictures/ --board charuco:8x11:20mm -o camera.yaml
+  odograph calibrate --live /dev/video0 --serve --board charuco:8x11:20mm -o camera.yaml
   odograph calibrate left*.jpg --board chessboard:9x6:25mm --model brown5 -o left.yaml
 
 Ends with 0 when the calibration is good or usable, 2 on wrong usage, 3 on bad input, 4 when it had better be done again (the
@@ -135,6 +145,11 @@ struct Calibrated {
 pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     let board: Board = arguments.board.parse()?;
     let output = Output::new(&arguments.output, arguments.report.as_deref(), arguments.force)?;
+    let selection =
+        SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
+    if live::is_asked(&arguments)? {
+        return live::calibrate(&arguments, board, &output, selection);
+    }
     let options = SourceOptions {
         start_s: arguments.start,
         end_s: arguments.end,
@@ -143,37 +158,64 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     };
     let started = Instant::now();
     let mut input = Input::open(&arguments.sources, &options)?;
-    let selection =
-        SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
-    let mut search = search::search(&mut input, &board, selection, arguments.threads, arguments.quiet)?;
-    let searched = Instant::now();
-    let (guidance, chosen) = choose(&search, selection.most_views, &board, &input.description)?;
-    let (names, views): (Vec<_>, Vec<_>) = chosen
-        .into_iter()
-        .map(|sighting| (search.names[&sighting.number].clone(), sighting.view.clone()))
-        .unzip();
-    let config = CalibrationConfig {
-        model: arguments.model.lens(),
-        square_pixels: arguments.square_pixels,
-        centred: arguments.centred,
-        flat_board: !arguments.bent_board,
-    };
-    let calibration = odograph::calibration::calibrate(&board, &views, &config)
-        .map_err(|error| error.at(&input.description))?;
-    let times = [searched - started, searched.elapsed()];
+    let search = search::search(&mut input, &board, selection, arguments.threads, arguments.quiet)?;
+    let source = Source { description: input.description, searched: started.elapsed() };
+    let mut calibrated = conclude(&arguments, board, search, selection, source)?;
     if interrupt::asked() {
+        let search = &mut calibrated.search;
         search
             .warnings
             .push(format!("interrupted: only the first {} frames were looked at", search.found.looked_at));
     }
-    let description = input.description;
-    let calibrated = Calibrated { board, search, names, views, guidance, calibration, description, times };
     output.write(&calibrated)?;
+    tell(&arguments, &calibrated, &output)
+}
+
+/// What was looked at, and how long that took.
+struct Source {
+    description: String,
+    searched: Duration,
+}
+
+impl CalibrateArguments {
+    fn config(&self) -> CalibrationConfig {
+        CalibrationConfig {
+            model: self.model.lens(),
+            square_pixels: self.square_pixels,
+            centred: self.centred,
+            flat_board: !self.bent_board,
+        }
+    }
+}
+
+/// Calibrates with what a search has found.
+fn conclude(
+    arguments: &CalibrateArguments,
+    board: Board,
+    search: Search,
+    selection: SelectionConfig,
+    source: Source,
+) -> Result<Calibrated> {
+    let Source { description, searched } = source;
+    let began = Instant::now();
+    let (guidance, chosen) = choose(&search, selection.most_views, &board, &description)?;
+    let (names, views): (Vec<_>, Vec<_>) = chosen
+        .into_iter()
+        .map(|sighting| (search.names[&sighting.number].clone(), sighting.view.clone()))
+        .unzip();
+    let calibration = odograph::calibration::calibrate(&board, &views, &arguments.config())
+        .map_err(|error| error.at(&description))?;
+    let times = [searched, began.elapsed()];
+    Ok(Calibrated { board, search, names, views, guidance, calibration, description, times })
+}
+
+/// Tells the result, and how to end.
+fn tell(arguments: &CalibrateArguments, calibrated: &Calibrated, output: &Output) -> Result<Outcome> {
     calibrated.search.warnings.iter().for_each(|warning| console::warn(warning));
     if arguments.json {
-        console::print(&summary::json(&calibrated))?;
+        console::print(&summary::json(calibrated))?;
     } else if !arguments.quiet {
-        console::print(&summary::text(&calibrated, &output))?;
+        console::print(&summary::text(calibrated, output))?;
     }
     Ok(match calibrated.calibration.verdict {
         Verdict::DoItAgain => Outcome::NotToBeTrusted,

@@ -25,12 +25,19 @@ pub struct Search {
 }
 
 /// What became of one frame.
-struct Looked {
+pub struct Looked {
     name: String,
     time_s: Option<f64>,
     picture: bool,
     /// The board and how blurred it is, or why it was not found.
     outcome: std::result::Result<(BoardView, Option<f64>), NotFound>,
+}
+
+impl Looked {
+    /// The board, or why it was not found.
+    pub fn view(&self) -> std::result::Result<&BoardView, &NotFound> {
+        self.outcome.as_ref().map(|(view, _)| view)
+    }
 }
 
 /// So many pictures without the board are named.
@@ -48,19 +55,9 @@ pub fn search(
 ) -> Result<Search> {
     let finder = BoardFinder::new(board);
     let mut gathering = Gathering {
-        search: Search {
-            found: Found::default(),
-            selector: ViewSelector::new(board, selection),
-            pictures: Vec::new(),
-            names: BTreeMap::new(),
-            warnings: Vec::new(),
-            kind: input.kind(),
-        },
-        most_views: selection.most_views,
         photographs: input.frame_count.is_some_and(|count| count <= selection.most_views as u64),
-        reasons: Vec::new(),
-        only_pictures: true,
         progress: progress(input.frame_count, quiet),
+        ..Gathering::new(board, selection, input.kind())
     };
     let available = || thread::available_parallelism().map_or(1, usize::from);
     let outcome = match threads.map_or_else(available, usize::from) {
@@ -131,7 +128,8 @@ fn next(input: &mut Input) -> Result<Option<Look>> {
     if interrupt::asked() { Ok(None) } else { input.next() }
 }
 
-fn look(finder: &BoardFinder, frame: Look) -> Looked {
+/// Looks for the board in a frame.
+pub fn look(finder: &BoardFinder, frame: Look) -> Looked {
     let outcome = finder.find(&frame.image).map(|view| {
         let blur_px = blur_px(&frame.image, &view);
         (view, blur_px)
@@ -140,7 +138,7 @@ fn look(finder: &BoardFinder, frame: Look) -> Looked {
 }
 
 /// What has been found so far, frame by frame in their order.
-struct Gathering {
+pub struct Gathering {
     search: Search,
     most_views: usize,
     /// Whether pictures are so few that they were taken one by one, and their times say nothing about how the board moved.
@@ -152,7 +150,37 @@ struct Gathering {
 }
 
 impl Gathering {
-    fn add(&mut self, looked: Looked) {
+    /// Nothing so far, of a kind of recording that is named; silent.
+    pub fn new(board: &Board, selection: SelectionConfig, kind: String) -> Self {
+        Self {
+            search: Search {
+                found: Found::default(),
+                selector: ViewSelector::new(board, selection),
+                pictures: Vec::new(),
+                names: BTreeMap::new(),
+                warnings: Vec::new(),
+                kind,
+            },
+            most_views: selection.most_views,
+            photographs: false,
+            reasons: Vec::new(),
+            only_pictures: true,
+            progress: ProgressBar::hidden(),
+        }
+    }
+
+    /// How many frames were looked at, and in how many of them the board was.
+    pub fn counts(&self) -> (u64, u64) {
+        (self.search.found.looked_at, self.search.found.with_board)
+    }
+
+    /// What chooses among the sightings.
+    pub fn selector(&self) -> &ViewSelector {
+        &self.search.selector
+    }
+
+    /// Takes a frame that was looked at, in the order of their numbers.
+    pub fn add(&mut self, looked: Looked) {
         let search = &mut self.search;
         let number = search.found.looked_at;
         search.found.looked_at += 1;
@@ -202,7 +230,8 @@ impl Gathering {
         ));
     }
 
-    fn finished(mut self) -> Search {
+    /// What was found in all of them.
+    pub fn finished(mut self) -> Search {
         // The most frequent first; of equals the first.
         self.reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
         self.search.found.reasons =

@@ -1,5 +1,6 @@
 //! The mosaic as it is laid while the frames come.
 
+use super::straight::Correction;
 use crate::commands::run::views::{Posed, Views};
 use odograph::camera::Camera;
 use odograph::error::Error;
@@ -11,6 +12,8 @@ use std::time::{Duration, Instant};
 pub struct Laying {
     camera: Camera,
     mosaic: Mosaic,
+    /// Where frames are laid: as odometry has them, until a loop has moved that.
+    correction: Correction,
     views: Views,
     /// Of the first frame that could not be kept.
     failure: Option<Error>,
@@ -35,6 +38,7 @@ impl Laying {
             views: Views::new(&camera, folder),
             camera,
             mosaic: Mosaic::new(Default::default()),
+            correction: Correction::NONE,
             failure: None,
             times: Vec::new(),
             before: None,
@@ -46,6 +50,11 @@ impl Laying {
         &self.mosaic
     }
 
+    /// Goes on upon a ground that was laid anew, with frames corrected from now on.
+    pub fn go_on(&mut self, mosaic: Mosaic, correction: Correction) {
+        (self.mosaic, self.correction) = (mosaic, correction);
+    }
+
     /// Lays a frame where it shows something new.
     pub fn next(&mut self, posed: Posed) {
         let started = Instant::now();
@@ -55,7 +64,7 @@ impl Laying {
         if self.failure.is_none() {
             self.failure = self.views.next(posed.clone()).err();
         }
-        if self.mosaic.wants(&self.camera, &posed.pose) {
+        if self.mosaic.wants(&self.camera, &self.correction.pose(&posed.pose)) {
             self.lay(&posed);
         } else {
             self.before = Some(posed);
@@ -64,10 +73,11 @@ impl Laying {
     }
 
     fn lay(&mut self, posed: &Posed) {
+        let pose = self.correction.pose(&posed.pose);
         if posed.frame.has_color() {
-            self.mosaic.add(&posed.frame.rgb(), &self.camera, &posed.pose);
+            self.mosaic.add(&posed.frame.rgb(), &self.camera, &pose);
         } else {
-            self.mosaic.add(&posed.frame.gray, &self.camera, &posed.pose);
+            self.mosaic.add(&posed.frame.gray, &self.camera, &pose);
         }
     }
 

@@ -3,22 +3,26 @@
 mod ground;
 mod latency;
 mod laying;
-mod open;
+mod mcap;
+pub(super) mod open;
 mod outputs;
-mod pipeline;
+pub(super) mod pipeline;
 mod recorder;
 mod serving;
+mod straight;
 
 use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
-use crate::{Outcome, console, interrupt};
+use crate::{Outcome, console, files, interrupt};
+use mcap::McapLog;
 use odograph::error::Result;
-use odograph_live::capture::camera::PixelFormat;
-use odograph_live::capture::{RawFormat, Watch};
+use odograph::formats::camera_file;
+use odograph_live::capture::{Watch, without_credentials};
 use odograph_live::{Introduction, Phase};
+pub use open::CaptureArguments;
 use outputs::Outputs;
 use recorder::Recorder;
-pub use serving::{ServeArguments, Serving};
-use std::path::PathBuf;
+pub use serving::{Offer, ServeArguments, Serving};
+use std::path::{Path, PathBuf};
 
 /// Follow a camera as it moves, and show it in the browser.
 ///
@@ -45,28 +49,8 @@ pub struct LiveArguments {
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
-    /// Play a recording at its own pace, or at SPEED times that; frames that come too fast are dropped. Without it every frame is taken,
-    /// as fast as can be. Frames on standard input are taken as they come, and the newest win.
-    #[arg(long, value_name = "SPEED", num_args = 0..=1, default_missing_value = "1", value_parser = speed)]
-    pub realtime: Option<f64>,
-    /// Frames a second: of a recording that does not say, or wished of a camera.
-    #[arg(long, value_name = "RATE")]
-    pub fps: Option<f64>,
-    /// Size wished of a camera, pixels, e.g. 640x480. [default: the camera file's]
-    #[arg(long, value_name = "WxH", value_parser = pixels)]
-    pub size: Option<(u32, u32)>,
-    /// Format wished of a camera: grey, yuyv or mjpeg.
-    #[arg(long, value_name = "FORMAT")]
-    pub format: Option<PixelFormat>,
-    /// Leave a camera's exposure to itself; otherwise it is held once it has settled.
-    #[arg(long)]
-    pub auto_exposure: bool,
-    /// Standard input has bare frames: gray:640x480@30, yuyv:… or rgb:….
-    #[arg(long, value_name = "FORMAT")]
-    pub raw: Option<RawFormat>,
-    /// How long to wait for a network camera that has gone to come back, seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
-    pub patience: u64,
+    #[command(flatten)]
+    pub capture: CaptureArguments,
     #[command(flatten)]
     pub serve: ServeArguments,
     /// Print a line of JSON for each frame to standard output.
@@ -75,6 +59,9 @@ pub struct LiveArguments {
     /// Send a line of JSON for each frame as a datagram.
     #[arg(long, value_name = "HOST:PORT")]
     pub udp: Option<String>,
+    /// Write poses, pictures with tracks, and the path into an MCAP file too, which Foxglove and others open.
+    #[arg(long, value_name = "FILE")]
+    pub mcap: Option<PathBuf>,
     /// Folder for the results. [default: live- and the date and time]
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
@@ -95,26 +82,14 @@ Examples:
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --serve
   odograph live http://192.168.1.20:8080/video --camera phone.yaml --height 1.20 --serve -o walk/
   odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 127.0.0.1:8080
-  odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot";
+  odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
+  odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/";
 
 /// What can be printed for each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Print {
     /// Pose, covariance and status.
     Poses,
-}
-
-fn speed(text: &str) -> std::result::Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(speed) if speed.is_finite() && speed > 0.0 => Ok(speed),
-        _ => Err("give a number above zero, 1 for the recording's own pace".to_owned()),
-    }
-}
-
-fn pixels(text: &str) -> std::result::Result<(u32, u32), String> {
-    let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-    size.filter(|(w, h)| *w > 0 && *h > 0)
-        .ok_or_else(|| "give width and height in pixels, as 640x480".to_owned())
 }
 
 impl LiveArguments {
@@ -128,7 +103,7 @@ impl LiveArguments {
             rig: self.rig.clone(),
             field_of_view: self.field_of_view,
             motion: self.motion,
-            fps: self.fps,
+            fps: self.capture.fps,
             ..RunArguments::over(OutputArguments {
                 output,
                 force: self.force,
@@ -143,17 +118,28 @@ impl LiveArguments {
     }
 }
 
+/// The size of the pictures for which a camera was calibrated, pixels.
+fn calibrated_size(camera: &Path) -> Option<(u32, u32)> {
+    let camera = camera_file::parse(&files::read_text(camera).ok()?, None).ok()?;
+    Some((camera.width() as u32, camera.height() as u32))
+}
+
 /// Runs the command.
 pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let run_arguments = arguments.as_run();
     let outputs = Outputs::new(&arguments)?;
+    arguments.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, arguments.force))?;
     let folder = run::folder::OutputFolder::new(&run_arguments.output.output, arguments.force)?;
     let watch = Watch::default();
-    let (plan, source) = RunPlan::over(&run_arguments, |plan| {
-        let source = open::open(plan, &arguments, &watch)?;
+    let (mut plan, source) = RunPlan::over(&run_arguments, |plan| {
+        // A calibration holds for one size only: that is the one to ask a camera for.
+        let calibrated = || calibrated_size(arguments.camera.as_deref()?);
+        let source = open::open(plan, &arguments.capture, calibrated, &watch)?;
         let size = (source.source.info().width, source.source.info().height);
         Ok((source, size))
     })?;
+    // What is written and shown is for others to read.
+    plan.source.path = without_credentials(&plan.source.path);
     let info = source.source.info().clone();
     let name = arguments.source.trim_end_matches(['/', '\\']);
     let introduction = Introduction {
@@ -166,9 +152,11 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         height: info.height,
         height_m: plan.rig.height_m,
         live: true,
+        calibration: false,
     };
     let laying = ground::LiveGround::new(plan.camera.clone(), folder.path());
-    let serving = Serving::start(&arguments.serve, introduction, laying.clone(), Some(folder.path()))?;
+    let serving =
+        Serving::start(&arguments.serve, introduction, laying.clone(), Offer::of_run(folder.path()))?;
     if let Some(url) = serving.url()
         && !arguments.quiet
     {
@@ -176,6 +164,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     }
     let mapping = run::mapping::Mapping::new(&plan, folder.path(), &run_arguments.output)?;
     let recorder = Recorder::new(folder, &plan)?;
+    let log = McapLog::new(&arguments, &info.description, source.policy)?;
     let result = pipeline::follow(
         &plan,
         source,
@@ -186,6 +175,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         mapping,
         recorder,
         outputs,
+        log.as_ref(),
     );
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
     let report = match result {

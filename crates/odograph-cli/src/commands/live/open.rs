@@ -1,14 +1,65 @@
 //! What a source's name means, and whether it waits for us.
 
-use super::LiveArguments;
 use crate::commands::run::SourcePlan;
-use crate::files;
 use odograph::error::{Error, Result};
-use odograph::formats::camera_file;
-use odograph_live::capture::camera::ModeWish;
-use odograph_live::capture::{HttpMjpeg, LiveSource, Policy, RawFrames, Recording, Watch};
+use odograph_live::capture::camera::{ModeWish, PixelFormat};
+use odograph_live::capture::{
+    HttpMjpeg, LiveSource, NetworkStream, Policy, RawFormat, RawFrames, Recording, Watch,
+};
 use std::path::Path;
 use std::time::Duration;
+
+/// How frames are had from a source that gives them as they come.
+#[derive(Debug, Clone, PartialEq, clap::Args)]
+pub struct CaptureArguments {
+    /// Play a recording at its own pace, or at SPEED times that; frames that come too fast are dropped. Without it every frame is taken,
+    /// as fast as can be. Frames on standard input are taken as they come, and the newest win.
+    #[arg(long, value_name = "SPEED", num_args = 0..=1, default_missing_value = "1", value_parser = speed)]
+    pub realtime: Option<f64>,
+    /// Frames a second: of a recording that does not say, or wished of a camera.
+    #[arg(long, value_name = "RATE")]
+    pub fps: Option<f64>,
+    /// Size wished of a camera, pixels, e.g. 640x480. [default: the camera file's]
+    #[arg(long, value_name = "WxH", value_parser = pixels)]
+    pub size: Option<(u32, u32)>,
+    /// Format wished of a camera: grey, yuyv or mjpeg.
+    #[arg(long, value_name = "FORMAT")]
+    pub format: Option<PixelFormat>,
+    /// Leave a camera's exposure to itself; otherwise it is held once it has settled.
+    #[arg(long)]
+    pub auto_exposure: bool,
+    /// Standard input has bare frames: gray:640x480@30, yuyv:… or rgb:….
+    #[arg(long, value_name = "FORMAT")]
+    pub raw: Option<RawFormat>,
+    /// How long to wait for a network camera that has gone to come back, seconds. [default: 60]
+    #[arg(long, value_name = "SECONDS")]
+    pub patience: Option<u64>,
+}
+
+/// A network camera may be away so long, seconds.
+const PATIENCE_S: u64 = 60;
+
+fn speed(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(speed) if speed.is_finite() && speed > 0.0 => Ok(speed),
+        _ => Err("give a number above zero, 1 for the recording's own pace".to_owned()),
+    }
+}
+
+fn pixels(text: &str) -> std::result::Result<(u32, u32), String> {
+    let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    size.filter(|(w, h)| *w > 0 && *h > 0)
+        .ok_or_else(|| "give width and height in pixels, as 640x480".to_owned())
+}
+
+impl CaptureArguments {
+    /// Whether none of them is given.
+    pub fn is_empty(&self) -> bool {
+        let Self { realtime, fps, size, format, auto_exposure, raw, patience } = self;
+        let given = [realtime.is_some(), fps.is_some(), size.is_some(), format.is_some(), *auto_exposure];
+        !given.contains(&true) && raw.is_none() && patience.is_none()
+    }
+}
 
 /// A source and what happens to frames that come too fast.
 pub struct Opened {
@@ -16,8 +67,13 @@ pub struct Opened {
     pub policy: Policy,
 }
 
-/// Opens a source by its name.
-pub fn open(plan: &SourcePlan, arguments: &LiveArguments, watch: &Watch) -> Result<Opened> {
+/// Opens a source by its name. Of a camera, pictures of the size `calibrated` are wanted where nothing else is wished.
+pub fn open(
+    plan: &SourcePlan,
+    arguments: &CaptureArguments,
+    calibrated: impl FnOnce() -> Option<(u32, u32)>,
+    watch: &Watch,
+) -> Result<Opened> {
     let name = plan.path.as_str();
     if arguments.raw.is_some() && name != "-" {
         return Err(Error::usage("--raw says how the frames on standard input look; give - as the source"));
@@ -29,30 +85,35 @@ pub fn open(plan: &SourcePlan, arguments: &LiveArguments, watch: &Watch) -> Resu
         )));
     }
     if name.starts_with("http://") {
-        let patience = Duration::from_secs(arguments.patience);
+        let patience = Duration::from_secs(arguments.patience.unwrap_or(PATIENCE_S));
         return Ok(never_late(Box::new(HttpMjpeg::open(name, patience, watch.clone())?)));
     }
     if name.starts_with("/dev/video") {
-        return device(Path::new(name), arguments, watch).map(never_late);
+        return device(Path::new(name), arguments, calibrated, watch).map(never_late);
     }
     if let Some(format) = arguments.raw {
         return Ok(never_late(Box::new(RawFrames::new(std::io::stdin(), format, watch.clone()))));
     }
-    let streams = name == "-" || odograph_video::is_stream(name);
-    // A pipe or a stream has a pace of its own already; what it has is what there is now.
+    if odograph_video::is_stream(name) {
+        let patience = Duration::from_secs(arguments.patience.unwrap_or(PATIENCE_S));
+        let again = plan.clone();
+        let stream = NetworkStream::open(name, Box::new(move || again.open()), patience, watch.clone())?;
+        return Ok(never_late(Box::new(stream)));
+    }
+    let streams = name == "-";
+    // A pipe has a pace of its own already; what it has is what there is now.
     let speed = arguments.realtime.filter(|_| !streams);
     let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };
     Ok(Opened { source: Box::new(Recording::new(plan.open()?, speed, watch.clone())), policy })
 }
 
 #[cfg(target_os = "linux")]
-fn device(path: &Path, arguments: &LiveArguments, watch: &Watch) -> Result<Box<dyn LiveSource>> {
-    // A calibration holds for one size only: that is the one to ask the camera for.
-    let calibrated = || -> Option<(u32, u32)> {
-        let text = files::read_text(arguments.camera.as_deref()?).ok()?;
-        let camera = camera_file::parse(&text, None).ok()?;
-        Some((camera.width() as u32, camera.height() as u32))
-    };
+fn device(
+    path: &Path,
+    arguments: &CaptureArguments,
+    calibrated: impl FnOnce() -> Option<(u32, u32)>,
+    watch: &Watch,
+) -> Result<Box<dyn LiveSource>> {
     let wish = ModeWish {
         format: arguments.format,
         size: arguments.size.or_else(calibrated),
@@ -64,7 +125,12 @@ fn device(path: &Path, arguments: &LiveArguments, watch: &Watch) -> Result<Box<d
 }
 
 #[cfg(not(target_os = "linux"))]
-fn device(path: &Path, _: &LiveArguments, _: &Watch) -> Result<Box<dyn LiveSource>> {
+fn device(
+    path: &Path,
+    _: &CaptureArguments,
+    _: impl FnOnce() -> Option<(u32, u32)>,
+    _: &Watch,
+) -> Result<Box<dyn LiveSource>> {
     Err(Error::usage(format!(
         "{}: cameras at this machine are read on Linux only; give an http:// address",
         path.display()

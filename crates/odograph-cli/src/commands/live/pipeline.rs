@@ -3,9 +3,11 @@
 use super::ground::LiveGround;
 use super::latency::Latencies;
 use super::laying;
+use super::mcap::McapLog;
 use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
+use super::straight::{self, Relaying, Straightening};
 use crate::commands::run::mapping::Mapping;
 use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, is_made, number_as_source};
 use crate::commands::run::statistics::LiveStatistics;
@@ -17,6 +19,7 @@ use odograph::image::GrayImage;
 use odograph::odometry::{FrameReference, KeyframeEvent, Odometry, TrackView};
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, LiveSource, Newest, Policy, Taken, Watch};
+use odograph_live::foxglove::Picture;
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
 use odograph_video::Frame;
 use std::sync::{Arc, mpsc};
@@ -24,17 +27,17 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Frames that wait for tracking: one that is next, and one for the time in which it is taken.
-const QUEUE: usize = 2;
+pub const QUEUE: usize = 2;
 /// Frames that wait to be laid on the ground.
 const LAYING_QUEUE: usize = 4;
 /// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is waited for.
 const MAPPING_QUEUE: usize = 64;
 /// How long to wait for a frame before looking at everything else.
-const PATIENCE: Duration = Duration::from_millis(100);
+pub const PATIENCE: Duration = Duration::from_millis(100);
 /// How often the page hears how the run goes.
-const STATUS_EVERY: Duration = Duration::from_millis(250);
+pub const STATUS_EVERY: Duration = Duration::from_millis(250);
 /// A source that is asked to end is waited for so long; one that hangs in the system is left behind.
-const FAREWELL: Duration = Duration::from_secs(2);
+pub const FAREWELL: Duration = Duration::from_secs(2);
 
 /// Follows a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
@@ -47,6 +50,7 @@ pub fn follow(
     mapping: Mapping,
     recorder: Recorder,
     outputs: Outputs,
+    log: Option<&McapLog>,
 ) -> Result<RunReport> {
     let started = Instant::now();
     let description = opened.source.info().description.clone();
@@ -61,11 +65,13 @@ pub fn follow(
         distance_m: 0.0,
         recorder,
         outputs,
+        log,
         hub,
         watch,
         queue: Arc::new(Newest::new(opened.policy, QUEUE)),
         policy: opened.policy,
         not_laid: 0,
+        unmapped: None,
         status_told: None,
     };
     let ended = capture(opened.source, Arc::clone(&following.queue));
@@ -86,11 +92,12 @@ pub fn follow(
         references: following.references,
         views,
         mapping,
-        warnings: farewell.warnings,
+        warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
         times: following.times,
         interrupted: interrupt::asked() || hub.stop_asked(),
         live: Some(live),
         failure: outcome.err().or(farewell.failure).or(not_kept),
+        unmapped: following.unmapped,
     };
     let mut folder = following.recorder.into_folder();
     run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)
@@ -98,14 +105,14 @@ pub fn follow(
 
 /// What a source left when it ended.
 #[derive(Default)]
-struct Farewell {
-    warnings: Vec<String>,
-    failure: Option<Error>,
+pub struct Farewell {
+    pub warnings: Vec<String>,
+    pub failure: Option<Error>,
 }
 
 /// Takes frames from the source on a thread of its own, which ends with the queue or the source. It is not joined: reading a pipe or a
 /// device may hang as long as its other end wills.
-fn capture(
+pub fn capture(
     mut source: Box<dyn LiveSource>,
     queue: Arc<Newest<(Captured, Duration)>>,
 ) -> mpsc::Receiver<Farewell> {
@@ -131,13 +138,14 @@ fn capture(
 }
 
 /// Closes the queues of the threads beside however tracking ends, so that they end too.
-struct Closing<'a>(&'a Beside);
+struct Closing<'a>(&'a Beside, Option<&'a McapLog>);
 
 impl Drop for Closing<'_> {
     fn drop(&mut self) {
         self.0.laying.close();
         self.0.mapping.close();
         self.0.views.close();
+        self.1.inspect(|log| log.close());
     }
 }
 
@@ -152,6 +160,7 @@ struct Beside {
     laying: Newest<Posed>,
     mapping: Newest<Happened>,
     views: Newest<Sight>,
+    relaying: Newest<Relaying>,
 }
 
 /// A picture to be shown.
@@ -171,11 +180,13 @@ struct Following<'a> {
     distance_m: f64,
     recorder: Recorder,
     outputs: Outputs,
+    log: Option<&'a McapLog>,
     hub: &'a Hub,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
     policy: Policy,
     not_laid: u64,
+    unmapped: Option<Error>,
     status_told: Option<Instant>,
 }
 
@@ -186,9 +197,13 @@ impl Following<'_> {
             laying: Newest::new(self.policy, LAYING_QUEUE),
             mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
             views: Newest::new(Policy::NewestWins, 1),
+            relaying: Newest::new(Policy::NewestWins, 1),
         };
-        let (beside, hub) = (&beside, self.hub);
+        let (beside, hub, log) = (&beside, self.hub, self.log);
         let outcome = thread::scope(|scope| {
+            if let Some(log) = log {
+                scope.spawn(|| log.write_all());
+            }
             scope.spawn(move || each(&beside.laying, |posed| ground.lay(posed)));
             scope.spawn(move || {
                 each(&beside.views, |sight: Sight| {
@@ -197,23 +212,27 @@ impl Following<'_> {
                     }
                 });
             });
+            scope.spawn(move || straight::relay(&beside.relaying, ground));
             let mapper = scope.spawn(move || {
                 let mut failure = None;
+                let mut straightening = Straightening::new(hub, &beside.relaying);
                 each(&beside.mapping, |happened: Happened| {
                     // A map that cannot be written (the disk is full) ends; tracking does not.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, Some(&happened.frame)).err();
+                        straightening.look(mapping);
                     }
                 });
+                beside.relaying.close();
                 failure
             });
             let outcome = {
-                let _ending = Closing(beside);
+                let _ending = Closing(beside, log);
                 self.track_all(beside)
             };
-            let unmapped =
+            self.unmapped =
                 mapper.join().unwrap_or_else(|_| Some(Error::output("the map ended unexpectedly")));
-            outcome.and(unmapped.map_or(Ok(()), Err))
+            outcome
         });
         self.not_laid = beside.laying.counts().1;
         outcome
@@ -250,8 +269,15 @@ impl Following<'_> {
         self.times.track.push(begun.elapsed());
         self.outputs.tell(&estimate, latency_ms)?;
         self.recorder.record(&estimate);
+        if let Some(log) = self.log {
+            let tracks = || self.odometry.tracks().to_vec();
+            log.give(&estimate, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
+        }
         let first_time_s = self.frames.first().map_or(estimate.time_s, |first| first.time_s);
-        let record = self.hub.add_record(&TrackRecord::new(&estimate, first_time_s, Some(latency_ms)));
+        let reference = self.odometry.reference();
+        let keyframe = reference.map(|reference| reference.keyframe.0);
+        let record = TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
+        let record = self.hub.add_record(&record);
         if self.hub.viewers() > 0 {
             let tracks = self.odometry.tracks().to_vec();
             beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
@@ -260,7 +286,7 @@ impl Following<'_> {
         let pose = estimate.estimate.as_ref().map(|known| known.pose);
         let segment = estimate.segment;
         self.frames.push(estimate);
-        self.references.push(self.odometry.reference());
+        self.references.push(reference);
         number_as_source(&mut events, &self.frames);
         let is_keyframe = is_made(&events, frame.number);
         if !events.is_empty() {
@@ -287,7 +313,11 @@ impl Following<'_> {
         let (captured, dropped) = self.queue.counts();
         self.hub.set_status(Status {
             phase,
-            message: self.watch.waiting().or_else(|| self.recorder.message()),
+            message: self
+                .watch
+                .waiting()
+                .or_else(|| self.recorder.message())
+                .or_else(|| self.log.and_then(McapLog::message)),
             captured,
             dropped,
             fps,

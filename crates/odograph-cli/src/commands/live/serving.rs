@@ -6,7 +6,7 @@ use odograph::error::{Error, Result};
 use odograph_live::server::new_token;
 use odograph_live::{Ground, Hub, Introduction, Phase, Server, ServerOptions};
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -20,6 +20,20 @@ pub struct ServeArguments {
     /// What a browser must know to be let in. Beyond this machine's own addresses there is always one: made up and told, if not given.
     #[arg(long, value_name = "TOKEN")]
     pub token: Option<String>,
+}
+
+/// What can be downloaded: files by their names, in a folder.
+pub struct Offer {
+    pub folder: PathBuf,
+    pub files: Vec<String>,
+}
+
+impl Offer {
+    /// Everything that a run writes into its folder.
+    pub fn of_run(folder: &Path) -> Self {
+        let files = FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect();
+        Self { folder: folder.to_owned(), files }
+    }
 }
 
 /// After the end the page stays for those who look, and so long for who only reloads it.
@@ -37,7 +51,7 @@ impl Serving {
         arguments: &ServeArguments,
         introduction: Introduction,
         ground: impl Ground + 'static,
-        folder: Option<&Path>,
+        offer: Offer,
     ) -> Result<Self> {
         let hub = Arc::new(Hub::new(introduction, Arc::new(ground)));
         let Some(address) = arguments.serve else {
@@ -53,11 +67,7 @@ impl Serving {
             None if address.ip().is_loopback() => None,
             None => Some(new_token()?),
         };
-        let options = ServerOptions {
-            token,
-            folder: folder.map(Path::to_owned),
-            files: FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect(),
-        };
+        let options = ServerOptions { token, folder: Some(offer.folder), files: offer.files };
         let server = Server::start(address, Arc::clone(&hub), options)?;
         Ok(Self { hub, server: Some(server) })
     }

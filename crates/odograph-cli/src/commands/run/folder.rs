@@ -144,7 +144,13 @@ impl OutputFolder {
     /// away what was only there in case of a crash.
     pub fn write_trajectories(&mut self, frames: &[FrameEstimate], run_toml: &str) -> Result<()> {
         let csv = trajectory_file::csv_from_frames(frames);
-        self.write("trajectory.csv", csv.as_bytes())?;
+        // Written under a third name: where the disk is full what was recorded as it came must stay, with its last second as far as it goes.
+        let _ = self.flush();
+        let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
+        files::write(&whole, csv.as_bytes())?;
+        fs::rename(&whole, &path)
+            .map_err(|error| Error::output(format!("{} cannot be written: {error}", path.display())))?;
+        let _ = fs::remove_file(files::beside(&path));
         self.started = true;
         self.write("trajectory.tum", trajectory_file::tum_from_frames(frames).as_bytes())?;
         self.write("run.toml", run_toml.as_bytes())

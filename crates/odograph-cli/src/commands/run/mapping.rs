@@ -103,24 +103,39 @@ impl Mapping {
         Ok(())
     }
 
+    /// What has been made of the keyframes so far.
+    pub fn mapper(&self) -> &Mapper {
+        &self.mapper
+    }
+
+    /// Where the map file is, or will be.
+    pub fn path(&self) -> &Path {
+        &self.file.path
+    }
+
     /// How long each keyframe took.
     pub fn times(&self) -> &[Duration] {
         &self.times
     }
 
-    /// The frames in the map frame, from those in the odometry frame after other sensors; what keyframes are known to lie at goes into the file.
+    /// The frames in the map frame, from those in the odometry frame after other sensors. Nothing is written.
     pub fn straighten(
         &mut self,
         raw: &[FrameEstimate],
         fused: &Fusion,
         references: &mut [Option<FrameReference>],
-    ) -> Result<Vec<FrameEstimate>> {
+    ) -> Vec<FrameEstimate> {
         if fused.moved {
             self.mapper.take_over(raw, &fused.frames, references);
         }
         self.mapper.finish();
+        map_frames(&self.mapper, &fused.frames, references)
+    }
+
+    /// Puts into the file where the keyframes lie in the end, and the path of the run.
+    pub fn save(&mut self, frames: &[FrameEstimate]) -> Result<()> {
         self.file.set_poses(&self.mapper.map().keyframes)?;
-        Ok(map_frames(&self.mapper, &fused.frames, references))
+        self.write_path(frames)
     }
 
     /// A sentence where the run could not be tied to the map that it continues.
@@ -182,8 +197,7 @@ impl Mapping {
         closures.filter_map(|closure| Some([place(closure.edge.from)?, place(closure.edge.to)?])).collect()
     }
 
-    /// Puts the path of the run into the file.
-    pub fn write_path(&mut self, frames: &[FrameEstimate]) -> Result<()> {
+    fn write_path(&mut self, frames: &[FrameEstimate]) -> Result<()> {
         let writable = self.file.kept.is_none();
         let Some(file) = self.file.file.as_mut().filter(|_| writable) else { return Ok(()) };
         let posed = |frame: &FrameEstimate| {

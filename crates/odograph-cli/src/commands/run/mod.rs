@@ -18,6 +18,7 @@ use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
 use odograph::formats::trajectory_file;
+use odograph::mapping::Mosaic;
 use odograph::motion::MotionModel;
 use pipeline::Tracked;
 pub use plan::{RunPlan, SourcePlan};
@@ -260,12 +261,16 @@ pub(super) fn finish(
             ))
         }));
     }
-    let failure = tracked.failure.take();
+    let mut failure = tracked.failure.take();
     tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
+    if let Some(error) = tracked.unmapped.take() {
+        tracked.warnings.push(format!("the map ended early: {error}"));
+        failure.get_or_insert(error);
+    }
     let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, sensors);
-    let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references)?;
+    let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references);
     let loops = tracked.mapping.statistics(&fused.frames, &straight);
     tracked.warnings.extend(tracked.mapping.warning());
     let fused = fused.laid(straight);
@@ -275,15 +280,33 @@ pub(super) fn finish(
     tracked.frames = fused.frames;
     folder.write_trajectories(&tracked.frames, &plan.text()?)?;
     folder.write("odometry.tum", at_once.as_bytes())?;
-    tracked.mapping.write_path(&tracked.frames)?;
+    // Only now the map, which may not fit on its disk any more: the trajectories are there all the same, and so is all that follows.
+    if let Err(error) = tracked.mapping.save(&tracked.frames) {
+        tracked.warnings.push(format!("the map is not where the trajectories are: {error}"));
+        failure.get_or_insert(error);
+    }
     folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
     let smoothed = SmoothedFrame::trajectory(&path);
     folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
     let carrier = carrier_path(&path, &plan.rig);
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
     let threads = arguments.threads();
-    let mosaic = tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads)?;
-    tracked.warnings.extend(tracked.mapping.lay_ground()?);
+    let laid = tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads);
+    let mosaic = match laid {
+        Ok(mosaic) => mosaic,
+        Err(error) => {
+            tracked.warnings.push(format!("there is no picture of the ground: {error}"));
+            failure.get_or_insert(error);
+            Mosaic::new(Default::default())
+        }
+    };
+    match tracked.mapping.lay_ground() {
+        Ok(warning) => tracked.warnings.extend(warning),
+        Err(error) => {
+            tracked.warnings.push(format!("the map has no new picture of the ground: {error}"));
+            failure.get_or_insert(error);
+        }
+    }
     let reference = match (&plan.reference, reference::read(plan)?) {
         (Some(path), Some(read)) => reference::compared(path, &read, &tracked.frames)
             .map_err(|error| tracked.warnings.push(format!("the path cannot be compared: {error}")))
@@ -293,10 +316,10 @@ pub(super) fn finish(
     let (mosaic, reference) = (&mosaic, reference.as_ref());
     let shown = map::Shown { description, tracked: &tracked, mosaic, sensors: &reports, reference };
     map::write(plan, &shown, folder, threads)?;
-    tracked.mapping.close()?;
+    let closed = tracked.mapping.close();
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     folder.finish(&statistics)?;
-    match failure {
+    match failure.or(closed.err()) {
         Some(error) => Err(error),
         None => Ok(RunReport {
             statistics,

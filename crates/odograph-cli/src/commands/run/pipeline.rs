@@ -32,6 +32,8 @@ pub struct Tracked {
     pub live: Option<LiveStatistics>,
     /// What ended the recording before its end, if anything did.
     pub failure: Option<Error>,
+    /// What ended the map before that, if anything did: a disk that is full. The path does not need it.
+    pub unmapped: Option<Error>,
 }
 
 /// How long each frame took in each stage.
@@ -65,13 +67,13 @@ pub fn track(
         folder,
     };
     let mut decoding = Decoding { source, times: Vec::new() };
-    let mut ground = Ground { views, mapping, times: Vec::new() };
+    let mut ground = Ground { views, mapping, unmapped: None, times: Vec::new() };
     let outcome = match arguments.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads),
     };
     tracking.progress.finish_and_clear();
-    let Ground { views, mapping, times: map_times } = ground;
+    let Ground { views, mapping, unmapped, times: map_times } = ground;
     Ok(Tracked {
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
@@ -83,6 +85,7 @@ pub fn track(
         interrupted: interrupt::asked(),
         live: None,
         failure: outcome.err(),
+        unmapped,
     })
 }
 
@@ -218,13 +221,16 @@ pub fn is_made(events: &[KeyframeEvent], frame: u64) -> bool {
 struct Ground {
     views: Views,
     mapping: Mapping,
+    unmapped: Option<Error>,
     times: Vec<Duration>,
 }
 
 impl Ground {
     fn next(&mut self, followed: Followed) -> Result<()> {
         let Followed { posed, events } = followed;
-        self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame))?;
+        if self.unmapped.is_none() {
+            self.unmapped = self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame)).err();
+        }
         let Some(posed) = posed else { return Ok(()) };
         let started = Instant::now();
         self.views.next(posed)?;

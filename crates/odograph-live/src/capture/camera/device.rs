@@ -1,11 +1,12 @@
 //! Cameras through V4L2.
 
-use super::{Mode, ModeWish, PixelFormat, choose, sizes_in_range};
+use super::negotiation::{self, Agreed, Control, Driver, Given, Intervals, Sizes, told};
+use super::{Mode, ModeWish};
 use crate::capture::{Captured, LiveSource, Watch};
 use linuxvideo::controls::Cid;
-use linuxvideo::format::{FrameIntervals, FrameSizes, PixFormat};
+use linuxvideo::format::{FrameIntervals, FrameSizes, PixFormat, PixelFormat};
 use linuxvideo::stream::ReadStream;
-use linuxvideo::{BufType, CapabilityFlags, Device, Fract};
+use linuxvideo::{BufType, CapabilityFlags, Device, Fract, VideoCaptureDevice};
 use odograph::error::{Error, Result};
 use odograph_video::{Frame, Picture, SourceInfo};
 use std::io;
@@ -18,9 +19,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const GLANCE: Duration = Duration::from_millis(1);
 /// So long the camera may look for its exposure before it is held.
 const EXPOSURE_SETTLES: Duration = Duration::from_millis(1500);
-/// `V4L2_EXPOSURE_MANUAL`.
-const EXPOSURE_MANUAL: i32 = 1;
-
 /// The cameras of this machine: where each is, its name, and what it can do.
 pub fn list() -> Vec<(PathBuf, String, Vec<Mode>)> {
     let Ok(entries) = std::fs::read_dir("/dev") else { return Vec::new() };
@@ -34,50 +32,111 @@ pub fn list() -> Vec<(PathBuf, String, Vec<Mode>)> {
         let device = Device::open(&path).ok()?;
         let capabilities = device.capabilities().ok()?;
         let captures = capabilities.device_capabilities().contains(CapabilityFlags::VIDEO_CAPTURE);
-        let modes = modes(&device);
+        let modes = negotiation::modes(&V4l2::Idle(device));
         (captures && !modes.is_empty()).then(|| (path, capabilities.card().to_owned(), modes))
     };
     paths.into_iter().filter_map(described).collect()
 }
 
-/// Everything a camera can do in formats that are read here.
-fn modes(device: &Device) -> Vec<Mode> {
-    let mut modes = Vec::new();
-    for description in device.formats(BufType::VIDEO_CAPTURE).flatten() {
-        let fourcc = description.pixel_format();
-        let Some(format) = PixelFormat::from_fourcc(fourcc.as_fourcc()) else { continue };
-        let sizes = match device.frame_sizes(fourcc) {
-            Ok(FrameSizes::Discrete(sizes)) => {
-                sizes.iter().map(|size| (size.width(), size.height())).collect()
-            }
-            Ok(FrameSizes::Stepwise(range) | FrameSizes::Continuous(range)) => sizes_in_range(
-                (range.min_width(), range.min_height()),
-                (range.max_width(), range.max_height()),
-                (range.step_width(), range.step_height()),
-            ),
-            Err(_) => Vec::new(),
-        };
-        for (width, height) in sizes {
-            let rates = match device.frame_intervals(fourcc, width, height) {
-                Ok(FrameIntervals::Discrete(intervals)) => {
-                    intervals.iter().map(|i| Some(rate(*i.fract()))).collect()
-                }
-                // Anything in between can be asked for.
-                Ok(FrameIntervals::Stepwise(range) | FrameIntervals::Continuous(range)) => {
-                    vec![Some(rate(*range.min())), Some((30, 1)), Some(rate(*range.max()))]
-                }
-                Err(_) => vec![None],
-            };
-            let mode = |rate| Mode { format, fourcc: fourcc.as_fourcc(), width, height, rate };
-            modes.extend(rates.into_iter().map(mode));
-        }
-    }
-    modes
+/// A driver behind V4L2's calls: before its format is set, and after.
+enum V4l2 {
+    Idle(Device),
+    Set(VideoCaptureDevice),
+    /// Between the two, and where that failed.
+    Gone,
 }
 
-/// Frames a second as a fraction, from the time between two.
-fn rate(interval: Fract) -> (u32, u32) {
-    (interval.denominator(), interval.numerator())
+impl V4l2 {
+    fn idle(&self) -> io::Result<&Device> {
+        match self {
+            Self::Idle(device) => Ok(device),
+            _ => Err(io::Error::other("its format is set already")),
+        }
+    }
+}
+
+/// Seconds as a fraction.
+fn seconds(interval: Fract) -> (u32, u32) {
+    (interval.numerator(), interval.denominator())
+}
+
+fn identifier(control: Control) -> Cid {
+    match control {
+        Control::ExposureAuto => Cid::EXPOSURE_AUTO,
+        Control::Exposure => Cid::EXPOSURE_ABSOLUTE,
+        Control::WhiteBalanceAuto => Cid::AUTO_WHITE_BALANCE,
+    }
+}
+
+impl Driver for V4l2 {
+    fn formats(&self) -> Vec<[u8; 4]> {
+        let Ok(device) = self.idle() else { return Vec::new() };
+        let formats = device.formats(BufType::VIDEO_CAPTURE).flatten();
+        formats.map(|description| description.pixel_format().as_fourcc()).collect()
+    }
+
+    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<Sizes> {
+        Ok(match self.idle()?.frame_sizes(PixelFormat::from_fourcc(fourcc))? {
+            FrameSizes::Discrete(sizes) => {
+                Sizes::Listed(sizes.iter().map(|size| (size.width(), size.height())).collect())
+            }
+            FrameSizes::Stepwise(range) | FrameSizes::Continuous(range) => Sizes::Range {
+                least: (range.min_width(), range.min_height()),
+                most: (range.max_width(), range.max_height()),
+                step: (range.step_width(), range.step_height()),
+            },
+        })
+    }
+
+    fn intervals(&self, fourcc: [u8; 4], (width, height): (u32, u32)) -> io::Result<Intervals> {
+        let intervals = self.idle()?.frame_intervals(PixelFormat::from_fourcc(fourcc), width, height)?;
+        Ok(match intervals {
+            FrameIntervals::Discrete(intervals) => {
+                Intervals::Listed(intervals.iter().map(|interval| seconds(*interval.fract())).collect())
+            }
+            FrameIntervals::Stepwise(range) | FrameIntervals::Continuous(range) => {
+                Intervals::Range { shortest: seconds(*range.min()), longest: seconds(*range.max()) }
+            }
+        })
+    }
+
+    fn set_format(&mut self, fourcc: [u8; 4], (width, height): (u32, u32)) -> io::Result<Given> {
+        self.idle()?;
+        let Self::Idle(device) = std::mem::replace(self, Self::Gone) else {
+            return Err(io::ErrorKind::Other.into());
+        };
+        let capture =
+            device.video_capture(PixFormat::new(width, height, PixelFormat::from_fourcc(fourcc)))?;
+        let format = capture.format();
+        let given = Given {
+            fourcc: format.pixel_format().as_fourcc(),
+            width: format.width(),
+            height: format.height(),
+            bytes_per_line: format.bytes_per_line(),
+        };
+        *self = Self::Set(capture);
+        Ok(given)
+    }
+
+    fn set_interval(&mut self, (numerator, denominator): (u32, u32)) -> io::Result<(u32, u32)> {
+        match self {
+            Self::Set(capture) => {
+                Ok(seconds(capture.set_frame_interval(Fract::new(numerator, denominator))?))
+            }
+            _ => Err(io::Error::other("its format is not set")),
+        }
+    }
+
+    fn control(&self, control: Control) -> io::Result<i32> {
+        self.idle()?.read_control_raw(identifier(control))
+    }
+
+    fn set_control(&mut self, control: Control, value: i32) -> io::Result<()> {
+        match self {
+            Self::Idle(device) => device.write_control_raw(identifier(control), value),
+            _ => Err(io::Error::other("its format is set already")),
+        }
+    }
 }
 
 /// A camera that gives pictures.
@@ -103,39 +162,16 @@ impl Camera {
     /// # Errors
     /// Where there is no camera, it is in use by another program, or it has no such mode.
     pub fn open(path: &Path, wish: &ModeWish, hold_exposure: bool, watch: Watch) -> Result<Self> {
-        let told = |what: &str, error: io::Error| {
-            let why = match error.raw_os_error() {
-                Some(16) => "it is in use by another program".to_owned(),
-                Some(13) => "it may not be opened by you (the group `video` mostly may)".to_owned(),
-                _ => error.to_string(),
-            };
-            Error::input(format!("{} {what}: {why}", path.display()))
-        };
-        let device = Device::open(path).map_err(|error| told("is no camera that can be opened", error))?;
+        let cannot = |what: &'static str| move |error: io::Error| told(path, what, &error);
+        let device = Device::open(path).map_err(cannot("is no camera that can be opened"))?;
         let name = device.capabilities().map_or_else(|_| "camera".to_owned(), |c| c.card().to_owned());
-        let wished = choose(&modes(&device), wish).map_err(|error| error.at(path.display()))?;
-        let format = linuxvideo::format::PixelFormat::from_fourcc(wished.fourcc);
-        let capture = device
-            .video_capture(PixFormat::new(wished.width, wished.height, format))
-            .map_err(|error| told("cannot be set up", error))?;
-        let given = capture.format();
-        let mode = Mode { width: given.width(), height: given.height(), ..wished };
-        if given.pixel_format().as_fourcc() != wished.fourcc
-            || (mode.width, mode.height) != (wished.width, wished.height)
-        {
-            return Err(Error::input(format!(
-                "{} promised {wished} and gives something else",
-                path.display()
-            )));
-        }
-        let bytes_per_line = given.bytes_per_line() as usize;
-        let mut warnings = Vec::new();
-        if let Some((frames, seconds)) = mode.rate.filter(|(frames, seconds)| *frames > 0 && *seconds > 0)
-            && let Err(error) = capture.set_frame_interval(Fract::new(seconds, frames))
-        {
-            warnings.push(format!("{}: the rate cannot be set ({error})", path.display()));
-        }
-        let stream = capture.into_stream().map_err(|error| told("gives no pictures", error))?;
+        let mut driver = V4l2::Idle(device);
+        let Agreed { mode, bytes_per_line, warnings } = negotiation::set_up(&mut driver, wish, path)?;
+        let stream = match driver {
+            V4l2::Set(capture) => capture.into_stream(),
+            _ => Err(io::Error::other("its format was not set")),
+        };
+        let stream = stream.map_err(cannot("gives no pictures"))?;
         let (width, height) = (mode.width as usize, mode.height as usize);
         Ok(Self {
             path: path.to_owned(),
@@ -153,20 +189,12 @@ impl Camera {
         })
     }
 
-    /// Holds the exposure and white balance where the camera's automatics have brought them: what changes them changes every corner's look,
-    /// and long exposures blur.
+    /// Holds exposure and white balance, where the driver can.
     fn hold_exposure(&mut self) {
         self.hold_exposure = false;
-        let held = Device::open(&self.path).and_then(|mut device| {
-            let found = device.read_control_raw(Cid::EXPOSURE_ABSOLUTE);
-            device.write_control_raw(Cid::EXPOSURE_AUTO, EXPOSURE_MANUAL)?;
-            if let Ok(found) = found {
-                device.write_control_raw(Cid::EXPOSURE_ABSOLUTE, found)?;
-            }
-            // Not every camera has one; without it nothing is lost.
-            let _ = device.write_control_raw(Cid::AUTO_WHITE_BALANCE, 0);
-            Ok(())
-        });
+        // Through a second opening, which drivers allow for everything but pictures.
+        let held =
+            Device::open(&self.path).and_then(|device| negotiation::hold_exposure(&mut V4l2::Idle(device)));
         if let Err(error) = held {
             self.warnings.push(format!("{}: the exposure stays automatic ({error})", self.path.display()));
         }

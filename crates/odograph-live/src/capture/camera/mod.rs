@@ -1,10 +1,12 @@
 //! Cameras at this machine (V4L2).
 //!
-//! What a camera can is a list of [`Mode`]s, and which of them is taken is decided without it ([`choose`]): the part that talks to the
-//! device is thin.
+//! What a camera can is a list of [`Mode`]s, and which of them is taken is decided without it ([`choose`]). What is asked of a driver and
+//! made of its answers is held by tests against the answers of real cameras (`negotiation`): the part that talks to the device is thin.
 
 #[cfg(target_os = "linux")]
 mod device;
+#[cfg(any(target_os = "linux", test))]
+mod negotiation;
 
 #[cfg(target_os = "linux")]
 pub use device::{Camera, list};

@@ -1,6 +1,8 @@
-//! `odograph view`: a finished run in the browser.
+//! `odograph view`: a finished run, or a map, in the browser.
 
-use super::live::{ServeArguments, Serving};
+pub(super) mod map;
+
+use super::live::{Offer, ServeArguments, Serving};
 use super::run::RunPlan;
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
@@ -9,13 +11,14 @@ use odograph_live::{Ground, GroundPicture, Introduction, Mark, Phase, Status, Tr
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
-/// Look at a finished run in the browser: the path on the mosaic, plots, and a slider over its time.
+/// Look at a finished run or a map in the browser: the path on the mosaic, plots, and a slider over its time.
 #[derive(Debug, clap::Args)]
 pub struct ViewArguments {
-    /// The folder of a run, of `run` or `live`; also of one that was killed.
-    #[arg(value_name = "FOLDER")]
+    /// The folder of a run, of `run` or `live`, also of one that was killed; or a map file.
+    #[arg(value_name = "FOLDER|MAP")]
     pub folder: PathBuf,
     #[command(flatten)]
     pub serve: ServeArguments,
@@ -31,45 +34,86 @@ const MOST_PIXELS: usize = 64 << 20;
 
 /// Runs the command.
 pub fn view(arguments: ViewArguments) -> Result<Outcome> {
-    let folder = &arguments.folder;
-    let records = records(folder)?;
-    let plan = plan(folder);
-    let name =
-        folder.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
-    let (width, height) =
-        plan.as_ref().map_or((640, 480), |plan| (plan.camera.width(), plan.camera.height()));
-    let introduction = Introduction {
-        title: name.unwrap_or_else(|| folder.display().to_string()),
-        source: plan.as_ref().map_or_else(String::new, |plan| plan.source.path.clone()),
-        width,
-        height,
-        height_m: plan.as_ref().map_or(1.0, |plan| plan.rig.height_m),
-        live: false,
-    };
-    let ground: Box<dyn Ground> = match mosaic(folder)? {
-        Some(picture) => Box::new(picture),
-        None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
-    };
     let mut serve = arguments.serve.clone();
     serve.serve.get_or_insert_with(|| ([127, 0, 0, 1], 8080).into());
-    let serving = Serving::start(&serve, introduction, ground, Some(folder))?;
-    for record in &records {
-        serving.hub().add_record(record);
-    }
-    serving.hub().set_marks(marks(folder, &records));
-    serving.hub().set_status(Status {
-        phase: Phase::Saved,
-        captured: records.len() as u64,
-        distance_m: length_m(&records),
-        ..Status::default()
-    });
+    let ended = Arc::new(AtomicBool::new(false));
+    let serving = if arguments.folder.is_file() {
+        serve_map(&arguments.folder, &serve, &ended)?
+    } else {
+        serve_run(&arguments.folder, &serve)?
+    };
     if let Some(url) = serving.url()
         && !arguments.quiet
     {
         console::complain(&format!("look at {url} (Ctrl-C ends)"));
     }
     serving.stay();
+    ended.store(true, Ordering::Relaxed);
     Ok(Outcome::Done)
+}
+
+/// What the page calls it.
+fn title(path: &Path) -> String {
+    let name =
+        path.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
+    name.unwrap_or_else(|| path.display().to_string())
+}
+
+fn serve_run(folder: &Path, serve: &ServeArguments) -> Result<Serving> {
+    let records = records(folder)?;
+    let plan = plan(folder);
+    let (width, height) =
+        plan.as_ref().map_or((640, 480), |plan| (plan.camera.width(), plan.camera.height()));
+    let introduction = Introduction {
+        title: title(folder),
+        source: plan.as_ref().map_or_else(String::new, |plan| plan.source.path.clone()),
+        width,
+        height,
+        height_m: plan.as_ref().map_or(1.0, |plan| plan.rig.height_m),
+        live: false,
+        calibration: false,
+    };
+    let ground: Box<dyn Ground> = match mosaic(folder)? {
+        Some(picture) => Box::new(picture),
+        None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
+    };
+    let serving = Serving::start(serve, introduction, ground, Offer::of_run(folder))?;
+    show(&serving, &records, marks(folder, &records));
+    Ok(serving)
+}
+
+fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Result<Serving> {
+    let view = map::MapView::read(path)?;
+    let introduction = Introduction {
+        title: title(path),
+        source: view.source,
+        width: view.size.0,
+        height: view.size.1,
+        height_m: view.height_m,
+        live: false,
+        calibration: false,
+    };
+    let ground = map::ground(path, MOST_PIXELS, ended)?;
+    let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let offer = Offer { folder: folder.to_owned(), files: vec![name] };
+    let serving = Serving::start(serve, introduction, ground, offer)?;
+    serving.hub().tell("map", &view.graph);
+    show(&serving, &view.records, view.sessions);
+    Ok(serving)
+}
+
+fn show(serving: &Serving, records: &[TrackRecord], marks: Vec<Mark>) {
+    for record in records {
+        serving.hub().add_record(record);
+    }
+    serving.hub().set_marks(marks);
+    serving.hub().set_status(Status {
+        phase: Phase::Saved,
+        captured: records.len() as u64,
+        distance_m: length_m(records),
+        ..Status::default()
+    });
 }
 
 fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
@@ -78,7 +122,7 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
     let table = if table.is_file() { table } else { files::beside(&table) };
     if !table.is_file() {
         return Err(Error::input(format!(
-            "{} is not the folder of a run: it has no trajectory.csv",
+            "{} is not the folder of a run, it has no trajectory.csv, and not a map file",
             folder.display()
         )));
     }

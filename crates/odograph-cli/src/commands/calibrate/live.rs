@@ -1,0 +1,374 @@
+//! `odograph calibrate --live`: the board before a camera as it looks, with a page that says what to show next, until it is good.
+
+use super::search::{Gathering, look};
+use super::{CalibrateArguments, Calibrated, LEAST_VIEWS, Source, conclude, input::Look, output::Output};
+use crate::commands::live::pipeline::{FAREWELL, PATIENCE, QUEUE, STATUS_EVERY, capture};
+use crate::commands::live::{CaptureArguments, Offer, Serving, open};
+use crate::commands::run::SourcePlan;
+use crate::{Outcome, console, interrupt};
+use odograph::calibration::selection::{Coverage, Guidance, SelectionConfig, ViewSelector};
+use odograph::calibration::{self, Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
+use odograph::error::{Error, Result};
+use odograph::geometry::Pixel;
+use odograph::image::GrayImage;
+use odograph::mapping::Mosaic;
+use odograph::odometry::TrackView;
+use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
+use odograph_live::{Hub, Introduction, Phase, Status, View};
+use serde_json::json;
+use std::path::Path;
+use std::sync::{Arc, Mutex, mpsc};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// What is missing is found out so often: it costs about as much as a frame.
+const GUIDED_EVERY: Duration = Duration::from_millis(300);
+/// A trial that was not good is repeated after so many new views.
+const VIEWS_UNTIL_NEXT_TRIAL: usize = 4;
+
+/// Whether arguments were given that only `--live` has a use for.
+pub fn is_asked(arguments: &CalibrateArguments) -> Result<bool> {
+    let asked = arguments.live;
+    let only_live =
+        !arguments.capture.is_empty() || arguments.serve.serve.is_some() || arguments.serve.token.is_some();
+    match (asked, arguments.sources.as_slice()) {
+        (false, _) if only_live => Err(Error::usage(
+            "--serve and how frames are captured go with --live; without it whole recordings are read",
+        )),
+        (true, [_, second, ..]) => {
+            Err(Error::usage(format!("--live looks through one camera; what is {second}?")))
+        }
+        _ => Ok(asked),
+    }
+}
+
+/// Runs the command.
+pub fn calibrate(
+    arguments: &CalibrateArguments,
+    board: Board,
+    output: &Output,
+    selection: SelectionConfig,
+) -> Result<Outcome> {
+    let watch = Watch::default();
+    let opened = open(arguments, &watch)?;
+    let info = opened.source.info().clone();
+    let name = &without_credentials(arguments.sources.first().map_or("", String::as_str));
+    let introduction = Introduction {
+        title: format!("calibration with {}", if name == "-" { "standard input" } else { name }),
+        source: info.description.clone(),
+        width: info.width,
+        height: info.height,
+        height_m: 0.0,
+        live: true,
+        calibration: true,
+    };
+    let no_ground = Mutex::new(Mosaic::new(Default::default()));
+    let serving = Serving::start(&arguments.serve, introduction, no_ground, offer(output))?;
+    if let Some(url) = serving.url()
+        && !arguments.quiet
+    {
+        console::complain(&format!("look at {url}"));
+    }
+    let started = Instant::now();
+    let queue = Arc::new(Newest::new(opened.policy, QUEUE));
+    let ended = capture(opened.source, Arc::clone(&queue));
+    let gathering = Gathering::new(&board, selection, info.description.clone());
+    let mut showing = Showing {
+        hub: serving.hub(),
+        watch: &watch,
+        queue: &queue,
+        finder: BoardFinder::new(&board),
+        board: &board,
+        config: arguments.config(),
+        gathering,
+        guidance: None,
+        guided: None,
+        told: None,
+        trial: Trial::default(),
+        rate: Rate::default(),
+    };
+    showing.follow();
+    watch.end();
+    queue.close();
+    let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
+    showing.tell_status(Phase::Saving);
+    let mut search = showing.gathering.finished();
+    search.warnings.extend(farewell.warnings);
+    // A camera that went away ends the calibration; what it has shown until then may do.
+    search.warnings.extend(farewell.failure.as_ref().map(ToString::to_string));
+    let source = Source { description: name.to_owned(), searched: started.elapsed() };
+    let concluded = conclude(arguments, board, search, selection, source).and_then(|calibrated| {
+        output.write(&calibrated)?;
+        Ok(calibrated)
+    });
+    let calibrated = match concluded {
+        Ok(calibrated) => calibrated,
+        Err(error) => {
+            serving.set_phase(Phase::Failed, Some(&error));
+            if !interrupt::asked() {
+                serving.linger(arguments.quiet);
+            }
+            // That it was not found because the camera went away comes first.
+            return Err(farewell
+                .failure
+                .filter(|_| error.kind() == odograph::error::ErrorKind::Input)
+                .unwrap_or(error));
+        }
+    };
+    tell_result(serving.hub(), &calibrated);
+    serving.set_phase(Phase::Saved, None);
+    let outcome = super::tell(arguments, &calibrated, output)?;
+    if !interrupt::asked() {
+        serving.linger(arguments.quiet);
+    }
+    Ok(outcome)
+}
+
+fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<open::Opened> {
+    let path = arguments.sources.first().cloned().unwrap_or_default();
+    let CaptureArguments { fps, .. } = arguments.capture;
+    let plan = SourcePlan {
+        path,
+        timestamps: None,
+        fps,
+        start_s: arguments.start,
+        end_s: arguments.end,
+        every: arguments.every,
+        max_frames: None,
+    };
+    open::open(&plan, &arguments.capture, || None, watch)
+}
+
+/// The camera file, and the report where it lies below the same folder.
+fn offer(output: &Output) -> Offer {
+    let camera = output.camera_file();
+    let folder = match camera.parent() {
+        Some(folder) if folder != Path::new("") => folder.to_owned(),
+        _ => ".".into(),
+    };
+    let page = output.report_page();
+    let beside = page.strip_prefix(&folder).unwrap_or(&page);
+    let name = camera.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let page = beside.is_relative().then(|| beside.to_string_lossy().into_owned());
+    Offer { folder, files: [name].into_iter().chain(page).collect() }
+}
+
+/// The loop: look for the board, show, say what is missing, try.
+struct Showing<'a> {
+    hub: &'a Hub,
+    watch: &'a Watch,
+    queue: &'a Newest<(Captured, Duration)>,
+    finder: BoardFinder,
+    board: &'a Board,
+    config: CalibrationConfig,
+    gathering: Gathering,
+    guidance: Option<Guidance>,
+    guided: Option<Instant>,
+    told: Option<Instant>,
+    trial: Trial,
+    rate: Rate,
+}
+
+impl Showing<'_> {
+    /// Goes on until the source ends, a person ends it, or a trial is good.
+    fn follow(&mut self) {
+        while !interrupt::asked() && !self.hub.stop_asked() && !self.trial.is_good() {
+            match self.queue.take(PATIENCE) {
+                Taken::Item((captured, _)) => self.look(captured),
+                Taken::Nothing => {}
+                Taken::End => break,
+            }
+            self.trial.collect();
+            if self.told.is_none_or(|told| told.elapsed() >= STATUS_EVERY) {
+                self.told = Some(Instant::now());
+                let waits = self.watch.waiting().is_some();
+                self.tell_status(if waits { Phase::Waiting } else { Phase::Running });
+            }
+        }
+        self.trial.wait();
+    }
+
+    fn look(&mut self, captured: Captured) {
+        let Captured { frame, at } = captured;
+        let (number, _) = self.gathering.counts();
+        let name = format!("frame {} ({:.2} s)", frame.number, frame.time_s);
+        let shown = (self.hub.viewers() > 0).then(|| frame.gray.clone());
+        let image = frame.gray;
+        let looked =
+            look(&self.finder, Look { number, name, time_s: Some(frame.time_s), picture: false, image });
+        let (points, why) = match looked.view() {
+            Ok(view) => (corners(view), None),
+            Err(why) => (Vec::new(), Some(why.to_string())),
+        };
+        let seen = why.is_none();
+        self.gathering.add(looked);
+        self.rate.add(at);
+        if let Some(gray) = shown {
+            self.show(number as usize, &gray, &points);
+        }
+        if seen && self.guided.is_none_or(|guided| guided.elapsed() >= GUIDED_EVERY) {
+            self.guide();
+        }
+        self.tell(why);
+    }
+
+    fn show(&self, number: usize, gray: &GrayImage, points: &[TrackView]) {
+        if let Some(view) = View::new(number, gray, points) {
+            self.hub.show_view(view);
+        }
+    }
+
+    /// Finds out what is missing; where nothing is, tries.
+    fn guide(&mut self) {
+        self.guided = Some(Instant::now());
+        let selector = self.gathering.selector();
+        let guidance = selector.guidance();
+        if guidance.missing.is_empty() {
+            self.trial.begin(selector, self.board, &self.config);
+        }
+        self.guidance = Some(guidance);
+    }
+
+    fn tell(&self, why: Option<String>) {
+        let (looked_at, with_board) = self.gathering.counts();
+        let coverage = self.guidance.as_ref().map_or(&[][..], |guidance| &guidance.coverage.points);
+        let missing: Vec<String> =
+            self.guidance.iter().flat_map(|guidance| &guidance.missing).map(ToString::to_string).collect();
+        self.hub.tell(
+            "calibration",
+            &json!({
+                "board": self.board.to_string(), "why": why, "looked_at": looked_at, "with_board": with_board,
+                "views": self.guidance.as_ref().map_or(0, |guidance| guidance.views),
+                "columns": Coverage::COLUMNS, "rows": Coverage::ROWS, "coverage": coverage, "missing": missing,
+                "trying": self.trial.runs(), "tried": self.trial.said(), "verdict": null,
+            }),
+        );
+    }
+
+    fn tell_status(&mut self, phase: Phase) {
+        let (captured, dropped) = self.queue.counts();
+        let [fps, latency_median_ms] = self.rate.recent();
+        self.hub.set_status(Status {
+            phase,
+            message: self.watch.waiting(),
+            captured,
+            dropped,
+            fps,
+            latency_median_ms,
+            latency_p99_ms: latency_median_ms,
+            keyframes: 0,
+            distance_m: 0.0,
+            recording: true,
+        });
+    }
+}
+
+/// The board's points, to be drawn.
+fn corners(view: &BoardView) -> Vec<TrackView> {
+    let shown = |pixel: Pixel| TrackView { pixel, corner: pixel, inlier: true };
+    view.points.iter().map(|point| shown(point.pixel)).collect()
+}
+
+fn tell_result(hub: &Hub, calibrated: &Calibrated) {
+    let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
+    let missing: Vec<String> = match calibration.verdict {
+        Verdict::Good => Vec::new(),
+        _ => calibrated.guidance.missing.iter().map(ToString::to_string).collect(),
+    };
+    hub.tell(
+        "calibration",
+        &json!({
+            "board": calibrated.board.to_string(), "why": null, "looked_at": found.looked_at, "with_board": found.with_board,
+            "views": calibration.views_used(), "columns": Coverage::COLUMNS, "rows": Coverage::ROWS,
+            "coverage": calibrated.guidance.coverage.points, "missing": missing, "trying": false,
+            "tried": said(calibration), "verdict": calibration.verdict.to_string(),
+        }),
+    );
+}
+
+fn said(calibration: &Calibration) -> String {
+    let reason = calibration.reasons.first().map_or_else(String::new, |reason| format!(": {reason}"));
+    format!("{} with {:.3} px on views held out{reason}", calibration.verdict, calibration.hold_out_rms_px)
+}
+
+/// Calibrations with what there is, beside looking for more.
+#[derive(Default)]
+struct Trial {
+    running: Option<mpsc::Receiver<Result<Calibration>>>,
+    /// How many different views the last one had.
+    views: usize,
+    result: Option<(bool, String)>,
+}
+
+impl Trial {
+    fn runs(&self) -> bool {
+        self.running.is_some()
+    }
+
+    fn is_good(&self) -> bool {
+        self.result.as_ref().is_some_and(|(good, _)| *good)
+    }
+
+    fn said(&self) -> Option<&str> {
+        self.result.as_ref().map(|(_, said)| said.as_str())
+    }
+
+    fn begin(&mut self, selector: &ViewSelector, board: &Board, config: &CalibrationConfig) {
+        let distinct = selector.distinct();
+        if self.runs() || distinct < (self.views + VIEWS_UNTIL_NEXT_TRIAL).max(LEAST_VIEWS) {
+            return;
+        }
+        self.views = distinct;
+        let views: Vec<BoardView> =
+            selector.chosen().into_iter().map(|sighting| sighting.view.clone()).collect();
+        let (board, config) = (board.clone(), *config);
+        let (done, result) = mpsc::channel();
+        thread::spawn(move || {
+            // Nobody may be waiting any more.
+            let _ = done.send(calibration::calibrate(&board, &views, &config));
+        });
+        self.running = Some(result);
+    }
+
+    /// Takes the result where it is there.
+    fn collect(&mut self) {
+        if let Some(result) = self.running.as_ref().and_then(|running| running.try_recv().ok()) {
+            self.take(result);
+        }
+    }
+
+    /// Waits for one that is under way: two of them at a time would only slow each other down.
+    fn wait(&mut self) {
+        if let Some(result) = self.running.as_ref().and_then(|running| running.recv().ok()) {
+            self.take(result);
+        }
+    }
+
+    fn take(&mut self, result: Result<Calibration>) {
+        self.running = None;
+        self.result = Some(match result {
+            Ok(calibration) => (calibration.verdict == Verdict::Good, said(&calibration)),
+            Err(error) => (false, error.to_string()),
+        });
+    }
+}
+
+/// Frames a second, and how long a frame takes from capture on, of the last seconds.
+#[derive(Default)]
+struct Rate(std::collections::VecDeque<(Instant, f64)>);
+
+impl Rate {
+    fn add(&mut self, captured: Instant) {
+        self.0.push_back((Instant::now(), 1e3 * captured.elapsed().as_secs_f64()));
+        while self.0.front().is_some_and(|(at, _)| at.elapsed() > Duration::from_secs(3)) {
+            self.0.pop_front();
+        }
+    }
+
+    fn recent(&self) -> [f64; 2] {
+        let Some((first, _)) = self.0.front() else { return [0.0; 2] };
+        let mut latencies: Vec<f64> = self.0.iter().map(|(_, ms)| *ms).collect();
+        latencies.sort_unstable_by(f64::total_cmp);
+        [self.0.len() as f64 / first.elapsed().as_secs_f64().max(0.2), latencies[latencies.len() / 2]]
+    }
+}

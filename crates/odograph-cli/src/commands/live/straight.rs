@@ -1,0 +1,176 @@
+//! The path and the ground on the page where loops have put them.
+//!
+//! Odometry's own path never jumps: what is printed, sent and recorded stays as it was measured. The page shows the map frame instead, in
+//! which a loop moves what lies behind.
+
+use super::ground::LiveGround;
+use crate::commands::run::mapping::Mapping;
+use odograph::geometry::GroundPose;
+use odograph::mapping::{EdgeKind, GroundMap, KeyframeId, MapKeyframe};
+use odograph_live::Hub;
+use odograph_live::capture::{Newest, Taken};
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Poses in the odometry frame to the map frame, as at a keyframe: a turn with scale, and a shift.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Correction {
+    /// Scale times cosine and sine of the turn.
+    turn: [f64; 2],
+    shift_m: [f64; 2],
+}
+
+impl Correction {
+    /// Nothing is moved.
+    pub const NONE: Self = Self { turn: [1.0, 0.0], shift_m: [0.0, 0.0] };
+
+    /// What the map has made of a keyframe.
+    pub fn of(keyframe: &MapKeyframe) -> Self {
+        let (from, to) = (keyframe.odometry_pose, keyframe.pose);
+        let scale = to.height_m / from.height_m;
+        let (sin, cos) = (to.heading_rad - from.heading_rad).sin_cos();
+        let turn = [scale * cos, scale * sin];
+        let [a, b] = turn;
+        let shift_m = [to.x_m - (a * from.x_m - b * from.y_m), to.y_m - (b * from.x_m + a * from.y_m)];
+        Self { turn, shift_m }
+    }
+
+    /// A pose in the map frame.
+    pub fn pose(&self, pose: &GroundPose) -> GroundPose {
+        let ([a, b], [x_m, y_m]) = (self.turn, self.shift_m);
+        GroundPose {
+            x_m: a * pose.x_m - b * pose.y_m + x_m,
+            y_m: b * pose.x_m + a * pose.y_m + y_m,
+            heading_rad: pose.heading_rad + b.atan2(a),
+            height_m: a.hypot(b) * pose.height_m,
+            ..*pose
+        }
+    }
+
+    /// As the page takes it: millionths of the turn, tenths of a millimetre.
+    fn numbers(&self) -> [f64; 4] {
+        let rounded = |value: f64, steps: f64| (value * steps).round() / steps;
+        let ([a, b], [x, y]) = (self.turn, self.shift_m);
+        [rounded(a, 1e6), rounded(b, 1e6), rounded(x, 1e4), rounded(y, 1e4)]
+    }
+}
+
+/// A ground to be laid anew.
+pub struct Relaying {
+    /// The file with the keyframes' images.
+    pub file: PathBuf,
+    pub keyframes: Vec<(KeyframeId, GroundPose)>,
+    /// Of the newest keyframe: frames that come are laid under it from now on.
+    pub correction: Correction,
+}
+
+/// Between two tellings at least, for each thousand keyframes besides.
+const TOLD_EVERY: Duration = Duration::from_secs(1);
+/// Laying anew takes at most so much of a core: after it nine times as long nothing is laid anew.
+const REST: u32 = 9;
+
+/// Who watches the map for loops.
+pub struct Straightening<'a> {
+    hub: &'a Hub,
+    relaying: &'a Newest<Relaying>,
+    loops: usize,
+    told: Option<Instant>,
+}
+
+impl<'a> Straightening<'a> {
+    pub fn new(hub: &'a Hub, relaying: &'a Newest<Relaying>) -> Self {
+        Self { hub, relaying, loops: 0, told: None }
+    }
+
+    /// Looks whether ground was seen again since the last time, and tells where everything lies now.
+    pub fn look(&mut self, mapping: &Mapping) {
+        let mapper = mapping.mapper();
+        let map = mapper.map();
+        let interval = TOLD_EVERY * (1 + map.keyframes.len() as u32 / 1000);
+        if !mapper.is_straightened() || self.told.is_some_and(|told| told.elapsed() < interval) {
+            return;
+        }
+        let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
+        if loops == self.loops {
+            return;
+        }
+        (self.loops, self.told) = (loops, Some(Instant::now()));
+        self.hub.tell("map", &told(map, mapper.session()));
+        let own = map.keyframes.iter().filter(|keyframe| keyframe.session == mapper.session());
+        let Some(newest) = own.clone().next_back() else { return };
+        self.relaying.give(Relaying {
+            file: mapping.path().to_owned(),
+            keyframes: own.map(|keyframe| (keyframe.id, keyframe.pose)).collect(),
+            correction: Correction::of(newest),
+        });
+    }
+}
+
+/// Keyframes and loops, and what takes the frames of each keyframe of a session from the odometry frame to the map.
+fn told(map: &GroundMap, session: u32) -> Value {
+    let mut value = crate::commands::view::map::graph(map);
+    let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session);
+    value["corrections"] =
+        json!(own.flat_map(|keyframe| Correction::of(keyframe).numbers()).collect::<Vec<_>>());
+    value
+}
+
+/// Lays the ground anew whenever that is asked for, but for its rests, until nothing more is asked for.
+pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
+    let (mut waiting, mut rest_until) = (None, Instant::now());
+    loop {
+        match queue.take(Duration::from_millis(200)) {
+            Taken::Item(relaying) => waiting = Some(relaying),
+            Taken::Nothing => {}
+            Taken::End => return,
+        }
+        if Instant::now() >= rest_until
+            && let Some(relaying) = waiting.take()
+        {
+            let begun = Instant::now();
+            // Where the file cannot be read the ground stays where it lies.
+            let _ = ground.lay_again(&relaying);
+            rest_until = Instant::now() + REST * begun.elapsed();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_correction_takes_its_keyframe_to_where_the_map_has_it_and_the_rest_with_it() {
+        let odometry_pose = GroundPose { x_m: 3.0, y_m: -1.0, heading_rad: 0.4, ..GroundPose::level(1.2) };
+        let pose = GroundPose { x_m: 2.9, y_m: -1.3, heading_rad: 0.9, ..GroundPose::level(1.26) };
+        let keyframe = MapKeyframe {
+            id: KeyframeId(0),
+            session: 0,
+            segment: 0,
+            frame: 0,
+            time_s: 0.0,
+            odometry_pose,
+            pose,
+            covariance: nalgebra::Matrix6::zeros(),
+            signature: Default::default(),
+        };
+        let correction = Correction::of(&keyframe);
+        let near = |a: &GroundPose, b: &GroundPose| {
+            let differences =
+                [a.x_m - b.x_m, a.y_m - b.y_m, a.heading_rad - b.heading_rad, a.height_m - b.height_m];
+            differences.iter().all(|difference| difference.abs() < 1e-12)
+        };
+        assert!(near(&correction.pose(&odometry_pose), &pose));
+        // A frame a metre ahead of it stays ahead of it, by a metre in the map's scale.
+        let (sin, cos) = 0.4_f64.sin_cos();
+        let ahead = GroundPose { x_m: 3.0 + cos, y_m: -1.0 + sin, ..odometry_pose };
+        let moved = correction.pose(&ahead);
+        let (sin, cos) = 0.9_f64.sin_cos();
+        assert!(
+            near(&moved, &GroundPose { x_m: 2.9 + 1.05 * cos, y_m: -1.3 + 1.05 * sin, ..pose }),
+            "{moved:?}"
+        );
+        assert_eq!(Correction::NONE.pose(&ahead), ahead);
+    }
+}

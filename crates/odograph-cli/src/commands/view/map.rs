@@ -1,0 +1,172 @@
+//! A map file in the browser: the paths of its sessions, its keyframes and what ties them, and its mosaic.
+
+use odograph::error::{Error, Result};
+use odograph::geometry::GroundPose;
+use odograph::mapping::{EdgeKind, GroundMap, MapKeyframe, MapMosaic, Mosaic, MosaicSquare};
+use odograph_live::ground::GrowingTiles;
+use odograph_live::{Ground, GroundPicture, Mark, TrackRecord};
+use odograph_map::{MapFile, PathFrame};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+/// A ground that is laid while it is looked at has no more squares: 256 MB of memory. One that would have is made coarser.
+const MOST_SQUARES: usize = 1024;
+/// Between two sessions on the slider, seconds.
+const PAUSE_S: f64 = 1.0;
+
+/// What there is to see of a map.
+pub struct MapView {
+    pub records: Vec<TrackRecord>,
+    /// Where each session begins.
+    pub sessions: Vec<Mark>,
+    /// Keyframes, and the loops between them.
+    pub graph: Value,
+    pub source: String,
+    pub size: (usize, usize),
+    pub height_m: f64,
+}
+
+impl MapView {
+    /// Reads a map. A session that was killed, and has no path, is shown as its keyframes.
+    pub fn read(path: &Path) -> Result<Self> {
+        let file = MapFile::open_read_only(path)?;
+        let map = file.map()?;
+        if map.keyframes.is_empty() {
+            return Err(Error::input(format!("{}: there is nothing in this map yet", path.display())));
+        }
+        let mut keyframes: BTreeMap<u32, Vec<&MapKeyframe>> = BTreeMap::new();
+        map.keyframes
+            .iter()
+            .for_each(|keyframe| keyframes.entry(keyframe.session).or_default().push(keyframe));
+        let (mut records, mut sessions, mut sources) = (Vec::new(), Vec::new(), Vec::new());
+        let mut segments = 0;
+        for session in file.sessions()? {
+            let own = keyframes.remove(&session.id).unwrap_or_default();
+            let mut frames = file.path_of(session.id)?;
+            if frames.is_empty() {
+                frames = own.iter().map(|keyframe| frame_of(keyframe)).collect();
+            }
+            let Some(first) = frames.first() else { continue };
+            let begin_s =
+                records.last().map_or(0.0, |last: &TrackRecord| f64::from(last.values[0]) + PAUSE_S);
+            sessions.push(Mark {
+                record: records.len(),
+                time_s: begin_s as f32,
+                x_m: Some(first.pose.x_m as f32),
+                y_m: Some(first.pose.y_m as f32),
+                name: session.source.rsplit(['/', '\\']).next().unwrap_or_default().to_owned(),
+            });
+            sources.push(session.source.clone());
+            let shift_s = begin_s - first.time_s;
+            records.extend(records_of(&frames, &own, shift_s, segments));
+            segments += frames.last().map_or(0, |last| last.segment) + 1;
+        }
+        let camera = &map.camera;
+        Ok(Self {
+            graph: graph(&map),
+            records,
+            sessions,
+            source: sources.join(", "),
+            size: (camera.width(), camera.height()),
+            height_m: map.rig.height_m,
+        })
+    }
+}
+
+fn frame_of(keyframe: &MapKeyframe) -> PathFrame {
+    let MapKeyframe { frame, segment, time_s, pose, .. } = *keyframe;
+    PathFrame { frame, segment, time_s, pose }
+}
+
+/// The frames of a session. How well each is known is what its keyframe before it says.
+fn records_of(
+    frames: &[PathFrame],
+    keyframes: &[&MapKeyframe],
+    shift_s: f64,
+    segments: usize,
+) -> Vec<TrackRecord> {
+    let speed = |k: usize| {
+        let (a, b) = (&frames[k.saturating_sub(1)], &frames[(k + 1).min(frames.len() - 1)]);
+        let way = (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m);
+        if a.segment == b.segment && b.time_s > a.time_s { way / (b.time_s - a.time_s) } else { f64::NAN }
+    };
+    let record = |(k, frame): (usize, &PathFrame)| {
+        let GroundPose { x_m, y_m, heading_rad, .. } = frame.pose;
+        let known = keyframes.partition_point(|keyframe| keyframe.frame <= frame.frame);
+        let covariance = keyframes.get(known.saturating_sub(1)).map(|keyframe| keyframe.covariance);
+        let entry = |row, column| covariance.map_or(f64::NAN, |covariance| covariance[(row, column)]);
+        let mut values = [f32::NAN; TrackRecord::LENGTH];
+        let numbers = [
+            frame.time_s + shift_s,
+            x_m,
+            y_m,
+            heading_rad,
+            entry(0, 0),
+            entry(0, 1),
+            entry(1, 1),
+            entry(2, 2).max(0.0).sqrt(),
+            speed(k),
+            0.0,
+            (segments + frame.segment) as f64,
+        ];
+        values.iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);
+        TrackRecord { values }
+    };
+    frames.iter().enumerate().map(record).collect()
+}
+
+/// Where the keyframes are, and between which of them ground was seen again; metres.
+pub fn graph(map: &GroundMap) -> Value {
+    let thousandths = |metres: f64| (1e3 * metres).round() / 1e3;
+    let place = |pose: &GroundPose| [thousandths(pose.x_m), thousandths(pose.y_m)];
+    let keyframes: Vec<[f64; 2]> = map.keyframes.iter().map(|keyframe| place(&keyframe.pose)).collect();
+    let at = |id| map.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok();
+    let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
+    let loops: Vec<[usize; 2]> = loops.filter_map(|edge| Some([at(edge.from)?, at(edge.to)?])).collect();
+    json!({ "keyframes": keyframes, "loops": loops })
+}
+
+/// The mosaic that the map has; where it has none it is laid while it is looked at.
+pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Result<Box<dyn Ground>> {
+    let file = MapFile::open_read_only(path)?;
+    if let Some(picture) = file.mosaic_picture(most_pixels)? {
+        let picture = GroundPicture::new(picture.rgba, picture.width, picture.height, picture.placement)?;
+        return Ok(Box::new(picture));
+    }
+    let tiles = Arc::new(GrowingTiles::default());
+    thread::spawn({
+        let (tiles, ended) = (Arc::clone(&tiles), Arc::clone(ended));
+        // Where it fails what is laid stays: paths and keyframes can be looked at without.
+        move || drop(lay(file, &tiles, &ended))
+    });
+    Ok(Box::new(tiles))
+}
+
+fn lay(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result<()> {
+    let map = file.map()?;
+    let mut resolution_m = None;
+    'coarser: while let Some(mut laying) = MapMosaic::new(&map, &mut file, resolution_m)? {
+        tiles.begin(laying.resolution_m());
+        while let Some(laid) = laying.next_tiles(&mut file)? {
+            if ended.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+            for tile in laid {
+                tiles.put(MosaicSquare { column: tile.column, row: tile.row }, tile.rgba);
+            }
+            if tiles.count() > MOST_SQUARES {
+                resolution_m = Some(2.0 * laying.resolution_m());
+                continue 'coarser;
+            }
+        }
+        return Ok(());
+    }
+    Ok(())
+}
+
+/// Both kinds of mosaic have squares of one size.
+const _: () = assert!(odograph::mapping::MOSAIC_TILE_PX == Mosaic::TILE_SIDE_PX);

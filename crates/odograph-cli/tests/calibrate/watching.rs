@@ -1,0 +1,114 @@
+//! `odograph calibrate --live` over frames that the test gives one by one, each when the one before was looked at.
+
+use odograph::image::GrayImage;
+use serde_json::Value;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, ChildStdin, Command, Output, Stdio};
+use std::thread::JoinHandle;
+use tungstenite::{Message, WebSocket};
+
+pub struct Camera {
+    child: Child,
+    frames: Option<ChildStdin>,
+    socket: WebSocket<TcpStream>,
+    errors: JoinHandle<String>,
+    held: u64,
+    told: Value,
+    pub url: String,
+}
+
+impl Camera {
+    /// Starts the program before a camera of a size, and listens as a page does.
+    pub fn start(command: &mut Command, (width, height): (usize, usize)) -> Self {
+        let mut child =
+            command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut frames = child.stdin.take().unwrap();
+        let head = format!("YUV4MPEG2 W{width} H{height} F30:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n");
+        frames.write_all(head.as_bytes()).unwrap();
+        // What a stream is shows only with its first frame; nothing is on it.
+        frames.write_all(b"FRAME\n").unwrap();
+        frames.write_all(&vec![0; width * height]).unwrap();
+        let mut told = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        told.read_line(&mut line).unwrap();
+        let url = line
+            .split_whitespace()
+            .find(|word| word.starts_with("http://"))
+            .unwrap_or_else(|| panic!("{line}"));
+        let url = url.to_owned();
+        let errors = std::thread::spawn(move || {
+            let mut rest = String::new();
+            told.read_to_string(&mut rest).unwrap();
+            rest
+        });
+        let host = url.trim_start_matches("http://").trim_end_matches('/');
+        let stream = TcpStream::connect(host).unwrap();
+        let (socket, _) = tungstenite::client(format!("ws://{host}/socket"), stream).unwrap();
+        Self { child, frames: Some(frames), socket, errors, held: 1, told: Value::Null, url }
+    }
+
+    /// Gives a frame, and waits until it was looked at; what is told of it.
+    pub fn hold(&mut self, picture: &GrayImage) -> Value {
+        assert!(self.give(picture), "it takes no frames any more");
+        while self.told["looked_at"].as_u64() != Some(self.held) {
+            self.next();
+        }
+        self.told.clone()
+    }
+
+    fn give(&mut self, picture: &GrayImage) -> bool {
+        let frames = self.frames.as_mut().unwrap();
+        self.held += 1;
+        frames.write_all(b"FRAME\n").and_then(|()| frames.write_all(picture.samples())).is_ok()
+    }
+
+    /// The board held still for three frames; what is told of the last, if there is anything told any more.
+    pub fn hold_still(&mut self, picture: &GrayImage) -> Value {
+        for _ in 0..3 {
+            if self.told["verdict"].is_null() && self.give(picture) {
+                while self.told["looked_at"].as_u64() != Some(self.held)
+                    && self.told["verdict"].is_null()
+                    && self.next()
+                {}
+            }
+        }
+        self.told.clone()
+    }
+
+    /// Holds the board until what is missing has been found out.
+    pub fn guided(&mut self, picture: &GrayImage) -> Value {
+        while self.hold(picture)["views"].as_u64().unwrap() < 3 {}
+        self.told.clone()
+    }
+
+    /// Holds the board until there is a verdict.
+    pub fn until_it_ends(&mut self, mut told: Value, picture: &GrayImage) -> Value {
+        while told["verdict"].is_null() {
+            told = self.hold_still(picture);
+        }
+        told
+    }
+
+    /// Reads a message; false where the program is gone.
+    fn next(&mut self) -> bool {
+        let Ok(message) = self.socket.read() else { return false };
+        if let Message::Text(text) = message {
+            let message: Value = serde_json::from_str(&text).unwrap();
+            if message["kind"] == "calibration" {
+                self.told = message["calibration"].clone();
+            }
+        }
+        true
+    }
+
+    /// Waits until the program has ended, and gives what it said.
+    pub fn end(mut self) -> Output {
+        self.frames = None;
+        drop(self.socket);
+        let mut stdout = Vec::new();
+        self.child.stdout.take().unwrap().read_to_end(&mut stdout).unwrap();
+        let status = self.child.wait().unwrap();
+        Output { status, stdout, stderr: self.errors.join().unwrap().into_bytes() }
+    }
+}

@@ -1,0 +1,197 @@
+//! What is asked of a camera's driver, and what is made of its answers.
+//!
+//! The answers come through [`Driver`], which is V4L2's calls and no more, so that tests can hold all this against what real cameras answered.
+
+use super::{Mode, ModeWish, PixelFormat, choose, sizes_in_range};
+use odograph::error::{Error, Result};
+use std::io;
+use std::path::Path;
+
+/// The sizes of pictures in a format, pixels (`VIDIOC_ENUM_FRAMESIZES`).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Sizes {
+    /// These.
+    Listed(Vec<(u32, u32)>),
+    /// Everything from `least` to `most` in steps.
+    Range { least: (u32, u32), most: (u32, u32), step: (u32, u32) },
+}
+
+/// The times between two pictures in a format and size, seconds as fractions (`VIDIOC_ENUM_FRAMEINTERVALS`).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Intervals {
+    /// These.
+    Listed(Vec<(u32, u32)>),
+    /// Everything in between.
+    Range { shortest: (u32, u32), longest: (u32, u32) },
+}
+
+/// What a driver has agreed to (`VIDIOC_S_FMT`): it may be something else than was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Given {
+    pub fourcc: [u8; 4],
+    pub width: u32,
+    pub height: u32,
+    /// From one row to the next; 0 where pictures are compressed.
+    pub bytes_per_line: u32,
+}
+
+/// The controls that matter here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Control {
+    /// `V4L2_CID_EXPOSURE_AUTO`.
+    ExposureAuto,
+    /// `V4L2_CID_EXPOSURE_ABSOLUTE`.
+    Exposure,
+    /// `V4L2_CID_AUTO_WHITE_BALANCE`.
+    WhiteBalanceAuto,
+}
+
+/// `V4L2_EXPOSURE_MANUAL`.
+const EXPOSURE_MANUAL: i32 = 1;
+
+/// A camera's driver.
+pub trait Driver {
+    /// The four letters of each format it has, also of those that are not read here.
+    fn formats(&self) -> Vec<[u8; 4]>;
+    fn sizes(&self, fourcc: [u8; 4]) -> io::Result<Sizes>;
+    fn intervals(&self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<Intervals>;
+    fn set_format(&mut self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<Given>;
+    /// Sets the time between two pictures, seconds as a fraction; gives the one that it took.
+    fn set_interval(&mut self, seconds: (u32, u32)) -> io::Result<(u32, u32)>;
+    fn control(&self, control: Control) -> io::Result<i32>;
+    fn set_control(&mut self, control: Control, value: i32) -> io::Result<()>;
+}
+
+/// Everything a camera can do in formats that are read here, each once.
+pub fn modes(driver: &dyn Driver) -> Vec<Mode> {
+    let mut modes: Vec<Mode> = Vec::new();
+    for fourcc in driver.formats() {
+        let Some(format) = PixelFormat::from_fourcc(fourcc) else { continue };
+        let sizes = match driver.sizes(fourcc) {
+            Ok(Sizes::Listed(sizes)) => sizes,
+            Ok(Sizes::Range { least, most, step }) => sizes_in_range(least, most, step),
+            Err(_) => Vec::new(),
+        };
+        for (width, height) in sizes {
+            let rates = match driver.intervals(fourcc, (width, height)) {
+                Ok(Intervals::Listed(intervals)) => {
+                    intervals.into_iter().map(|interval| Some(rate(interval))).collect()
+                }
+                // Anything in between can be asked for.
+                Ok(Intervals::Range { shortest, longest }) => {
+                    vec![Some(rate(shortest)), Some((30, 1)), Some(rate(longest))]
+                }
+                Err(_) => vec![None],
+            };
+            for rate in rates {
+                let mode = Mode { format, fourcc, width, height, rate };
+                // Cameras tell their best size twice, as the standard for USB cameras wants it.
+                if !modes.contains(&mode) {
+                    modes.push(mode);
+                }
+            }
+        }
+    }
+    modes
+}
+
+/// Frames a second as a fraction, from the time between two.
+fn rate((seconds, parts): (u32, u32)) -> (u32, u32) {
+    (parts, seconds)
+}
+
+/// How a camera works from now on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Agreed {
+    pub mode: Mode,
+    /// From one row to the next; 0 where pictures are compressed.
+    pub bytes_per_line: usize,
+    pub warnings: Vec<String>,
+}
+
+/// Sets a camera up in the mode that fits a wish best.
+///
+/// # Errors
+/// Where it has no such mode, or does not keep to what it says that it has.
+pub fn set_up(driver: &mut dyn Driver, wish: &ModeWish, path: &Path) -> Result<Agreed> {
+    let wished = choose(&modes(driver), wish).map_err(|error| error.at(path.display()))?;
+    let given = driver
+        .set_format(wished.fourcc, (wished.width, wished.height))
+        .map_err(|error| told(path, "cannot be set up", &error))?;
+    let mode = Mode { width: given.width, height: given.height, ..wished };
+    if given.fourcc != wished.fourcc || mode != wished {
+        let letters = String::from_utf8_lossy(&given.fourcc);
+        return Err(Error::input(format!(
+            "{} promised {wished} and gives {}x{} {letters}",
+            path.display(),
+            given.width,
+            given.height
+        )));
+    }
+    let bytes_per_line = match mode.format {
+        PixelFormat::Jpeg => 0,
+        // Some drivers leave it out where rows follow each other without a gap.
+        PixelFormat::Gray => given.bytes_per_line.max(mode.width),
+        PixelFormat::Yuyv => given.bytes_per_line.max(2 * mode.width),
+    } as usize;
+    let mut agreed = Agreed { mode, bytes_per_line, warnings: Vec::new() };
+    agreed.set_rate(driver, path);
+    Ok(agreed)
+}
+
+impl Agreed {
+    fn set_rate(&mut self, driver: &mut dyn Driver, path: &Path) {
+        let Some((frames, seconds)) = self.mode.rate.filter(|(frames, seconds)| *frames > 0 && *seconds > 0)
+        else {
+            return;
+        };
+        match driver.set_interval((seconds, frames)) {
+            Ok(taken) => {
+                let wished = self.mode.frames_per_second();
+                self.mode.rate = Some(rate(taken));
+                let got = self.mode.frames_per_second();
+                // Drivers count in units of 100 ns: 29.97 for 30 is what was asked for.
+                let same = wished.zip(got).is_some_and(|(wished, got)| (got - wished).abs() <= 0.02 * wished);
+                if !same {
+                    let told = got.map_or("another rate".to_owned(), |got| format!("{got:.1} frames/s"));
+                    self.warnings.push(format!(
+                        "{}: {:.1} frames/s were asked for, it gives {told}",
+                        path.display(),
+                        wished.unwrap_or_default()
+                    ));
+                }
+            }
+            Err(error) => self.warnings.push(format!("{}: the rate cannot be set ({error})", path.display())),
+        }
+    }
+}
+
+/// A sentence of what a camera does not do, and what the system says why.
+pub fn told(path: &Path, what: &str, error: &io::Error) -> Error {
+    // EBUSY and EACCES, the two that a person can do something about.
+    let why = match error.raw_os_error() {
+        Some(16) => "it is in use by another program".to_owned(),
+        Some(13) => "it may not be opened by you (the group `video` mostly may)".to_owned(),
+        _ => error.to_string(),
+    };
+    Error::input(format!("{} {what}: {why}", path.display()))
+}
+
+/// Holds the exposure and white balance where the camera's automatics have brought them: what changes them changes every corner's look, and
+/// long exposures blur.
+///
+/// # Errors
+/// Where the exposure is not one that can be held. A white balance that cannot be held is none: nothing is lost without.
+pub fn hold_exposure(driver: &mut dyn Driver) -> io::Result<()> {
+    // Read before: some cameras go back to another exposure with the switch to manual.
+    let found = driver.control(Control::Exposure);
+    driver.set_control(Control::ExposureAuto, EXPOSURE_MANUAL)?;
+    if let Ok(found) = found {
+        driver.set_control(Control::Exposure, found)?;
+    }
+    let _ = driver.set_control(Control::WhiteBalanceAuto, 0);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

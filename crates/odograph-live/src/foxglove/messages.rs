@@ -1,0 +1,159 @@
+//! What is known of a frame, as messages of Foxglove's types.
+
+use odograph::geometry::GroundPose;
+use odograph::odometry::TrackView;
+use odograph::trajectory::PoseEstimate;
+use serde_json::{Value, json};
+
+/// The frame of reference in which odometry has the path: it never jumps (REP-105).
+pub const WORLD: &str = "odom";
+/// The camera: x right, y down, z ahead along its axis.
+pub const CAMERA: &str = "camera";
+
+/// 95 % of a plane's normal distribution lie within so many standard deviations.
+const DEVIATIONS: f64 = 2.4477;
+
+/// A moment as Foxglove writes it.
+pub fn time(nanoseconds: u64) -> Value {
+    json!({ "sec": nanoseconds / 1_000_000_000, "nsec": nanoseconds % 1_000_000_000 })
+}
+
+fn vector(x: f64, y: f64, z: f64) -> Value {
+    json!({ "x": x, "y": y, "z": z })
+}
+
+/// A turn about the vertical.
+fn turned(heading_rad: f64) -> Value {
+    let (sin, cos) = (0.5 * heading_rad).sin_cos();
+    json!({ "x": 0.0, "y": 0.0, "z": sin, "w": cos })
+}
+
+fn color(red: f64, green: f64, blue: f64, opacity: f64) -> Value {
+    json!({ "r": red, "g": green, "b": blue, "a": opacity })
+}
+
+/// Where the camera is: position, and rotation of its axes.
+fn placed(pose: &GroundPose) -> (Value, Value) {
+    let world_from_camera = pose.world_from_camera();
+    let (at, turn) = (world_from_camera.translation, world_from_camera.rotation);
+    (vector(at.x, at.y, at.z), json!({ "x": turn.i, "y": turn.j, "z": turn.k, "w": turn.w }))
+}
+
+pub fn frame_transform(at: u64, pose: &GroundPose) -> Value {
+    let (translation, rotation) = placed(pose);
+    json!({
+        "timestamp": time(at), "parent_frame_id": WORLD, "child_frame_id": CAMERA, "translation": translation, "rotation": rotation,
+    })
+}
+
+pub fn pose_in_frame(at: u64, pose: &GroundPose) -> Value {
+    let (position, orientation) = placed(pose);
+    json!({ "timestamp": time(at), "frame_id": WORLD, "pose": { "position": position, "orientation": orientation } })
+}
+
+pub fn compressed_image(at: u64, jpeg: &[u8]) -> Value {
+    json!({ "timestamp": time(at), "frame_id": CAMERA, "data": base64(jpeg), "format": "jpeg" })
+}
+
+/// The tracks on a picture that has `scale` times the camera's size: those that agree with the movement, and the others.
+pub fn image_annotations(at: u64, tracks: &[TrackView], scale: f64) -> Value {
+    let points = |inlier: bool, color: Value| {
+        // Their origin is the corner of the first pixel, ours its centre.
+        let place = |pixel: f64| tenths((pixel + 0.5) * scale);
+        let points: Vec<Value> = tracks
+            .iter()
+            .filter(|track| track.inlier == inlier)
+            .map(|track| json!({ "x": place(track.pixel.x), "y": place(track.pixel.y) }))
+            .collect();
+        json!({
+            "timestamp": time(at), "type": 1, "points": points, "outline_color": color, "outline_colors": [], "fill_color": color,
+            "thickness": 4.0, "metadata": [],
+        })
+    };
+    let (agree, differ) = (color(0.15, 0.82, 0.54, 1.0), color(1.0, 0.35, 0.27, 1.0));
+    json!({ "circles": [], "points": [points(true, agree), points(false, differ)], "texts": [] })
+}
+
+/// A tenth of a pixel, or of a millimetre, is as much as anybody sees.
+fn tenths(value: f64) -> f64 {
+    (10.0 * value).round() / 10.0
+}
+
+pub fn log(at: u64, warning: bool, message: &str) -> Value {
+    let level = if warning { 3 } else { 2 };
+    json!({ "timestamp": time(at), "level": level, "message": message, "name": "odograph", "file": "", "line": 0 })
+}
+
+/// A scene of one thing, which stays until the next one of its name.
+fn scene(at: u64, id: &str, cylinders: Value, lines: Value) -> Value {
+    json!({
+        "deletions": [],
+        "entities": [{
+            "timestamp": time(at), "frame_id": WORLD, "id": id, "lifetime": { "sec": 0, "nsec": 0 }, "frame_locked": true, "metadata": [],
+            "arrows": [], "cubes": [], "spheres": [], "cylinders": cylinders, "lines": lines, "triangles": [], "texts": [], "models": [],
+        }],
+    })
+}
+
+/// Nothing any more of what a topic has shown.
+pub fn cleared(at: u64) -> Value {
+    json!({ "deletions": [{ "timestamp": time(at), "type": 1, "id": "" }], "entities": [] })
+}
+
+/// The ellipse on the ground that holds the camera with 95 %.
+pub fn ellipse(at: u64, known: &PoseEstimate) -> Value {
+    let covariance = known.covariance;
+    let (a, b, d) = (covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]);
+    let (middle, spread) = (0.5 * (a + d), (0.5 * (a - d)).hypot(b));
+    let across = |variance: f64| 2.0 * DEVIATIONS * variance.max(0.0).sqrt();
+    let along = 0.5 * (2.0 * b).atan2(a - d);
+    let size = vector(across(middle + spread), across(middle - spread), 1e-3);
+    let position = vector(known.pose.x_m, known.pose.y_m, 0.0);
+    let cylinder = json!({
+        "pose": { "position": position, "orientation": turned(along) }, "size": size, "bottom_scale": 1.0, "top_scale": 1.0,
+        "color": color(0.04, 0.43, 0.41, 0.5),
+    });
+    scene(at, "ellipse", json!([cylinder]), json!([]))
+}
+
+/// The path as lines, one for each stretch without a gap; places in metres.
+pub fn path(at: u64, stretches: &[Vec<[f64; 2]>]) -> Value {
+    let place = |metres: f64| 1e-3 * tenths(1e3 * metres);
+    let line = |stretch: &Vec<[f64; 2]>| {
+        let points: Vec<Value> = stretch.iter().map(|[x, y]| vector(place(*x), place(*y), 0.0)).collect();
+        json!({
+            "type": 0, "pose": { "position": vector(0.0, 0.0, 0.0), "orientation": turned(0.0) }, "thickness": 3.0,
+            "scale_invariant": true, "points": points, "color": color(0.04, 0.43, 0.41, 1.0), "colors": [], "indices": [],
+        })
+    };
+    scene(at, "path", json!([]), stretches.iter().map(line).collect())
+}
+
+/// Bytes as text (RFC 4648, section 4).
+fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for group in bytes.chunks(3) {
+        let byte = |at: usize| u32::from(group.get(at).copied().unwrap_or(0));
+        let word = byte(0) << 16 | byte(1) << 8 | byte(2);
+        for digit in 0..4 {
+            let value = (word >> (18 - 6 * digit) & 63) as usize;
+            text.push(if digit <= group.len() { char::from(DIGITS[value]) } else { '=' });
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base_64_as_the_rfc_has_it() {
+        let examples = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")];
+        for (bytes, text) in examples {
+            assert_eq!(base64(bytes.as_bytes()), text);
+        }
+        assert_eq!(base64(&[0xfb, 0xff]), "+/8=");
+    }
+}

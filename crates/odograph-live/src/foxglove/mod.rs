@@ -1,0 +1,192 @@
+//! A run as an MCAP file with Foxglove's message types, as JSON: poses, the camera's picture with its tracks, the path, and how sure it is.
+//!
+//! Every second of the recording becomes one whole chunk on disk, so that a file whose writer was killed can be read up to its last second
+//! (MCAP specification, "Chunk"; `mcap recover` gives it the index that it lacks).
+
+mod messages;
+mod schemas;
+mod sketch;
+
+use crate::stream::json_line;
+use crate::view::encode;
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use mcap::{WriteOptions, Writer};
+use odograph::error::{Error, Result};
+use odograph::image::GrayImage;
+use odograph::odometry::TrackView;
+use odograph::trajectory::{FrameEstimate, TrackStatus};
+use schemas::Schema;
+use serde_json::Value;
+use sketch::PathSketch;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+/// A chunk holds so much of the recording, and the path is drawn so often, nanoseconds.
+const SECOND: u64 = 1_000_000_000;
+/// A chunk that is larger ends earlier, bytes: nothing of it is on disk before.
+const LARGEST_CHUNK: u64 = 8 << 20;
+
+/// The picture of a frame, where one is to be kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The camera's picture.
+    pub gray: GrayImage,
+    /// What was followed in it.
+    pub tracks: Vec<TrackView>,
+}
+
+/// An MCAP file while it is being written.
+pub struct McapFile {
+    path: PathBuf,
+    writer: Writer<NoSeek<BufWriter<File>>>,
+    channels: Channels,
+    sketch: PathSketch,
+    status: Option<TrackStatus>,
+    chunk_began: Option<u64>,
+    drawn: Option<u64>,
+    newest: u64,
+    frames: u32,
+}
+
+/// The topics by their numbers in the file.
+struct Channels {
+    transform: u16,
+    pose: u16,
+    picture: u16,
+    tracks: u16,
+    path: u16,
+    uncertainty: u16,
+    frame: u16,
+    log: u16,
+}
+
+impl McapFile {
+    /// Begins a file of a source, which is described in it.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn create(path: &Path, source: &str) -> Result<Self> {
+        let cannot = |error: &dyn std::fmt::Display| cannot_be_written(path, error);
+        let file = File::create(path).map_err(|error| cannot(&error))?;
+        let options = WriteOptions::new()
+            .disable_seeking(true)
+            .chunk_size(Some(LARGEST_CHUNK))
+            .library(concat!("odograph ", env!("CARGO_PKG_VERSION")));
+        let began = || -> mcap::McapResult<_> {
+            let mut writer = Writer::with_options(NoSeek::new(BufWriter::new(file)), options)?;
+            let channels = Channels::new(&mut writer)?;
+            let metadata = BTreeMap::from([("source".to_owned(), source.to_owned())]);
+            writer.write_metadata(&mcap::records::Metadata { name: "odograph".to_owned(), metadata })?;
+            Ok((writer, channels))
+        };
+        let (writer, channels) = began().map_err(|error| cannot(&error))?;
+        Ok(Self {
+            path: path.to_owned(),
+            writer,
+            channels,
+            sketch: PathSketch::default(),
+            status: None,
+            chunk_began: None,
+            drawn: None,
+            newest: 0,
+            frames: 0,
+        })
+    }
+
+    /// Takes a frame, and its picture where it is to be kept. Times are those of the source; before its zero there is nothing in MCAP.
+    ///
+    /// # Errors
+    /// Where it cannot be written; nothing can be from then on.
+    pub fn add(&mut self, frame: &FrameEstimate, latency_ms: f64, picture: Option<&Picture>) -> Result<()> {
+        let at = (frame.time_s * 1e9).round() as u64;
+        if at.saturating_sub(*self.chunk_began.get_or_insert(at)) >= SECOND {
+            self.chunk_began = Some(at);
+            self.writer.flush().map_err(|error| cannot_be_written(&self.path, &error))?;
+        }
+        let channels = &self.channels;
+        let mut messages = vec![(channels.frame, json_line(frame, Some(latency_ms)))];
+        let mut tell = |channel: u16, message: Value| messages.push((channel, message.to_string()));
+        if self.status.replace(frame.status) != Some(frame.status) {
+            let lost = frame.status != TrackStatus::Tracked;
+            tell(channels.log, messages::log(at, lost, &frame.status.to_string()));
+            if lost {
+                tell(channels.uncertainty, messages::cleared(at));
+            }
+        }
+        if let Some(known) = &frame.estimate {
+            tell(channels.transform, messages::frame_transform(at, &known.pose));
+            tell(channels.pose, messages::pose_in_frame(at, &known.pose));
+            tell(channels.uncertainty, messages::ellipse(at, known));
+            self.sketch.add(frame.segment, [known.pose.x_m, known.pose.y_m]);
+        }
+        if self.drawn.is_none_or(|drawn| at.saturating_sub(drawn) >= SECOND) {
+            self.drawn = Some(at);
+            tell(channels.path, messages::path(at, &self.sketch.stretches()));
+        }
+        if let Some(Picture { gray, tracks }) = picture
+            && let Some((jpeg, scale)) = encode(gray)
+        {
+            tell(channels.picture, messages::compressed_image(at, &jpeg));
+            tell(channels.tracks, messages::image_annotations(at, tracks, scale));
+        }
+        self.frames = self.frames.saturating_add(1);
+        self.newest = self.newest.max(at);
+        for (channel_id, text) in messages {
+            let header = MessageHeader { channel_id, sequence: self.frames, log_time: at, publish_time: at };
+            self.writer
+                .write_to_known_channel(&header, text.as_bytes())
+                .map_err(|error| cannot_be_written(&self.path, &error))?;
+        }
+        Ok(())
+    }
+
+    /// How many frames were taken.
+    pub fn frames(&self) -> u32 {
+        self.frames
+    }
+
+    /// Ends the file: with the whole path, and an index of everything.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn finish(mut self) -> Result<()> {
+        let cannot = |error| cannot_be_written(&self.path, &error);
+        if self.frames > 0 {
+            let (channel_id, sequence, at) = (self.channels.path, self.frames, self.newest);
+            let header = MessageHeader { channel_id, sequence, log_time: at, publish_time: at };
+            let text = messages::path(at, &self.sketch.stretches()).to_string();
+            self.writer.write_to_known_channel(&header, text.as_bytes()).map_err(cannot)?;
+        }
+        self.writer.finish().map_err(cannot)?;
+        Ok(())
+    }
+}
+
+fn cannot_be_written(path: &Path, error: &dyn std::fmt::Display) -> Error {
+    Error::output(format!("{} cannot be written: {error}", path.display()))
+}
+
+impl Channels {
+    fn new(writer: &mut Writer<NoSeek<BufWriter<File>>>) -> mcap::McapResult<Self> {
+        let mut channel = |topic: &str, schema: Schema| {
+            let schema = writer.add_schema(schema.name, "jsonschema", schema.json.to_string().as_bytes())?;
+            writer.add_channel(schema, topic, "json", &BTreeMap::new())
+        };
+        Ok(Self {
+            transform: channel("/tf", schemas::frame_transform())?,
+            pose: channel("/pose", schemas::pose_in_frame())?,
+            picture: channel("/camera", schemas::compressed_image())?,
+            tracks: channel("/camera/tracks", schemas::image_annotations())?,
+            path: channel("/path", schemas::scene_update())?,
+            uncertainty: channel("/uncertainty", schemas::scene_update())?,
+            frame: channel("/frame", schemas::frame())?,
+            log: channel("/log", schemas::log())?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;
