@@ -46,12 +46,13 @@ pub(crate) fn encode(image: &KeyframeImage) -> Result<StoredImage> {
         )));
     }
     let (luma_scale, luma_offset) = luma_of_gray(&image.gray, color);
-    let mut samples = Vec::with_capacity(3 * width * height);
-    for (&gray, rgb) in image.gray.samples().iter().zip(color.samples().chunks_exact(3)) {
-        let [r, g, b] = [f32::from(rgb[0]), f32::from(rgb[1]), f32::from(rgb[2])];
+    let mut samples = vec![0; 3 * width * height];
+    let pixels = image.gray.samples().iter().zip(color.samples().as_chunks::<3>().0);
+    for ((&gray, rgb), sample) in pixels.zip(samples.as_chunks_mut::<3>().0) {
+        let [r, g, b] = rgb.map(f32::from);
         let blue = 128.0 - 0.168_736 * r - 0.331_264 * g + 0.5 * b;
         let red = 128.0 + 0.5 * r - 0.418_688 * g - 0.081_312 * b;
-        samples.extend_from_slice(&[gray, (blue + 0.5) as u8, (red + 0.5) as u8]);
+        *sample = [gray, (blue + 0.5) as u8, (red + 0.5) as u8];
     }
     encoder.set_sampling_factor(SamplingFactor::F_2_2);
     encoder.encode(&samples, size.0, size.1, ColorType::Ycbcr).map_err(cannot)?;
@@ -105,17 +106,16 @@ pub(crate) fn decode(
     if !scale.is_finite() || !offset.is_finite() {
         return Err("has colours that are not finite".to_owned());
     }
-    let mut gray = Vec::with_capacity(size.0 * size.1);
-    let mut rgb = Vec::with_capacity(samples.len());
-    for pixel in samples.chunks_exact(3) {
-        gray.push(pixel[0]);
+    let gray = samples.as_chunks::<3>().0.iter().map(|pixel| pixel[0]).collect();
+    let mut rgb = samples;
+    for pixel in rgb.as_chunks_mut::<3>().0 {
         let luma = scale * f32::from(pixel[0]) + offset;
         let (blue, red) = (f32::from(pixel[1]) - 128.0, f32::from(pixel[2]) - 128.0);
-        rgb.extend_from_slice(&[
+        *pixel = [
             (luma + 1.402 * red + 0.5) as u8,
             (luma - 0.344_136 * blue - 0.714_136 * red + 0.5) as u8,
             (luma + 1.772 * blue + 0.5) as u8,
-        ]);
+        ];
     }
     let gray = GrayImage::from_samples(size.0, size.1, gray).ok_or("cannot be decoded")?;
     Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })

@@ -110,17 +110,17 @@ impl MapFile {
         let after: BTreeMap<KeyframeId, GroundPose> =
             poses.iter().map(|(id, pose, _)| (*id, *pose)).collect();
         let mut moves: BTreeMap<u32, Vec<KeyframeMove>> = BTreeMap::new();
-        for (id, session, segment, time_s, before) in self.places()? {
-            let after = after.get(&id).copied().unwrap_or(before);
-            moves.entry(session).or_default().push(KeyframeMove { segment, time_s, before, after });
+        for (id, session, still) in self.places()? {
+            let after = after.get(&id).copied().unwrap_or(still.before);
+            moves.entry(session).or_default().push(KeyframeMove { after, ..still });
         }
         moves.retain(|_, moves| moves.iter().any(|moved| moved.before != moved.after));
         let path = |(session, moves): (u32, Vec<_>)| Ok((session, carried(&self.path_of(session)?, &moves)));
         moves.into_iter().map(path).collect()
     }
 
-    /// Number, session, segment, time and pose of every keyframe.
-    fn places(&self) -> Result<Vec<(KeyframeId, u32, usize, f64, GroundPose)>> {
+    /// Number and session of every keyframe, and where it is: moves that move nothing.
+    fn places(&self) -> Result<Vec<(KeyframeId, u32, KeyframeMove)>> {
         let mut statement = self
             .connection
             .prepare(
@@ -128,7 +128,12 @@ impl MapFile {
             )
             .while_reading(&self.complaint)?;
         let place = |row: &Row<'_>| {
-            Ok((KeyframeId(row.get(0)?), row.get(1)?, row.get(2)?, row.get(3)?, pose_from(row, 4)?))
+            let (segment, time_s, before) = (row.get(2)?, row.get(3)?, pose_from(row, 4)?);
+            Ok((
+                KeyframeId(row.get(0)?),
+                row.get(1)?,
+                KeyframeMove { segment, time_s, before, after: before },
+            ))
         };
         let rows = statement.query_map([], place).while_reading(&self.complaint)?;
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)

@@ -1,8 +1,9 @@
 //! The start of a new segment that has not proved itself yet.
 
+use super::doubt::CHANCE_PRESENCE;
 use super::follow::{self, Measurement};
 use super::keyframe::Keyframe;
-use super::{CHANCE_PRESENCE, LastPose, OdometryConfig};
+use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::image::Pyramid;
 use crate::motion::{Random, RigWander};

@@ -30,6 +30,8 @@ pub struct Keyframe {
     pub corners_at_first: usize,
     /// Where the corners are, enough to prepare the keyframe again.
     places: Vec<(usize, usize)>,
+    /// Whether the corners are there.
+    is_prepared: bool,
     /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
     view: Option<GroundView>,
     /// Whether it has too few corners that stand out of noise; found out when it is first needed.
@@ -57,18 +59,58 @@ impl Keyframe {
         camera: &Camera,
         detection: &DetectionConfig,
     ) -> Self {
-        let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
-        Self::prepare(
-            KeyframeRecord { id: None, pyramid, pose, covariance, places, view: None, reachable: true },
-            camera,
-        )
+        let mut keyframe = Self::to_be_prepared(pyramid, pose, covariance, detection);
+        keyframe.prepare(camera);
+        keyframe
     }
 
-    fn prepare(record: KeyframeRecord, camera: &Camera) -> Self {
+    /// The same, but the corners are only found: [`Keyframe::prepare`] must have been called before anything is measured against them. The frame
+    /// that becomes a keyframe is the slowest anyway; the next one, which needs them, has the time.
+    pub fn to_be_prepared(
+        pyramid: Pyramid,
+        pose: GroundPose,
+        covariance: Matrix6<f64>,
+        detection: &DetectionConfig,
+    ) -> Self {
+        let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
+        Self::recorded(KeyframeRecord {
+            id: None,
+            pyramid,
+            pose,
+            covariance,
+            places,
+            view: None,
+            reachable: true,
+        })
+    }
+
+    /// A keyframe as it was remembered, without its corners.
+    fn recorded(record: KeyframeRecord) -> Self {
         let KeyframeRecord { id, pyramid, pose, covariance, places, view, .. } = record;
-        let ground_from_ray = GroundFromRay::new(&pose);
+        let (corners, faint, dense) = (Vec::new(), OnceLock::new(), OnceLock::new());
+        Self {
+            id,
+            corners_at_first: 0,
+            corners,
+            pyramid,
+            pose,
+            covariance,
+            places,
+            is_prepared: false,
+            view,
+            faint,
+            dense,
+        }
+    }
+
+    /// Lays the corners on the ground and prepares them for being found again, where that was not done yet.
+    pub fn prepare(&mut self, camera: &Camera) {
+        if std::mem::replace(&mut self.is_prepared, true) {
+            return;
+        }
+        let ground_from_ray = GroundFromRay::new(&self.pose);
         let corner = |&place: &(usize, usize)| {
-            let template = Template::of_finest_level(&pyramid, place)?;
+            let template = Template::of_finest_level(&self.pyramid, place)?;
             let centre = template.centre();
             Some(KeyCorner {
                 patch: GroundPatch::new(camera, &ground_from_ray, centre, 1.0)?,
@@ -76,10 +118,8 @@ impl Keyframe {
                 template,
             })
         };
-        let corners: Vec<KeyCorner> = places.iter().filter_map(corner).collect();
-        let (faint, dense) = (OnceLock::new(), OnceLock::new());
-        let corners_at_first = corners.len();
-        Self { id, corners_at_first, corners, pyramid, pose, covariance, places, view, faint, dense }
+        self.corners = self.places.iter().filter_map(corner).collect();
+        self.corners_at_first = self.corners.len();
     }
 
     /// Whether it is followed as a whole, because its corners hardly stand out of noise.
@@ -97,7 +137,8 @@ impl Keyframe {
 
     /// Whether there is enough to follow: so many corners, or on faint ground texture at all.
     pub fn can_be_followed(&self, corners: usize) -> bool {
-        if self.is_faint() { !texture::is_bare(self.pyramid.base()) } else { self.corners.len() >= corners }
+        let there = if self.is_prepared { self.corners.len() } else { self.places.len() };
+        if self.is_faint() { !texture::is_bare(self.pyramid.base()) } else { there >= corners }
     }
 
     /// Makes the view for coarse registration, where there is none yet.
@@ -178,8 +219,7 @@ impl KeyframeMemory {
             .map(|(i, record)| (overlap(record), i))
             .filter(|(overlap, _)| *overlap >= least)
             .max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let record = self.records.remove(best.1)?;
-        Some(Keyframe::prepare(record, camera))
+        self.take(best.1, camera)
     }
 
     /// Puts a keyframe back that was taken out in vain.
@@ -189,7 +229,9 @@ impl KeyframeMemory {
 
     /// Takes out the keyframe with that index.
     pub fn take(&mut self, index: usize, camera: &Camera) -> Option<Keyframe> {
-        self.records.remove(index).map(|record| Keyframe::prepare(record, camera))
+        let mut keyframe = Keyframe::recorded(self.records.remove(index)?);
+        keyframe.prepare(camera);
+        Some(keyframe)
     }
 
     /// Puts a keyframe back where [`KeyframeMemory::take`] took it from.

@@ -290,7 +290,8 @@ pub(super) fn finish(
     folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
     let carrier = carrier_path(&path, &plan.rig);
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
-    let mosaic = match tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping) {
+    let threads = arguments.threads();
+    let mosaic = match tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads) {
         Ok(mosaic) => mosaic,
         Err(error) => {
             tracked.warnings.push(format!("there is no picture of the ground: {error}"));
@@ -313,7 +314,7 @@ pub(super) fn finish(
     };
     let (mosaic, reference) = (&mosaic, reference.as_ref());
     let shown = map::Shown { description, tracked: &tracked, mosaic, sensors: &reports, reference };
-    map::write(plan, &shown, folder, arguments.threads())?;
+    map::write(plan, &shown, folder, threads)?;
     let closed = tracked.mapping.close();
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     folder.finish(&statistics)?;

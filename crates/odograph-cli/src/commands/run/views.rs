@@ -11,7 +11,10 @@ use odograph::mapping::{Coverage, KeyframeImage, Mosaic};
 use odograph::trajectory::FrameEstimate;
 use odograph_map::FrameImages;
 use odograph_video::Frame;
+use std::panic::resume_unwind;
 use std::path::Path;
+use std::sync::mpsc;
+use std::thread;
 
 /// A frame with its pose in the odometry frame.
 #[derive(Clone)]
@@ -72,30 +75,49 @@ impl Views {
         if self.waiting.len() > MOST_WAITING { self.keep_waiting() } else { Ok(()) }
     }
 
-    /// Lays the keyframes and the frames kept, where `frames` now has them.
+    /// Lays the keyframes and the frames kept, where `frames` now has them: one is decoded while another is laid where there are `threads` for both.
     pub fn lay(
         &mut self,
         camera: &Camera,
         frames: &[FrameEstimate],
         mapping: &mut Mapping,
+        threads: usize,
     ) -> Result<Mosaic> {
         self.end_stretch()?;
         let mut views: Vec<_> = mapping.own_keyframes().map(|(id, frame)| (frame, Some(id))).collect();
         views.extend(self.images.frames().map(|frame| (frame, None)));
         views.sort_unstable_by_key(|(frame, _)| *frame);
+        let posed = views.into_iter().filter_map(|(number, keyframe)| {
+            let at = frames.binary_search_by_key(&number, |estimate| estimate.frame).ok()?;
+            Some((number, keyframe, frames[at].estimate.as_ref()?.pose))
+        });
+        let images = &mut self.images;
+        let mut loaded = posed.map(move |(number, keyframe, pose)| {
+            let image = keyframe.map_or_else(|| images.load(number), |id| mapping.image(id));
+            image.map(|image| (image, pose))
+        });
         let mut mosaic = Mosaic::new(Default::default());
-        for (number, keyframe) in views {
-            let found = frames.binary_search_by_key(&number, |estimate| estimate.frame);
-            let Some(known) = found.ok().and_then(|at| frames[at].estimate.as_ref()) else { continue };
-            let KeyframeImage { gray, color } = match keyframe {
-                Some(id) => mapping.image(id)?,
-                None => self.images.load(number)?,
-            };
+        let mut lay = |(KeyframeImage { gray, color }, pose): (KeyframeImage, GroundPose)| {
             match color {
-                Some(color) => mosaic.add(&color, camera, &known.pose),
-                None => mosaic.add(&gray, camera, &known.pose),
+                Some(color) => mosaic.add(&color, camera, &pose),
+                None => mosaic.add(&gray, camera, &pose),
             };
+        };
+        if threads < 2 {
+            loaded.try_for_each(|view| view.map(&mut lay))?;
+            return Ok(mosaic);
         }
+        thread::scope(|scope| {
+            let (load, decoded) = mpsc::sync_channel(1);
+            let loading = scope.spawn(move || {
+                loaded.try_for_each(|view| {
+                    let _ = load.send(view?); // fails only where laying has ended in a panic
+                    Ok(())
+                })
+            });
+            decoded.iter().for_each(lay);
+            loading.join().unwrap_or_else(|panic| resume_unwind(panic))
+        })?;
         Ok(mosaic)
     }
 

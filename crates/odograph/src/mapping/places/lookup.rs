@@ -11,7 +11,7 @@ const PIECE: usize = 7;
 
 /// Sketches that differ in more of their 32 bits than this are of descriptors that do not show the same: of unrelated ones nine in ten, of those that differ
 /// in 60 of 256 bits, the most that still counts as alike, three in a hundred.
-pub(super) const MOST_SKETCH_DIFFERENCE: u32 = 12;
+const MOST_SKETCH_DIFFERENCE: u32 = 12;
 
 /// No further piece.
 const NONE: u32 = u32::MAX;
@@ -76,7 +76,7 @@ pub(super) struct Address {
 }
 
 /// Bits that are no part of an address, four of each half word.
-pub(super) fn sketch(descriptor: &[u64; 4]) -> u32 {
+fn sketch(descriptor: &[u64; 4]) -> u32 {
     let bits = |word: u64| (word >> ADDRESS_BITS & 0xf | (word >> (32 + ADDRESS_BITS) & 0xf) << 4) as u32;
     descriptor.iter().enumerate().fold(0, |sketch, (at, &word)| sketch | bits(word) << (8 * at))
 }

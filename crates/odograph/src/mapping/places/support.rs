@@ -1,7 +1,7 @@
 //! What speaks for a motion between two pictures of the ground.
 
 use super::GroundFeature;
-use super::lookup::{MOST_SKETCH_DIFFERENCE, difference, sketch};
+use super::lookup::difference;
 use std::f32::consts::{PI, TAU};
 
 /// Descriptors that differ in more bits than this do not show the same. Unrelated ones differ in 128 on the average.
@@ -38,13 +38,11 @@ pub(super) struct Features {
     pub features: Vec<GroundFeature>,
     /// What a match of each is worth: one over the number of features of the picture that look like it, itself included.
     pub worth: Vec<f32>,
-    /// Some of each descriptor's bits, for a first look at many.
-    sketches: Vec<u32>,
     low: [f32; 2],
     high: [f32; 2],
 }
 
-/// The angle brought near zero. Angles here are a few turns at most, so the nearest number of turns is got by cutting off, which costs a tenth of rounding.
+/// The angle brought near zero. Angles here are a few turns at most, so the nearest number of turns is got by cutting off, without a call of a library.
 #[inline]
 fn turned(angle: f32) -> f32 {
     let turns = angle * (1.0 / TAU);
@@ -70,39 +68,17 @@ impl Features {
                 high[k] = high[k].max(feature.position_m[k]);
             }
         }
-        let sketches: Vec<u32> = features.iter().map(|feature| sketch(&feature.descriptor)).collect();
-        let mut found = Self { features, worth: Vec::new(), sketches, low, high };
-        let mut alike = vec![1u16; found.features.len()];
-        for (i, a) in found.features.iter().enumerate() {
-            found.each_alike(&a.descriptor, i, LOOKALIKE_DIFFERENCE, |j, _| {
-                alike[i] += 1;
-                alike[j] += 1;
-            });
-        }
-        found.worth = alike.into_iter().map(|alike| 1.0 / f32::from(alike)).collect();
-        found
-    }
-
-    /// Tells those of the first `count` features that differ from a descriptor in at most `most` bits. The sketches of all are compared first, without a branch.
-    fn each_alike(
-        &self,
-        descriptor: &[u64; 4],
-        count: usize,
-        most: u32,
-        mut take: impl FnMut(usize, &GroundFeature),
-    ) {
-        let own = sketch(descriptor);
-        let mut differing = [0u8; super::MOST_FEATURES];
-        for (differing, sketch) in differing.iter_mut().zip(&self.sketches[..count]) {
-            *differing = (sketch ^ own).count_ones() as u8;
-        }
-        for (at, &differing) in differing[..count.min(super::MOST_FEATURES)].iter().enumerate() {
-            if u32::from(differing) <= MOST_SKETCH_DIFFERENCE
-                && difference(descriptor, &self.features[at].descriptor, most).is_some()
-            {
-                take(at, &self.features[at]);
+        let mut alike = vec![1u16; features.len()];
+        for (i, a) in features.iter().enumerate() {
+            for (j, b) in features.iter().enumerate().take(i) {
+                if difference(&a.descriptor, &b.descriptor, LOOKALIKE_DIFFERENCE).is_some() {
+                    alike[i] += 1;
+                    alike[j] += 1;
+                }
             }
         }
+        let worth = alike.into_iter().map(|alike| 1.0 / f32::from(alike)).collect();
+        Self { features, worth, low, high }
     }
 
     pub fn position(&self, at: usize) -> [f32; 2] {
@@ -332,13 +308,16 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
     let middle: [f32; 2] = std::array::from_fn(|k| 0.5 * (query.low[k] + query.high[k]));
     let mut votes = Vec::new();
     for feature in &query.features {
-        keyframe.each_alike(&feature.descriptor, keyframe.features.len(), MOST_DIFFERENCE, |_, other| {
+        for other in &keyframe.features {
+            if difference(&feature.descriptor, &other.descriptor, MOST_DIFFERENCE).is_none() {
+                continue;
+            }
             let heading_rad = turned(other.direction_rad - feature.direction_rad);
             let turn = Placing { shift: [0.0; 2], heading_rad, scale: 1.0 };
             let off = turn.apply(std::array::from_fn(|k| middle[k] - feature.position_m[k]));
             let middle: [f32; 2] = std::array::from_fn(|k| other.position_m[k] + off[k]);
             votes.push(Vote { bin: bin(middle, heading_rad), middle, heading_rad });
-        });
+        }
     }
     votes.sort_unstable_by(|a, b| {
         let by_place = a.middle[0].total_cmp(&b.middle[0]).then(a.middle[1].total_cmp(&b.middle[1]));

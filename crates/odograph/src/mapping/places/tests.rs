@@ -179,3 +179,52 @@ fn bytes_that_no_camera_gives_are_refused_in_a_sentence() {
         assert!(sentence.contains(said), "{sentence}");
     }
 }
+
+/// Features strewn over a plane, all of one tile again and again, or every tile another. Seen twice, a feature differs in a fifth of its bits.
+fn strewn(tile_m: f64, repeating: bool) -> impl Fn(&GroundPose, u64) -> Signature {
+    const IN_A_TILE: u64 = 113;
+    move |pose, noise_seed| {
+        let mut noise = Random::new(noise_seed);
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let mut features = Vec::new();
+        for (column, row) in (-3i32..4).flat_map(|column| (-3i32..4).map(move |row| (column, row))) {
+            let seed = if repeating { 0 } else { (50 + column) as u64 * 100 + (50 + row) as u64 };
+            let mut tile = Random::new(seed + 1);
+            for _ in 0..IN_A_TILE {
+                let mut place = || tile_m * tile.below(1 << 20) as f64 / f64::from(1 << 20);
+                let (x_m, y_m) = (f64::from(column) * tile_m + place(), f64::from(row) * tile_m + place());
+                let direction_rad = 2.0 * PI * place() / tile_m;
+                let mut descriptor = [(); 4].map(|()| tile.bits());
+                for _ in 0..26 {
+                    let bit = noise.below(256);
+                    descriptor[bit / 64] ^= 1 << (bit % 64);
+                }
+                let (dx, dy) = (x_m - pose.x_m, y_m - pose.y_m);
+                let (forward_m, left_m) = (cos * dx + sin * dy, cos * dy - sin * dx);
+                if forward_m.abs() < 0.36 && left_m.abs() < 0.48 {
+                    features.push(GroundFeature {
+                        descriptor,
+                        position_m: [forward_m as f32, left_m as f32],
+                        direction_rad: wrap_angle(direction_rad - pose.heading_rad) as f32,
+                    });
+                }
+            }
+        }
+        Signature { features }
+    }
+}
+
+#[test]
+fn a_tile_again_and_again_is_no_place() {
+    // Shifted by a tile of 51 cm, less than half of the ground is shared: what speaks for that is less, and says as much.
+    for (repeating, sure) in [(false, 6), (true, 0)] {
+        let strewn = strewn(0.51, repeating);
+        let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
+        index.insert(KeyframeId(0), &strewn(&pose(0.1, 0.2, 0.3), 1));
+        let found = (0..6).filter(|&turn| {
+            let query = strewn(&pose(0.12, 0.18, f64::from(turn)), 2 + turn as u64);
+            index.query(&query, 1).first().is_some_and(PlaceHypothesis::is_sure)
+        });
+        assert_eq!(found.count(), sure, "repeating: {repeating}");
+    }
+}

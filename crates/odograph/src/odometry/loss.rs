@@ -1,0 +1,116 @@
+//! Frames that could not be measured, and how the ground comes back after them.
+
+use super::candidate::{CONFIRMATIONS, Candidate, MOST_CONFIRMATIONS};
+use super::follow::Measurement;
+use super::keyframe::Keyframe;
+use super::keyframe_event::Before;
+use super::last_pose::LastPose;
+use super::{Odometry, texture};
+use crate::image::Pyramid;
+use crate::mapping::EdgeKind;
+use crate::motion::Random;
+use crate::trajectory::{FrameEstimate, LossReason, TrackStatus};
+use nalgebra::Matrix6;
+
+impl Odometry {
+    /// A frame that could not be measured: begins the map, or waits for the ground to come back.
+    pub(super) fn lose(&mut self, pyramid: Pyramid, time_s: f64, reason: LossReason) -> FrameEstimate {
+        let bare = texture::is_bare(pyramid.base());
+        if self.last.is_none() && !bare {
+            return self.begin(pyramid, time_s);
+        }
+        self.tracks.clear();
+        self.lost_frames += 1;
+        let reason = self.cause(&pyramid, bare, reason);
+        match self.confirm_candidate(&pyramid, time_s) {
+            Some(found) if self.candidate_is_believed() => return self.begin_segment(pyramid, time_s, found),
+            Some(found) if found.support < self.config.keyframe.support => {
+                if let Some(candidate) = &mut self.candidate {
+                    candidate.move_on(pyramid, self.frames, &self.camera, &self.config);
+                }
+            }
+            Some(_) => {}
+            None => {
+                // Laid where the camera would be had it gone on as it went.
+                let last = match &self.last {
+                    Some(last) => last.carried_over_gap(time_s),
+                    None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
+                };
+                self.candidate = Candidate::new(pyramid, self.frames, last, &self.camera, &self.config);
+            }
+        }
+        FrameEstimate {
+            frame: self.frames,
+            time_s,
+            status: TrackStatus::Lost { reason },
+            estimate: None,
+            tracks: 0,
+            inliers: 0,
+            residual_px: 0.0,
+            keyframe: false,
+            segment: self.segment,
+        }
+    }
+
+    /// Why a frame was lost, as far as the image itself tells; otherwise what the measurement said.
+    pub(super) fn cause(&self, pyramid: &Pyramid, bare: bool, reason: LossReason) -> LossReason {
+        match (&self.keyframe, reason) {
+            _ if bare && texture::is_dark(pyramid.base()) => LossReason::Dark,
+            _ if bare => LossReason::Bare,
+            (Some(keyframe), LossReason::Jump | LossReason::NotPlanar)
+                if texture::is_blurred(pyramid, &keyframe.pyramid) =>
+            {
+                LossReason::Blur
+            }
+            _ => reason,
+        }
+    }
+
+    /// The measurement of a lost frame against the candidate, if there is one.
+    pub(super) fn confirm_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
+        let mut random = Random::new(self.frames);
+        let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
+        self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, wander, &mut random)
+    }
+
+    /// Whether enough frames agreed with the candidate. To come back to known ground is better than to begin anew.
+    pub(super) fn candidate_is_believed(&self) -> bool {
+        let needed =
+            if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
+        self.candidate.as_ref().is_some_and(|candidate| candidate.is_confirmed(needed))
+    }
+
+    /// The ground is back, but how the camera came here was not measured: a new segment.
+    pub(super) fn begin_segment(
+        &mut self,
+        pyramid: Pyramid,
+        time_s: f64,
+        measurement: Measurement,
+    ) -> FrameEstimate {
+        // The very first ground is not a new segment.
+        self.segment += usize::from(self.last.is_some());
+        let last = self.last.take();
+        if let Some(mut candidate) = self.candidate.take() {
+            let before = last.and_then(|last| self.across_the_gap(&last, &candidate.keyframe));
+            self.number(&mut candidate.keyframe, candidate.made, before);
+            if let Some(before) = self.keyframe.replace(candidate.keyframe) {
+                self.memory.remember(before.retire());
+            }
+            self.last = Some(candidate.last);
+        }
+        self.memory.close_segment();
+        self.filter = None;
+        self.accept(pyramid, time_s, measurement)
+    }
+
+    /// How the first keyframe after a gap lies to the last one before.
+    pub(super) fn across_the_gap(&self, last: &LastPose, next: &Keyframe) -> Option<Before> {
+        let before = self.keyframe.as_ref()?;
+        Some(Before {
+            id: before.id?,
+            pose: before.pose,
+            covariance: next.covariance - self.carried_covariance(&last.pose),
+            kind: EdgeKind::Gap,
+        })
+    }
+}

@@ -1,0 +1,104 @@
+//! Which keyframe is the reference next: an older one where the camera has come back to it, otherwise a new one.
+
+use super::keyframe::Keyframe;
+use super::keyframe_event::Before;
+use super::{Odometry, follow};
+use crate::geometry::GroundPose;
+use crate::image::Pyramid;
+use crate::mapping::{EdgeKind, KeyframeId};
+use crate::motion::{MotionEstimate, MotionModel, Random};
+use nalgebra::Matrix6;
+
+/// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
+const FORESEEN_SUPPORT: f64 = 0.3;
+
+impl Odometry {
+    /// Whether the next frame will show too little of the keyframe to be measured against it, if the camera goes on as it went.
+    pub(super) fn leaves_the_keyframe(&self, found: &[follow::Found], time_s: f64) -> bool {
+        let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return false };
+        let next = last.extrapolated(time_s + last.step_s);
+        follow::still_seen(keyframe, &self.camera, found, &next) < FORESEEN_SUPPORT
+    }
+
+    /// The next reference: an older keyframe where the camera has come back to one, otherwise this frame.
+    pub(super) fn change_keyframe(
+        &mut self,
+        pyramid: Pyramid,
+        time_s: f64,
+        estimate: &MotionEstimate,
+        covariance: Matrix6<f64>,
+    ) {
+        let pose = estimate.pose;
+        let pyramid = match self.revisit(pyramid, estimate, &covariance) {
+            Ok(()) => return,
+            Err(pyramid) => pyramid,
+        };
+        let mut next = Keyframe::to_be_prepared(pyramid, pose, covariance, &self.config.detection);
+        if !next.can_be_followed(2 * self.config.motion.minimum_inliers) {
+            return; // better the rest of the old one than nothing
+        }
+        let before = self.keyframe.as_ref().and_then(|before| {
+            let kind = EdgeKind::Odometry;
+            Some(Before { id: before.id?, pose: before.pose, covariance: estimate.covariance, kind })
+        });
+        self.number(&mut next, (self.frames, time_s), before);
+        self.serve_from_here(next.id, pose);
+        if let Some(before) = self.keyframe.replace(next) {
+            self.memory.remember(before.retire());
+        }
+    }
+
+    /// Takes up an older keyframe that is in view again, where what it measures agrees with where we think we are. Gives the image back
+    /// where there is none.
+    pub(super) fn revisit(
+        &mut self,
+        pyramid: Pyramid,
+        estimate: &MotionEstimate,
+        covariance: &Matrix6<f64>,
+    ) -> std::result::Result<(), Pyramid> {
+        let pose = &estimate.pose;
+        if self.config.motion.model == MotionModel::Mean {
+            return Err(pyramid);
+        }
+        let Some(old) = self.memory.take_best(&self.camera, pose, self.config.keyframe.revisit) else {
+            return Err(pyramid);
+        };
+        let mut random = Random::new(self.frames);
+        let measured =
+            follow::measure(&old, &pyramid, &self.camera, pose, &self.config, &self.wander, &mut random);
+        let agreed = measured.ok().filter(|m| {
+            let found = &m.estimate.pose;
+            let pixel_m = pose.height_m / self.camera.focal_px().0;
+            let position_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt() + 2.0 * pixel_m;
+            let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
+            m.support >= self.config.keyframe.support
+                && (found.x_m - pose.x_m).hypot(found.y_m - pose.y_m) < position_m
+                && (found.heading_rad - pose.heading_rad).abs() < heading_rad
+        });
+        let Some(measurement) = agreed else {
+            self.memory.put_back(old);
+            return Err(pyramid);
+        };
+        let found = measurement.estimate.pose;
+        self.tell_revisit(&old, (pose, &estimate.covariance), (&found, &measurement.estimate.covariance));
+        self.serve_from_here(old.id, found);
+        if let Some(before) = self.keyframe.replace(old) {
+            self.memory.remember(before.retire());
+        }
+        // The place is known better than the way that led here: position and filter are set right, the velocity stays.
+        if let Some(last) = &mut self.last {
+            last.pose = found;
+        }
+        if let Some(filter) = &mut self.filter {
+            filter.shift([found.x_m - pose.x_m, found.y_m - pose.y_m, found.heading_rad - pose.heading_rad]);
+        }
+        Ok(())
+    }
+
+    /// Another keyframe is the reference of the frames after this one, whose pose that one has at `pose`.
+    pub(super) fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
+        if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
+            reference.next = Some((keyframe, pose));
+        }
+    }
+}
