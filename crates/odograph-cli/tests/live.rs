@@ -6,6 +6,8 @@
 mod browser;
 #[path = "live/disk.rs"]
 mod disk;
+#[path = "live/long.rs"]
+mod long;
 #[path = "live/program.rs"]
 mod program;
 #[path = "live/rtsp.rs"]
@@ -261,72 +263,6 @@ fn a_full_disk_is_said_and_tracking_goes_on() {
 }
 
 #[test]
-#[cfg(target_os = "linux")]
-fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_it() {
-    let place = Place::new();
-    std::fs::create_dir(place.path("disk")).unwrap();
-    let disk = match disk::SmallDisk::mount(&place.path("disk"), 32 << 20) {
-        Ok(disk) => disk,
-        Err(why) => {
-            println!("skipped: {why}");
-            return;
-        }
-    };
-    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 4 --print poses -o disk/out"));
-    let mut poses = BufReader::new(live.output()).lines();
-    let mut status = |live: &program::Serving| {
-        assert!(poses.by_ref().take(20).count() == 20, "the drive ended");
-        serde_json::from_str::<serde_json::Value>(&live.get("/state")).unwrap()["status"].clone()
-    };
-    let mut told = status(&live);
-    while told["message"].is_null() {
-        told = status(&live);
-    }
-    let message = told["message"].as_str().unwrap();
-    assert!(message.contains("nearly full") && message.contains(" MB are left"), "{message}");
-    assert_eq!(told["recording"], json!(true));
-    disk.fill();
-    while told["recording"] == json!(true) {
-        told = status(&live);
-    }
-    let message = told["message"].as_str().unwrap();
-    assert!(message.contains("No space left on device") && message.contains("tracking goes on"), "{message}");
-    let captured = told["captured"].as_u64().unwrap();
-    while told["captured"].as_u64().unwrap() < captured + 40 {
-        told = status(&live);
-    }
-    live.end();
-    // What was recorded before is there, line by line.
-    let table = String::from_utf8(place.read("disk/out/trajectory.csv.part")).unwrap();
-    let columns = |line: &str| line.split(',').count();
-    let whole = table.lines().filter(|line| columns(line) == columns(table.lines().next().unwrap())).count();
-    assert!(whole > 10 && whole + 1 >= table.lines().count(), "{whole}");
-}
-
-#[test]
-#[cfg(target_os = "linux")]
-fn a_map_that_does_not_fit_on_its_disk_costs_no_trajectory() {
-    let place = Place::new();
-    write_uncompressed(&place.path("drive.y4m"));
-    std::fs::create_dir(place.path("disk")).unwrap();
-    let _disk = match disk::SmallDisk::mount(&place.path("disk"), 300 << 10) {
-        Ok(disk) => disk,
-        Err(why) => {
-            println!("skipped: {why}");
-            return;
-        }
-    };
-    let done = place.command("run", "drive.y4m --map disk/map.gpkg -o out --quiet").output().unwrap();
-    let told = String::from_utf8_lossy(&done.stderr);
-    assert_eq!(done.status.code(), Some(3), "{told}");
-    assert!(told.contains("disk/map.gpkg"), "{told}");
-    let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
-    assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
-    // All of the 121 frames of four seconds.
-    assert!(table.lines().count() > 120 && place.path("out/report.html").is_file(), "{table}");
-}
-
-#[test]
 fn what_cannot_be_followed_is_told_in_a_sentence() {
     let place = Place::new();
     let refused = |arguments: &str, code: i32| {
@@ -469,78 +405,6 @@ fn look_at_the_map(browser: &mut Browser, place: &Place) {
     browser.evaluate(&page, "new Promise(done => setTimeout(done, 400))");
     browser.picture(&page, "map-phone-dark");
     view.end();
-}
-
-/// What the page makes of an hour at 30 frames a second, and of the loops in it. The figures are printed, and not judged: they depend on the machine.
-#[test]
-#[ignore = "a measurement; cargo test -p odograph-cli --test live -- --ignored --nocapture hour"]
-fn an_hour_on_the_page() {
-    let mut browser = Browser::start().unwrap();
-    let place = Place::new();
-    std::fs::create_dir(place.path("hour")).unwrap();
-    std::fs::write(place.path("hour/trajectory.csv"), place.table_of(108_000)).unwrap();
-    let mut view = place.server("view", "hour");
-    let page = browser.open(&view.url, (1280, 800), false);
-    browser.wait(&page, "document.body.dataset.records == 108000 && document.body.dataset.at == 0");
-    let measure = r#"(async () => {
-        const { Track } = await import('/track.js'), { GroundMap } = await import('/map.js');
-        const track = new Track(), bytes = await new Promise((done, fail) => {
-            const socket = new WebSocket(`ws://${location.host}/socket`); let bytes = 0; const begun = performance.now();
-            socket.binaryType = 'arraybuffer';
-            socket.onmessage = event => { if (typeof event.data === 'string') return; bytes += event.data.byteLength;
-                track.add(new DataView(event.data).getUint32(4, true), new Float32Array(event.data, 8));
-                if (track.count === 108000) { socket.close(); done({ bytes, ms: performance.now() - begun }); } };
-            socket.onerror = fail;
-        });
-        const canvas = document.createElement('canvas'); canvas.style.cssText = 'position:fixed;inset:0;width:910px;height:700px'; document.body.append(canvas);
-        const map = new GroundMap(canvas, track); map.resize(); map.showAll(); map.show(track.count - 1);
-        const time = act => { const times = []; for (let k = 0; k < 30; k++) { const begun = performance.now(); act(k); canvas.getContext('2d').getImageData(0, 0, 1, 1); times.push(performance.now() - begun); } return times.sort((a, b) => a - b)[15]; };
-        const whole = time(() => { map.drawn = null; map.changed = true; map.draw(); });
-        const still = time(() => { map.changed = true; map.draw(); });
-        map.setFollow(true); map.view.scale = 300;
-        const following = time(k => { map.show(track.count - 1 - k); map.draw(); });
-        map.view.scale = 25;
-        const followingAll = time(k => { map.show(track.count - 1 - k); map.draw(); });
-        const keyframes = 10000, corrections = new Array(4 * keyframes).fill(0).map((_, k) => k % 4 ? 0 : 1);
-        const correct = time(() => track.correct(corrections));
-        canvas.remove();
-        return { bytes: bytes.bytes, load: bytes.ms, whole, still, following, followingAll, correct };
-    })()"#;
-    let figures = browser.evaluate(&page, measure);
-    println!("an hour: {figures}");
-    // 15 numbers of four bytes for each frame, and a head for each of the messages of 8192 frames.
-    assert_eq!(figures["bytes"], json!(108_000 * 60 + 14 * 8));
-    view.end();
-}
-
-/// The whole drive as a replay, with its loops.
-#[test]
-#[ignore = "takes as long as the drive, half a minute"]
-fn loops_pull_the_path_on_the_page_straight_and_nothing_that_is_told_jumps() {
-    let mut browser = Browser::start().unwrap();
-    let place = Place::new();
-    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"));
-    let output = live.output();
-    let told = std::thread::spawn(move || {
-        let poses = BufReader::new(output).lines().map_while(Result::ok);
-        let poses =
-            poses.map(|line| serde_json::from_str::<serde_json::Value>(&line).unwrap()["pose"].clone());
-        poses.filter_map(|pose| Some([pose["x_m"].as_f64()?, pose["y_m"].as_f64()?])).collect::<Vec<_>>()
-    });
-    let page = browser.open(&live.url, (1280, 800), false);
-    browser.wait(&page, "document.body.dataset.keyframes > 3");
-    browser.wait(&page, "document.body.dataset.phase == 'saved'");
-    browser.evaluate(&page, "document.getElementById('whole').click()");
-    browser.evaluate(&page, "new Promise(done => setTimeout(done, 600))");
-    browser.picture(&page, "loops-desktop-light");
-    let text = browser.evaluate(&page, "document.body.innerText");
-    println!("{text}");
-    live.end();
-    let poses = told.join().unwrap();
-    // No step is longer than the fastest of the drive between frames of which some may have been dropped: 0.6 m/s for a second.
-    let longest = poses.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1])).fold(0.0, f64::max);
-    println!("longest step {longest} m of {} poses", poses.len());
-    assert!(longest < 0.6, "{longest}");
 }
 
 #[test]

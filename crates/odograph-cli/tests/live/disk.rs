@@ -1,7 +1,11 @@
 //! A disk that is soon full.
 
+#![cfg(target_os = "linux")]
+
+use super::program::{self, DEMO, Place, statistics, write_uncompressed};
+use serde_json::json;
 use std::fs::File;
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -35,4 +39,68 @@ impl Drop for SmallDisk {
     fn drop(&mut self) {
         let _ = Command::new("umount").arg("-l").arg(&self.path).status();
     }
+}
+
+#[test]
+fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_it() {
+    let place = Place::new();
+    std::fs::create_dir(place.path("disk")).unwrap();
+    let disk = match SmallDisk::mount(&place.path("disk"), 32 << 20) {
+        Ok(disk) => disk,
+        Err(why) => {
+            println!("skipped: {why}");
+            return;
+        }
+    };
+    let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 4 --print poses -o disk/out"));
+    let mut poses = BufReader::new(live.output()).lines();
+    let mut status = |live: &program::Serving| {
+        assert!(poses.by_ref().take(20).count() == 20, "the drive ended");
+        serde_json::from_str::<serde_json::Value>(&live.get("/state")).unwrap()["status"].clone()
+    };
+    let mut told = status(&live);
+    while told["message"].is_null() {
+        told = status(&live);
+    }
+    let message = told["message"].as_str().unwrap();
+    assert!(message.contains("nearly full") && message.contains(" MB are left"), "{message}");
+    assert_eq!(told["recording"], json!(true));
+    disk.fill();
+    while told["recording"] == json!(true) {
+        told = status(&live);
+    }
+    let message = told["message"].as_str().unwrap();
+    assert!(message.contains("No space left on device") && message.contains("tracking goes on"), "{message}");
+    let captured = told["captured"].as_u64().unwrap();
+    while told["captured"].as_u64().unwrap() < captured + 40 {
+        told = status(&live);
+    }
+    live.end();
+    // What was recorded before is there, line by line.
+    let table = String::from_utf8(place.read("disk/out/trajectory.csv.part")).unwrap();
+    let columns = |line: &str| line.split(',').count();
+    let whole = table.lines().filter(|line| columns(line) == columns(table.lines().next().unwrap())).count();
+    assert!(whole > 10 && whole + 1 >= table.lines().count(), "{whole}");
+}
+
+#[test]
+fn a_map_that_does_not_fit_on_its_disk_costs_no_trajectory() {
+    let place = Place::new();
+    write_uncompressed(&place.path("drive.y4m"));
+    std::fs::create_dir(place.path("disk")).unwrap();
+    let _disk = match SmallDisk::mount(&place.path("disk"), 300 << 10) {
+        Ok(disk) => disk,
+        Err(why) => {
+            println!("skipped: {why}");
+            return;
+        }
+    };
+    let done = place.command("run", "drive.y4m --map disk/map.gpkg -o out --quiet").output().unwrap();
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(3), "{told}");
+    assert!(told.contains("disk/map.gpkg"), "{told}");
+    let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
+    assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
+    // All of the 121 frames of four seconds.
+    assert!(table.lines().count() > 120 && place.path("out/report.html").is_file(), "{table}");
 }

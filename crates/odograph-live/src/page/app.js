@@ -129,8 +129,10 @@ function showFigures() {
   const degrees = track.get(at, "heading") * 180 / Math.PI;
   set("speed", track.get(at, "speed").toFixed(2));
   set("heading", (((degrees + 180) % 360 + 360) % 360 - 180).toFixed(1));
-  set("x", track.get(at, "x").toFixed(3));
-  set("y", track.get(at, "y").toFixed(3));
+  // Nothing is at minus nought.
+  const metres = value => (+value.toFixed(3) || 0).toFixed(3);
+  set("x", metres(track.get(at, "x")));
+  set("y", metres(track.get(at, "y")));
   const sigma = 1000 * Math.sqrt(Math.max(track.get(at, "varX"), track.get(at, "varY")));
   set("sigma", sigma < 1000 ? sigma.toFixed(1) : (sigma / 1000).toFixed(2));
   $("sigma-unit").textContent = sigma < 1000 ? "mm" : "m";

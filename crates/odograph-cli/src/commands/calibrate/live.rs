@@ -321,7 +321,7 @@ impl Trial {
         self.views = distinct;
         let views: Vec<BoardView> =
             selector.chosen().into_iter().map(|sighting| sighting.view.clone()).collect();
-        let (board, config) = (board.clone(), *config);
+        let (board, config) = (*board, *config);
         let (done, result) = mpsc::channel();
         thread::spawn(move || {
             // Nobody may be waiting any more.

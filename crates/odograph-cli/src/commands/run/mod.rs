@@ -291,8 +291,7 @@ pub(super) fn finish(
     let carrier = carrier_path(&path, &plan.rig);
     folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
     let threads = arguments.threads();
-    let laid = tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads);
-    let mosaic = match laid {
+    let mosaic = match tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads) {
         Ok(mosaic) => mosaic,
         Err(error) => {
             tracked.warnings.push(format!("there is no picture of the ground: {error}"));
