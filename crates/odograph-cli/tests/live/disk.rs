@@ -65,6 +65,11 @@ fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_i
     let message = told["message"].as_str().unwrap();
     assert!(message.contains("nearly full") && message.contains(" MB are left"), "{message}");
     assert_eq!(told["recording"], json!(true));
+    // Some of the drive shall be on the disk before it is full.
+    let recorded = place.path("disk/out/trajectory.csv.part");
+    while !std::fs::read_to_string(&recorded).is_ok_and(|table| table.lines().count() > 20) {
+        told = status(&live);
+    }
     disk.fill();
     while told["recording"] == json!(true) {
         told = status(&live);
