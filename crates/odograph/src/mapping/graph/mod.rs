@@ -204,6 +204,9 @@ impl PoseGraph {
             }
             reach = self.loop_reach();
         }
+        if !self.mount_turns {
+            self.turn_per_m = Vector2::zeros(); // but for rounding it is
+        }
         outcome
     }
 
