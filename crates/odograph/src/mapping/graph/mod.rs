@@ -63,7 +63,7 @@ pub struct PoseGraph {
 /// as much in four of a million graphs (chi-square, two degrees of freedom).
 const MOUNT_SHOWN: f64 = 25.0;
 
-/// Standard deviation of the turn while it is held, radians per metre: a millimetre in a kilometre's square.
+/// Standard deviation of the turn while it is held, radians per metre: bends a kilometre by half a millimetre.
 const HELD_TURN_SIGMA: f64 = 1e-9;
 
 /// A keyframe in the graph.
