@@ -108,15 +108,32 @@ pub(crate) fn decode(
     }
     let gray = samples.as_chunks::<3>().0.iter().map(|pixel| pixel[0]).collect();
     let mut rgb = samples;
-    for pixel in rgb.as_chunks_mut::<3>().0 {
-        let luma = scale * f32::from(pixel[0]) + offset;
-        let (blue, red) = (f32::from(pixel[1]) - 128.0, f32::from(pixel[2]) - 128.0);
-        *pixel = [
-            (luma + 1.402 * red + 0.5) as u8,
-            (luma - 0.344_136 * blue - 0.714_136 * red + 0.5) as u8,
-            (luma + 1.772 * blue + 0.5) as u8,
-        ];
-    }
+    // Many pixels at once: what is computed of one does not wait for the one before.
+    let (many, rest) = rgb.as_chunks_mut::<{ 3 * AT_ONCE }>();
+    many.iter_mut().for_each(|pixels| color(pixels.as_chunks_mut::<3>().0, scale, offset));
+    rest.as_chunks_mut::<3>()
+        .0
+        .iter_mut()
+        .for_each(|pixel| color(std::slice::from_mut(pixel), scale, offset));
     let gray = GrayImage::from_samples(size.0, size.1, gray).ok_or("cannot be decoded")?;
     Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })
+}
+/// Pixels that are coloured at once.
+const AT_ONCE: usize = 16;
+
+/// Makes colours of up to [`AT_ONCE`] pixels of gray and colour differences.
+#[inline(always)]
+fn color(pixels: &mut [[u8; 3]], scale: f32, offset: f32) {
+    let mut colors = [[0.0_f32; AT_ONCE]; 3];
+    for (i, pixel) in pixels.iter().enumerate().take(AT_ONCE) {
+        let luma = scale * f32::from(pixel[0]) + offset;
+        let (blue, red) = (f32::from(pixel[1]) - 128.0, f32::from(pixel[2]) - 128.0);
+        colors[0][i] = luma + 1.402 * red + 0.5;
+        colors[1][i] = luma - 0.344_136 * blue - 0.714_136 * red + 0.5;
+        colors[2][i] = luma + 1.772 * blue + 0.5;
+    }
+    let bytes = colors.map(|color| color.map(|value| value.clamp(0.0, 255.0) as i32 as u8));
+    for (i, pixel) in pixels.iter_mut().enumerate().take(AT_ONCE) {
+        *pixel = [bytes[0][i], bytes[1][i], bytes[2][i]];
+    }
 }
