@@ -47,12 +47,9 @@ pub(crate) fn encode(image: &KeyframeImage) -> Result<StoredImage> {
     }
     let (luma_scale, luma_offset) = luma_of_gray(&image.gray, color);
     let mut samples = vec![0; 3 * width * height];
-    let pixels = image.gray.samples().iter().zip(color.samples().as_chunks::<3>().0);
-    for ((&gray, rgb), sample) in pixels.zip(samples.as_chunks_mut::<3>().0) {
-        let [r, g, b] = rgb.map(f32::from);
-        let blue = 128.0 - 0.168_736 * r - 0.331_264 * g + 0.5 * b;
-        let red = 128.0 + 0.5 * r - 0.418_688 * g - 0.081_312 * b;
-        *sample = [gray, (blue + 0.5) as u8, (red + 0.5) as u8];
+    let pixels = image.gray.samples().chunks(AT_ONCE).zip(color.samples().as_chunks::<3>().0.chunks(AT_ONCE));
+    for ((gray, rgb), samples) in pixels.zip(samples.as_chunks_mut::<3>().0.chunks_mut(AT_ONCE)) {
+        differences(gray, rgb, samples);
     }
     encoder.set_sampling_factor(SamplingFactor::F_2_2);
     encoder.encode(&samples, size.0, size.1, ColorType::Ycbcr).map_err(cannot)?;
@@ -120,6 +117,21 @@ pub(crate) fn decode(
 }
 /// Pixels that are coloured at once.
 const AT_ONCE: usize = 16;
+
+/// Puts beside up to [`AT_ONCE`] pixels of gray the differences of their colours.
+#[inline(always)]
+fn differences(gray: &[u8], rgb: &[[u8; 3]], samples: &mut [[u8; 3]]) {
+    let mut differences = [[0.0_f32; AT_ONCE]; 2];
+    for (i, rgb) in rgb.iter().enumerate().take(AT_ONCE) {
+        let [r, g, b] = rgb.map(f32::from);
+        differences[0][i] = 128.0 - 0.168_736 * r - 0.331_264 * g + 0.5 * b + 0.5;
+        differences[1][i] = 128.0 + 0.5 * r - 0.418_688 * g - 0.081_312 * b + 0.5;
+    }
+    let [blue, red] = differences.map(|difference| difference.map(|value| value.min(255.0) as i32 as u8));
+    for (i, (sample, gray)) in samples.iter_mut().zip(gray).enumerate().take(AT_ONCE) {
+        *sample = [*gray, blue[i], red[i]];
+    }
+}
 
 /// Makes colours of up to [`AT_ONCE`] pixels of gray and colour differences.
 #[inline(always)]

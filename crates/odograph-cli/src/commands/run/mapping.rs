@@ -118,18 +118,20 @@ impl Mapping {
         &self.times
     }
 
-    /// The frames in the map frame, from those in the odometry frame after other sensors. Nothing is written.
+    /// The frames in the map frame, from those in the odometry frame before and after other sensors; the former, and what they were measured against, are
+    /// of no use any more. Nothing is written.
     pub fn straighten(
         &mut self,
-        raw: &[FrameEstimate],
+        raw: Vec<FrameEstimate>,
         fused: &Fusion,
-        references: &mut [Option<FrameReference>],
+        mut references: Vec<Option<FrameReference>>,
     ) -> Vec<FrameEstimate> {
         if fused.moved {
-            self.mapper.take_over(raw, &fused.frames, references);
+            self.mapper.take_over(&raw, &fused.frames, &mut references);
         }
+        drop(raw);
         self.mapper.finish();
-        map_frames(&self.mapper, &fused.frames, references)
+        map_frames(&self.mapper, &fused.frames, &references)
     }
 
     /// Puts into the file where the keyframes lie in the end, and the path of the run.

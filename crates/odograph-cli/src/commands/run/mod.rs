@@ -270,7 +270,9 @@ pub(super) fn finish(
     let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, sensors);
-    let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references);
+    // An hour has hundreds of thousands of frames: they are not kept twice longer than needed.
+    let (raw, references) = (std::mem::take(&mut tracked.frames), std::mem::take(&mut tracked.references));
+    let straight = tracked.mapping.straighten(raw, &fused, references);
     let loops = tracked.mapping.statistics(&fused.frames, &straight);
     tracked.warnings.extend(tracked.mapping.warning());
     let fused = fused.laid(straight);
