@@ -103,6 +103,11 @@ impl Mapping {
         Ok(())
     }
 
+    /// Whether keyframes are taken without looking for loops, until there is time again.
+    pub fn hurry(&mut self, hurried: bool) {
+        self.mapper.hurry(hurried);
+    }
+
     /// What has been made of the keyframes so far.
     pub fn mapper(&self) -> &Mapper {
         &self.mapper
