@@ -28,8 +28,6 @@ use odograph::odometry::OdometryConfig;
 use odograph::simulation::{Ground, Renderer, Texture, Tiling};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, SlamConfig};
 use std::f64::consts::PI;
-use std::sync::LazyLock;
-use std::time::Instant;
 
 const HEIGHT_M: f64 = 0.75;
 const NOISE_GRAY: f64 = 3.0;
@@ -131,11 +129,16 @@ impl Scene {
 
 /// Time that this thread has had a processor for, milliseconds: on a busy machine what is measured costs no more than on an idle one, but for memory that
 /// others use too. Where the system does not tell it, time on the clock.
+#[cfg(unix)]
 fn busy_ms() -> f64 {
-    static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let busy_ns = told.and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
-    busy_ns.map_or_else(|| 1e3 * BEGUN.elapsed().as_secs_f64(), |ns| 1e-6 * ns)
+    let busy = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    1e3 * busy.tv_sec as f64 + 1e-6 * busy.tv_nsec as f64
+}
+
+#[cfg(not(unix))]
+fn busy_ms() -> f64 {
+    static BEGUN: std::sync::LazyLock<std::time::Instant> = std::sync::LazyLock::new(std::time::Instant::now);
+    1e3 * BEGUN.elapsed().as_secs_f64()
 }
 
 /// The mean of 3 by 3 pixels; its border stays.
