@@ -88,8 +88,8 @@ impl Features {
         let cell = |k: usize, at: f32, count: usize| cells.along(at - self.low[k], count);
         let (left, right) = (cell(0, x - radius, cells.columns), cell(0, x + radius, cells.columns));
         let (top, bottom) = (cell(1, y - radius, cells.rows), cell(1, y + radius, cells.rows));
-        let rows = if cells.features.is_empty() { 1..=0 } else { top..=bottom };
-        rows.flat_map(move |row| {
+        let rows = (!cells.features.is_empty()).then_some(top..=bottom);
+        rows.into_iter().flatten().flat_map(move |row| {
             let at = row * cells.columns;
             let features = cells.first[at + left] as usize..cells.first[at + right + 1] as usize;
             cells.features[features].iter().map(|&feature| feature as usize)
