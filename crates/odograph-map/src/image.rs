@@ -47,12 +47,9 @@ pub(crate) fn encode(image: &KeyframeImage) -> Result<StoredImage> {
     }
     let (luma_scale, luma_offset) = luma_of_gray(&image.gray, color);
     let mut samples = vec![0; 3 * width * height];
-    let pixels = image.gray.samples().iter().zip(color.samples().as_chunks::<3>().0);
-    for ((&gray, rgb), sample) in pixels.zip(samples.as_chunks_mut::<3>().0) {
-        let [r, g, b] = rgb.map(f32::from);
-        let blue = 128.0 - 0.168_736 * r - 0.331_264 * g + 0.5 * b;
-        let red = 128.0 + 0.5 * r - 0.418_688 * g - 0.081_312 * b;
-        *sample = [gray, (blue + 0.5) as u8, (red + 0.5) as u8];
+    let pixels = image.gray.samples().chunks(AT_ONCE).zip(color.samples().as_chunks::<3>().0.chunks(AT_ONCE));
+    for ((gray, rgb), samples) in pixels.zip(samples.as_chunks_mut::<3>().0.chunks_mut(AT_ONCE)) {
+        differences(gray, rgb, samples);
     }
     encoder.set_sampling_factor(SamplingFactor::F_2_2);
     encoder.encode(&samples, size.0, size.1, ColorType::Ycbcr).map_err(cannot)?;
@@ -108,15 +105,47 @@ pub(crate) fn decode(
     }
     let gray = samples.as_chunks::<3>().0.iter().map(|pixel| pixel[0]).collect();
     let mut rgb = samples;
-    for pixel in rgb.as_chunks_mut::<3>().0 {
-        let luma = scale * f32::from(pixel[0]) + offset;
-        let (blue, red) = (f32::from(pixel[1]) - 128.0, f32::from(pixel[2]) - 128.0);
-        *pixel = [
-            (luma + 1.402 * red + 0.5) as u8,
-            (luma - 0.344_136 * blue - 0.714_136 * red + 0.5) as u8,
-            (luma + 1.772 * blue + 0.5) as u8,
-        ];
-    }
+    // Many pixels at once: what is computed of one does not wait for the one before.
+    let (many, rest) = rgb.as_chunks_mut::<{ 3 * AT_ONCE }>();
+    many.iter_mut().for_each(|pixels| color(pixels.as_chunks_mut::<3>().0, scale, offset));
+    rest.as_chunks_mut::<3>()
+        .0
+        .iter_mut()
+        .for_each(|pixel| color(std::slice::from_mut(pixel), scale, offset));
     let gray = GrayImage::from_samples(size.0, size.1, gray).ok_or("cannot be decoded")?;
     Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })
+}
+/// Pixels that are coloured at once.
+const AT_ONCE: usize = 16;
+
+/// Puts beside up to [`AT_ONCE`] pixels of gray the differences of their colours.
+#[inline(always)]
+fn differences(gray: &[u8], rgb: &[[u8; 3]], samples: &mut [[u8; 3]]) {
+    let mut differences = [[0.0_f32; AT_ONCE]; 2];
+    for (i, rgb) in rgb.iter().enumerate().take(AT_ONCE) {
+        let [r, g, b] = rgb.map(f32::from);
+        differences[0][i] = 128.0 - 0.168_736 * r - 0.331_264 * g + 0.5 * b + 0.5;
+        differences[1][i] = 128.0 + 0.5 * r - 0.418_688 * g - 0.081_312 * b + 0.5;
+    }
+    let [blue, red] = differences.map(|difference| difference.map(|value| value.min(255.0) as i32 as u8));
+    for (i, (sample, gray)) in samples.iter_mut().zip(gray).enumerate().take(AT_ONCE) {
+        *sample = [*gray, blue[i], red[i]];
+    }
+}
+
+/// Makes colours of up to [`AT_ONCE`] pixels of gray and colour differences.
+#[inline(always)]
+fn color(pixels: &mut [[u8; 3]], scale: f32, offset: f32) {
+    let mut colors = [[0.0_f32; AT_ONCE]; 3];
+    for (i, pixel) in pixels.iter().enumerate().take(AT_ONCE) {
+        let luma = scale * f32::from(pixel[0]) + offset;
+        let (blue, red) = (f32::from(pixel[1]) - 128.0, f32::from(pixel[2]) - 128.0);
+        colors[0][i] = luma + 1.402 * red + 0.5;
+        colors[1][i] = luma - 0.344_136 * blue - 0.714_136 * red + 0.5;
+        colors[2][i] = luma + 1.772 * blue + 0.5;
+    }
+    let bytes = colors.map(|color| color.map(|value| value.clamp(0.0, 255.0) as i32 as u8));
+    for (i, pixel) in pixels.iter_mut().enumerate().take(AT_ONCE) {
+        *pixel = [bytes[0][i], bytes[1][i], bytes[2][i]];
+    }
 }

@@ -6,13 +6,19 @@ mod tile;
 use crate::complaint::Told;
 use crate::file::MapFile;
 use odograph::error::Result;
-use odograph::mapping::{MOSAIC_TILE_PX, MapMosaic, MosaicPicture, Placement};
+use odograph::mapping::{
+    MOSAIC_TILE_PX, MapMosaic, Mosaic, MosaicPicture, MosaicSquare, MosaicTile, Placement,
+};
 use pyramid::Pyramid;
 use rusqlite::OptionalExtension;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 /// Levels of the pyramid at most: no picture is wider than 2³⁰ pixels.
 const MOST_LEVELS: u32 = 24;
+/// Tiles of the finest level along a side at most, for the same picture.
+const WIDEST_TILES: i64 = 1 << 22;
 
 /// The mosaic that a map has: a pyramid of square tiles of [`MOSAIC_TILE_PX`]² pixels, 2ˡ × 2ˡ of them at level l.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,15 +67,86 @@ impl MapFile {
         let Some(laying) = MapMosaic::new(&self.map()?, self, ground_resolution_m)? else {
             return Ok(false);
         };
+        self.all_or_nothing(|file| file.lay_all(laying, progress))
+    }
+
+    /// Puts a mosaic that was laid elsewhere in the place of the one that was there, its ground pixels as wide as they are (wider by powers of two where it
+    /// would have more than 2³⁰ of them along a side). All of it is in the file when this returns, or what was there before. Gives whether it shows any
+    /// ground: not where nothing was laid.
+    pub fn set_mosaic(&mut self, mosaic: &Mosaic) -> Result<bool> {
+        let mut mosaic = Cow::Borrowed(mosaic);
+        while let Some((tiles, resolution_m)) = tiles_of(&mosaic).zip(mosaic.resolution_m()) {
+            if [&tiles.0, &tiles.1].iter().all(|range| range.end - range.start <= WIDEST_TILES) {
+                return self.all_or_nothing(|file| file.put_all(&mosaic, tiles, resolution_m));
+            }
+            mosaic = Cow::Owned(mosaic.coarser());
+        }
+        Ok(false)
+    }
+
+    /// Writes what `write` does where that gives true; leaves the file as it is otherwise.
+    fn all_or_nothing(&mut self, write: impl FnOnce(&mut Self) -> Result<bool>) -> Result<bool> {
         self.connection.execute_batch("BEGIN IMMEDIATE").while_writing(&self.complaint)?;
-        let laid = self.lay_all(laying, progress);
-        let end = if matches!(laid, Ok(true)) { "COMMIT" } else { "ROLLBACK" };
+        let written = write(self);
+        let end = if matches!(written, Ok(true)) { "COMMIT" } else { "ROLLBACK" };
         let ended = self.connection.execute_batch(end).while_writing(&self.complaint);
-        laid.and_then(|laid| ended.map(|()| laid))
+        written.and_then(|written| ended.map(|()| written))
+    }
+
+    fn put_all(
+        &mut self,
+        mosaic: &Mosaic,
+        tiles: (Range<i64>, Range<i64>),
+        resolution_m: f64,
+    ) -> Result<bool> {
+        let mut pyramid =
+            Pyramid::begin(&self.connection, tiles, resolution_m).while_writing(&self.complaint)?;
+        let first = pyramid.first();
+        let mut parents = BTreeSet::new();
+        for MosaicSquare { column, row } in mosaic.changed_since(0) {
+            let Some(rgba) = mosaic.tile_rgba(MosaicSquare { column, row }).filter(|rgba| shows_ground(rgba))
+            else {
+                continue;
+            };
+            parents.insert(((row - first.1) as u64 / 2, (column - first.0) as u64 / 2));
+            let png = tile::encode(&rgba)?;
+            let tile = MosaicTile { column, row, rgba };
+            pyramid.put(&self.connection, &tile, &png).while_writing(&self.complaint)?;
+        }
+        // The finest level is not kept a second time: it is asked for again where the next one is made of it.
+        let mut finer: Box<dyn FnMut(u64, u64) -> Option<Vec<u8>>> = Box::new(|row, column| {
+            mosaic.tile_rgba(MosaicSquare { column: first.0 + column as i64, row: first.1 + row as i64 })
+        });
+        for level in (0..pyramid.finest()).rev() {
+            let mut tiles = self.put_parents(level, &parents, &mut finer)?;
+            finer = Box::new(move |row, column| tiles.remove(&(row, column)));
+            parents = parents.iter().map(|(row, column)| (row / 2, column / 2)).collect();
+        }
+        pyramid.finish(&self.connection).while_writing(&self.complaint)?;
+        Ok(pyramid.has_ground())
+    }
+
+    /// Makes the tiles of a level (row and column) of those that `finer` gives, each of which is asked for once, and gives them.
+    fn put_parents(
+        &self,
+        level: u32,
+        parents: &BTreeSet<(u64, u64)>,
+        finer: &mut dyn FnMut(u64, u64) -> Option<Vec<u8>>,
+    ) -> Result<BTreeMap<(u64, u64), Vec<u8>>> {
+        let mut tiles = BTreeMap::new();
+        for &(row, column) in parents {
+            let mut child = |k: u64| finer(2 * row + k / 2, 2 * column + k % 2);
+            let rgba = tile::halved([child(0), child(1), child(2), child(3)]);
+            let png = tile::encode(&rgba)?;
+            pyramid::insert(&self.connection, level, column, row, &png).while_writing(&self.complaint)?;
+            tiles.insert((row, column), rgba);
+        }
+        Ok(tiles)
     }
 
     fn lay_all(&mut self, mut laying: MapMosaic, progress: &mut dyn FnMut(usize) -> bool) -> Result<bool> {
-        let mut pyramid = Pyramid::begin(&self.connection, &laying).while_writing(&self.complaint)?;
+        let mut pyramid = Pyramid::begin(&self.connection, laying.tiles(), laying.resolution_m())
+            .while_writing(&self.complaint)?;
         while let Some(tiles) = laying.next_tiles(self)? {
             for tile in &tiles {
                 let png = tile::encode(&tile.rgba)?;
@@ -184,4 +261,15 @@ impl MapFile {
         }
         Ok(())
     }
+}
+
+/// The columns and the rows of tiles that a mosaic has; `None` where it has none.
+fn tiles_of(mosaic: &Mosaic) -> Option<(Range<i64>, Range<i64>)> {
+    let one = |square: MosaicSquare| (square.column..square.column + 1, square.row..square.row + 1);
+    let wide = |a: Range<i64>, b: Range<i64>| a.start.min(b.start)..a.end.max(b.end);
+    mosaic.changed_since(0).map(one).reduce(|a, b| (wide(a.0, b.0), wide(a.1, b.1)))
+}
+
+fn shows_ground(rgba: &[u8]) -> bool {
+    rgba.as_chunks::<4>().0.iter().any(|pixel| pixel[3] > 0)
 }

@@ -7,7 +7,9 @@ mod ground;
 use ground::{camera, covariance, edge_to, image, keyframe, pose};
 use odograph::camera::Rig;
 use odograph::geometry::GroundPose;
-use odograph::mapping::{GroundMap, KeyframeId, KeyframeImage, KeyframeImages};
+use odograph::mapping::{
+    GroundMap, KeyframeId, KeyframeImage, KeyframeImages, Mosaic, MosaicOptions, MosaicPicture,
+};
 use odograph_map::{MapFile, PathFrame};
 
 fn rig() -> Rig {
@@ -150,4 +152,35 @@ fn a_mosaic_is_laid_into_the_file_and_comes_out_as_one_picture() {
     // Ended on the way, the mosaic is as it was.
     assert!(!map.lay_mosaic(Some(0.002), &mut |_| false).unwrap());
     assert_eq!(map.mosaic().unwrap().unwrap(), layer);
+}
+
+#[test]
+fn a_mosaic_that_was_laid_elsewhere_comes_out_of_the_file_as_it_was_laid() {
+    let (_folder, mut map) = made(12);
+    let mut mosaic = Mosaic::new(MosaicOptions { ground_resolution_m: Some(0.002), ..Default::default() });
+    assert!(!map.set_mosaic(&mosaic).unwrap(), "nothing is laid yet");
+    assert!(map.mosaic().unwrap().is_none());
+    for number in 0..12 {
+        assert!(mosaic.add(&image(number).gray, &camera(), &pose(number)));
+    }
+    assert!(map.set_mosaic(&mosaic).unwrap());
+    let (laid, found) = (mosaic.picture().unwrap(), map.mosaic_picture(usize::MAX).unwrap().unwrap());
+    assert_eq!((found.width, found.height), (laid.width, laid.height));
+    assert!(found.rgba == laid.rgba);
+    let places = [&found, &laid].map(|picture| picture.placement.ground_from_pixel(0.0, 0.0));
+    assert!(places[0].distance(places[1]) < 1e-9);
+    // Every level shows the same ground: what is seen in the middle of each of its pixels.
+    let layer = map.mosaic().unwrap().unwrap();
+    assert!(layer.finest >= 2, "{layer:?}");
+    let pixels = |level: u32| layer.picture_at(level).0 * layer.picture_at(level).1;
+    for level in 0..layer.finest {
+        let coarse = map.mosaic_picture(pixels(level) as usize).unwrap().unwrap();
+        let seen = |picture: &MosaicPicture| {
+            let seen = picture.rgba.chunks_exact(4).filter(|pixel| pixel[3] > 0).count() as f64;
+            seen * picture.placement.metres_per_pixel.powi(2)
+        };
+        // A pixel is seen where any of the four under it is: the ground grows by half a pixel along its border.
+        assert!((1.0..1.4).contains(&(seen(&coarse) / seen(&laid))), "level {level}");
+    }
+    map.check().unwrap();
 }

@@ -90,6 +90,7 @@ impl Distortion {
     }
 
     /// The distorted normalised coordinates of a ray, and their derivative by the ray.
+    #[inline]
     fn distort(&self, ray: Ray) -> ((f64, f64), Matrix2<f64>) {
         let Ray { x, y } = ray;
         let r2 = x * x + y * y;
@@ -97,12 +98,17 @@ impl Distortion {
             Self::None => ((x, y), Matrix2::identity()),
             Self::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } => {
                 let numerator = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-                let denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
-                let radial = numerator / denominator;
                 let numerator_by_r2 = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
-                let denominator_by_r2 = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
                 // d radial / d x = 2 x · radial_by_r2, and the same in y.
-                let radial_by_r2 = (numerator_by_r2 - radial * denominator_by_r2) / denominator;
+                let (radial, radial_by_r2) = if k4 == 0.0 && k5 == 0.0 && k6 == 0.0 {
+                    // As most lenses have it: a division takes as long as all the rest.
+                    (numerator, numerator_by_r2)
+                } else {
+                    let denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+                    let denominator_by_r2 = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
+                    let radial = numerator / denominator;
+                    (radial, (numerator_by_r2 - radial * denominator_by_r2) / denominator)
+                };
                 let at = (
                     x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
                     y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
@@ -353,6 +359,7 @@ impl Camera {
     }
 
     /// [`Camera::pixel_from_ray`] with the derivative of the pixel by the ray (2 × 2, pixels per tangent).
+    #[inline]
     pub fn pixel_and_derivative(&self, ray: Ray) -> Option<(Pixel, Matrix2<f64>)> {
         let beyond = ray.x * ray.x + ray.y * ray.y > self.tangent_limit * self.tangent_limit;
         if beyond || ray.x.is_nan() || ray.y.is_nan() {

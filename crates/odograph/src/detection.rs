@@ -144,6 +144,7 @@ fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -
     let mut last = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
     // A multiple of the blocks in which marks are looked through.
     let mut marks = vec![0u8; width.next_multiple_of(MARKS)];
+    let mut strongest = 0.0f32;
     for_each_row_of_strengths(image, config, |read, strengths| {
         last.rotate_left(1);
         last[2].copy_from_slice(strengths);
@@ -151,8 +152,9 @@ fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -
             return;
         };
         let [above, here, below] = &last;
-        // Ties go to the first in reading order.
-        mark_local_maxima(above, here, below, SMALLEST_STRENGTH, &mut marks[..width]);
+        // Ties go to the first in reading order. What is too weak beside the strongest so far is so beside the strongest of all.
+        let least = SMALLEST_STRENGTH.max(config.quality * strongest);
+        mark_local_maxima(above, here, below, least, &mut marks[..width]);
         for (block, marks) in marks.as_chunks::<MARKS>().0.iter().enumerate() {
             // A mark is 0 or 1, and nearly all are 0.
             let mut bits = u64::from_le_bytes(*marks);
@@ -161,11 +163,11 @@ fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -
                 bits &= bits - 1;
                 if (margin..width - margin).contains(&x) {
                     maxima.push(Ranked::new(x, y, here[x]));
+                    strongest = strongest.max(here[x]);
                 }
             }
         }
     });
-    let strongest = maxima.iter().max().map_or(0.0, |strongest| strongest.strength());
     maxima.retain(|candidate| candidate.strength() >= config.quality * strongest);
     maxima
 }

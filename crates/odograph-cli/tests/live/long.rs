@@ -35,10 +35,12 @@ fn an_hour_on_the_page() {
         const following = time(k => { map.show(track.count - 1 - k); map.draw(); });
         map.view.scale = 25;
         const followingAll = time(k => { map.show(track.count - 1 - k); map.draw(); });
+        map.showAll(); map.draw();
+        const zooming = time(() => { map.zoom(1.03); map.draw(); });
         const keyframes = 10000, corrections = new Array(4 * keyframes).fill(0).map((_, k) => k % 4 ? 0 : 1);
         const correct = time(() => track.correct(corrections));
         canvas.remove();
-        return { bytes: bytes.bytes, load: bytes.ms, whole, still, following, followingAll, correct };
+        return { bytes: bytes.bytes, load: bytes.ms, whole, still, following, followingAll, zooming, correct };
     })()"#;
     let figures = browser.evaluate(&page, measure);
     println!("an hour: {figures}");

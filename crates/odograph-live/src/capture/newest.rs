@@ -98,6 +98,11 @@ impl<T> Newest<T> {
         self.changed.notify_all();
     }
 
+    /// How many wait.
+    pub fn waiting(&self) -> usize {
+        self.state().queue.len()
+    }
+
     /// How many were given, and how many of them gave way to newer ones.
     pub fn counts(&self) -> (u64, u64) {
         let state = self.state();

@@ -4,6 +4,8 @@ const TILE = 256;
 const FETCHES = 6;
 // The path is drawn so far beyond the borders, pixels: so far the view can be moved before it is drawn again.
 const MARGIN = 256;
+// While the view is zoomed the path is shown as it was drawn, larger or smaller; so long after the last step it is drawn anew, milliseconds.
+const SETTLED = 120;
 
 export class GroundMap {
   constructor(canvas, track, token) {
@@ -16,6 +18,7 @@ export class GroundMap {
     this.graph = { keyframes: [], loops: [] };
     this.follow = true;
     this.view = { x: 0, y: 0, scale: 160 };
+    this.zoomed = -Infinity;
     this.pathLayer = document.createElement("canvas");
     this.drawn = null;
     this.at = -1;
@@ -105,6 +108,7 @@ export class GroundMap {
       this.view.y -= (py - this.height / 2) * k;
     }
     this.view.scale = scale;
+    this.zoomed = performance.now();
     this.changed = true;
   }
 
@@ -160,8 +164,8 @@ export class GroundMap {
     c.clearRect(0, 0, this.width, this.height);
     this.drawGrid(c, color("--grid"));
     this.drawGround(c);
-    const [dx, dy] = this.drawPath(color("--path"));
-    c.drawImage(this.pathLayer, dx - MARGIN, dy - MARGIN, this.width + 2 * MARGIN, this.height + 2 * MARGIN);
+    c.imageSmoothingEnabled = true;
+    c.drawImage(this.pathLayer, ...this.drawPath(color("--path")));
     this.drawGraph(c, color("--path"), color("--mark"));
     this.drawMarks(c, color("--mark"), color("--card"));
     if (place >= 0) this.drawCamera(c, place, place === this.at, color);
@@ -197,23 +201,35 @@ export class GroundMap {
     }
   }
 
-  /// The path has a layer of its own, wider than the view: while that moves within it only what is new is drawn. Gives by how many pixels the
-  /// layer is to be moved.
+  /// Where the path's layer lies on the view as that is now: left, top, width and height, pixels.
+  layerPlace() {
+    const { x, y, scale } = this.drawn, larger = this.view.scale / scale;
+    const width = (this.width + 2 * MARGIN) * larger, height = (this.height + 2 * MARGIN) * larger;
+    return [this.toX(x) - width / 2, this.toY(y) - height / 2, width, height];
+  }
+
+  /// The path has a layer of its own, wider than the view: while that moves within it only what is new is drawn. Gives where the layer lies.
   drawPath(color) {
-    const { scale } = this.view, count = this.track.count, key = [scale, color].join();
-    const shift = () => [(this.drawn.x - this.view.x) * scale, (this.view.y - this.drawn.y) * scale];
+    const { scale } = this.view, count = this.track.count;
     const context = this.pathLayer.getContext("2d");
-    let from = 0;
-    if (this.drawn?.key === key && shift().every(pixels => Math.abs(pixels) <= MARGIN)) {
-      if (this.drawn.count === count) return shift();
-      from = Math.max(0, this.drawn.count - 1);
-    } else {
+    const covers = () => {
+      const [left, top, width, height] = this.layerPlace();
+      return left <= 0 && top <= 0 && left + width >= this.width && top + height >= this.height;
+    };
+    const there = this.drawn?.color === color && covers(), same = there && this.drawn.scale === scale;
+    if (same && this.drawn.count === count) return this.layerPlace();
+    if (there && !same && this.drawn.scale > .4 * scale && performance.now() < this.zoomed + SETTLED) {
+      this.changed = true;
+      return this.layerPlace();
+    }
+    const from = same ? Math.max(0, this.drawn.count - 1) : 0;
+    if (!same) {
       context.setTransform(1, 0, 0, 1, 0, 0);
       context.clearRect(0, 0, this.pathLayer.width, this.pathLayer.height);
       this.drawn = { x: this.view.x, y: this.view.y };
     }
-    Object.assign(this.drawn, { key, count });
-    if (!count) return [0, 0];
+    Object.assign(this.drawn, { color, scale, count });
+    if (!count) return this.layerPlace();
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     context.lineJoin = context.lineCap = "round";
     const { x, y } = this.drawn, middleX = this.width / 2 + MARGIN, middleY = this.height / 2 + MARGIN;
@@ -224,7 +240,7 @@ export class GroundMap {
     // A light border keeps the path readable on any floor.
     context.strokeStyle = "#ffffffd0"; context.lineWidth = 5; context.stroke();
     context.strokeStyle = color; context.lineWidth = 2.6; context.stroke();
-    return shift();
+    return this.layerPlace();
   }
 
   drawGraph(c, dot, tie) {

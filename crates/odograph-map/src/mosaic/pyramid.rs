@@ -2,8 +2,9 @@
 
 use super::MosaicLayer;
 use crate::geopackage::{self, Extent, UNDEFINED_CARTESIAN};
-use odograph::mapping::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
+use odograph::mapping::{MOSAIC_TILE_PX, MosaicTile};
 use rusqlite::{Connection, Result, params};
+use std::ops::Range;
 
 const SIDE: i64 = MOSAIC_TILE_PX as i64;
 
@@ -18,8 +19,13 @@ pub(super) struct Pyramid {
 }
 
 impl Pyramid {
-    /// Takes away what was there, and finds the square of 2ⁿ × 2ⁿ tiles that holds all that will be laid.
-    pub fn begin(connection: &Connection, laying: &MapMosaic) -> Result<Self> {
+    /// Takes away what was there, and finds the square of 2ⁿ × 2ⁿ tiles that holds all that will be laid: within these columns and rows, on ground
+    /// pixels of this side.
+    pub fn begin(
+        connection: &Connection,
+        (columns, rows): (Range<i64>, Range<i64>),
+        resolution_m: f64,
+    ) -> Result<Self> {
         for sql in [
             "DELETE FROM mosaic",
             "DELETE FROM gpkg_tile_matrix WHERE table_name = 'mosaic'",
@@ -27,19 +33,18 @@ impl Pyramid {
         ] {
             connection.execute(sql, [])?;
         }
-        let (columns, rows) = laying.tiles();
         let tiles = (columns.end - columns.start).max(rows.end - rows.start).max(1);
         let finest = (tiles as u64).next_power_of_two().trailing_zeros();
-        Ok(Self {
-            finest,
-            resolution_m: laying.resolution_m(),
-            first: (columns.start, rows.start),
-            shown: None,
-        })
+        Ok(Self { finest, resolution_m, first: (columns.start, rows.start), shown: None })
     }
 
     pub fn finest(&self) -> u32 {
         self.finest
+    }
+
+    /// Column and row of the left upper tile, from the world's origin.
+    pub fn first(&self) -> (i64, i64) {
+        self.first
     }
 
     /// Whether any pixel shows ground.

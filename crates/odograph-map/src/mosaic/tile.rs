@@ -3,6 +3,7 @@
 use odograph::error::{Error, Result};
 use odograph::mapping::MOSAIC_TILE_PX;
 use png::{BitDepth, ColorType};
+use std::borrow::Cow;
 use std::io::Cursor;
 
 const SIDE: usize = MOSAIC_TILE_PX;
@@ -13,13 +14,12 @@ const MOST_MEMORY: usize = 8 << 20;
 pub(super) fn encode(rgba: &[u8]) -> Result<Vec<u8>> {
     let gray = rgba.chunks_exact(4).all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
     let opaque = rgba.chunks_exact(4).all(|pixel| pixel[3] == 255);
-    let (color, kept): (ColorType, &[usize]) = match (gray, opaque) {
-        (true, true) => (ColorType::Grayscale, &[0]),
-        (true, false) => (ColorType::GrayscaleAlpha, &[0, 3]),
-        (false, true) => (ColorType::Rgb, &[0, 1, 2]),
-        (false, false) => (ColorType::Rgba, &[0, 1, 2, 3]),
+    let (color, samples) = match (gray, opaque) {
+        (true, true) => (ColorType::Grayscale, kept(rgba, |[gray, ..]| [gray])),
+        (true, false) => (ColorType::GrayscaleAlpha, kept(rgba, |[gray, _, _, opacity]| [gray, opacity])),
+        (false, true) => (ColorType::Rgb, kept(rgba, |[red, green, blue, _]| [red, green, blue])),
+        (false, false) => (ColorType::Rgba, Cow::Borrowed(rgba)),
     };
-    let samples: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| kept.iter().map(|&k| pixel[k])).collect();
     let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, SIDE as u32, SIDE as u32);
@@ -32,6 +32,12 @@ pub(super) fn encode(rgba: &[u8]) -> Result<Vec<u8>> {
         Ok(bytes)
     };
     encode().map_err(|error| Error::output(format!("a tile of the mosaic cannot be encoded: {error}")))
+}
+
+/// Some of the channels of every pixel.
+fn kept<const N: usize>(rgba: &[u8], of: impl Fn([u8; 4]) -> [u8; N]) -> Cow<'_, [u8]> {
+    let pixels: Vec<[u8; N]> = rgba.as_chunks::<4>().0.iter().map(|pixel| of(*pixel)).collect();
+    Cow::Owned(pixels.into_flattened())
 }
 
 /// The pixels of a PNG; else what is wrong with it, as the end of a sentence.

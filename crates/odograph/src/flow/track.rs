@@ -79,14 +79,15 @@ pub(super) fn covariance(patch: &LevelTemplate, linear: &Matrix2<f64>, dissimila
     let part = (dissimilarity * dissimilarity).min(MOST_NOISE);
     let noise = part / (1.0 - part) * patch.contrast_energy / AREA as f64;
     let [[xx, xy], [_, yy]] = patch.hessian.data.0;
-    // Eigenvalues, and the direction of the larger one.
-    let (middle, half) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
-    let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
+    // Eigenvalues. What is left of the matrix without its mean, over half their difference, is the projection onto the direction of the larger one less that onto
+    // the other; the two add up to the identity.
+    let difference = 0.5 * (xx - yy);
+    let (middle, half) = (0.5 * (xx + yy), (difference * difference + xy * xy).sqrt());
+    let part = if half > 0.0 { 1.0 / half } else { 0.0 };
+    let apart = Matrix2::new(difference, xy, xy, -difference) * part;
     let variance = |held: f64| noise / (held - GRADIENT_NOISE * AREA as f64 * noise).max(LEAST_HELD * held);
     let (across, along) = (variance(middle + half), variance((middle - half).max(1e-9)));
-    let (sin, cos) = angle.sin_cos();
-    let (over, under) = (Vector2::new(cos, sin), Vector2::new(-sin, cos));
-    let of_template = across * over * over.transpose() + along * under * under.transpose();
+    let of_template = Matrix2::identity() * (0.5 * (across + along)) + apart * (0.5 * (across - along));
     linear * of_template * linear.transpose()
 }
 

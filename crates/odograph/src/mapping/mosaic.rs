@@ -155,6 +155,14 @@ impl Mosaic {
     /// Side of a [`MosaicSquare`], ground pixels.
     pub const TILE_SIDE_PX: usize = TILE as usize;
 
+    /// The same ground with ground pixels twice as wide, each the mean of the up to four that were seen.
+    pub fn coarser(&self) -> Self {
+        let mut coarser = Self::new(self.options);
+        coarser.resolution_m = self.resolution_m.map(|resolution_m| 2.0 * resolution_m);
+        coarser.tiles = self.tiles.halved();
+        coarser
+    }
+
     /// Grows with everything that is laid; for [`Mosaic::changed_since`].
     pub fn revision(&self) -> u64 {
         self.tiles.revision()

@@ -112,6 +112,15 @@ pub struct Observation {
 
 stored!(Observation);
 
+/// All that was found again of what one keyframe shows.
+#[derive(Debug, Clone, Copy)]
+pub struct Observations<'a> {
+    /// Ground points where they are seen now.
+    pub seen: &'a [Observation],
+    /// The pose from which the keyframe laid them on the ground.
+    pub laid_from: &'a GroundPose,
+}
+
 /// Where a ground point was found, and how exactly.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
@@ -152,6 +161,9 @@ pub struct MotionEstimate {
     pub pose: GroundPose,
     /// Covariance of (x, y, heading, height, roll, pitch) given the ground points; zero rows for what the model holds fixed.
     pub covariance: Matrix6<f64>,
+    /// How the pose changes with (x, y, heading, height, roll, pitch) of the pose from which the ground points were laid: their uncertainty is carried
+    /// over by it.
+    pub by_keyframe: Matrix6<f64>,
     /// For each observation, whether it agrees.
     pub inliers: Buffer<bool>,
     /// Root mean square distance of the inliers from their re-projections, pixels.
@@ -174,16 +186,16 @@ impl MotionEstimate {
 /// `random` draws the samples of RANSAC: the same state gives the same result.
 pub fn estimate(
     camera: &Camera,
-    observations: &[Observation],
+    observations: Observations<'_>,
     prediction: &GroundPose,
     prior: &RigPrior,
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<MotionEstimate> {
-    let (start, agreeing) = ransac::consensus(camera, observations, prediction, prior, config, random)?;
+    let (start, agreeing) = ransac::consensus(camera, observations.seen, prediction, prior, config, random)?;
     let enough = |inliers: usize| {
         inliers >= config.minimum_inliers
-            && inliers as f64 >= config.minimum_inlier_fraction * observations.len() as f64
+            && inliers as f64 >= config.minimum_inlier_fraction * observations.seen.len() as f64
     };
     if !enough(agreeing.iter().filter(|&&agrees| agrees).count()) {
         return None;

@@ -1,6 +1,6 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
-use super::{MotionConfig, MotionEstimate, MotionModel, Observation, RigPrior};
+use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
@@ -190,13 +190,14 @@ fn step(
 /// tracks that RANSAC let through harmless and leaves 95 % of the efficiency of least squares.
 pub fn refine(
     camera: &Camera,
-    observations: &[Observation],
+    observations: Observations<'_>,
     start: &GroundPose,
     agreeing: &[bool],
     prediction: &GroundPose,
     prior: &RigPrior,
     config: &MotionConfig,
 ) -> Option<MotionEstimate> {
+    let Observations { seen: observations, laid_from } = observations;
     let unknowns = Unknowns::new(config.model);
     let mut prior = *prior;
     let mut pose = GroundPose {
@@ -277,10 +278,55 @@ pub fn refine(
                 &unknowns,
                 (SHARED_PART * scale_px).clamp(LEAST_SHARED_PX, MOST_SHARED_PX),
             ),
+        by_keyframe: by_keyframe(observations, &residuals, &weights, laid_from, &information, &unknowns)?,
         inliers,
         residual_px: (squares / count as f64).sqrt(),
         rig_evidence,
     })
+}
+
+/// How the pose changes with that from which the ground points were laid: by how much these move, and what pose then fits them best.
+fn by_keyframe(
+    observations: &[Observation],
+    residuals: &[Residual],
+    weights: &[f64],
+    laid_from: &GroundPose,
+    information: &Matrix6<f64>,
+    unknowns: &Unknowns,
+) -> Option<Matrix6<f64>> {
+    let axes = Axes::new(laid_from);
+    let mut slopes = [[0.0; 6]; 6];
+    for ((observation, Residual { by_pose, .. }), &weight) in observations.iter().zip(residuals).zip(weights)
+    {
+        if weight <= 0.0 {
+            continue;
+        }
+        let [along_x, along_y] = moved_ground(observation, laid_from, &axes);
+        for row in by_pose {
+            // The point moves as the camera would move the other way.
+            let change: [f64; 6] = std::array::from_fn(|k| row[0] * along_x[k] + row[1] * along_y[k]);
+            for i in 0..6 {
+                for k in 0..6 {
+                    slopes[i][k] += weight * row[i] * change[k];
+                }
+            }
+        }
+    }
+    let slopes = Matrix6::from_fn(|i, k| if i < unknowns.count { slopes[i][k] } else { 0.0 });
+    Some(unknowns.of(information).cholesky()?.solve(&slopes))
+}
+
+/// How a ground point's x and y, metres, change with the six numbers of the pose from which it was laid.
+fn moved_ground(observation: &Observation, laid_from: &GroundPose, axes: &Axes) -> [[f64; 6]; 2] {
+    let height_m = laid_from.height_m;
+    let (x, y) = (observation.ground.x_m - laid_from.x_m, observation.ground.y_m - laid_from.y_m);
+    // A turn about an axis swings the ray, which then meets the ground elsewhere.
+    let swung = |axis: &Vector3<f64>| {
+        let by = axis.cross(&Vector3::new(x, y, -height_m));
+        [by.x + x * by.z / height_m, by.y + y * by.z / height_m]
+    };
+    let (roll, pitch) = (swung(&axes.roll), swung(&axes.pitch));
+    [[1.0, 0.0, -y, x / height_m, roll[0], pitch[0]], [0.0, 1.0, x, y / height_m, roll[1], pitch[1]]]
 }
 
 /// Height, roll and pitch without the prior's pull, and their variances. At the end of the iteration the tracks pull with the same force as the
@@ -348,9 +394,9 @@ fn shared_errors(camera: &Camera, pose: &GroundPose, unknowns: &Unknowns, shared
 
 /// The part of a track's usual error that its neighbours share, and least and most of that, pixels, one standard deviation: what rendered drives
 /// show. Moving light leaves tracks worse and all in the same way; the noise of a dim sensor is each one's own.
-const SHARED_PART: f64 = 0.2;
-const LEAST_SHARED_PX: f64 = 0.003;
-const MOST_SHARED_PX: f64 = 0.01;
+const SHARED_PART: f64 = 0.1;
+const LEAST_SHARED_PX: f64 = 0.002;
+const MOST_SHARED_PX: f64 = 0.005;
 
 /// Standard deviation of one coordinate from the median distance of the observations that could be inliers (Rayleigh: median = 1.1774 σ).
 fn robust_scale(errors: &[f64], inlier_px: f64, within: &mut Vec<f64>) -> f64 {

@@ -35,6 +35,18 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
     seen
 }
 
+/// The estimate from ground that was laid from a metre above the middle of the world.
+fn measured(
+    seen: &[Observation],
+    prediction: &GroundPose,
+    prior: &RigPrior,
+    config: &MotionConfig,
+    seed: u64,
+) -> Option<MotionEstimate> {
+    let observations = Observations { seen, laid_from: &GroundPose::level(1.0) };
+    estimate(&camera(), observations, prediction, prior, config, &mut Random::new(seed))
+}
+
 /// The estimate with the prior that a recording begins with.
 fn from(
     seen: &[Observation],
@@ -43,7 +55,7 @@ fn from(
     seed: u64,
 ) -> Option<MotionEstimate> {
     let prior = RigWander::new(prediction).prior(prediction, config);
-    estimate(&camera(), seen, prediction, &prior, config, &mut Random::new(seed))
+    measured(seen, prediction, &prior, config, seed)
 }
 
 fn numbers(pose: &GroundPose) -> [f64; 6] {
@@ -119,6 +131,45 @@ fn the_number_of_turns_is_kept() {
 }
 
 #[test]
+fn the_pose_moves_with_that_of_its_keyframe_as_is_said() {
+    let (from, to) = (
+        GroundPose::level(1.0),
+        GroundPose { x_m: 0.2, y_m: -0.1, heading_rad: 0.3, ..GroundPose::level(1.0) },
+    );
+    let seen = observations(&to, 0.0, 0.0, 5);
+    // The same rays from a keyframe that is a little off.
+    let laid_from = |keyframe: &GroundPose| -> Vec<Observation> {
+        let lay = |seen: &Observation| {
+            let pixel = ViewingPose::new(from).pixel(&camera(), seen.ground).unwrap();
+            let ground = keyframe.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
+            Observation { ground, ..*seen }
+        };
+        seen.iter().map(lay).collect()
+    };
+    for model in [MotionModel::Rigid, MotionModel::Similarity, MotionModel::Free] {
+        let config = MotionConfig { model, ..Default::default() };
+        let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3] };
+        let found = measured(&seen, &to, &prior, &config, 1).unwrap();
+        for number in 0..6 {
+            let mut off = numbers(&from);
+            off[number] += 1e-4;
+            let [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad] = off;
+            let off = GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad };
+            let moved = measured(&laid_from(&off), &to, &prior, &config, 1).unwrap();
+            for (i, (a, b)) in numbers(&moved.pose).into_iter().zip(numbers(&found.pose)).enumerate() {
+                let change = (a - b) / 1e-4;
+                // What a robust fit weighs down, and the second order, are a hundredth.
+                assert!(
+                    (change - found.by_keyframe[(i, number)]).abs() < 0.02,
+                    "{model:?}: {i} by {number}: {change} {}",
+                    found.by_keyframe
+                );
+            }
+        }
+    }
+}
+
+#[test]
 fn auto_is_rigid_on_a_steady_mount_and_free_where_the_mount_moves() {
     let mount = GroundPose::level(1.0);
     let steady = GroundPose { x_m: 0.1, y_m: -0.05, heading_rad: 0.2, ..mount };
@@ -127,9 +178,7 @@ fn auto_is_rigid_on_a_steady_mount_and_free_where_the_mount_moves() {
     for seed in 0..40 {
         let seen = observations(&steady, 0.2, 0.1, seed);
         let prior = wander.prior(&mount, &config(MotionModel::Auto));
-        let auto =
-            estimate(&camera(), &seen, &mount, &prior, &config(MotionModel::Auto), &mut Random::new(seed))
-                .unwrap();
+        let auto = measured(&seen, &mount, &prior, &config(MotionModel::Auto), seed).unwrap();
         let rigid = from(&seen, &mount, &config(MotionModel::Rigid), seed).unwrap();
         wander.learn(&auto);
         // What is left of the freedom is worth a fraction of the noise of the rigid model's own position (0.3 mm here).
@@ -139,8 +188,7 @@ fn auto_is_rigid_on_a_steady_mount_and_free_where_the_mount_moves() {
     let pushed = GroundPose { roll_rad: 0.012, height_m: 1.006, ..steady };
     let seen = observations(&pushed, 0.2, 0.1, 99);
     let prior = wander.prior(&mount, &config(MotionModel::Auto));
-    let found =
-        estimate(&camera(), &seen, &mount, &prior, &config(MotionModel::Auto), &mut Random::new(1)).unwrap();
+    let found = measured(&seen, &mount, &prior, &config(MotionModel::Auto), 1).unwrap();
     assert!(
         (found.pose.roll_rad - 0.012).abs() < 5e-4 && (found.pose.x_m - 0.1).abs() < 1e-3,
         "{:?}",

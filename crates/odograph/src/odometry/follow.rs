@@ -9,8 +9,8 @@ use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{
-    MotionEstimate, MotionModel, Observation, PatchWarp, Random, RigWander, Sighting, ViewingPose, estimate,
-    mean_displacement, whitened,
+    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RigWander, Sighting,
+    ViewingPose, estimate, mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix2, Matrix6};
@@ -291,7 +291,8 @@ fn agreement(
 ) -> Option<GroundPose> {
     let observations = observations(keyframe, found);
     let prior = wander.prior(prediction, &config.motion);
-    let estimate = estimate(camera, &observations, prediction, &prior, &config.motion, random)?;
+    let observations = Observations { seen: &observations, laid_from: &keyframe.pose };
+    let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let expected = in_view(scouts.map(|index| &keyframe.corners[index]), camera, &estimate.pose);
     let agree = estimate.inlier_count();
     (agree >= LEAST_SCOUTS && agree as f64 >= SETTLED * expected as f64).then_some(estimate.pose)
@@ -368,7 +369,8 @@ fn judge(
         let observations = observations(keyframe, &found);
         let prior = wander.prior(prediction, &config.motion);
         let near = settled.unwrap_or(*prediction);
-        estimate(camera, &observations, &near, &prior, &config.motion, random)
+        let observations = Observations { seen: &observations, laid_from: &keyframe.pose };
+        estimate(camera, observations, &near, &prior, &config.motion, random)
     };
     let estimate = estimate.ok_or_else(|| why_not(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
@@ -402,6 +404,7 @@ fn mean(
     Some(MotionEstimate {
         pose: GroundPose { x_m: last.x_m + x_m, y_m: last.y_m + y_m, ..*last },
         covariance,
+        by_keyframe: Matrix6::identity(),
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
         rig_evidence: None,

@@ -233,7 +233,12 @@ impl Odometry {
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
         let presence = self.keyframe.as_ref().map(|k| follow::presence(k, &self.camera, &measurement));
         let Measurement { estimate, found, support, .. } = measurement;
-        let covariance = self.carried_covariance(&estimate.pose) + estimate.covariance;
+        let by_keyframe = &estimate.by_keyframe;
+        let carried = self
+            .keyframe
+            .as_ref()
+            .map(|keyframe| by_keyframe * keyframe.covariance * by_keyframe.transpose());
+        let covariance = carried.unwrap_or_default() + estimate.covariance;
         let inliers = estimate.inlier_count();
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
         let view = |(found, &inlier): (&follow::Found, &bool)| {

@@ -254,6 +254,7 @@ mod tests {
         let estimate = MotionEstimate {
             pose,
             covariance: Matrix6::identity(),
+            by_keyframe: Matrix6::identity(),
             inliers: Buffer::of(true, inliers),
             residual_px: 0.1,
             rig_evidence: None,

@@ -17,6 +17,10 @@ const APART_VIEWS: f64 = 0.3;
 /// Sightings that found no second are forgotten beyond this number, the oldest first.
 const MOST_PENDING: usize = 16;
 
+/// Two keyframes are tied by at most so many loops. The noise of their own two images is in every one of them, so that more would add little; and who
+/// goes the same round all day has a graph that does not grow.
+const MOST_SIGHTINGS: usize = 4;
+
 impl Mapper {
     /// Compares a new keyframe with the older ones that it may show again: those that are near, and where that is not sure, those that look like it.
     pub(super) fn close_loops(
@@ -137,8 +141,10 @@ impl Mapper {
         self.add(edge, images)
     }
 
+    /// Ties two keyframes, unless they have been seen from each other often enough.
     pub(super) fn add(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
-        if !self.graph.tie(&edge) {
+        let often = self.graph.loops_between(edge.from, edge.to) >= MOST_SIGHTINGS;
+        if often || !self.graph.tie(&edge) {
             return Ok(());
         }
         self.map.edges.push(edge);

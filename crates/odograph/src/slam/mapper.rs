@@ -39,6 +39,8 @@ pub struct Mapper {
     first: u64,
     /// Whether keyframes of the run are compared with each other: not where all that ties them is known.
     pub(super) own_loops: bool,
+    /// Whether there is no time to look for loops.
+    hurried: bool,
 }
 
 /// An optimisation while running takes at most so many steps: what is left, the next brings.
@@ -68,6 +70,7 @@ impl Mapper {
             session: 0,
             first: 0,
             own_loops: true,
+            hurried: false,
             map: GroundMap { camera: camera.clone(), rig, keyframes: Vec::new(), edges: Vec::new() },
             index: BTreeMap::new(),
             closures: Vec::new(),
@@ -102,6 +105,12 @@ impl Mapper {
         mapper
     }
 
+    /// From now on keyframes are taken without looking whether they show ground that was seen before, until there is time again: for who must
+    /// keep up with a camera. What was not looked for is not made up for.
+    pub fn hurry(&mut self, hurried: bool) {
+        self.hurried = hurried;
+    }
+
     /// Whether the session's keyframes are tied to the map that it continues; always where it continues none.
     pub fn is_recognised(&self) -> bool {
         let new = self.map.keyframes.iter().find(|keyframe| self.is_new(keyframe.id));
@@ -130,7 +139,7 @@ impl Mapper {
                 let ties: Vec<MapEdge> = new.tie.map(|tie| self.renumbered(tie)).into_iter().collect();
                 self.made(*new, self.session, &ties, color, images)?;
             }
-            KeyframeEvent::Revisited(edge) if self.config.loops => {
+            KeyframeEvent::Revisited(edge) if self.looks_for_loops() => {
                 let edge = self.renumbered(edge);
                 self.add(edge, images)?;
             }
@@ -155,7 +164,7 @@ impl Mapper {
         if let Some(keyframe) = self.keyframe(id) {
             images.keep(keyframe, KeyframeImage { gray: new.image, color }, ties)?;
         }
-        if self.config.loops {
+        if self.looks_for_loops() {
             self.close_loops(id, sought, images)?;
         }
         if let Some(keyframe) = self.index.get(&id).map(|&at| &self.map.keyframes[at])
@@ -164,6 +173,10 @@ impl Mapper {
             self.places.insert(id, &keyframe.signature);
         }
         Ok(())
+    }
+
+    fn looks_for_loops(&self) -> bool {
+        self.config.loops && !self.hurried
     }
 
     /// Whether a keyframe is of the run that is being mapped.

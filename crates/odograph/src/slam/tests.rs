@@ -219,6 +219,36 @@ fn a_map_elsewhere_is_not_recognised() {
     assert!(!second.is_recognised() && second.closures().is_empty());
 }
 
+/// Two keyframes that see each other as often as one likes.
+fn revisited(mapper: &mut Mapper, images: &mut MemoryImages, times: usize) -> usize {
+    let revisit = MapEdge {
+        from: KeyframeId(1),
+        to: KeyframeId(0),
+        kind: EdgeKind::Loop,
+        motion: Vector4::new(-0.2, 0.0, 0.0, 0.0),
+        covariance: Matrix4::from_diagonal(&Vector4::new(1e-8, 1e-8, 1e-8, 0.0)),
+    };
+    for _ in 0..times {
+        mapper.take(KeyframeEvent::Revisited(revisit), None, images).unwrap();
+    }
+    mapper.map().edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count()
+}
+
+#[test]
+fn the_same_round_all_day_leaves_a_graph_that_does_not_grow_and_who_hurries_looks_for_nothing() {
+    let world = World::new("asphalt");
+    let mut mapper = Mapper::new(&world.camera, Rig::level(HEIGHT_M), &config(), SlamConfig::default());
+    let mut images = MemoryImages::default();
+    world.drive(&mut mapper, &mut images, &along((0.0, 0.0), 0.0, 14).collect::<Vec<_>>());
+    assert!(mapper.map().keyframes.len() >= 2);
+    mapper.hurry(true);
+    assert_eq!(revisited(&mut mapper, &mut images, 3), 0);
+    mapper.hurry(false);
+    let few = revisited(&mut mapper, &mut images, 3);
+    assert_eq!(few, 3);
+    assert_eq!(revisited(&mut mapper, &mut images, 5), revisited(&mut mapper, &mut images, 50));
+}
+
 /// Keyframes to and fro in four lanes, whose ties bend and stretch every step: what a poor picture and a worse mount do to a long drive, at once.
 fn bent_lanes() -> (Vec<GroundPose>, Vec<MapEdge>) {
     let place = |i: usize| {

@@ -31,7 +31,10 @@ pub const QUEUE: usize = 2;
 /// Frames that wait to be laid on the ground.
 const LAYING_QUEUE: usize = 4;
 /// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is waited for.
-const MAPPING_QUEUE: usize = 64;
+const MAPPING_QUEUE: usize = 32;
+/// With so many waiting, the map of a camera takes keyframes without looking for loops, until none waits any more: in that it is faster than keyframes can
+/// come.
+const BEHIND: usize = 8;
 /// How long to wait for a frame before looking at everything else.
 pub const PATIENCE: Duration = Duration::from_millis(100);
 /// How often the page hears how the run goes.
@@ -71,6 +74,7 @@ pub fn follow(
         queue: Arc::new(Newest::new(opened.policy, QUEUE)),
         policy: opened.policy,
         not_laid: 0,
+        not_compared: 0,
         unmapped: None,
         status_told: None,
     };
@@ -152,7 +156,8 @@ impl Drop for Closing<'_> {
 /// What happened to the keyframes with a frame, and the frame, whose colours the map keeps.
 struct Happened {
     events: Vec<KeyframeEvent>,
-    frame: Frame,
+    /// Where it became a keyframe.
+    frame: Option<Frame>,
 }
 
 /// The queues to the threads beside tracking.
@@ -186,6 +191,7 @@ struct Following<'a> {
     queue: Arc<Newest<(Captured, Duration)>>,
     policy: Policy,
     not_laid: u64,
+    not_compared: u64,
     unmapped: Option<Error>,
     status_told: Option<Instant>,
 }
@@ -199,7 +205,7 @@ impl Following<'_> {
             views: Newest::new(Policy::NewestWins, 1),
             relaying: Newest::new(Policy::NewestWins, 1),
         };
-        let (beside, hub, log) = (&beside, self.hub, self.log);
+        let (beside, hub, log, policy) = (&beside, self.hub, self.log, self.policy);
         let outcome = thread::scope(|scope| {
             if let Some(log) = log {
                 scope.spawn(|| log.write_all());
@@ -214,24 +220,32 @@ impl Following<'_> {
             });
             scope.spawn(move || straight::relay(&beside.relaying, ground));
             let mapper = scope.spawn(move || {
-                let mut failure = None;
+                let (mut failure, mut not_compared) = (None, 0);
                 let mut straightening = Straightening::new(hub, &beside.relaying);
+                let mut hurried = false;
                 each(&beside.mapping, |happened: Happened| {
+                    let waiting = beside.mapping.waiting();
+                    hurried = policy == Policy::NewestWins && (waiting >= BEHIND || hurried && waiting > 0);
+                    let made = |event: &&KeyframeEvent| matches!(event, KeyframeEvent::Made(_));
+                    not_compared +=
+                        if hurried { happened.events.iter().filter(made).count() as u64 } else { 0 };
+                    mapping.hurry(hurried);
                     // A map that cannot be written (the disk is full) ends; tracking does not.
                     if failure.is_none() {
-                        failure = mapping.take(happened.events, Some(&happened.frame)).err();
+                        failure = mapping.take(happened.events, happened.frame.as_ref()).err();
                         straightening.look(mapping);
                     }
                 });
                 beside.relaying.close();
-                failure
+                (failure, not_compared)
             });
             let outcome = {
                 let _ending = Closing(beside, log);
                 self.track_all(beside)
             };
-            self.unmapped =
-                mapper.join().unwrap_or_else(|_| Some(Error::output("the map ended unexpectedly")));
+            let ended = mapper.join();
+            (self.unmapped, self.not_compared) =
+                ended.unwrap_or_else(|_| (Some(Error::output("the map ended unexpectedly")), 0));
             outcome
         });
         self.not_laid = beside.laying.counts().1;
@@ -290,7 +304,7 @@ impl Following<'_> {
         number_as_source(&mut events, &self.frames);
         let is_keyframe = is_made(&events, frame.number);
         if !events.is_empty() {
-            beside.mapping.give(Happened { events, frame: frame.clone() });
+            beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });
         }
         if let Some(pose) = pose {
             beside.laying.give(Posed { frame, pose, segment, is_keyframe });
@@ -336,6 +350,7 @@ impl Following<'_> {
             frames_captured,
             frames_dropped,
             frames_not_laid: self.not_laid,
+            keyframes_not_compared: self.not_compared,
             reconnects: self.watch.reconnects(),
             latency_median_ms,
             latency_p99_ms,

@@ -2,12 +2,14 @@
 
 use super::RunPlan;
 use super::folder::OutputFolder;
-use super::pipeline::Tracked;
+use super::mapping::Mapping;
 use crate::files;
 use crate::report::{self, ReportInput, ReportMosaic, ReportReference};
 use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
+use odograph::geometry::GroundPoint;
 use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicPicture, Placement};
+use odograph::trajectory::FrameEstimate;
 use std::panic::resume_unwind;
 use std::thread;
 
@@ -15,78 +17,106 @@ use std::thread;
 pub struct Shown<'a> {
     /// What the recording is, in words.
     pub description: &'a str,
-    pub tracked: &'a Tracked,
+    pub frames: &'a [FrameEstimate],
+    /// Where the camera was when it recognised a place, and where it had been.
+    pub loops: &'a [[GroundPoint; 2]],
     pub mosaic: &'a Mosaic,
     pub sensors: &'a [SensorReport],
     /// A path from elsewhere, to be set beside.
     pub reference: Option<&'a ReportReference>,
 }
 
-/// Writes mosaic, map and report: the mosaic beside the others where there are `threads` for both.
-pub fn write(plan: &RunPlan, shown: &Shown<'_>, folder: &mut OutputFolder, threads: usize) -> Result<()> {
+/// What was drawn, as far as the page shows it.
+pub struct Drawn {
+    /// The mosaic made small, its PNG, and where the large one lies.
+    small: Option<(MosaicPicture, Vec<u8>, Placement)>,
+    /// The path on plain paper: the mosaic has its own place on the page.
+    path_svg: String,
+    /// What came of putting the ground into the map: a sentence where not all of it is there.
+    pub ground: Result<Option<String>>,
+}
+
+/// Writes mosaic and map, and puts the ground into the map file: the ground beside the drawings where there are `threads` for both.
+pub fn write(
+    plan: &RunPlan,
+    shown: &Shown<'_>,
+    mapping: &mut Mapping,
+    folder: &mut OutputFolder,
+    threads: usize,
+) -> Result<Drawn> {
     let mosaic = shown.mosaic;
     let bands = mosaic.bands(usize::MAX);
     let placement = bands.as_ref().map(|bands| bands.placement);
-    let encode = || bands.map(|bands| files::png_from_rgba_bands(bands.width, bands.height, bands));
-    let draw = |folder: &mut OutputFolder| {
-        // The page tells of the picture in the folder, though it shows a smaller one.
-        let small = mosaic.picture_within(LONGEST_SIDE_PX).zip(placement);
-        draw(plan, shown, small, folder)
+    let keep = || {
+        let png = bands.map(|bands| files::png_from_rgba_bands(bands.width, bands.height, bands)).transpose();
+        (png, mapping.lay_ground(mosaic))
     };
-    let png = if threads > 1 {
+    let (drawn, (png, ground)) = if threads > 1 {
         thread::scope(|scope| {
-            let encoded = scope.spawn(encode);
-            draw(folder)?;
-            encoded.join().unwrap_or_else(|panic| resume_unwind(panic)).transpose()
-        })?
+            let kept = scope.spawn(keep);
+            let drawn = draw(plan, shown, placement, folder);
+            (drawn, kept.join().unwrap_or_else(|panic| resume_unwind(panic)))
+        })
     } else {
-        draw(folder)?;
-        encode().transpose()?
+        (draw(plan, shown, placement, folder), keep())
     };
-    if let Some((png, placement)) = png.zip(placement) {
+    let (small, path_svg) = drawn?;
+    if let Some((png, placement)) = png?.zip(placement) {
         folder.write("mosaic.png", &png)?;
-        folder.write("mosaic.pgw", placement.world_file().as_bytes())
+        folder.write("mosaic.pgw", placement.world_file().as_bytes())?;
     } else {
         // One of an earlier drive would show other ground.
         folder.remove("mosaic.png")?;
-        folder.remove("mosaic.pgw")
+        folder.remove("mosaic.pgw")?;
     }
+    Ok(Drawn { small, path_svg, ground })
 }
 
-/// Writes map and report, with a small picture of the mosaic that lies at this placement.
+/// Writes the map, with a small picture of the mosaic that lies at this placement. Gives that, and the map without it.
+#[expect(clippy::type_complexity, reason = "two parts of `Drawn`")]
 fn draw(
     plan: &RunPlan,
     shown: &Shown<'_>,
-    small: Option<(MosaicPicture, Placement)>,
+    placement: Option<Placement>,
     folder: &mut OutputFolder,
-) -> Result<()> {
-    let &Shown { description, tracked, sensors, reference, .. } = shown;
-    let name = plan.source.path.trim_end_matches(['/', '\\']);
-    let title = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    let small_png =
-        small.as_ref().map(|(m, _)| files::png_from_rgba(m.width, m.height, &m.rgba)).transpose()?;
-    let small = small.as_ref().zip(small_png.as_deref());
-    let backdrop = small.map(|((mosaic, _), png)| Backdrop {
+) -> Result<(Option<(MosaicPicture, Vec<u8>, Placement)>, String)> {
+    let small = shown.mosaic.picture_within(LONGEST_SIDE_PX).zip(placement);
+    let encode = |(mosaic, placement): (MosaicPicture, Placement)| {
+        let png = files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba)?;
+        // The page tells of the picture in the folder, though it shows a smaller one.
+        Ok((mosaic, png, placement))
+    };
+    let small = small.map(encode).transpose()?;
+    let backdrop = small.as_ref().map(|(mosaic, png, _)| Backdrop {
         png,
         width_px: mosaic.width,
         height_px: mosaic.height,
         placement: mosaic.placement,
         opacity: BACKDROP_OPACITY,
     });
-    let loops = tracked.mapping.loops();
-    let drawing = MapDrawing { title, loops: &loops, ..Default::default() };
-    let svg = MapDrawing { backdrop, ..drawing }.svg(&tracked.frames);
+    let drawing = MapDrawing { title: title(plan), loops: shown.loops, ..Default::default() };
+    let svg = MapDrawing { backdrop, ..drawing }.svg(shown.frames);
     folder.write("map.svg", svg.as_bytes())?;
     folder.write("map.png", &report::drawing_png(&svg, report::MAP_WIDTH_PX)?)?;
-    // The page shows the path on plain paper: the mosaic has its own place on it.
+    Ok((small, drawing.svg(shown.frames)))
+}
+
+/// Writes the page.
+pub fn write_page(
+    plan: &RunPlan,
+    shown: &Shown<'_>,
+    drawn: &Drawn,
+    warnings: &[String],
+    folder: &mut OutputFolder,
+) -> Result<()> {
     let page = report::html(&ReportInput {
-        title,
-        source: description,
-        frames: &tracked.frames,
+        title: title(plan),
+        source: shown.description,
+        frames: shown.frames,
         camera: &plan.camera,
         rig: &plan.rig,
-        map_svg: &drawing.svg(&tracked.frames),
-        mosaic: small.map(|((mosaic, placement), png)| ReportMosaic {
+        map_svg: &drawn.path_svg,
+        mosaic: drawn.small.as_ref().map(|(mosaic, png, placement)| ReportMosaic {
             png,
             width_px: mosaic.width,
             height_px: mosaic.height,
@@ -94,11 +124,17 @@ fn draw(
             file_name: "mosaic.png",
         }),
         run_toml: &plan.text()?,
-        warnings: &tracked.warnings,
-        sensors,
-        reference,
+        warnings,
+        sensors: shown.sensors,
+        reference: shown.reference,
     });
     folder.write("report.html", page.as_bytes())
+}
+
+/// The recording's name without its folders.
+fn title(plan: &RunPlan) -> &str {
+    let name = plan.source.path.trim_end_matches(['/', '\\']);
+    name.rsplit(['/', '\\']).next().unwrap_or(name)
 }
 
 /// The mosaic in the map and on the page: sharp on any screen, a few megabytes at most.

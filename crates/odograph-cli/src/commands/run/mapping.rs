@@ -7,7 +7,7 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Fusion;
 use odograph::geometry::GroundPoint;
-use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe, Mosaic};
 use odograph::odometry::{FrameReference, KeyframeEvent};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, map_frames};
 use odograph::trajectory::FrameEstimate;
@@ -24,7 +24,7 @@ pub struct Mapping {
     times: Vec<Duration>,
 }
 
-/// A ground pixel of the mosaic that a run lays into the map is so many times as wide as what a pixel in the middle of an image sees.
+/// A ground pixel of the mosaic that a run lays into a map that it continues is so many times as wide as what a pixel in the middle of an image sees.
 const COARSER: f64 = 2.0;
 
 /// A map with more than so many times the keyframes of this run is not laid anew.
@@ -103,6 +103,11 @@ impl Mapping {
         Ok(())
     }
 
+    /// Whether keyframes are taken without looking for loops, until there is time again.
+    pub fn hurry(&mut self, hurried: bool) {
+        self.mapper.hurry(hurried);
+    }
+
     /// What has been made of the keyframes so far.
     pub fn mapper(&self) -> &Mapper {
         &self.mapper
@@ -118,18 +123,20 @@ impl Mapping {
         &self.times
     }
 
-    /// The frames in the map frame, from those in the odometry frame after other sensors. Nothing is written.
+    /// The frames in the map frame, from those in the odometry frame before and after other sensors; the former, and what they were measured against, are
+    /// of no use any more. Nothing is written.
     pub fn straighten(
         &mut self,
-        raw: &[FrameEstimate],
+        raw: Vec<FrameEstimate>,
         fused: &Fusion,
-        references: &mut [Option<FrameReference>],
+        mut references: Vec<Option<FrameReference>>,
     ) -> Vec<FrameEstimate> {
         if fused.moved {
-            self.mapper.take_over(raw, &fused.frames, references);
+            self.mapper.take_over(&raw, &fused.frames, &mut references);
         }
+        drop(raw);
         self.mapper.finish();
-        map_frames(&self.mapper, &fused.frames, references)
+        map_frames(&self.mapper, &fused.frames, &references)
     }
 
     /// Puts into the file where the keyframes lie in the end, and the path of the run.
@@ -208,10 +215,10 @@ impl Mapping {
         file.set_path(self.file.session, &frames)
     }
 
-    /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the camera sees it, which costs a few hundredths of the run where
-    /// the finest would cost a tenth. Gives a sentence where the file has no picture of all of its ground: because the run was interrupted, or because most of a
-    /// map that was continued is ground of earlier runs, which is not to be laid again for every short one.
-    pub fn lay_ground(&mut self) -> Result<Option<String>> {
+    /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the camera sees it. Where all ground is this run's, that is
+    /// its `mosaic`, which is laid already. Gives a sentence where the file has no picture of all of its ground: because the run was interrupted, or because
+    /// most of a map that was continued is ground of earlier runs, which is not to be laid again for every short one.
+    pub fn lay_ground(&mut self, mosaic: &Mosaic) -> Result<Option<String>> {
         let map = self.mapper.map();
         let session = self.mapper.session();
         let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session).count();
@@ -219,10 +226,13 @@ impl Mapping {
         heights_m.sort_by(f64::total_cmp);
         let height_m = heights_m.get(heights_m.len() / 2).copied().unwrap_or(map.rig.height_m);
         let coarse_m = COARSER * height_m / map.camera.focal_px().0;
-        let short = map.keyframes.len() > MOST_OLD * own;
+        let (short, alone) = (map.keyframes.len() > MOST_OLD * own, map.keyframes.len() == own);
         let writable = self.file.kept.is_none();
         let Some(file) = self.file.file.as_mut().filter(|_| writable && own > 0) else { return Ok(None) };
         let before = file.mosaic()?;
+        if alone && before.is_none() && file.set_mosaic(&mosaic.coarser())? {
+            return Ok(None);
+        }
         let laid = !short && {
             let resolution_m = before.as_ref().map_or(coarse_m, |layer| layer.resolution_m);
             file.lay_mosaic(Some(resolution_m), &mut |_| !interrupt::asked())?

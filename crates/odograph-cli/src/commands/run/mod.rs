@@ -270,7 +270,9 @@ pub(super) fn finish(
     let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, sensors);
-    let straight = tracked.mapping.straighten(&tracked.frames, &fused, &mut tracked.references);
+    // An hour has hundreds of thousands of frames: they are not kept twice longer than needed.
+    let (raw, references) = (std::mem::take(&mut tracked.frames), std::mem::take(&mut tracked.references));
+    let straight = tracked.mapping.straighten(raw, &fused, references);
     let loops = tracked.mapping.statistics(&fused.frames, &straight);
     tracked.warnings.extend(tracked.mapping.warning());
     let fused = fused.laid(straight);
@@ -299,22 +301,32 @@ pub(super) fn finish(
             Mosaic::new(Default::default())
         }
     };
-    match tracked.mapping.lay_ground() {
-        Ok(warning) => tracked.warnings.extend(warning),
-        Err(error) => {
-            tracked.warnings.push(format!("the map has no new picture of the ground: {error}"));
-            failure.get_or_insert(error);
-        }
-    }
     let reference = match (&plan.reference, reference::read(plan)?) {
         (Some(path), Some(read)) => reference::compared(path, &read, &tracked.frames)
             .map_err(|error| tracked.warnings.push(format!("the path cannot be compared: {error}")))
             .ok(),
         _ => None,
     };
-    let (mosaic, reference) = (&mosaic, reference.as_ref());
-    let shown = map::Shown { description, tracked: &tracked, mosaic, sensors: &reports, reference };
-    map::write(plan, &shown, folder, threads)?;
+    let loops_drawn = tracked.mapping.loops();
+    let shown = map::Shown {
+        description,
+        frames: &tracked.frames,
+        loops: &loops_drawn,
+        mosaic: &mosaic,
+        sensors: &reports,
+        reference: reference.as_ref(),
+    };
+    let drawn = map::write(plan, &shown, &mut tracked.mapping, folder, threads)?;
+    match &drawn.ground {
+        Ok(warning) => tracked.warnings.extend(warning.clone()),
+        Err(error) => {
+            tracked.warnings.push(format!("the map has no new picture of the ground: {error}"));
+        }
+    }
+    map::write_page(plan, &shown, &drawn, &tracked.warnings, folder)?;
+    if let Err(error) = drawn.ground {
+        failure.get_or_insert(error);
+    }
     let closed = tracked.mapping.close();
     let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
     folder.finish(&statistics)?;

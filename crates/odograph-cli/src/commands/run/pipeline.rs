@@ -8,6 +8,7 @@ use super::views::Views;
 use super::{OutputArguments, RunPlan};
 use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
+use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::odometry::{FrameReference, KeyframeEvent, Odometry};
 use odograph::trajectory::FrameEstimate;
@@ -44,8 +45,17 @@ pub struct StageTimes {
     pub map: Vec<Duration>,
 }
 
-/// Frames that wait between two stages: enough to even out a slow frame, few enough not to need memory.
-const QUEUE: usize = 4;
+/// Frames that wait between two stages: enough to even out a keyframe, which takes as long as decoding ten frames, few enough not to need much memory.
+const LONGEST_QUEUE: usize = 24;
+const SHORTEST_QUEUE: usize = 4;
+/// Bytes of samples that the frames of a queue may have, in gray and colour.
+const QUEUE_BYTES: usize = 12 << 20;
+
+/// How many frames of a camera may wait.
+fn queue(camera: &Camera) -> usize {
+    let frame_bytes = 3 * camera.width() * camera.height() / 2;
+    (QUEUE_BYTES / frame_bytes.max(1)).clamp(SHORTEST_QUEUE, LONGEST_QUEUE)
+}
 
 /// Follows every frame of the source. Each frame's result is in the folder within a second of video.
 pub fn track(
@@ -70,7 +80,7 @@ pub fn track(
     let mut ground = Ground { views, mapping, unmapped: None, times: Vec::new() };
     let outcome = match arguments.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
-        threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads),
+        threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
     tracking.progress.finish_and_clear();
     let Ground { views, mapping, unmapped, times: map_times } = ground;
@@ -103,9 +113,10 @@ fn side_by_side(
     tracking: &mut Tracking<'_>,
     ground: &mut Ground,
     threads: usize,
+    queue: usize,
 ) -> Result<()> {
-    let (frames_in, frames_out) = mpsc::sync_channel::<Frame>(QUEUE);
-    let (followed_in, followed_out) = mpsc::sync_channel::<Followed>(QUEUE);
+    let (frames_in, frames_out) = mpsc::sync_channel::<Frame>(queue);
+    let (followed_in, followed_out) = mpsc::sync_channel::<Followed>(queue);
     thread::scope(|scope| {
         let decoder = scope.spawn(move || -> Result<()> {
             while let Some(frame) = decoding.next()? {

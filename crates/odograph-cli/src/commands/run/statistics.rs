@@ -57,6 +57,8 @@ pub struct LiveStatistics {
     pub frames_dropped: u64,
     /// Posed frames that were not looked at for the mosaic because laying was too slow.
     pub frames_not_laid: u64,
+    /// Keyframes that were not compared with older ones because the map was behind.
+    pub keyframes_not_compared: u64,
     /// How often the source went away and came back.
     pub reconnects: u64,
     /// From capture to pose, milliseconds, median.

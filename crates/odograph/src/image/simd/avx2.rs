@@ -97,22 +97,23 @@ impl<'a> Sampler<'a> {
         samples: &mut Patch,
     ) -> [f64; 3] {
         let factors = [&appearance.contrast, &appearance.gradient_x, &appearance.gradient_y];
-        let mut sums = [_mm256_setzero_ps(); 3];
+        let mut sums = [[_mm256_setzero_ps(); 2]; 3];
         for (j, row) in samples.chunks_exact_mut(PATCH_SIDE).enumerate() {
             let halves = self.row::<ROWS>(row_start(grid, j));
             for (half, values) in halves.into_iter().enumerate() {
                 let at = half * LANES;
                 store(values, &mut row[at..at + LANES]);
-                for (sum, factor) in sums.iter_mut().zip(factors) {
+                for (sums, factor) in sums.iter_mut().zip(factors) {
                     let factor = load(&factor[j * PATCH_SIDE + at..][..LANES]);
-                    *sum = _mm256_add_ps(*sum, _mm256_mul_ps(factor, values));
+                    sums[half] = _mm256_add_ps(sums[half], _mm256_mul_ps(factor, values));
                 }
             }
         }
         let mut totals = [0.0; 3];
-        for (sum, result) in sums.into_iter().zip(&mut totals) {
-            let mut lanes = [0.0f32; LANES];
-            store(sum, &mut lanes);
+        for (sums, result) in sums.into_iter().zip(&mut totals) {
+            let mut lanes = [0.0f32; PATCH_SIDE];
+            store(sums[0], &mut lanes[..LANES]);
+            store(sums[1], &mut lanes[LANES..]);
             *result = total(lanes);
         }
         totals

@@ -5,12 +5,14 @@
 //! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
 //!   reorders or fuses operations on floating-point numbers;
 //! * the sampling of patches and of frames that are laid on the ground, which the compiler cannot widen because of its gathered loads, the sums
-//!   over patches and the halving of rows are written by hand in [`avx2`] and [`ground`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
+//!   over patches and the halving of rows are written by hand in [`avx2`], [`avx512`] and [`ground`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
 //!   reference's.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 pub mod ground;
 pub mod remap;
 mod scalar;
@@ -56,36 +58,6 @@ fn samples_wide(image: &GrayImage) -> bool {
     is_x86_feature_detected!("avx2") && i32::try_from(image.samples().len()).is_ok()
 }
 
-/// Samples an image bilinearly on a grid.
-///
-/// The grid must lie inside the image: 0 ≤ x ≤ width − 1 and 0 ≤ y ≤ height − 1 up to rounding. Elsewhere the values mean nothing (nothing
-/// outside the image is read). Panics where the image is smaller than 2x2.
-pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
-    assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
-    #[cfg(target_arch = "x86_64")]
-    if samples_wide(image) {
-        // SAFETY: the processor has AVX2.
-        return unsafe { avx2::sample_patch(image, grid, samples) };
-    }
-    scalar::sample_patch(image, grid, samples);
-}
-
-/// [`sample_patch`], and the products of the samples with contrast, gradient along x and gradient along y (see [`dot`]).
-pub fn sample_and_multiply(
-    image: &GrayImage,
-    grid: &Grid,
-    appearance: &Appearance,
-    samples: &mut Patch,
-) -> [f64; 3] {
-    assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
-    #[cfg(target_arch = "x86_64")]
-    if samples_wide(image) {
-        // SAFETY: the processor has AVX2.
-        return unsafe { avx2::sample_and_multiply(image, grid, appearance, samples) };
-    }
-    scalar::sample_and_multiply(image, grid, appearance, samples)
-}
-
 /// Makes of a scalar reference a kernel that uses AVX2 where the processor has it.
 macro_rules! widened {
     ($(#[$doc:meta])* $name:ident($($argument:ident: $kind:ty),* $(,)?) $(-> $result:ty)?) => {
@@ -107,8 +79,94 @@ macro_rules! widened {
     };
 }
 
+/// A grid that is only moved: all its samples lie at the same place between those of the image, which are known without looking for each.
+#[derive(Debug, Clone, Copy)]
+pub struct Shift {
+    left: usize,
+    top: usize,
+    fx: f32,
+    fy: f32,
+}
+
+impl Shift {
+    /// The grid as a shift, where it is one; inside the image as far as the grid is, up to rounding.
+    fn of(image: &GrayImage, grid: &Grid) -> Option<Self> {
+        let still = grid.along_row == [1.0, 0.0] && grid.along_column == [0.0, 1.0];
+        let room = |size: usize| size.checked_sub(PATCH_SIDE + 1);
+        let (right, bottom) = (room(image.width())?, room(image.height())?);
+        still.then(|| {
+            let [x, y] = grid.first;
+            let (left, top) = ((x as usize).min(right), (y as usize).min(bottom));
+            Self { left, top, fx: (x - left as f64) as f32, fy: (y - top as f64) as f32 }
+        })
+    }
+}
+
+/// Samples an image bilinearly on a grid.
+///
+/// The grid must lie inside the image: 0 ≤ x ≤ width − 1 and 0 ≤ y ≤ height − 1 up to rounding. Elsewhere the values mean nothing (nothing
+/// outside the image is read). Panics where the image is smaller than 2x2.
+pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
+    assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
+    if let Some(shift) = Shift::of(image, grid) {
+        return sample_shifted(image, &shift, samples);
+    }
+    #[cfg(target_arch = "x86_64")]
+    if let Some(rows) = avx512::rows(image, grid).filter(|_| avx512::is_here()) {
+        // SAFETY: the processor has what it needs.
+        return unsafe { avx512::sample_patch(image, grid, rows, samples) };
+    }
+    #[cfg(target_arch = "x86_64")]
+    if samples_wide(image) {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::sample_patch(image, grid, samples) };
+    }
+    scalar::sample_patch(image, grid, samples);
+}
+
 widened! {
-    /// The sum of products of two patches. Eight running sums, one for every eighth sample, added in the end.
+    /// [`sample_patch`] of a grid that is only moved.
+    sample_shifted(image: &GrayImage, shift: &Shift, samples: &mut Patch)
+}
+
+widened! {
+    /// [`sample_and_multiply`] of a grid that is only moved.
+    multiply_shifted(
+        image: &GrayImage, shift: &Shift, appearance: &Appearance, samples: &mut Patch,
+    ) -> [f64; 3]
+}
+
+/// [`sample_patch`], and the products of the samples with contrast, gradient along x and gradient along y (see [`dot`]).
+pub fn sample_and_multiply(
+    image: &GrayImage,
+    grid: &Grid,
+    appearance: &Appearance,
+    samples: &mut Patch,
+) -> [f64; 3] {
+    assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
+    if let Some(shift) = Shift::of(image, grid) {
+        #[cfg(target_arch = "x86_64")]
+        if avx512::is_here() {
+            // SAFETY: the processor has what it needs.
+            return unsafe { avx512::multiply_shifted(image, &shift, appearance, samples) };
+        }
+        return multiply_shifted(image, &shift, appearance, samples);
+    }
+    #[cfg(target_arch = "x86_64")]
+    if let Some(rows) = avx512::rows(image, grid).filter(|_| avx512::is_here()) {
+        // SAFETY: the processor has what it needs.
+        return unsafe { avx512::sample_and_multiply(image, grid, rows, appearance, samples) };
+    }
+    #[cfg(target_arch = "x86_64")]
+    if samples_wide(image) {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::sample_and_multiply(image, grid, appearance, samples) };
+    }
+    scalar::sample_and_multiply(image, grid, appearance, samples)
+}
+
+widened! {
+    /// The sum of products of two patches. Sixteen running sums, one a column, added in the end.
     dot(a: &Patch, b: &Patch) -> f64
 }
 

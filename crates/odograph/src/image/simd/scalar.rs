@@ -2,11 +2,11 @@
 //!
 //! `inline(always)`, so that the copies for wider registers are compiled with these bodies inside.
 
-use super::{Appearance, Grid, Orthogonal, PATCH_SIDE, Patch, PatchSums};
+use super::{Appearance, Grid, Orthogonal, PATCH_SIDE, Patch, PatchSums, Shift};
 use crate::image::GrayImage;
 
 /// Running sums of a product. Their number is part of the meaning: it fixes the order of additions.
-const SUMS: usize = 8;
+const SUMS: usize = PATCH_SIDE;
 
 #[inline(always)]
 pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
@@ -43,13 +43,84 @@ pub fn sample_and_multiply(
     samples: &mut Patch,
 ) -> [f64; 3] {
     sample_patch(image, grid, samples);
-    [&appearance.contrast, &appearance.gradient_x, &appearance.gradient_y].map(|a| dot(a, samples))
+    let mut sums = [[0.0f32; PATCH_SIDE]; 3];
+    for (j, row) in samples.as_chunks::<PATCH_SIDE>().0.iter().enumerate() {
+        add_products(&mut sums, appearance, j, row);
+    }
+    sums.map(total)
 }
 
-/// The sum of running sums.
+/// Adds the products of row `j` of a patch to running sums, one a column.
+#[inline(always)]
+fn add_products(
+    sums: &mut [[f32; PATCH_SIDE]; 3],
+    appearance: &Appearance,
+    j: usize,
+    row: &[f32; PATCH_SIDE],
+) {
+    let factors = [&appearance.contrast, &appearance.gradient_x, &appearance.gradient_y];
+    for (sums, factor) in sums.iter_mut().zip(factors) {
+        let factor = &factor.as_chunks::<PATCH_SIDE>().0[j];
+        for i in 0..PATCH_SIDE {
+            sums[i] += factor[i] * row[i];
+        }
+    }
+}
+
+#[inline(always)]
+pub fn sample_shifted(image: &GrayImage, shift: &Shift, samples: &mut Patch) {
+    let mut upper = between_columns(image, shift, 0);
+    for (j, row) in samples.as_chunks_mut::<PATCH_SIDE>().0.iter_mut().enumerate() {
+        let lower = between_columns(image, shift, j + 1);
+        for i in 0..PATCH_SIDE {
+            row[i] = upper[i] + shift.fy * (lower[i] - upper[i]);
+        }
+        upper = lower;
+    }
+}
+
+#[inline(always)]
+pub fn multiply_shifted(
+    image: &GrayImage,
+    shift: &Shift,
+    appearance: &Appearance,
+    samples: &mut Patch,
+) -> [f64; 3] {
+    let mut sums = [[0.0f32; PATCH_SIDE]; 3];
+    let mut upper = between_columns(image, shift, 0);
+    for (j, row) in samples.as_chunks_mut::<PATCH_SIDE>().0.iter_mut().enumerate() {
+        let lower = between_columns(image, shift, j + 1);
+        for i in 0..PATCH_SIDE {
+            row[i] = upper[i] + shift.fy * (lower[i] - upper[i]);
+        }
+        add_products(&mut sums, appearance, j, row);
+        upper = lower;
+    }
+    sums.map(total)
+}
+
+/// Row `j` of a shifted patch, still on the image's rows.
+#[inline(always)]
+fn between_columns(image: &GrayImage, shift: &Shift, j: usize) -> [f32; PATCH_SIDE] {
+    let row: &[u8] = &image.row(shift.top + j)[shift.left..][..PATCH_SIDE + 1];
+    let mut between = [0.0; PATCH_SIDE];
+    for i in 0..PATCH_SIDE {
+        let (left, right) = (f32::from(row[i]), f32::from(row[i + 1]));
+        between[i] = left + shift.fx * (right - left);
+    }
+    between
+}
+
+/// The sum of running sums: those of the second half are added to those of the first, until one is left.
 #[inline(always)]
 pub fn total(sums: [f32; SUMS]) -> f64 {
-    sums.iter().map(|&s| f64::from(s)).sum()
+    let mut sums = sums.map(f64::from);
+    for half in [8, 4, 2, 1] {
+        for i in 0..half {
+            sums[i] += sums[i + half];
+        }
+    }
+    sums[0]
 }
 
 #[inline(always)]

@@ -20,6 +20,14 @@ fn random_patch(seed: u32) -> Patch {
     [(); 256].map(|()| f32::from(values.next().unwrap_or(0)) * 0.37 - 40.0)
 }
 
+fn appearance(seed: u32) -> Appearance {
+    Appearance {
+        contrast: random_patch(seed ^ 1),
+        gradient_x: random_patch(seed ^ 2),
+        gradient_y: random_patch(seed ^ 3),
+    }
+}
+
 /// A grid of any direction that fits into the image, pushed against the border it is nearest to where `touching`.
 fn grid(width: usize, height: usize, linear: [f64; 4], place: [f64; 2], touching: bool) -> Option<Grid> {
     let [xx, xy, yx, yy] = linear;
@@ -51,17 +59,20 @@ proptest! {
     ) {
         let Some(grid) = grid(width, height, linear, place, touching) else { return Ok(()) };
         let image = random_image(width, height, seed);
-        let appearance = Appearance {
-            contrast: random_patch(seed ^ 1),
-            gradient_x: random_patch(seed ^ 2),
-            gradient_y: random_patch(seed ^ 3),
-        };
+        let appearance = appearance(seed);
         let (mut expected, mut found, mut sampled) = ([0.0; 256], [0.0; 256], [0.0; 256]);
         let products = scalar::sample_and_multiply(&image, &grid, &appearance, &mut expected);
         prop_assert_eq!(sample_and_multiply(&image, &grid, &appearance, &mut found), products);
         sample_patch(&image, &grid, &mut sampled);
         prop_assert_eq!(found, expected);
         prop_assert_eq!(sampled, expected);
+        // Where a wider kernel was chosen.
+        #[cfg(target_arch = "x86_64")]
+        if samples_wide(&image) {
+            // SAFETY: the processor has AVX2.
+            prop_assert_eq!(unsafe { avx2::sample_and_multiply(&image, &grid, &appearance, &mut found) }, products);
+            prop_assert_eq!(found, expected);
+        }
     }
 
     #[test]
@@ -78,6 +89,35 @@ proptest! {
         scalar::sample_patch(&image, &grid, &mut expected);
         sample_patch(&image, &grid, &mut sampled);
         prop_assert_eq!(sampled, expected);
+        #[cfg(target_arch = "x86_64")]
+        if samples_wide(&image) {
+            // SAFETY: the processor has AVX2.
+            unsafe { avx2::sample_patch(&image, &grid, &mut sampled) };
+            prop_assert_eq!(sampled, expected);
+        }
+    }
+
+    #[test]
+    fn patches_that_are_only_moved_are_sampled_as_any_others(
+        width in 17usize..70, height in 17usize..70, seed in any::<u32>(), place in prop::array::uniform2(0.0..1.0f64),
+        touching in any::<bool>(),
+    ) {
+        let Some(grid) = grid(width, height, [1.0, 0.0, 0.0, 1.0], place, touching) else { return Ok(()) };
+        let image = random_image(width, height, seed);
+        let appearance = appearance(seed);
+        let (mut general, mut found, mut sampled) = ([0.0; 256], [0.0; 256], [0.0; 256]);
+        scalar::sample_patch(&image, &grid, &mut general);
+        let products = sample_and_multiply(&image, &grid, &appearance, &mut found);
+        sample_patch(&image, &grid, &mut sampled);
+        prop_assert_eq!(found, sampled);
+        // Places are rounded once instead of one by one: by 70 of 2⁻¹⁸ pixels, of 255 gray levels.
+        prop_assert!(general.iter().zip(found).all(|(a, b)| (a - b).abs() < 0.01));
+        let shift = Shift::of(&image, &grid).unwrap();
+        let expected = scalar::multiply_shifted(&image, &shift, &appearance, &mut sampled);
+        prop_assert_eq!((products, found), (expected, sampled));
+        // Where a wider kernel was chosen.
+        prop_assert_eq!(multiply_shifted(&image, &shift, &appearance, &mut found), products);
+        prop_assert_eq!(found, sampled);
     }
 
     #[test]

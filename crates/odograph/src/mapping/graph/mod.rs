@@ -144,6 +144,13 @@ impl PoseGraph {
         true
     }
 
+    /// How many loops tie two keyframes to each other, whichever of them saw the other.
+    pub fn loops_between(&self, one: KeyframeId, other: KeyframeId) -> usize {
+        let [Some(&one), Some(&other)] = [one, other].map(|id| self.index.get(&id)) else { return 0 };
+        let edges = self.edges_at[one].iter().map(|&edge| &self.edges[edge]);
+        edges.filter(|edge| edge.kind == EdgeKind::Loop && edge.other(one) == other).count()
+    }
+
     /// How many keyframes there are.
     pub fn len(&self) -> usize {
         self.nodes.len()

@@ -16,7 +16,9 @@ mod tile;
 pub use plane::DenseImage;
 
 use super::GroundFromRay;
-use super::{MotionConfig, MotionEstimate, RigPrior, Sighting, ViewingPose, planar_pose, whitened};
+use super::{
+    MotionConfig, MotionEstimate, Observations, RigPrior, Sighting, ViewingPose, planar_pose, whitened,
+};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
 use nalgebra::Matrix2;
@@ -28,6 +30,8 @@ use tile::{AREA, Look, SIDE, Tile};
 pub struct DenseReference {
     /// The finest first; every one with the number of its halving.
     levels: Vec<(usize, Vec<Tile>)>,
+    /// Where it was taken.
+    pose: GroundPose,
 }
 
 /// A pose from all of the overlap.
@@ -62,7 +66,7 @@ impl DenseReference {
             let places = along(plane.height).flat_map(|top| along(plane.width).map(move |left| (left, top)));
             (number, places.filter_map(|place| Tile::new(plane, place, camera, &from)).collect())
         };
-        Self { levels: levels.map(level).collect() }
+        Self { levels: levels.map(level).collect(), pose: *pose }
     }
 
     /// The part of the tiles that a camera at `pose` has in its image, 0 to 1.
@@ -95,7 +99,8 @@ pub fn refine(
     let mut best: Option<DenseEstimate> = None;
     for (halvings, tiles) in reference.levels.iter().rev() {
         let Some(plane) = image.planes.get(*halvings) else { continue };
-        let level = Level { camera, tiles, plane, halvings: *halvings, prior, config };
+        let laid_from = &reference.pose;
+        let level = Level { camera, tiles, laid_from, plane, halvings: *halvings, prior, config };
         let Some(found) = level.settle(&pose) else { continue };
         if *halvings >= OVERLAPPING {
             // Too few tiles to be sure of; the next level will tell.
@@ -126,6 +131,7 @@ const TRUSTED_START: f64 = 3.0;
 struct Level<'a> {
     camera: &'a Camera,
     tiles: &'a [Tile],
+    laid_from: &'a GroundPose,
     plane: &'a Plane,
     halvings: usize,
     prior: &'a RigPrior,
@@ -178,8 +184,9 @@ impl Level<'_> {
         let reach_px = (REACH * usual_px).max(self.plane.pixels_per_sample);
         let config = MotionConfig { inlier_px: reach_px, ..*self.config };
         let agreeing = vec![true; observations.len()];
+        let observations = Observations { seen: &observations, laid_from: self.laid_from };
         let estimate =
-            planar_pose::refine(self.camera, &observations, pose, &agreeing, pose, self.prior, &config)?;
+            planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;
         let agreement = estimate.inlier_count() as f64 / looks.len() as f64;
         let overlap = looks.len() as f64 / self.tiles.len() as f64;
         Some(DenseEstimate { estimate, score: score(&looks), overlap, agreement, halvings: self.halvings })
