@@ -1,6 +1,6 @@
 //! How well ground is recognised, on rendered ground with exact truth.
 //!
-//! `cargo run --release -p odograph --example places -- recall | unknown | kidnapped | speed [ground …] [seed=N]`
+//! `cargo run --release -p odograph --example places -- recall | unknown | kidnapped | speed [ground …] [seed=N] [area=N]`
 //!
 //! The grounds are the rendered ones, and `repeating`: a floor of one tile of 31 cm again and again, without any mark by which to tell one from the next. The
 //! seed makes other ground and other pictures; what was tuned was tuned with 0.
@@ -9,7 +9,7 @@
 //!   light. One map of all first pictures of a ground; the second ones are asked for in it.
 //! * `unknown`: 484 pictures of ground that no map shows, asked for in 49 maps of ten keyframes of the same kind of ground each, and in one
 //!   map of all of them. A query is one picture against one map: 24,200 for each ground.
-//! * `kidnapped`: single pictures anywhere in a map of 1,000 m², at any heading, blurred and under other light: recognised, and measured against the keyframe
+//! * `kidnapped`: single pictures anywhere in a map of 1,000 m², or of `area`, at any heading, blurred and under other light: recognised, and measured against the keyframe
 //!   that shows their ground ([`odograph::slam::Mapper::locate`]). The camera's height and tilt are known, as they are where it is mounted.
 //! * `speed`: queries to a map of 10,000 keyframes. It is made of 400 pictures, each 24 times more with its descriptors' bits changed
 //!   by a constant, which keeps their statistics and makes ground of it that is not that of the others.
@@ -28,8 +28,6 @@ use odograph::odometry::OdometryConfig;
 use odograph::simulation::{Ground, Renderer, Texture, Tiling};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, SlamConfig};
 use std::f64::consts::PI;
-use std::sync::LazyLock;
-use std::time::Instant;
 
 const HEIGHT_M: f64 = 0.75;
 const NOISE_GRAY: f64 = 3.0;
@@ -131,11 +129,16 @@ impl Scene {
 
 /// Time that this thread has had a processor for, milliseconds: on a busy machine what is measured costs no more than on an idle one, but for memory that
 /// others use too. Where the system does not tell it, time on the clock.
+#[cfg(unix)]
 fn busy_ms() -> f64 {
-    static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let busy_ns = told.and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
-    busy_ns.map_or_else(|| 1e3 * BEGUN.elapsed().as_secs_f64(), |ns| 1e-6 * ns)
+    let busy = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    1e3 * busy.tv_sec as f64 + 1e-6 * busy.tv_nsec as f64
+}
+
+#[cfg(not(unix))]
+fn busy_ms() -> f64 {
+    static BEGUN: std::sync::LazyLock<std::time::Instant> = std::sync::LazyLock::new(std::time::Instant::now);
+    1e3 * BEGUN.elapsed().as_secs_f64()
 }
 
 /// The mean of 3 by 3 pixels; its border stays.
@@ -260,9 +263,9 @@ fn field(scene: &mut Scene, side_m: f64, step_m: f64) -> Vec<GroundPose> {
         .collect()
 }
 
-fn kidnapped(name: &str, seed: u64) -> Result<()> {
+fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
     let mut scene = Scene::new(name, 320, seed)?;
-    let side_m = 1000f64.sqrt();
+    let side_m = area_m2.sqrt();
     let keyframes = field(&mut scene, side_m, 0.5);
     let mut images = MemoryImages::default();
     let mut map = GroundMap {
@@ -291,7 +294,9 @@ fn kidnapped(name: &str, seed: u64) -> Result<()> {
     let new = KeyframeId(keyframes.len() as u64);
     let mapper = Mapper::continuing(map, &OdometryConfig::default(), SlamConfig::default(), 1, new);
     let (mut off_mm, mut off_deg, mut times_ms, mut wrong) = (Vec::new(), Vec::new(), Vec::new(), 0);
-    for _ in 0..QUERIES {
+    // Where the ground is small, no more than there is to see.
+    let queries = QUERIES.min((2.0 * area_m2) as usize);
+    for _ in 0..queries {
         let (x, y) = (0.5 * side_m * (scene.signed() + 1.0), 0.5 * side_m * (scene.signed() + 1.0));
         let query = scene.pose(x, y, 10f64.to_radians());
         let picture = scene.picture(&query, true);
@@ -309,10 +314,10 @@ fn kidnapped(name: &str, seed: u64) -> Result<()> {
         off_deg.push(wrap_angle(found.pose.heading_rad - query.heading_rad).abs().to_degrees());
     }
     println!(
-        "{name:9} {} keyframes over 1000 m²: {:.1} % of {QUERIES} pictures found, {wrong} elsewhere; off {:.2} mm {:.3}° (median)  {:.2} mm {:.3}° (95 %); \
+        "{name:9} {} keyframes over {area_m2} m²: {:.1} % of {queries} pictures found, {wrong} elsewhere; off {:.2} mm {:.3}° (median)  {:.2} mm {:.3}° (95 %); \
          {:.1} ms (median), {:.1} ms (95 %), {:.1} ms (most)",
         keyframes.len(),
-        100.0 * off_mm.len() as f64 / QUERIES as f64,
+        100.0 * off_mm.len() as f64 / queries as f64,
         quantile(&mut off_mm, 0.5),
         quantile(&mut off_deg, 0.5),
         quantile(&mut off_mm, 0.95),
@@ -403,8 +408,9 @@ fn speed(name: &str, seed: u64) -> Result<()> {
 fn main() -> Result<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let what = words.first().map_or("recall", String::as_str);
-    let named = |word: &&String| !word.starts_with("seed=");
+    let named = |word: &&String| !word.contains('=');
     let seed = words.iter().find_map(|word| word.strip_prefix("seed=")?.parse().ok()).unwrap_or(0);
+    let area_m2 = words.iter().find_map(|word| word.strip_prefix("area=")?.parse().ok()).unwrap_or(1000.0);
     let chosen: Vec<&String> = words.iter().skip(1).filter(named).collect();
     let grounds = Texture::names()
         .chain([REPEATING])
@@ -412,7 +418,7 @@ fn main() -> Result<()> {
     for name in grounds {
         match what {
             "unknown" => unknown(name, seed)?,
-            "kidnapped" => kidnapped(name, seed)?,
+            "kidnapped" => kidnapped(name, seed, area_m2)?,
             "speed" => speed(name, seed)?,
             _ => recall(name, seed)?,
         }

@@ -68,6 +68,15 @@ pub enum PathKind {
         /// Which of them.
         seed: u64,
     },
+    /// The same without leaving a round yard about the start, as a mower with a fence goes: it crosses its own way again and again.
+    RandomWithin {
+        /// How far.
+        length_m: f64,
+        /// How far the yard reaches. A turn takes 1.2 m to either side, and the wheel another metre, so it is 10 m at least.
+        radius_m: f64,
+        /// Which of them.
+        seed: u64,
+    },
 }
 
 /// A path with its timing.
@@ -166,6 +175,18 @@ impl Path {
                 // One change of direction in about two metres, up to 150° to either side.
                 let bend = Bend::Wandering { wobble: Wobble::new(seed, 0.25), amplitude_rad: 2.6 };
                 path.add(curve(bend, length_m), path.drive(length_m, at_rest, at_rest));
+            }
+            PathKind::RandomWithin { length_m, radius_m, seed } => {
+                positive("length", length_m, "metres")?;
+                if !(10.0..=1e6).contains(&radius_m) {
+                    return Err(Error::usage(format!(
+                        "the yard's radius is {radius_m}; it must lie between 10 and 1000000 metres"
+                    )));
+                }
+                path.add(
+                    curve(Bend::within(radius_m, length_m, seed), length_m),
+                    path.drive(length_m, at_rest, at_rest),
+                );
             }
         }
         let duration_s = path.end_s;

@@ -3,7 +3,7 @@
 use super::SlamConfig;
 use crate::geometry::GroundPose;
 use crate::mapping::KeyframeId;
-use crate::mapping::graph::{PoseGraph, Reached};
+use crate::mapping::graph::{PoseGraph, Reach, Reached};
 use crate::odometry::matching::Matcher;
 use nalgebra::Vector4;
 
@@ -43,7 +43,7 @@ const SURE_PX: f64 = 8.0;
 /// Up to this part of what the camera sees (one standard deviation) a place is not taken for another.
 const DOUBTFUL_VIEWS: f64 = 0.1;
 
-/// Where the way is this uncertain, as a part of what the camera sees, place tells nothing.
+/// Where the way is this uncertain, as a part of what the camera sees, so are those that come after it: they are ordered by the heading's uncertainty, too.
 const HOPELESS_VIEWS: f64 = 3.0;
 
 impl Prior {
@@ -63,9 +63,11 @@ impl Prior {
     }
 }
 
-/// The older keyframes that a new one probably shows, those that it shows most of first. `known` gives height, roll and pitch of a keyframe.
+/// The older keyframes that a new one probably shows and whose place is known well enough to look there, those that it shows most of first. `known` gives
+/// height, roll and pitch of a keyframe, `reach` begins at the new one.
 pub fn candidates(
     graph: &PoseGraph,
+    reach: &mut Reach<'_>,
     new: KeyframeId,
     known: &dyn Fn(KeyframeId) -> Option<GroundPose>,
     matcher: &Matcher,
@@ -73,35 +75,34 @@ pub fn candidates(
 ) -> Vec<Candidate> {
     let (Some(here), Some(pose)) = (graph.pose(new), known(new)) else { return Vec::new() };
     let view_m = matcher.view_m(&pose);
-    let reach_m = 1.5 * view_m + 2.0 * HOPELESS_VIEWS * view_m;
-    let near =
-        |other: &GroundPose, within_m: f64| (other.x_m - here.x_m).hypot(other.y_m - here.y_m) < within_m;
+    let reach_m = 1.5 * view_m + 2.0 * DOUBTFUL_VIEWS * view_m;
+    let near = |other: &GroundPose| (other.x_m - here.x_m).hypot(other.y_m - here.y_m) < reach_m;
     // Without anything near there is nothing to ask the graph for.
-    let mut left = graph.poses().filter(|(id, other)| *id != new && near(other, reach_m)).count();
+    let mut left = graph.poses().filter(|(id, other)| *id != new && near(other)).count();
     let mut found = Vec::new();
-    let Some(reach) = graph.reach(new) else { return found };
-    for reached in reach {
-        if left == 0 {
-            break;
-        }
-        let Some(there) = graph.pose(reached.id) else { continue };
-        if reached.id == new || !near(&there, reach_m) {
+    while left > 0 {
+        let Some(id) = reach.further() else { break };
+        if id == new || !graph.pose(id).is_some_and(|there| near(&there)) {
             continue;
         }
         left -= 1;
+        let Some(reached) = reach.to(id) else { continue };
         let sigma_m = (0.5 * (reached.covariance[(0, 0)] + reached.covariance[(1, 1)])).sqrt();
         if sigma_m > HOPELESS_VIEWS * view_m {
-            break; // the surest come first
+            break;
         }
         if reached.edges < config.least_edges {
             continue;
         }
-        let Some(other) = known(reached.id) else { continue };
-        let shown = shortened(&reached.motion, 2.0 * sigma_m);
+        let Some(other) = known(id) else { continue };
+        let prior = Prior::new(reached, matcher, &pose);
+        if prior.strength == Strength::Weak {
+            continue;
+        }
+        let shown = shortened(&prior.reached.motion, 2.0 * sigma_m);
         let overlap = matcher.overlap(&pose, &other, &shown);
         if overlap >= config.least_overlap {
-            let id = reached.id;
-            found.push(Candidate { id, prior: Prior::new(reached, matcher, &pose), overlap });
+            found.push(Candidate { id, prior, overlap });
         }
     }
     // Of those that show about as much, the surest: sorting keeps their order.

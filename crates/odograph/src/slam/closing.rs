@@ -29,12 +29,14 @@ impl Mapper {
         mut sought: Sought,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
+        // Both that ask for them walk the same ways.
+        let Some(mut reach) = self.graph.reach(new) else { return Ok(()) };
         let near = {
             let compared = |id: KeyframeId| id == new || self.own_loops || !self.is_new(id);
             let known = |id: KeyframeId| {
                 self.keyframe(id).filter(|_| compared(id)).map(|keyframe| keyframe.odometry_pose)
             };
-            candidates::candidates(&self.graph, new, &known, &self.matcher, &self.config)
+            candidates::candidates(&self.graph, &mut reach, new, &known, &self.matcher, &self.config)
         };
         let sure = near.iter().filter(|candidate| candidate.prior.strength == Strength::Sure);
         for candidate in sure.take(self.config.comparisons) {
@@ -49,7 +51,15 @@ impl Mapper {
             let Some(keyframe) = self.keyframe(new) else { return Ok(()) };
             let here = (new, &keyframe.odometry_pose);
             let least = self.config.least_edges;
-            recognise(&self.places, &keyframe.signature, &self.graph, here, least, &self.matcher)
+            recognise(
+                &self.places,
+                &keyframe.signature,
+                &self.graph,
+                Some(&mut reach),
+                here,
+                least,
+                &self.matcher,
+            )
         };
         for place in recognised.iter().take(self.config.comparisons) {
             let Some(pictured) = self.pictured(place.id, images)? else { continue };
@@ -111,7 +121,7 @@ impl Mapper {
             return false;
         }
         let way = |from: KeyframeId, to: KeyframeId| {
-            let reached = self.graph.reach(from)?.find(|reached| reached.id == to)?;
+            let reached = self.graph.reach(from)?.to(to)?;
             (!reached.across_gap).then_some((reached.motion, reached.covariance))
         };
         let (Some(back), Some(on)) = (way(b.from, a.from), way(a.to, b.to)) else { return false };

@@ -48,11 +48,18 @@ impl Mapper {
         }
         let sought = self.matcher.sought(image, leaning);
         let signature = sought.signature(camera, &self.places_config);
-        // A number that no keyframe has: nothing is known of where it is.
+        // A number that no keyframe has, and no way to any: nothing is known of where it is.
         let new = KeyframeId(u64::MAX);
         let here = (new, leaning);
-        let found =
-            recognise(&self.places, &signature, &self.graph, here, self.config.least_edges, &self.matcher);
+        let found = recognise(
+            &self.places,
+            &signature,
+            &self.graph,
+            None,
+            here,
+            self.config.least_edges,
+            &self.matcher,
+        );
         for place in found.iter().take(self.config.comparisons) {
             let Some(known) = self.keyframe(place.id) else { continue };
             let pictured = self.matcher.pictured(images.load(place.id)?.gray, &known.odometry_pose);

@@ -4,7 +4,7 @@ use super::candidates::{Prior, Strength};
 use super::closure::{self, GATE};
 use crate::geometry::{GroundPose, wrap_angle};
 use crate::mapping::KeyframeId;
-use crate::mapping::graph::{PoseGraph, Reached};
+use crate::mapping::graph::{PoseGraph, Reach};
 use crate::mapping::places::{PlaceHypothesis, PlaceIndex, Signature};
 use crate::mapping::plane_motion::laid_from;
 use crate::odometry::matching::Matcher;
@@ -34,36 +34,26 @@ const MOST_PLACES: usize = 4;
 const RIVAL_SCORE: f64 = 0.6;
 
 /// The places that a new keyframe may show, best first: those that look like it, are not just behind it, and are where the graph allows them.
-/// Where two different places look alike and the graph does not decide, none.
+/// Where two different places look alike and the graph does not decide, none. `reach` begins at the new keyframe; without it nothing connects it.
 pub fn recognise(
     places: &PlaceIndex,
     signature: &Signature,
     graph: &PoseGraph,
+    mut reach: Option<&mut Reach<'_>>,
     new: (KeyframeId, &GroundPose),
     least_edges: usize,
     matcher: &Matcher,
 ) -> Vec<Recognised> {
     let hypotheses = places.query(signature, MOST_PLACES + least_edges);
     let view_m = matcher.view_m(new.1);
-    let mut open: Vec<KeyframeId> = hypotheses.iter().map(|found| found.keyframe).collect();
-    let mut reached: Vec<Reached> = Vec::new();
-    for one in graph.reach(new.0).into_iter().flatten() {
-        if open.is_empty() {
-            break;
-        }
-        if let Some(at) = open.iter().position(|id| *id == one.id) {
-            open.remove(at);
-            reached.push(one);
-        }
-    }
     let mut found: Vec<(Recognised, &PlaceHypothesis)> = Vec::new();
     for hypothesis in &hypotheses {
-        let there = reached.iter().find(|one| one.id == hypothesis.keyframe);
-        if hypothesis.keyframe == new.0 || there.is_some_and(|one| one.edges < least_edges) {
+        let there = reach.as_mut().and_then(|reach| reach.to(hypothesis.keyframe));
+        if hypothesis.keyframe == new.0 || there.as_ref().is_some_and(|one| one.edges < least_edges) {
             continue;
         }
         let motion = the_other_way(&hypothesis.motion);
-        let prior = there.map(|one| Prior::new(one.clone(), matcher, new.1));
+        let prior = there.map(|one| Prior::new(one, matcher, new.1));
         // What was extrapolated over a gap does not bind: the camera may have been carried anywhere meanwhile.
         let possible = prior.as_ref().filter(|prior| !prior.reached.across_gap).is_none_or(|prior| {
             closure::squared(&motion, &prior.reached.covariance, &prior.reached.motion) < 4.0 * GATE

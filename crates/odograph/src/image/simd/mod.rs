@@ -65,12 +65,12 @@ macro_rules! widened {
         pub fn $name($($argument: $kind),*) $(-> $result)? {
             #[cfg(target_arch = "x86_64")]
             {
-                #[target_feature(enable = "avx2")]
+                #[target_feature(enable = "avx2,popcnt")]
                 fn wide($($argument: $kind),*) $(-> $result)? {
                     scalar::$name($($argument),*)
                 }
-                if is_x86_feature_detected!("avx2") {
-                    // SAFETY: the processor has AVX2, which is all that `wide` asks for.
+                if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
+                    // SAFETY: the processor has AVX2 and counts bits, which is all that `wide` asks for.
                     return unsafe { wide($($argument),*) };
                 }
             }
@@ -270,4 +270,14 @@ widened! {
     /// Marks with 1 the places of the middle row that are at least `least`, above the neighbours read before them and not below those
     /// read after; with 0 the others, and the ends.
     mark_local_maxima(above: &[f32], here: &[f32], below: &[f32], least: f32, marks: &mut [u8])
+}
+
+widened! {
+    /// In how many bits each of `others` differs from `one`; as many as there are in the shorter of `others` and `out`.
+    differing_bits(one: &[u64; 4], others: &[[u64; 4]], out: &mut [u32])
+}
+
+widened! {
+    /// In how many bits the two of each pair differ; as many as there are in the shorter of `pairs` and `out`.
+    differing_bits_of_pairs(pairs: &[[[u64; 4]; 2]], out: &mut [u32])
 }

@@ -389,3 +389,17 @@ pub fn mark_local_maxima(above: &[f32], here: &[f32], below: &[f32], least: f32,
         marks[x] = u8::from((s >= least) & before & after);
     }
 }
+
+#[inline(always)]
+pub fn differing_bits(one: &[u64; 4], others: &[[u64; 4]], out: &mut [u32]) {
+    for (other, out) in others.iter().zip(out) {
+        *out = (0..4).map(|word| (one[word] ^ other[word]).count_ones()).sum();
+    }
+}
+
+#[inline(always)]
+pub fn differing_bits_of_pairs(pairs: &[[[u64; 4]; 2]], out: &mut [u32]) {
+    for ([one, other], out) in pairs.iter().zip(out) {
+        *out = (0..4).map(|word| (one[word] ^ other[word]).count_ones()).sum();
+    }
+}

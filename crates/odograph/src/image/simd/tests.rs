@@ -208,3 +208,26 @@ fn a_place_that_is_not_one_is_read_nowhere() {
         sample_patch(&image, &grid, &mut samples);
     }
 }
+
+#[test]
+fn differing_bits_are_counted_as_they_are() {
+    let mut values = random(3);
+    let mut word = || u64::from_le_bytes([(); 8].map(|()| values.next().unwrap_or(0)));
+    let pairs: Vec<[[u64; 4]; 2]> =
+        (0..37).map(|_| [[(); 4].map(|()| word()), [(); 4].map(|()| word())]).collect();
+    let mut of_pairs = vec![0; pairs.len()];
+    differing_bits_of_pairs(&pairs, &mut of_pairs);
+    // Bit by bit, by another way than the kernel's.
+    let differ = |a: &[u64; 4], b: &[u64; 4]| {
+        (0..256).filter(|bit| (a[bit / 64] ^ b[bit / 64]) >> (bit % 64) & 1 == 1).count()
+    };
+    for ([a, b], bits) in pairs.iter().zip(of_pairs) {
+        assert_eq!(bits as usize, differ(a, b));
+        let mut to_many = [0; 2];
+        differing_bits(a, &[*b, *a], &mut to_many);
+        assert_eq!(to_many, [bits, 0]);
+    }
+    let mut extremes = [0];
+    differing_bits(&[0; 4], &[[u64::MAX; 4]], &mut extremes);
+    assert_eq!(extremes, [256]);
+}

@@ -57,6 +57,8 @@ pub struct PoseGraph {
     turn_sigma: f64,
     /// Whether the loops have shown that there is such a turn.
     mount_turns: bool,
+    /// How many loops there were when they were last asked whether they show it.
+    asked_of_loops: usize,
 }
 
 /// What freeing the mount's turn must explain before it is freed: the squares of the misses, in variances, that it takes away. Chance takes away
@@ -106,12 +108,14 @@ impl PoseGraph {
             turn_per_m: Vector2::zeros(),
             turn_sigma: TURN_OF_MOUNT / height_m,
             mount_turns: false,
+            asked_of_loops: 0,
         }
     }
 
     /// Takes back what the loops were thought to show of the mount's turn: the next optimisation judges it anew.
     pub fn doubt_mount(&mut self) {
         self.mount_turns = false;
+        self.asked_of_loops = 0;
         self.turn_per_m = Vector2::zeros();
     }
 
@@ -202,7 +206,7 @@ impl PoseGraph {
             (outcome.cost.1, outcome.converged) = (after, converged);
             let last = round == 2 || outcome.steps >= steps;
             if (round > 0 || last) && !self.mount_turns {
-                self.mount_turns = self.shows_turn(&mut equations, reach);
+                self.mount_turns = self.is_worth_asking() && self.shows_turn(&mut equations, reach);
                 if last || !self.mount_turns {
                     break;
                 }
@@ -215,6 +219,16 @@ impl PoseGraph {
             self.turn_per_m = Vector2::zeros(); // but for rounding it is
         }
         outcome
+    }
+
+    /// Whether there are a tenth more loops than when they were last asked: it takes as long as the optimisation itself.
+    fn is_worth_asking(&mut self) -> bool {
+        let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
+        let worth = 10 * loops > 11 * self.asked_of_loops;
+        if worth {
+            self.asked_of_loops = loops;
+        }
+        worth
     }
 
     /// Whether the loops would be explained far better by a mount that turns.

@@ -12,6 +12,9 @@ impl PoseGraph {
         let (Some(&start), Some(&fixed)) = (self.index.get(&keyframe), self.index.get(&fixed)) else {
             return false;
         };
+        if start == fixed {
+            return false;
+        }
         let mut part = vec![false; self.nodes.len()];
         part[start] = true;
         let mut open = vec![start];
@@ -19,13 +22,13 @@ impl PoseGraph {
             for edge in self.edges_at[at].iter().map(|&edge| &self.edges[edge]) {
                 let other = edge.other(at);
                 if edge.kind != EdgeKind::Gap && !part[other] {
+                    if other == fixed {
+                        return false;
+                    }
                     part[other] = true;
                     open.push(other);
                 }
             }
-        }
-        if part[fixed] {
-            return false;
         }
         let before = self.nodes[start].pose;
         let scale = match self.heights {
@@ -48,7 +51,7 @@ impl PoseGraph {
 
     /// Whether measurements or gaps connect two keyframes.
     pub fn are_connected(&self, a: KeyframeId, b: KeyframeId) -> bool {
-        self.reach(a).is_some_and(|mut reach| reach.any(|reached| reached.id == b))
+        self.reach(a).is_some_and(|mut reach| reach.to(b).is_some())
     }
 
     /// For every keyframe, whether it is the first of those that are connected with it.

@@ -5,7 +5,7 @@
 
 use super::PoseGraph;
 use crate::mapping::ground_map::{EdgeKind, KeyframeId};
-use nalgebra::{Matrix4, Matrix4x2, Vector4};
+use nalgebra::{Matrix4, Matrix4x2, SMatrix, Vector4};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
@@ -24,18 +24,20 @@ pub struct Reached {
     pub across_gap: bool,
 }
 
-/// The keyframes from one of them, the surest first.
+/// The keyframes from one of them, the surest first. What has been reached stays known.
 #[derive(Debug)]
 pub struct Reach<'a> {
     graph: &'a PoseGraph,
     root: usize,
-    open: BinaryHeap<Entry>,
-    closed: Vec<bool>,
+    open: BinaryHeap<Open>,
+    ways: Vec<Way>,
+    /// For each keyframe that has been reached, its way.
+    way_to: Vec<Option<u32>>,
 }
 
+/// A way through the graph.
 #[derive(Debug, Clone)]
-struct Entry {
-    doubt: f64,
+struct Way {
     node: usize,
     /// In the world's axes.
     noise: Matrix4<f64>,
@@ -45,18 +47,26 @@ struct Entry {
     across_gap: bool,
 }
 
-impl PartialEq for Entry {
+/// A way that may be the surest to where it leads.
+#[derive(Debug, Clone)]
+struct Open {
+    doubt: f64,
+    node: usize,
+    way: u32,
+}
+
+impl PartialEq for Open {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
-impl Eq for Entry {}
-impl PartialOrd for Entry {
+impl Eq for Open {}
+impl PartialOrd for Open {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
-impl Ord for Entry {
+impl Ord for Open {
     fn cmp(&self, other: &Self) -> Ordering {
         // The heap gives the greatest first.
         other.doubt.total_cmp(&self.doubt).then(other.node.cmp(&self.node))
@@ -67,53 +77,99 @@ impl PoseGraph {
     /// The keyframes that are connected with one, the surest first, itself before all; none where it is not there.
     pub fn reach(&self, from: KeyframeId) -> Option<Reach<'_>> {
         let root = *self.index.get(&from)?;
-        let start = Entry {
-            doubt: 0.0,
-            node: root,
-            noise: Matrix4::zeros(),
-            by_mount: Matrix4x2::zeros(),
-            edges: 0,
-            across_gap: false,
-        };
+        let none = (Matrix4::zeros(), Matrix4x2::zeros());
+        let start = Way { node: root, noise: none.0, by_mount: none.1, edges: 0, across_gap: false };
+        // Every edge is gone along once at most.
+        let mut ways = Vec::with_capacity(self.edges.len() + 1);
+        ways.push(start);
         Some(Reach {
             graph: self,
             root,
-            open: BinaryHeap::from([start]),
-            closed: vec![false; self.nodes.len()],
+            open: BinaryHeap::from([Open { doubt: 0.0, node: root, way: 0 }]),
+            ways,
+            way_to: vec![None; self.nodes.len()],
         })
     }
 }
 
 impl Reach<'_> {
-    /// The entry of the keyframe at the other end of an edge.
-    fn along(&self, entry: &Entry, edge: usize) -> Entry {
+    /// A keyframe, whether it has been reached before or not; `None` where nothing connects it.
+    pub fn to(&mut self, id: KeyframeId) -> Option<Reached> {
+        let node = *self.graph.index.get(&id)?;
+        while self.way_to[node].is_none() {
+            self.further()?;
+        }
+        self.reached(node)
+    }
+
+    /// Reaches the next keyframe, and says which; what else is known of it tells [`Reach::to`].
+    pub fn further(&mut self) -> Option<KeyframeId> {
+        let Open { node, way, .. } = loop {
+            let open = self.open.pop()?;
+            if self.way_to[open.node].is_none() {
+                break open;
+            }
+        };
+        self.way_to[node] = Some(way);
+        for &edge in &self.graph.edges_at[node] {
+            let other = self.graph.edges[edge].other(node);
+            if self.way_to[other].is_none() {
+                let (further, doubt) = self.along(&self.ways[way as usize], edge);
+                self.open.push(Open { doubt, node: other, way: self.ways.len() as u32 });
+                self.ways.push(further);
+            }
+        }
+        Some(self.graph.nodes[node].id)
+    }
+
+    fn reached(&self, node: usize) -> Option<Reached> {
+        let way = &self.ways[self.way_to[node]? as usize];
+        let root = &self.graph.nodes[self.root];
+        let whole = way.noise + way.by_mount * way.by_mount.transpose() * self.graph.turn_sigma.powi(2);
+        let (sin, cos) = root.pose.heading_rad.sin_cos();
+        let per = 1.0 / root.scale();
+        let id = self.graph.nodes[node].id;
+        Some(Reached {
+            id,
+            motion: self.graph.seen(root.id, id)?,
+            covariance: both_sides(&whole, |columns| turn(columns, per * cos, -per * sin)),
+            edges: way.edges,
+            across_gap: way.across_gap,
+        })
+    }
+
+    /// The way on to the keyframe at the other end of an edge, and how much doubt is left there.
+    fn along(&self, way: &Way, edge: usize) -> (Way, f64) {
         let graph = self.graph;
         let edge = &graph.edges[edge];
-        let (here, there) = (&graph.nodes[entry.node].pose, &graph.nodes[edge.other(entry.node)].pose);
+        let (here, there) = (&graph.nodes[way.node].pose, &graph.nodes[edge.other(way.node)].pose);
         let (dx, dy) = (there.x_m - here.x_m, there.y_m - here.y_m);
-        // A turn of what is here swings what is there about it, and a greater height moves it away.
-        let mut swing = Matrix4::identity();
-        (swing[(0, 2)], swing[(0, 3)], swing[(1, 2)], swing[(1, 3)]) = (-dy, dx, dx, dy);
         let from = &graph.nodes[edge.from];
         let (sin, cos) = from.pose.heading_rad.sin_cos();
-        let scale = from.scale();
-        let mut turn = Matrix4::identity();
-        (turn[(0, 0)], turn[(0, 1)]) = (scale * cos, -scale * sin);
-        (turn[(1, 0)], turn[(1, 1)]) = (scale * sin, scale * cos);
-        if edge.from != entry.node {
+        let (sin, cos) = (from.scale() * sin, from.scale() * cos);
+        let own = both_sides(&edge.covariance, |columns| turn(columns, cos, sin));
+        let mut own_by_mount = edge.by_mount();
+        turn(&mut own_by_mount, cos, sin);
+        let (mut noise, mut by_mount) = (way.noise, way.by_mount);
+        let back = edge.from != way.node;
+        if back {
             // Seen from the other end: what the motion is off moves the near end the other way.
-            let mut back = -Matrix4::identity();
-            (back[(0, 2)], back[(0, 3)], back[(1, 2)], back[(1, 3)]) = (dy, -dx, -dx, -dy);
-            turn = back * turn;
+            noise += own;
+            by_mount -= own_by_mount;
         }
-        let noise = swing * entry.noise * swing.transpose() + turn * edge.covariance * turn.transpose();
-        let by_mount = swing * entry.by_mount + turn * edge.by_mount();
-        let sigma2 = graph.turn_sigma.powi(2);
-        let whole = noise + by_mount * by_mount.transpose() * sigma2;
-        let across_gap = entry.across_gap || edge.kind == EdgeKind::Gap;
+        // A turn of what is here swings what is there about it, and a greater height moves it away.
+        noise = both_sides(&noise, |columns| swing(columns, dx, dy));
+        swing(&mut by_mount, dx, dy);
+        if !back {
+            noise += own;
+            by_mount += own_by_mount;
+        }
+        let variance = |i: usize| noise[(i, i)] + graph.turn_sigma.powi(2) * by_mount.row(i).norm_squared();
         // Position, and heading over the height of the camera, that is over about what an image shows.
-        let doubt = whole[(0, 0)] + whole[(1, 1)] + whole[(2, 2)] * here.height_m.powi(2);
-        Entry { doubt, node: edge.other(entry.node), noise, by_mount, edges: entry.edges + 1, across_gap }
+        let doubt = variance(0) + variance(1) + variance(2) * here.height_m.powi(2);
+        let across_gap = way.across_gap || edge.kind == EdgeKind::Gap;
+        let node = edge.other(way.node);
+        (Way { node, noise, by_mount, edges: way.edges + 1, across_gap }, doubt)
     }
 }
 
@@ -121,33 +177,31 @@ impl Iterator for Reach<'_> {
     type Item = Reached;
 
     fn next(&mut self) -> Option<Reached> {
-        let entry = loop {
-            let entry = self.open.pop()?;
-            if !self.closed[entry.node] {
-                break entry;
-            }
-        };
-        self.closed[entry.node] = true;
-        for &edge in &self.graph.edges_at[entry.node] {
-            if !self.closed[self.graph.edges[edge].other(entry.node)] {
-                let next = self.along(&entry, edge);
-                self.open.push(next);
-            }
-        }
-        let root = &self.graph.nodes[self.root];
-        let (sin, cos) = root.pose.heading_rad.sin_cos();
-        let per = 1.0 / root.scale();
-        let mut turn = Matrix4::identity();
-        (turn[(0, 0)], turn[(0, 1)], turn[(1, 0)], turn[(1, 1)]) =
-            (per * cos, per * sin, -per * sin, per * cos);
-        let whole = entry.noise + entry.by_mount * entry.by_mount.transpose() * self.graph.turn_sigma.powi(2);
-        let id = self.graph.nodes[entry.node].id;
-        Some(Reached {
-            id,
-            motion: self.graph.seen(root.id, id)?,
-            covariance: turn * whole * turn.transpose(),
-            edges: entry.edges,
-            across_gap: entry.across_gap,
-        })
+        let id = self.further()?;
+        self.to(id)
+    }
+}
+
+/// A linear map on both sides of a covariance.
+fn both_sides(covariance: &Matrix4<f64>, map: impl Fn(&mut Matrix4<f64>)) -> Matrix4<f64> {
+    let mut mapped = *covariance;
+    map(&mut mapped);
+    mapped = mapped.transpose();
+    map(&mut mapped);
+    mapped
+}
+
+/// Turns and scales the first two numbers of every column.
+fn turn<const C: usize>(columns: &mut SMatrix<f64, 4, C>, cos: f64, sin: f64) {
+    for mut column in columns.column_iter_mut() {
+        (column[0], column[1]) = (cos * column[0] - sin * column[1], sin * column[0] + cos * column[1]);
+    }
+}
+
+/// Adds to the first two numbers of every column what a turn (the third) and a greater height (the fourth) make of a way (dx, dy).
+fn swing<const C: usize>(columns: &mut SMatrix<f64, 4, C>, dx: f64, dy: f64) {
+    for mut column in columns.column_iter_mut() {
+        column[0] += dx * column[3] - dy * column[2];
+        column[1] += dx * column[2] + dy * column[3];
     }
 }

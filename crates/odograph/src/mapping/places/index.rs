@@ -1,8 +1,10 @@
 //! The index: signatures in, hypotheses out.
 
-use super::lookup::{Buckets, FeatureNumber, difference};
-use super::support::{Features, MOST_DIFFERENCE, Match, Placing, best_pair, rival, support};
+use super::features::Features;
+use super::lookup::{Buckets, FeatureNumber};
+use super::support::{MOST_DIFFERENCE, Match, Placing, best_pair, rival, support};
 use super::{PlacesConfig, Signature};
+use crate::image::simd::differing_bits_of_pairs;
 use crate::mapping::ground_map::KeyframeId;
 use nalgebra::Vector4;
 use std::cmp::Reverse;
@@ -107,8 +109,8 @@ impl PlaceIndex {
             return;
         }
         let features = Features::new(&signature.features, self.spot_m);
-        for (at, feature) in features.features.iter().enumerate() {
-            self.buckets.insert(&feature.descriptor, FeatureNumber::new(number, at));
+        for (at, descriptor) in features.descriptors.iter().enumerate() {
+            self.buckets.insert(descriptor, FeatureNumber::new(number, at));
         }
         let slot = Slot { keyframe: Some(keyframe), features };
         match self.slots.get_mut(number) {
@@ -122,8 +124,8 @@ impl PlaceIndex {
     pub fn remove(&mut self, keyframe: KeyframeId) {
         let Some(number) = self.slot_of.remove(&keyframe) else { return };
         let slot = std::mem::take(&mut self.slots[number]);
-        for (at, feature) in slot.features.features.iter().enumerate() {
-            self.buckets.remove(&feature.descriptor, FeatureNumber::new(number, at));
+        for (at, descriptor) in slot.features.descriptors.iter().enumerate() {
+            self.buckets.remove(descriptor, FeatureNumber::new(number, at));
         }
         self.free.push(number);
     }
@@ -174,16 +176,21 @@ impl PlaceIndex {
         let mut matches = self.look_up(query);
         matches.sort_unstable();
         matches.dedup();
+        // A match alone tells nothing. Those left are fetched before the first is looked at, as they are in `look_up`.
+        let paired = matches.chunk_by(|a, b| a.0.slot() == b.0.slot()).filter(|group| group.len() > 1);
+        let fetched = |&(number, feature, bits): &(FeatureNumber, usize, u32)| {
+            let there = &self.slots[number.slot()].features;
+            (number.slot(), Match::new((query, feature), (there, number.feature()), bits))
+        };
+        let mut matches: Vec<(usize, Match)> = paired.flatten().map(fetched).collect();
+        matches.sort_unstable_by_key(|(slot, m)| (*slot, m.difference, m.query, m.keyframe));
         let mut candidates = Vec::new();
-        for group in matches.chunk_by(|a, b| a.0.slot() == b.0.slot()) {
-            let slot = group[0].0.slot();
-            let mut group: Vec<_> = group
-                .iter()
-                .map(|&(number, query, difference)| Match { query, keyframe: number.feature(), difference })
-                .collect();
-            group.sort_unstable_by_key(|m| (m.difference, m.query, m.keyframe));
-            if let Some((placing, agreeing)) = best_pair(query, &self.slots[slot].features, &group) {
-                candidates.push((agreeing, slot, placing));
+        let mut group = Vec::new();
+        for of_slot in matches.chunk_by(|a, b| a.0 == b.0) {
+            group.clear();
+            group.extend(of_slot.iter().map(|(_, m)| *m));
+            if let Some((placing, agreeing)) = best_pair(query, &group) {
+                candidates.push((agreeing, of_slot[0].0, placing));
             }
         }
         candidates.sort_by_key(|&(agreeing, slot, _)| (Reverse(agreeing), slot));
@@ -198,24 +205,29 @@ impl PlaceIndex {
 
     /// What lies in the same buckets as the query's features and looks like them.
     fn look_up(&self, query: &Features) -> Vec<(FeatureNumber, usize, u32)> {
-        let leads = query.features.iter().enumerate();
+        let leads = query.descriptors.iter().enumerate();
         let mut addresses: Vec<_> =
-            leads.flat_map(|(number, feature)| self.buckets.lead(number, &feature.descriptor)).collect();
+            leads.flat_map(|(number, descriptor)| self.buckets.lead(number, descriptor)).collect();
         addresses.sort_unstable();
         let mut left = MOST_COMPARISONS;
-        let mut alike = Vec::new();
-        for address in addresses {
-            let Some(rest) = left.checked_sub(address.features) else { break };
-            left = rest;
-            let number = address.query as usize;
-            let descriptor = &query.features[number].descriptor;
-            for other in self.buckets.features(address, descriptor) {
-                let there = &self.slots[other.slot()].features.features[other.feature()];
-                if let Some(difference) = difference(descriptor, &there.descriptor, MOST_DIFFERENCE) {
-                    alike.push((other, number, difference));
-                }
+        let within = addresses.iter().take_while(|address| match left.checked_sub(address.features) {
+            Some(rest) => {
+                left = rest;
+                true
             }
-        }
-        alike
+            None => false,
+        });
+        let within = within.count();
+        let found = self.buckets.alike(&addresses[..within], &query.descriptors);
+        // All are fetched before the first is compared: they lie far apart, and none has to wait for another.
+        let theirs = |&(other, _): &(FeatureNumber, u32)| {
+            self.slots[other.slot()].features.descriptors[other.feature()]
+        };
+        let pairs: Vec<[[u64; 4]; 2]> =
+            found.iter().map(|found| [theirs(found), query.descriptors[found.1 as usize]]).collect();
+        let mut differences = vec![0; pairs.len()];
+        differing_bits_of_pairs(&pairs, &mut differences);
+        let alike = found.into_iter().zip(differences).filter(|(_, bits)| *bits <= MOST_DIFFERENCE);
+        alike.map(|((other, number), bits)| (other, number as usize, bits)).collect()
     }
 }

@@ -143,25 +143,22 @@ impl Buckets {
     }
 
     fn position(&self, bucket: usize, number: FeatureNumber) -> Option<(usize, usize)> {
-        self.runs(bucket).find_map(|(piece, features, _)| {
+        self.runs(bucket).find_map(|(piece, features)| {
             features.iter().position(|&other| other == number).map(|place| (piece, place))
         })
     }
 
     /// The pieces of a bucket, with what is used of each.
-    fn runs(&self, bucket: usize) -> impl Iterator<Item = (usize, &[FeatureNumber], &[u32])> {
+    fn runs(&self, bucket: usize) -> impl Iterator<Item = (usize, &[FeatureNumber])> {
         let Bucket { features, newest } = self.buckets[bucket];
-        let mut used = match features as usize % PIECE {
-            0 => PIECE,
-            rest => rest,
-        };
+        let mut used = used_of_newest(features);
         let mut at = newest;
         std::iter::from_fn(move || {
             let number = at as usize;
             let piece = self.pieces.get(number)?;
-            let (features, sketches) = (&piece.features[..used], &piece.sketches[..used]);
+            let features = &piece.features[..used];
             (at, used) = (piece.older, PIECE);
-            Some((number, features, sketches))
+            Some((number, features))
         })
     }
 
@@ -173,17 +170,51 @@ impl Buckets {
         })
     }
 
-    /// The features in a bucket that may be alike the one of the query, the newest first within their pieces' order.
-    pub fn features(&self, address: Address, descriptor: &[u64; 4]) -> impl Iterator<Item = FeatureNumber> {
-        let own = sketch(descriptor);
-        let alike = move |sketch: &u32| (sketch ^ own).count_ones() <= MOST_SKETCH_DIFFERENCE;
-        self.runs(address.bucket as usize).flat_map(move |(_, features, sketches)| {
-            features
-                .iter()
-                .zip(sketches)
-                .filter(move |(_, sketch)| alike(sketch))
-                .map(|(&feature, _)| feature)
-        })
+    /// What lies in buckets and may be alike the query's descriptors that led there, with the number of each.
+    ///
+    /// Hardly any of it is in the processor's caches, so that reading it one after the other is waiting most of the time. Of many buckets the newest
+    /// pieces are read, then of all of these the next older, and so on: none of a round waits for another.
+    pub fn alike(&self, addresses: &[Address], query: &[[u64; 4]]) -> Vec<(FeatureNumber, u32)> {
+        const AT_ONCE: usize = 32;
+        let sketches: Vec<u32> = query.iter().map(sketch).collect();
+        let mut alike = Vec::new();
+        let mut open: Vec<(u32, usize, u32)> = Vec::with_capacity(AT_ONCE);
+        for addresses in addresses.chunks(AT_ONCE) {
+            let begin = |address: &Address| {
+                let Bucket { features, newest } = self.buckets[address.bucket as usize];
+                (newest, used_of_newest(features), address.query)
+            };
+            open.extend(addresses.iter().map(begin).filter(|&(piece, ..)| piece != NONE));
+            while !open.is_empty() {
+                let older: [u32; AT_ONCE] = std::array::from_fn(|at| {
+                    open.get(at).map_or(NONE, |&(piece, ..)| self.pieces[piece as usize].older)
+                });
+                for &(piece, used, number) in &open {
+                    let piece = &self.pieces[piece as usize];
+                    let own = sketches[number as usize];
+                    let near =
+                        piece.sketches.map(|sketch| (sketch ^ own).count_ones() <= MOST_SKETCH_DIFFERENCE);
+                    for (&feature, _) in piece.features[..used].iter().zip(near).filter(|(_, near)| *near) {
+                        alike.push((feature, number));
+                    }
+                }
+                let mut at = 0;
+                open.retain_mut(|(piece, used, _)| {
+                    (*piece, *used) = (older[at], PIECE);
+                    at += 1;
+                    *piece != NONE
+                });
+            }
+        }
+        alike
+    }
+}
+
+/// How many places of its newest piece a bucket with so many features uses.
+fn used_of_newest(features: u32) -> usize {
+    match features as usize % PIECE {
+        0 => PIECE,
+        rest => rest,
     }
 }
 

@@ -22,6 +22,7 @@
 
 mod bytes;
 mod descriptor;
+mod features;
 mod index;
 mod lookup;
 mod support;

@@ -1,14 +1,12 @@
 //! What speaks for a motion between two pictures of the ground.
 
-use super::GroundFeature;
+use super::features::Features;
 use super::lookup::difference;
+use crate::image::simd::differing_bits;
 use std::f32::consts::{PI, TAU};
 
 /// Descriptors that differ in more bits than this do not show the same. Unrelated ones differ in 128 on the average.
 pub(super) const MOST_DIFFERENCE: u32 = 60;
-
-/// Descriptors of one picture that differ in no more bits than this could be taken for each other.
-const LOOKALIKE_DIFFERENCE: u32 = 40;
 
 /// Directions of the same pattern agree within this, radians.
 const DIRECTION_TOLERANCE: f32 = 0.45;
@@ -30,16 +28,17 @@ pub(super) struct Match {
     pub query: usize,
     pub keyframe: usize,
     pub difference: u32,
+    /// Where the one of the keyframe is, and how far it is turned against that of the query: beside the rest, for what a keyframe holds lies far away.
+    pub there: [f32; 2],
+    pub turn_rad: f32,
 }
 
-/// A picture's features, brought to spots and ordered by x, so that those near a place are found quickly.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Features {
-    pub features: Vec<GroundFeature>,
-    /// What a match of each is worth: one over the number of features of the picture that look like it, itself included.
-    pub worth: Vec<f32>,
-    low: [f32; 2],
-    high: [f32; 2],
+impl Match {
+    pub fn new(query: (&Features, usize), keyframe: (&Features, usize), difference: u32) -> Self {
+        let turn_rad = keyframe.0.directions_rad[keyframe.1] - query.0.directions_rad[query.1];
+        let there = keyframe.0.positions[keyframe.1];
+        Self { query: query.1, keyframe: keyframe.1, difference, there, turn_rad }
+    }
 }
 
 /// The angle brought near zero. Angles here are a few turns at most, so the nearest number of turns is got by cutting off, without a call of a library.
@@ -49,59 +48,17 @@ fn turned(angle: f32) -> f32 {
     angle - TAU * (turns + 0.5f32.copysign(turns)) as i32 as f32
 }
 
-impl Features {
-    pub fn new(features: &[GroundFeature], spot_m: f64) -> Self {
-        let scale = (1.0 / spot_m) as f32;
-        let in_spots = |feature: &GroundFeature| GroundFeature {
-            position_m: feature.position_m.map(|metres| metres * scale),
-            ..*feature
-        };
-        let mut features: Vec<_> = features.iter().take(super::MOST_FEATURES).map(in_spots).collect();
-        features.sort_by(|a, b| {
-            let by_place = |k: usize| a.position_m[k].total_cmp(&b.position_m[k]);
-            by_place(0).then(by_place(1)).then(a.descriptor.cmp(&b.descriptor))
-        });
-        let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-        for feature in &features {
-            for k in 0..2 {
-                low[k] = low[k].min(feature.position_m[k]);
-                high[k] = high[k].max(feature.position_m[k]);
-            }
-        }
-        let mut alike = vec![1u16; features.len()];
-        for (i, a) in features.iter().enumerate() {
-            for (j, b) in features.iter().enumerate().take(i) {
-                if difference(&a.descriptor, &b.descriptor, LOOKALIKE_DIFFERENCE).is_some() {
-                    alike[i] += 1;
-                    alike[j] += 1;
-                }
-            }
-        }
-        let worth = alike.into_iter().map(|alike| 1.0 / f32::from(alike)).collect();
-        Self { features, worth, low, high }
-    }
-
-    pub fn position(&self, at: usize) -> [f32; 2] {
-        self.features[at].position_m
-    }
-
-    fn covers(&self, [x, y]: [f32; 2]) -> bool {
-        x >= self.low[0] && x <= self.high[0] && y >= self.low[1] && y <= self.high[1]
-    }
-
-    /// The features whose x lies within `radius` of `x`.
-    fn around(&self, x: f32, radius: f32) -> std::ops::Range<usize> {
-        let first = self.features.partition_point(|feature| feature.position_m[0] < x - radius);
-        let rest = &self.features[first..];
-        first..first + rest.partition_point(|feature| feature.position_m[0] <= x + radius)
-    }
-}
-
 impl Placing {
-    pub fn apply(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+    pub fn apply(&self, place: [f32; 2]) -> [f32; 2] {
+        self.applied()(place)
+    }
+
+    /// [`Placing::apply`], for many places.
+    fn applied(&self) -> impl Fn([f32; 2]) -> [f32; 2] + use<> {
         let (sin, cos) = self.heading_rad.sin_cos();
         let (sin, cos) = (self.scale * sin, self.scale * cos);
-        [self.shift[0] + cos * x - sin * y, self.shift[1] + sin * x + cos * y]
+        let shift = self.shift;
+        move |[x, y]| [shift[0] + cos * x - sin * y, shift[1] + sin * x + cos * y]
     }
 
     fn inverse(&self) -> Self {
@@ -112,10 +69,10 @@ impl Placing {
     }
 
     /// From two matches, without a scale. `None` where they contradict each other: other distances, or other turns.
-    fn from_pair(query: &Features, keyframe: &Features, a: Match, b: Match) -> Option<Self> {
+    fn from_pair(query: &Features, a: Match, b: Match) -> Option<Self> {
         let baseline = |p: [f32; 2], q: [f32; 2]| [q[0] - p[0], q[1] - p[1]];
-        let in_query = baseline(query.position(a.query), query.position(b.query));
-        let in_keyframe = baseline(keyframe.position(a.keyframe), keyframe.position(b.keyframe));
+        let in_query = baseline(query.positions[a.query], query.positions[b.query]);
+        let in_keyframe = baseline(a.there, b.there);
         let lengths = [in_query, in_keyframe].map(|v| v[0].hypot(v[1]));
         let longer = lengths[0].max(lengths[1]);
         let shorter = lengths[0].min(lengths[1]);
@@ -124,16 +81,13 @@ impl Placing {
         }
         let angle = |v: [f32; 2]| v[1].atan2(v[0]);
         let heading_rad = turned(angle(in_keyframe) - angle(in_query));
-        let agrees = |m: Match| {
-            let turn = keyframe.features[m.keyframe].direction_rad - query.features[m.query].direction_rad;
-            turned(turn - heading_rad).abs() < DIRECTION_TOLERANCE
-        };
+        let agrees = |m: Match| turned(m.turn_rad - heading_rad).abs() < DIRECTION_TOLERANCE;
         if !agrees(a) || !agrees(b) {
             return None;
         }
         let turn = Self { shift: [0.0; 2], heading_rad, scale: 1.0 };
-        let (qa, qb) = (turn.apply(query.position(a.query)), turn.apply(query.position(b.query)));
-        let (ka, kb) = (keyframe.position(a.keyframe), keyframe.position(b.keyframe));
+        let (qa, qb) = (turn.apply(query.positions[a.query]), turn.apply(query.positions[b.query]));
+        let (ka, kb) = (a.there, b.there);
         let shift = std::array::from_fn(|k| 0.5 * (ka[k] + kb[k] - qa[k] - qb[k]));
         Some(Self { shift, ..turn })
     }
@@ -141,13 +95,13 @@ impl Placing {
     /// The placing that takes matched features to each other with the least sum of squares (S. Umeyama, "Least-squares estimation of
     /// transformation parameters between two point patterns", 1991; in the plane it is a division of complex numbers). From few matches the scale
     /// is not taken: it would follow their errors.
-    fn fitted(query: &Features, keyframe: &Features, matches: &[Match]) -> Option<Self> {
+    fn fitted(query: &Features, matches: &[Match]) -> Option<Self> {
         const ENOUGH_FOR_SCALE: usize = 6;
         let count = matches.len() as f64;
         if matches.len() < 2 {
             return None;
         }
-        let pairs = || matches.iter().map(|m| (query.position(m.query), keyframe.position(m.keyframe)));
+        let pairs = || matches.iter().map(|m| (query.positions[m.query], m.there));
         let mut means = [0.0f64; 4];
         for (q, k) in pairs() {
             [q[0], q[1], k[0], k[1]]
@@ -195,11 +149,7 @@ pub(super) struct Support {
 }
 
 /// The placing, of those that pairs of matches give, with which most others agree, and how many do.
-pub(super) fn best_pair(
-    query: &Features,
-    keyframe: &Features,
-    matches: &[Match],
-) -> Option<(Placing, usize)> {
+pub(super) fn best_pair(query: &Features, matches: &[Match]) -> Option<(Placing, usize)> {
     /// Pairs are made of the matches that are most alike.
     const MOST_PAIRED: usize = 14;
     const NEAR: f32 = 6.0;
@@ -207,9 +157,10 @@ pub(super) fn best_pair(
     let paired = &matches[..matches.len().min(MOST_PAIRED)];
     for (i, &a) in paired.iter().enumerate() {
         for &b in &paired[..i] {
-            let Some(placing) = Placing::from_pair(query, keyframe, a, b) else { continue };
+            let Some(placing) = Placing::from_pair(query, a, b) else { continue };
+            let applied = placing.applied();
             let agreeing = matches.iter().filter(|m| {
-                let (at, there) = (placing.apply(query.position(m.query)), keyframe.position(m.keyframe));
+                let (at, there) = (applied(query.positions[m.query]), m.there);
                 (at[0] - there[0]).abs().max((at[1] - there[1]).abs()) < NEAR
             });
             let count = agreeing.count();
@@ -233,16 +184,20 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
         if matches.len() < LEAST_TO_GO_ON {
             return None;
         }
-        placing = Placing::fitted(query, keyframe, &matches)?;
+        placing = Placing::fitted(query, &matches)?;
         if !(0.7..1.4).contains(&placing.scale) {
             return None;
         }
     }
     find_matches(query, keyframe, &placing, 2.5, &mut matches);
-    let squares: f32 = matches.iter().map(|m| square_distance(query, keyframe, &placing, *m)).sum();
-    let back = placing.inverse();
-    let there = query.features.iter().filter(|f| keyframe.covers(placing.apply(f.position_m))).count();
-    let here = keyframe.features.iter().filter(|f| query.covers(back.apply(f.position_m))).count();
+    let (onto, back) = (placing.applied(), placing.inverse().applied());
+    let square_distance = |m: &Match| {
+        let (at, there) = (onto(query.positions[m.query]), m.there);
+        (at[0] - there[0]).powi(2) + (at[1] - there[1]).powi(2)
+    };
+    let squares: f32 = matches.iter().map(square_distance).sum();
+    let there = query.positions.iter().filter(|&&place| keyframe.covers(onto(place))).count();
+    let here = keyframe.positions.iter().filter(|&&place| query.covers(back(place))).count();
     Some(Support {
         placing,
         matches: matches.len(),
@@ -250,11 +205,6 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
         shared: here.min(there).max(matches.len()),
         residual: (squares / matches.len().max(1) as f32).sqrt(),
     })
-}
-
-fn square_distance(query: &Features, keyframe: &Features, placing: &Placing, m: Match) -> f32 {
-    let (at, there) = (placing.apply(query.position(m.query)), keyframe.position(m.keyframe));
-    (at[0] - there[0]).powi(2) + (at[1] - there[1]).powi(2)
 }
 
 /// For every feature of the query the one within `radius` spots that is most alike; each of the keyframe's is taken once, by the query's that is
@@ -267,32 +217,31 @@ fn find_matches(
     matches: &mut Vec<Match>,
 ) {
     matches.clear();
-    for (number, feature) in query.features.iter().enumerate() {
-        let at = placing.apply(feature.position_m);
+    let applied = placing.applied();
+    for (number, &position) in query.positions.iter().enumerate() {
+        let at = applied(position);
         if !keyframe.covers(at) {
             continue;
         }
-        let direction = feature.direction_rad + placing.heading_rad;
-        let mut best = Match { query: number, keyframe: 0, difference: MOST_DIFFERENCE + 1 };
-        for candidate in keyframe.around(at[0], radius) {
-            let other = &keyframe.features[candidate];
-            let off = [other.position_m[0] - at[0], other.position_m[1] - at[1]];
+        let direction_rad = query.directions_rad[number] + placing.heading_rad;
+        let mut best: Option<Match> = None;
+        for candidate in keyframe.around(at, radius) {
+            let there = keyframe.positions[candidate];
+            let off = [there[0] - at[0], there[1] - at[1]];
             if off[0] * off[0] + off[1] * off[1] > radius * radius
-                || turned(other.direction_rad - direction).abs() > DIRECTION_TOLERANCE
+                || turned(keyframe.directions_rad[candidate] - direction_rad).abs() > DIRECTION_TOLERANCE
             {
                 continue;
             }
-            let allowed = best.difference - 1;
-            if let Some(difference) = difference(&feature.descriptor, &other.descriptor, allowed) {
-                best = Match { keyframe: candidate, difference, ..best };
-                if difference == 0 {
-                    break;
-                }
+            let descriptors = (&query.descriptors[number], &keyframe.descriptors[candidate]);
+            let allowed = best.map_or(MOST_DIFFERENCE, |best| best.difference);
+            let Some(difference) = difference(descriptors.0, descriptors.1, allowed) else { continue };
+            // Of those as much alike the first, whatever their order here.
+            if best.is_none_or(|best| (difference, candidate) < (best.difference, best.keyframe)) {
+                best = Some(Match::new((query, number), (keyframe, candidate), difference));
             }
         }
-        if best.difference <= MOST_DIFFERENCE {
-            matches.push(best);
-        }
+        matches.extend(best);
     }
     matches.sort_unstable_by_key(|m| (m.keyframe, m.difference, m.query));
     matches.dedup_by_key(|m| m.keyframe);
@@ -305,17 +254,16 @@ const LEAST_TO_EXTRAPOLATE: usize = 8;
 /// under the best. Where a pattern repeats there is one.
 pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Option<Support> {
     const MOST_TRIED: usize = 8;
-    let middle: [f32; 2] = std::array::from_fn(|k| 0.5 * (query.low[k] + query.high[k]));
+    let middle = query.middle();
     let mut votes = Vec::new();
-    for feature in &query.features {
-        for other in &keyframe.features {
-            if difference(&feature.descriptor, &other.descriptor, MOST_DIFFERENCE).is_none() {
-                continue;
-            }
-            let heading_rad = turned(other.direction_rad - feature.direction_rad);
+    let mut differences = vec![0; keyframe.len()];
+    for (number, descriptor) in query.descriptors.iter().enumerate() {
+        differing_bits(descriptor, &keyframe.descriptors, &mut differences);
+        for (other, _) in differences.iter().enumerate().filter(|(_, bits)| **bits <= MOST_DIFFERENCE) {
+            let heading_rad = turned(keyframe.directions_rad[other] - query.directions_rad[number]);
             let turn = Placing { shift: [0.0; 2], heading_rad, scale: 1.0 };
-            let off = turn.apply(std::array::from_fn(|k| middle[k] - feature.position_m[k]));
-            let middle: [f32; 2] = std::array::from_fn(|k| other.position_m[k] + off[k]);
+            let off = turn.apply(std::array::from_fn(|k| middle[k] - query.positions[number][k]));
+            let middle: [f32; 2] = std::array::from_fn(|k| keyframe.positions[other][k] + off[k]);
             votes.push(Vote { bin: bin(middle, heading_rad), middle, heading_rad });
         }
     }

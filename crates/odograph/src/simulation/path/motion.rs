@@ -1,6 +1,7 @@
 //! Pieces of paths: how they run and how progress along them follows time.
 
 use super::super::noise::Wobble;
+use crate::geometry::wrap_angle;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Position and direction on the ground, in the carrier's frame at the start.
@@ -43,6 +44,8 @@ pub(super) enum Bend {
     Once { length_m: f64, turn_rad: f64 },
     /// Wandering heading.
     Wandering { wobble: Wobble, amplitude_rad: f64 },
+    /// Heading and curvature at every so many metres; between them the curvature changes evenly.
+    Steered { step_m: f64, nodes: Vec<(f64, f64)> },
 }
 
 /// Progress by time: constant rate, with smooth ramps where the segment starts or ends at rest.
@@ -173,6 +176,34 @@ pub(super) fn curve(bend: Bend, length_m: f64) -> Motion {
 }
 
 impl Bend {
+    /// Bends at random, and where it comes near `radius_m` from its start back towards it.
+    pub(super) fn within(radius_m: f64, length_m: f64, seed: u64) -> Self {
+        const STEP_M: f64 = 0.05;
+        /// 1/m: a turn of 1.2 m to either side is the narrowest.
+        const MOST: f64 = 0.8;
+        /// The wheel is turned over so many metres, twice one after the other: what it is turned to may jump.
+        const EASE_M: f64 = 0.5;
+        let wobble = Wobble::new(seed, 0.12);
+        let (mut at, mut heading_rad, mut eased, mut curvature) = ((0.0f64, 0.0f64), 0.0f64, 0.0, 0.0);
+        let mut nodes = vec![(heading_rad, curvature)];
+        for step in 1..=(length_m / STEP_M).ceil() as usize + 1 {
+            // Home is to the left where this is positive.
+            let home_rad = wrap_angle((-at.1).atan2(-at.0) - heading_rad);
+            let away = (at.0.hypot(at.1) / radius_m - 0.5).clamp(0.0, 0.2) / 0.2;
+            let at_random = 1.6 * wobble.at(step as f64 * STEP_M);
+            let wanted = MOST * ((1.0 - away) * at_random + away * home_rad).clamp(-1.0, 1.0);
+            eased += (wanted - eased) * STEP_M / EASE_M;
+            let next = curvature + (eased - curvature) * STEP_M / EASE_M;
+            let piece = Self::Steered { step_m: STEP_M, nodes: vec![(heading_rad, curvature), (0.0, next)] };
+            let (dx, dy) = piece.integral(0.0, STEP_M);
+            at = (at.0 + dx, at.1 + dy);
+            heading_rad += 0.5 * STEP_M * (curvature + next);
+            curvature = next;
+            nodes.push((heading_rad, curvature));
+        }
+        Self::Steered { step_m: STEP_M, nodes }
+    }
+
     pub(super) fn heading_rad(&self, distance_m: f64) -> f64 {
         match self {
             Self::Once { length_m, turn_rad } => {
@@ -182,6 +213,12 @@ impl Bend {
             }
             Self::Wandering { wobble, amplitude_rad } => {
                 amplitude_rad * (wobble.at(distance_m) - wobble.at(0.0))
+            }
+            Self::Steered { step_m, nodes } => {
+                let node = ((distance_m / step_m).max(0.0) as usize).min(nodes.len().saturating_sub(2));
+                let (Some(from), Some(to)) = (nodes.get(node), nodes.get(node + 1)) else { return 0.0 };
+                let along_m = distance_m - node as f64 * step_m;
+                from.0 + along_m * (from.1 + 0.5 * along_m / step_m * (to.1 - from.1))
             }
         }
     }

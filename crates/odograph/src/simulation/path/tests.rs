@@ -14,6 +14,7 @@ fn shapes() -> Vec<PathKind> {
         PathKind::FigureEight { length_m: 3.0, laps: 2.0 },
         PathKind::Lanes { length_m: 2.0, spacing_m: 0.5, count: 4 },
         PathKind::RandomWalk { length_m: 8.0, seed: 3 },
+        PathKind::RandomWithin { length_m: 12.0, radius_m: 10.0, seed: 3 },
     ]
 }
 
@@ -135,6 +136,9 @@ fn impossible_paths_are_refused_by_name() {
     assert!(refused(PathKind::Straight { length_m: -1.0 }, 0.5, 1.0).contains("length is -1"));
     assert!(refused(PathKind::Straight { length_m: 1.0 }, f64::NAN, 1.0).contains("speed is NaN"));
     assert!(refused(PathKind::Straight { length_m: 1e6 }, 0.1, 1.0).contains("a day"));
+    assert!(
+        refused(PathKind::RandomWithin { length_m: 1.0, radius_m: 0.1, seed: 1 }, 0.1, 1.0).contains("yard")
+    );
     assert!(refused(PathKind::Lanes { length_m: 1.0, spacing_m: 1.0, count: 0 }, 0.1, 1.0).contains("lanes"));
 }
 
@@ -150,5 +154,13 @@ proptest! {
             let measured = (b.x_m - a.x_m).hypot(b.y_m - a.y_m) / 1e-4;
             prop_assert!((measured - speed).abs() < 1e-4 * speed, "{measured} for {speed}");
         }
+    }
+
+    #[test]
+    fn a_random_walk_in_a_yard_stays_there(seed in 0u64..1000, radius_m in 10.0..20.0f64) {
+        let kind = PathKind::RandomWithin { length_m: 150.0, radius_m, seed };
+        let path = Path::new(kind, 1.0, 1.0, false).unwrap();
+        let far = (0..300).map(|i| path.pose(0.5 * f64::from(i), &Rig::level(1.0))).map(|at| at.x_m.hypot(at.y_m));
+        prop_assert!(far.fold(0.0, f64::max) < radius_m);
     }
 }
