@@ -2,6 +2,7 @@
 
 mod ground;
 mod latency;
+mod kept_frames;
 mod laying;
 mod mcap;
 pub(super) mod open;

@@ -1,6 +1,7 @@
 //! Capture | track | map and show, side by side. Only tracking is waited for; everything else gets what it can carry.
 
 use super::ground::LiveGround;
+use super::kept_frames::KeptFrames;
 use super::latency::Latencies;
 use super::laying;
 use super::mcap::McapLog;
@@ -16,7 +17,7 @@ use crate::interrupt;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::image::GrayImage;
-use odograph::odometry::{FrameReference, KeyframeEvent, Odometry, TrackView};
+use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, LiveSource, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::Picture;
@@ -61,8 +62,7 @@ pub fn follow(
     odometry.tell_keyframes();
     let mut following = Following {
         odometry,
-        frames: Vec::new(),
-        references: Vec::new(),
+        frames: KeptFrames::new(recorder.path()),
         times: StageTimes::default(),
         latencies: Latencies::default(),
         distance_m: 0.0,
@@ -90,10 +90,11 @@ pub fn follow(
     };
     following.times.map = times;
     let live = following.statistics();
+    let (frames, references) = following.frames.into_all()?;
     let tracked = Tracked {
         keyframes: following.odometry.keyframes(),
-        frames: following.frames,
-        references: following.references,
+        frames,
+        references,
         views,
         mapping,
         warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
@@ -178,8 +179,7 @@ struct Sight {
 /// The middle of the pipeline.
 struct Following<'a> {
     odometry: Odometry,
-    frames: Vec<FrameEstimate>,
-    references: Vec<Option<FrameReference>>,
+    frames: KeptFrames,
     times: StageTimes,
     latencies: Latencies,
     distance_m: f64,
@@ -287,7 +287,7 @@ impl Following<'_> {
             let tracks = || self.odometry.tracks().to_vec();
             log.give(&estimate, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
         }
-        let first_time_s = self.frames.first().map_or(estimate.time_s, |first| first.time_s);
+        let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
         let reference = self.odometry.reference();
         let keyframe = reference.map(|reference| reference.keyframe.0);
         let record = TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
@@ -299,9 +299,8 @@ impl Following<'_> {
         self.distance_m += self.step_m(&estimate);
         let pose = estimate.estimate.as_ref().map(|known| known.pose);
         let segment = estimate.segment;
-        self.frames.push(estimate);
-        self.references.push(reference);
-        number_as_source(&mut events, &self.frames);
+        self.frames.push(estimate, reference);
+        number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
         if !events.is_empty() {
             beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });

@@ -6,6 +6,7 @@ use odograph::error::Result;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::Mark;
 use std::fmt::Write;
+use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// At most so much is lost when the program is killed.
@@ -94,6 +95,11 @@ impl Recorder {
     /// Whether frames are recorded.
     pub fn is_recording(&self) -> bool {
         self.stopped.is_none()
+    }
+
+    /// Where the folder is.
+    pub fn path(&self) -> &Path {
+        self.folder.path()
     }
 
     /// The folder, for the results.

@@ -206,19 +206,20 @@ impl Tracking<'_> {
         let segment = estimate.segment;
         self.frames.push(estimate);
         self.references.push(self.odometry.reference());
-        number_as_source(&mut events, &self.frames);
+        let in_source = |index: u64| self.frames.get(index as usize).map(|made| made.frame);
+        number_as_source(&mut events, in_source);
         let is_keyframe = is_made(&events, frame.number);
         Ok(Followed { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events })
     }
 }
 
-/// Odometry counts the frames that it was given; the map tells those of the source.
-pub fn number_as_source(events: &mut [KeyframeEvent], frames: &[FrameEstimate]) {
+/// Odometry counts the frames that it was given; the map tells those of the source, whose numbers `in_source` knows.
+pub fn number_as_source(events: &mut [KeyframeEvent], in_source: impl Fn(u64) -> Option<u64>) {
     for event in events {
         if let KeyframeEvent::Made(new) = event
-            && let Some(made) = frames.get(new.frame as usize)
+            && let Some(number) = in_source(new.frame)
         {
-            new.frame = made.frame;
+            new.frame = number;
         }
     }
 }
