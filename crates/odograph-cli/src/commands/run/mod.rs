@@ -10,6 +10,7 @@ mod plan;
 mod reference;
 mod sensors;
 pub(super) mod statistics;
+mod tilt;
 pub(super) mod views;
 
 use crate::{Outcome, console};
@@ -267,6 +268,7 @@ pub(super) fn finish(
         tracked.warnings.push(format!("the map ended early: {error}"));
         failure.get_or_insert(error);
     }
+    tracked.warnings.extend(tilt::untold(&tracked.frames, &plan.rig, plan.odometry.motion.model));
     let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, sensors);

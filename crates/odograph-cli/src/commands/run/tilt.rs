@@ -1,0 +1,82 @@
+//! A tilt of the camera that nobody told.
+
+use odograph::camera::Rig;
+use odograph::motion::MotionModel;
+use odograph::trajectory::FrameEstimate;
+
+/// Fewer posed frames than this, in the second half of a recording, tell nothing.
+const LEAST_FRAMES: usize = 60;
+/// A smaller tilt than this is not worth a word: it turns the path by a tenth of a degree a metre at most, radians.
+const WORTH_TELLING_RAD: f64 = 0.0035;
+/// A tilt is that of the mount, and not of a hand, where it scatters by less than this part of itself.
+const STEADY: f64 = 1.0 / 3.0;
+
+/// A sentence where the camera sat otherwise than was told, all through the second half of a recording. While that is learned, in the first metres, it bends and
+/// stretches the path, and nothing that comes later makes that good.
+pub fn untold(frames: &[FrameEstimate], rig: &Rig, model: MotionModel) -> Option<String> {
+    if model != MotionModel::Auto {
+        return None; // either held, or the recording's own affair
+    }
+    let told = rig.first_pose();
+    let poses = frames.iter().filter_map(|frame| frame.estimate.as_ref()).map(|known| known.pose);
+    let tilts: Vec<[f64; 2]> =
+        poses.map(|pose| [pose.roll_rad - told.roll_rad, pose.pitch_rad - told.pitch_rad]).collect();
+    let later = &tilts[tilts.len() / 2..];
+    if later.len() < LEAST_FRAMES {
+        return None;
+    }
+    let count = later.len() as f64;
+    let mean = [0, 1].map(|i| later.iter().map(|tilt| tilt[i]).sum::<f64>() / count);
+    let variance =
+        later.iter().map(|tilt| (tilt[0] - mean[0]).powi(2) + (tilt[1] - mean[1]).powi(2)).sum::<f64>()
+            / count;
+    let size = mean[0].hypot(mean[1]);
+    (size > WORTH_TELLING_RAD && variance.sqrt() < STEADY * size).then(|| {
+        let [roll, pitch] = mean.map(f64::to_degrees);
+        format!(
+            "the camera seems to sit otherwise than was told, by {roll:+.1}° of roll and {pitch:+.1}° of pitch: until that was learned the path was bent and \
+             stretched; odograph ground measures how it sits, and --rig tells it"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use odograph::geometry::GroundPose;
+    use odograph::trajectory::{PlaneMeasurement, PoseEstimate, TrackStatus};
+
+    fn frames(roll_rad: impl Fn(f64) -> f64) -> Vec<FrameEstimate> {
+        let frame = |number: u64| {
+            let pose = GroundPose { roll_rad: roll_rad(number as f64), ..GroundPose::level(1.0) };
+            let covariance = nalgebra::Matrix6::zeros();
+            let measured = PlaneMeasurement::new(&pose, &covariance);
+            FrameEstimate {
+                frame: number,
+                time_s: number as f64 / 30.0,
+                status: TrackStatus::Tracked,
+                estimate: Some(PoseEstimate { pose, velocity: Default::default(), covariance, measured }),
+                tracks: 300,
+                inliers: 300,
+                residual_px: 0.1,
+                keyframe: false,
+                segment: 0,
+            }
+        };
+        (0..300).map(frame).collect()
+    }
+
+    fn told(frames: &[FrameEstimate]) -> Option<String> {
+        untold(frames, &Rig::level(1.0), MotionModel::Auto)
+    }
+
+    #[test]
+    fn a_tilt_that_was_learned_and_stayed_is_told_and_that_of_a_hand_is_not() {
+        let learned = frames(|k| 0.0175 * (k / 60.0).min(1.0) + 2e-4 * (0.7 * k).sin());
+        assert!(told(&learned).is_some_and(|sentence| sentence.contains("+1.0° of roll and +0.0° of pitch")));
+        assert_eq!(told(&frames(|k| 0.01 + 0.02 * (0.05 * k).sin())), None);
+        assert_eq!(told(&frames(|k| 1e-3 * (0.05 * k).sin())), None);
+        assert_eq!(told(&learned[..100]), None);
+        assert_eq!(untold(&learned, &Rig::level(1.0), MotionModel::Free), None);
+    }
+}
