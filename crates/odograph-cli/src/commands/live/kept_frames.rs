@@ -248,11 +248,12 @@ mod tests {
                 tracks: k as usize,
                 inliers: k as usize / 2,
                 residual_px: at(81),
-                keyframe: k % 5 == 0,
+                keyframe: k.is_multiple_of(5),
                 segment: k as usize / 100,
             };
             let next = (k % 4 == 1).then(|| (KeyframeId(k + 1), pose(90)));
-            let reference = (k % 3 > 0).then_some(FrameReference { keyframe: KeyframeId(k), next });
+            let reference =
+                (!k.is_multiple_of(3)).then_some(FrameReference { keyframe: KeyframeId(k), next });
             (frame, reference)
         };
         (0..2 * CHUNK as u64 + 10).map(kept).collect()
