@@ -115,6 +115,7 @@ pub(crate) fn decode(
     let gray = GrayImage::from_samples(size.0, size.1, gray).ok_or("cannot be decoded")?;
     Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })
 }
+
 /// Pixels that are coloured at once.
 const AT_ONCE: usize = 16;
 

@@ -1,8 +1,8 @@
 //! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with a page in the browser.
 
 mod ground;
-mod latency;
 mod kept_frames;
+mod latency;
 mod laying;
 mod mcap;
 pub(super) mod open;

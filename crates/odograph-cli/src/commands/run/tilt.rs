@@ -6,7 +6,7 @@ use odograph::trajectory::FrameEstimate;
 
 /// Fewer posed frames than this, in the second half of a recording, tell nothing.
 const LEAST_FRAMES: usize = 60;
-/// A smaller tilt than this is not worth a word: it turns the path by a tenth of a degree a metre at most, radians.
+/// A smaller tilt than this is not worth a word: from a metre up it turns the path by a tenth of a degree a metre, radians.
 const WORTH_TELLING_RAD: f64 = 0.0035;
 /// A tilt is that of the mount, and not of a hand, where it scatters by less than this part of itself.
 const STEADY: f64 = 1.0 / 3.0;
