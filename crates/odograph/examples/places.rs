@@ -16,6 +16,8 @@
 
 #![allow(clippy::print_stdout)] // the table is what it is for
 
+mod processor_time;
+
 use nalgebra::Matrix6;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
@@ -27,6 +29,7 @@ use odograph::motion::Random;
 use odograph::odometry::OdometryConfig;
 use odograph::simulation::{Ground, Renderer, Texture, Tiling};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, SlamConfig};
+use processor_time::busy_ms;
 use std::f64::consts::PI;
 
 const HEIGHT_M: f64 = 0.75;
@@ -125,20 +128,6 @@ impl Scene {
         points.iter().filter(|&&point| shown(point).is_some_and(|pixel| inside(&pixel))).count() as f64
             / points.len() as f64
     }
-}
-
-/// Time that this thread has had a processor for, milliseconds: on a busy machine what is measured costs no more than on an idle one, but for memory that
-/// others use too. Where the system does not tell it, time on the clock.
-#[cfg(unix)]
-fn busy_ms() -> f64 {
-    let busy = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    1e3 * busy.tv_sec as f64 + 1e-6 * busy.tv_nsec as f64
-}
-
-#[cfg(not(unix))]
-fn busy_ms() -> f64 {
-    static BEGUN: std::sync::LazyLock<std::time::Instant> = std::sync::LazyLock::new(std::time::Instant::now);
-    1e3 * BEGUN.elapsed().as_secs_f64()
 }
 
 /// The mean of 3 by 3 pixels; its border stays.

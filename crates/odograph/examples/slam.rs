@@ -10,6 +10,8 @@
 
 #![allow(clippy::print_stdout)] // the table is what it is for
 
+mod processor_time;
+
 use nalgebra::{SMatrix, SVector, Vector2};
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
@@ -17,6 +19,7 @@ use odograph::odometry::{KeyframeEvent, Odometry, OdometryConfig};
 use odograph::simulation::{Effects, Path, PathKind, Simulation, SimulationConfig, Texture};
 use odograph::slam::{Mapper, MemoryImages, SlamConfig, map_frames};
 use odograph::trajectory::FrameEstimate;
+use processor_time::busy_ms;
 
 struct Drive {
     name: &'static str,
@@ -220,19 +223,6 @@ fn line(drive: &Drive) -> Result<String> {
         1e3 * mapper.turn_per_m().0,
         1e3 * mapper.turn_per_m().1,
     ))
-}
-
-/// Time that this thread has had a processor for, milliseconds; where the system does not tell it, time on the clock.
-#[cfg(unix)]
-fn busy_ms() -> f64 {
-    let busy = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    1e3 * busy.tv_sec as f64 + 1e-6 * busy.tv_nsec as f64
-}
-
-#[cfg(not(unix))]
-fn busy_ms() -> f64 {
-    static BEGUN: std::sync::LazyLock<std::time::Instant> = std::sync::LazyLock::new(std::time::Instant::now);
-    1e3 * BEGUN.elapsed().as_secs_f64()
 }
 
 /// Sorts; gives the median.
