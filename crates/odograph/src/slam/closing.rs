@@ -4,7 +4,6 @@ use super::Mapper;
 use super::candidates::{self, Strength};
 use super::closure::{self, LoopClosure};
 use super::images::KeyframeStore;
-use super::mapper::STEPS_ON_THE_WAY;
 use super::recognition::{recognise, the_other_way};
 use crate::error::Result;
 use crate::mapping::plane_motion::laid_from;
@@ -20,6 +19,31 @@ const MOST_PENDING: usize = 16;
 /// Two keyframes are tied by at most so many loops. The noise of their own two images is in every one of them, so that more would add little; and who
 /// goes the same round all day has a graph that does not grow.
 const MOST_SIGHTINGS: usize = 4;
+
+/// Whether to try again what takes long: after every time in a row that it led to nothing, twice as many occasions are let go by.
+#[derive(Debug, Default)]
+pub(super) struct Patience {
+    failures: u32,
+    let_go_by: u32,
+}
+
+/// At most so many occasions are let go by, about: two to the power of this.
+const MOST_DOUBLINGS: u32 = 5;
+
+impl Patience {
+    /// Whether this is an occasion to try.
+    fn is_worth_it(&mut self) -> bool {
+        let rest = self.let_go_by.checked_sub(1);
+        self.let_go_by = rest.unwrap_or(0);
+        rest.is_none()
+    }
+
+    /// What came of it.
+    fn learn(&mut self, succeeded: bool) {
+        self.failures = if succeeded { 0 } else { (self.failures + 1).min(MOST_DOUBLINGS) };
+        self.let_go_by = (1 << self.failures) - 1;
+    }
+}
 
 impl Mapper {
     /// Compares a new keyframe with the older ones that it may show again: those that are near, and where that is not sure, those that look like it.
@@ -73,11 +97,12 @@ impl Mapper {
         }
         // The whole pictures compared take longest: only where place is nearly known and appearance did not tell.
         let doubtful = near.iter().find(|candidate| candidate.prior.strength == Strength::Doubtful);
-        if let Some(candidate) = doubtful
+        if let Some(candidate) = doubtful.filter(|_| self.patience.is_worth_it())
             && let Some(mut pictured) = self.pictured(candidate.id, images)?
         {
             let closure =
                 closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+            self.patience.learn(closure.is_some());
             if let Some(closure) = closure {
                 self.accept(closure, images)?;
             }
@@ -99,7 +124,7 @@ impl Mapper {
         if let Some(at) = second {
             let first = self.pending.remove(at);
             self.accept(first, images)?;
-            self.settle(STEPS_ON_THE_WAY);
+            self.relax();
             return self.accept(closure, images);
         }
         self.pending.push(closure);

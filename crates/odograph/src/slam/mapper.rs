@@ -1,6 +1,7 @@
 //! The mapper: keyframes go in as they are made, loops are found, and the map is kept straight.
 
 use super::SlamConfig;
+use super::closing::Patience;
 use super::closure::LoopClosure;
 use super::images::KeyframeStore;
 use crate::camera::{Camera, Rig};
@@ -32,6 +33,8 @@ pub struct Mapper {
     pub(super) closures: Vec<LoopClosure>,
     /// Sightings for which one is not enough.
     pub(super) pending: Vec<LoopClosure>,
+    /// With comparing whole pictures.
+    pub(super) patience: Patience,
     /// Loops since the last optimisation.
     pub(super) unsettled: usize,
     /// The run that is being mapped, and what its keyframes' numbers begin with.
@@ -44,7 +47,7 @@ pub struct Mapper {
 }
 
 /// An optimisation while running takes at most so many steps: what is left, the next brings.
-pub(super) const STEPS_ON_THE_WAY: usize = 2;
+const STEPS_ON_THE_WAY: usize = 2;
 
 /// At the end there is time.
 const STEPS_AT_THE_END: usize = 60;
@@ -75,6 +78,7 @@ impl Mapper {
             index: BTreeMap::new(),
             closures: Vec::new(),
             pending: Vec::new(),
+            patience: Patience::default(),
             unsettled: 0,
             // A mean vector knows no heading, so nothing that it comes back to fits.
             config: SlamConfig {
@@ -187,10 +191,11 @@ impl Mapper {
     /// Ends the session: every pose is where all edges agree best, with its covariance.
     pub fn finish(&mut self) {
         self.graph.doubt_mount();
-        self.settle(STEPS_AT_THE_END);
         if !self.is_straightened() {
             return;
         }
+        self.graph.optimize(STEPS_AT_THE_END);
+        self.take_over_poses();
         let covariances = self.graph.covariances();
         let found: BTreeMap<KeyframeId, _> = self.graph.poses().map(|(id, _)| id).zip(covariances).collect();
         for keyframe in &mut self.map.keyframes {
@@ -326,21 +331,25 @@ impl Mapper {
 
     pub(super) fn settle_where_due(&mut self) {
         if self.unsettled > 0 && self.is_due() {
-            self.settle(STEPS_ON_THE_WAY);
+            self.relax();
         }
     }
 
-    /// Optimises, and takes the poses over into the map.
-    pub(super) fn settle(&mut self, steps: usize) {
-        if !self.is_straightened() {
-            return;
-        }
-        self.graph.optimize(steps);
+    /// Brings the map about to where the loops since the last time want it, in a bounded time.
+    pub(super) fn relax(&mut self) {
+        let last = self.map.edges.iter().rev().filter(|edge| edge.kind == EdgeKind::Loop);
+        let loops: Vec<MapEdge> = last.take(self.unsettled).copied().collect();
+        self.graph.relax(&loops, STEPS_ON_THE_WAY);
+        self.take_over_poses();
+    }
+
+    /// Takes the poses of the graph over into the map.
+    fn take_over_poses(&mut self) {
         self.unsettled = 0;
-        for keyframe in &mut self.map.keyframes {
-            if let Some(pose) = self.graph.pose(keyframe.id) {
-                keyframe.pose = pose;
-            }
+        // Both have the keyframes in the order in which they came.
+        for (keyframe, (id, pose)) in self.map.keyframes.iter_mut().zip(self.graph.poses()) {
+            debug_assert_eq!(keyframe.id, id);
+            keyframe.pose = pose;
         }
     }
 }

@@ -107,14 +107,14 @@ impl NormalEquations {
         self.right.fill(0.0);
     }
 
-    /// Adds an edge with a weight.
-    pub fn add(&mut self, edge: &Weighted, linear: &Linearized, weight: f64) {
+    /// Adds an edge with a weight, and whether the mount bends it.
+    pub fn add(&mut self, edge: &Weighted, linear: &Linearized, weight: f64, with_mount: bool) {
         let mut by_mount = Matrix4::zeros();
         by_mount.fixed_view_mut::<4, 2>(0, 0).copy_from(&linear.by_mount);
         let ends = [
             self.block_of[edge.from].map(|block| (self.place[block], linear.by_from)),
             self.block_of[edge.to].map(|block| (self.place[block], linear.by_to)),
-            edge.bends().then_some((self.mount(), by_mount)),
+            with_mount.then_some((self.mount(), by_mount)),
         ];
         for (a, by_a) in ends.iter().flatten() {
             let push = by_a.transpose() * linear.misses * weight;

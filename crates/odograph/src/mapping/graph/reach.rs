@@ -192,14 +192,14 @@ fn both_sides(covariance: &Matrix4<f64>, map: impl Fn(&mut Matrix4<f64>)) -> Mat
 }
 
 /// Turns and scales the first two numbers of every column.
-fn turn<const C: usize>(columns: &mut SMatrix<f64, 4, C>, cos: f64, sin: f64) {
+pub(super) fn turn<const C: usize>(columns: &mut SMatrix<f64, 4, C>, cos: f64, sin: f64) {
     for mut column in columns.column_iter_mut() {
         (column[0], column[1]) = (cos * column[0] - sin * column[1], sin * column[0] + cos * column[1]);
     }
 }
 
 /// Adds to the first two numbers of every column what a turn (the third) and a greater height (the fourth) make of a way (dx, dy).
-fn swing<const C: usize>(columns: &mut SMatrix<f64, 4, C>, dx: f64, dy: f64) {
+pub(super) fn swing<const C: usize>(columns: &mut SMatrix<f64, 4, C>, dx: f64, dy: f64) {
     for mut column in columns.column_iter_mut() {
         column[0] += dx * column[3] - dy * column[2];
         column[1] += dx * column[2] + dy * column[3];

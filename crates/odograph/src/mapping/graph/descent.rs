@@ -1,0 +1,297 @@
+//! The way down: Levenberg–Marquardt on all keyframes, or on pieces of the map.
+
+use super::edge::{Linearized, Weighted};
+use super::normal_equations::NormalEquations;
+use super::pieces::{MOST_PIECES, Pieces};
+use super::{Heights, PoseGraph};
+use crate::mapping::ground_map::{EdgeKind, MapEdge};
+use nalgebra::{DVector, Matrix4, Vector2};
+
+/// What freeing the mount's turn must explain before it is freed: the squares of the misses, in variances, that it takes away. Chance takes away
+/// as much in four of a million graphs (chi-square, two degrees of freedom).
+const MOUNT_SHOWN: f64 = 25.0;
+
+/// Standard deviation of the turn while it is held, radians per metre: bends a kilometre by half a millimetre.
+const HELD_TURN_SIGMA: f64 = 1e-9;
+
+/// How an optimisation went.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Optimization {
+    /// Steps taken.
+    pub steps: usize,
+    /// Half the weighted squares before and after, with the loss of the end, of the edges that could change.
+    pub cost: (f64, f64),
+    /// Whether the last step changed nothing worth mentioning.
+    pub converged: bool,
+}
+
+/// What is moved, and by what.
+pub(super) struct Descent {
+    pieces: Pieces,
+    equations: NormalEquations,
+    /// Whether the mount's turn is among the unknowns.
+    with_mount: bool,
+}
+
+impl PoseGraph {
+    /// Moves the keyframes to where the edges agree best, in at most `steps` steps. The first keyframe of every connected part stays.
+    pub fn optimize(&mut self, steps: usize) -> Optimization {
+        let mut outcome = Optimization { steps: 0, cost: (0.0, 0.0), converged: true };
+        let Some(mut descent) = self.descent(Pieces::single(self), true) else { return outcome };
+        let mut reach = self.loop_reach();
+        outcome.cost.0 = self.cost(&descent, reach);
+        // A second round with the loss that fits what the first left of the loops, where there is time for one, and a third where the mount turns.
+        for round in 0..3 {
+            let left = steps - outcome.steps;
+            let (taken, after, converged) = self.descend(&mut descent, reach, left);
+            outcome.steps += taken;
+            (outcome.cost.1, outcome.converged) = (after, converged);
+            let last = round == 2 || outcome.steps >= steps;
+            if (round > 0 || last) && !self.mount_turns {
+                self.mount_turns = self.is_worth_asking() && self.shows_turn(&mut descent, reach);
+                if last || !self.mount_turns {
+                    break;
+                }
+            } else if round > 0 || last {
+                break;
+            }
+            reach = self.loop_reach();
+        }
+        if !self.mount_turns {
+            self.turn_per_m = Vector2::zeros(); // but for rounding it is
+        }
+        outcome
+    }
+
+    /// Moves the keyframes to about where the edges agree best, in a time that hardly grows with the graph: first the whole of it in rigid stretches,
+    /// then the keyframes around `loops`, edges that are new to it, by themselves; both in at most `steps` steps. A small graph is optimised as a whole.
+    pub fn relax(&mut self, loops: &[MapEdge], steps: usize) {
+        if self.nodes.len() <= MOST_PIECES {
+            self.optimize(steps);
+            return;
+        }
+        let reach = self.loop_reach();
+        if let Some(mut whole) = self.descent(Pieces::stretches(self), true) {
+            self.descend(&mut whole, reach, steps);
+            if !self.mount_turns && self.is_worth_asking() && self.shows_turn(&mut whole, reach) {
+                self.mount_turns = true;
+                self.descend(&mut whole, reach, steps);
+            }
+        }
+        let ends = loops.iter().flat_map(|edge| [edge.from, edge.to]);
+        let ends: Vec<usize> = ends.filter_map(|id| self.index.get(&id).copied()).collect();
+        if let Some(mut near) = self.descent(Pieces::near(self, &ends), false) {
+            self.descend(&mut near, reach, steps);
+        }
+    }
+
+    /// Whether there are a tenth more loops than when they were last asked: it takes as long as the optimisation itself.
+    fn is_worth_asking(&mut self) -> bool {
+        let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
+        let worth = 10 * loops > 11 * self.asked_of_loops;
+        if worth {
+            self.asked_of_loops = loops;
+        }
+        worth
+    }
+
+    /// Whether the loops would be explained far better by a mount that turns.
+    fn shows_turn(&self, descent: &mut Descent, reach: f64) -> bool {
+        let mut explained = |turn_sigma: f64| {
+            self.fill(descent, reach, turn_sigma);
+            let change = descent.equations.solve(0.0)?;
+            Some(descent.equations.explained(&change))
+        };
+        let (held, free) = (explained(HELD_TURN_SIGMA), explained(self.turn_sigma));
+        held.zip(free).is_some_and(|(held, free)| free - held > MOUNT_SHOWN)
+    }
+
+    /// Levenberg–Marquardt; gives the steps taken, the cost at the end, and whether it is the least.
+    fn descend(&mut self, descent: &mut Descent, reach: f64, steps: usize) -> (usize, f64, bool) {
+        let mut cost = self.cost(descent, reach);
+        let mut damping = 0.0;
+        for taken in 0..steps {
+            self.fill(descent, reach, self.turn_sigma());
+            loop {
+                let Some(change) = descent.equations.solve(damping) else {
+                    damping = next_damping(damping);
+                    if damping > MOST_DAMPING {
+                        return (taken, cost, false);
+                    }
+                    continue;
+                };
+                let (nodes, turn_per_m) = (self.nodes.clone(), self.turn_per_m);
+                self.step(descent, &change);
+                let found = self.cost(descent, reach);
+                if found.is_finite() && found <= cost * (1.0 + 1e-12) {
+                    let gained = cost - found;
+                    cost = found;
+                    damping *= 0.1;
+                    if gained <= LEAST_GAIN * (1.0 + found) {
+                        return (taken + 1, cost, true);
+                    }
+                    break;
+                }
+                (self.nodes, self.turn_per_m) = (nodes, turn_per_m);
+                damping = next_damping(damping);
+                if damping > MOST_DAMPING {
+                    // No way leads down: this is the bottom, as far as numbers can tell.
+                    return (taken + 1, cost, true);
+                }
+            }
+        }
+        (steps, cost, false)
+    }
+
+    /// Half the weighted squares of the edges that can change, loops with Cauchy's loss.
+    pub(super) fn cost(&self, descent: &Descent, reach: f64) -> f64 {
+        let of = |edge: &Weighted| {
+            let squared =
+                edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m).squared();
+            0.5 * reach_of(edge.kind, reach).map_or(squared, |reach| loss(squared, reach))
+        };
+        let mount = 0.5 * self.turn_per_m.norm_squared() / self.turn_sigma().powi(2);
+        descent.pieces.edges().iter().map(|&edge| of(&self.edges[edge])).sum::<f64>() + mount
+    }
+
+    /// Beyond so many standard deviations loops count less: three times what they usually miss by, and never less than three.
+    pub(super) fn loop_reach(&self) -> f64 {
+        let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
+        let mut squares: Vec<f64> = loops
+            .map(|edge| {
+                edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m).squared()
+            })
+            .collect();
+        if squares.is_empty() {
+            return 3.0;
+        }
+        let middle = squares.len() / 2;
+        let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+        // The median of a chi-square of three degrees of freedom is 2.37.
+        3.0 * (*median / 2.37).sqrt().max(1.0)
+    }
+
+    /// The way down for these pieces; `None` where nothing can move.
+    fn descent(&self, pieces: Pieces, with_mount: bool) -> Option<Descent> {
+        let mut unknown: Vec<Option<usize>> = vec![None; self.nodes.len()];
+        let mut count = 0;
+        for node in 0..self.nodes.len() {
+            let leader = pieces.leader(node);
+            if leader != node {
+                unknown[node] = unknown[leader];
+            } else if !pieces.is_held(node) {
+                unknown[node] = Some(count);
+                count += 1;
+            }
+        }
+        if count == 0 {
+            return None;
+        }
+        let ties = pieces.edges().iter().map(|&edge| {
+            let edge = &self.edges[edge];
+            (unknown[edge.from], unknown[edge.to], with_mount && edge.bends())
+        });
+        let size = if self.heights == Heights::Held { 3 } else { 4 };
+        let equations = NormalEquations::new(size, count, ties, unknown.clone())?;
+        Some(Descent { pieces, equations, with_mount })
+    }
+
+    pub(super) fn turn_sigma(&self) -> f64 {
+        if self.mount_turns { self.turn_sigma } else { HELD_TURN_SIGMA }
+    }
+
+    pub(super) fn fill(&self, descent: &mut Descent, reach: f64, turn_sigma: f64) {
+        let Descent { pieces, equations, with_mount } = descent;
+        equations.clear();
+        for edge in pieces.edges().iter().map(|&edge| &self.edges[edge]) {
+            let linear: Linearized =
+                edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m);
+            let weight = reach_of(edge.kind, reach)
+                .map_or(1.0, |reach| 1.0 / (1.0 + linear.squared() / (reach * reach)));
+            let (bend_from, bend_to) = (pieces.bend(edge.from), pieces.bend(edge.to));
+            let linear = Linearized {
+                by_mount: linear.by_mount + linear.by_from * bend_from + linear.by_to * bend_to,
+                by_from: linear.by_from * self.by_piece(pieces, edge.from),
+                by_to: linear.by_to * self.by_piece(pieces, edge.to),
+                ..linear
+            };
+            equations.add(edge, &linear, weight, *with_mount && edge.bends());
+        }
+        if *with_mount {
+            equations.hold_mount(self.turn_per_m, turn_sigma);
+        } else {
+            equations.hold_mount(Vector2::zeros(), HELD_TURN_SIGMA);
+        }
+    }
+
+    /// How a keyframe moves with its piece: as a whole, and about its leader.
+    fn by_piece(&self, pieces: &Pieces, node: usize) -> Matrix4<f64> {
+        let (own, leader) = (&self.nodes[node].pose, &self.nodes[pieces.leader(node)].pose);
+        let (dx, dy) = (own.x_m - leader.x_m, own.y_m - leader.y_m);
+        let mut by_piece = Matrix4::identity();
+        (by_piece[(0, 2)], by_piece[(1, 2)]) = (-dy, dx);
+        (by_piece[(0, 3)], by_piece[(1, 3)]) = (dx, dy);
+        by_piece
+    }
+
+    fn step(&mut self, descent: &Descent, change: &DVector<f64>) {
+        let Descent { pieces, equations, .. } = descent;
+        let turned = equations.of_mount(change);
+        // From the last to the first: the leader of a piece, its first keyframe, moves after those that turn about it.
+        for node in (0..self.nodes.len()).rev() {
+            let Some(change) = equations.of_node(change, node) else { continue };
+            let leader = self.nodes[pieces.leader(node)].pose;
+            let pose = &mut self.nodes[node].pose;
+            let (dx, dy) = (pose.x_m - leader.x_m, pose.y_m - leader.y_m);
+            let (sin, cos) = change[2].sin_cos();
+            let scale = change[3].exp();
+            let bent = pieces.bend(node) * turned;
+            pose.x_m += change[0] + scale * (cos * dx - sin * dy) - dx + bent[0];
+            pose.y_m += change[1] + scale * (sin * dx + cos * dy) - dy + bent[1];
+            pose.heading_rad += change[2] + bent[2];
+            pose.height_m *= scale;
+        }
+        self.turn_per_m += turned;
+    }
+
+    /// Covariance of (x, y, heading, ln height) of every keyframe in the order in which they came, against the first of its part: the inverse of the
+    /// normal equations there, with the noise that the edges turned out to have where that is more than they claim.
+    pub fn covariances(&self) -> Vec<Matrix4<f64>> {
+        let none = || vec![Matrix4::zeros(); self.nodes.len()];
+        let Some(mut descent) = self.descent(Pieces::single(self), true) else { return none() };
+        let reach = self.loop_reach();
+        self.fill(&mut descent, reach, self.turn_sigma());
+        let cost = self.cost(&descent, reach);
+        let equations = &mut descent.equations;
+        let Some(blocks) = equations.marginals() else { return none() };
+        let numbers = if self.heights == Heights::Held { 3.0 } else { 4.0 };
+        let redundant = numbers * (self.edges.len() as f64 - equations.unknowns() as f64);
+        let excess = if redundant >= 1.0 { (2.0 * cost / redundant).max(1.0) } else { 1.0 };
+        let of = |at: usize| equations.block_of(at).map_or(Matrix4::zeros(), |block| blocks[block] * excess);
+        (0..self.nodes.len()).map(of).collect()
+    }
+}
+
+/// Beyond so many standard deviations an edge counts less: a loop may be wrong, and over a gap the camera may have been carried anywhere.
+/// What was measured step by step always counts in full.
+fn reach_of(kind: EdgeKind, of_loops: f64) -> Option<f64> {
+    match kind {
+        EdgeKind::Odometry => None,
+        EdgeKind::Gap => Some(3.0),
+        EdgeKind::Loop => Some(of_loops),
+    }
+}
+
+/// Cauchy's loss of a squared residual.
+fn loss(squared: f64, reach: f64) -> f64 {
+    reach * reach * (squared / (reach * reach)).ln_1p()
+}
+
+/// A step that gains less, as a part of the cost and of one, is the last.
+const LEAST_GAIN: f64 = 1e-7;
+
+const MOST_DAMPING: f64 = 1e6;
+
+fn next_damping(damping: f64) -> f64 {
+    if damping < 1e-7 { 1e-6 } else { 10.0 * damping }
+}

@@ -1,0 +1,142 @@
+//! What moves together, where there is no time to move every keyframe by itself.
+//!
+//! When a loop comes in, the whole map moves first, in stretches of the path that are rigid in themselves: a coarse-grid correction, with the
+//! stretches for the grid (A. Brandt, "Multi-level adaptive solutions to boundary-value problems", 1977; for pose graphs G. Grisetti et al.,
+//! "Hierarchical optimization on manifolds for online 2D and 3D mapping", 2010). So a bend is shared out over the whole map, as it must be, and the
+//! number of unknowns does not grow with it. Then the keyframes around the loop move by themselves, and the others are held.
+//!
+//! A stretch is rigid but for the mount: how much that turns is an unknown as before, and bends the stretches as it would bend their links.
+
+use super::PoseGraph;
+use super::edge::Weighted;
+use super::reach::{swing, turn};
+use crate::mapping::ground_map::EdgeKind;
+use nalgebra::Matrix4x2;
+use std::collections::VecDeque;
+
+/// So many keyframes around a loop move by themselves.
+const NEAR: usize = 150;
+
+/// The map is cut into about so many stretches, and one more for every gap in the path.
+const STRETCHES: usize = 300;
+
+/// In a graph of up to so many keyframes every one moves by itself: there is time for that.
+pub(super) const MOST_PIECES: usize = 300;
+
+/// A graph cut into pieces.
+pub(super) struct Pieces {
+    /// For each keyframe the first one of its piece, about which that turns.
+    leader: Vec<usize>,
+    /// For each keyframe whether it stays where it is.
+    held: Vec<bool>,
+    /// For each keyframe how its place in the piece changes with the turns per metre of the mount, in the world's axes: a stretch is as bent as they
+    /// have it.
+    bends: Vec<Matrix4x2<f64>>,
+    /// The edges that can change.
+    edges: Vec<usize>,
+}
+
+impl Pieces {
+    /// Every keyframe by itself.
+    pub fn single(graph: &PoseGraph) -> Self {
+        Self::alone(graph, graph.first_of_each_part(), (0..graph.edges.len()).collect())
+    }
+
+    fn alone(graph: &PoseGraph, held: Vec<bool>, edges: Vec<usize>) -> Self {
+        let bends = vec![Matrix4x2::zeros(); graph.nodes.len()];
+        Self { leader: (0..graph.nodes.len()).collect(), held, bends, edges }
+    }
+
+    /// All keyframes in stretches.
+    pub fn stretches(graph: &PoseGraph) -> Self {
+        let held = graph.first_of_each_part();
+        let length = graph.nodes.len().div_ceil(STRETCHES);
+        // Every time the stretches begin elsewhere, so that in time every link is bent.
+        let shift = graph.edges.len();
+        let mut leader: Vec<usize> = Vec::with_capacity(graph.nodes.len());
+        let mut bends: Vec<Matrix4x2<f64>> = Vec::with_capacity(graph.nodes.len());
+        for node in 0..graph.nodes.len() {
+            let before = node.checked_sub(1);
+            let joins = before.filter(|&before| (node + shift) % length > 0 && !held[node] && !held[before]);
+            let joined = joins.and_then(|before| Some((before, graph.link(before, node)?)));
+            leader.push(joined.map_or(node, |(before, _)| leader[before]));
+            bends.push(
+                joined.map_or(Matrix4x2::zeros(), |(before, edge)| {
+                    graph.bent_along(&bends[before], before, edge)
+                }),
+            );
+        }
+        let between = |edge: &usize| leader[graph.edges[*edge].from] != leader[graph.edges[*edge].to];
+        let edges = (0..graph.edges.len()).filter(between).collect();
+        Self { leader, held, bends, edges }
+    }
+
+    /// The keyframes near `ends`, every one by itself, and the others held.
+    pub fn near(graph: &PoseGraph, ends: &[usize]) -> Self {
+        let mut held = graph.first_of_each_part();
+        let near = graph.near(ends, NEAR);
+        held.iter_mut().zip(&near).for_each(|(held, near)| *held |= !near);
+        let at_free = |node: &usize| !held[*node];
+        let nodes = (0..graph.nodes.len()).filter(at_free);
+        let mut edges: Vec<usize> = nodes.flat_map(|node| graph.edges_at[node].iter().copied()).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        Self::alone(graph, held, edges)
+    }
+
+    /// Whether a keyframe stays where it is.
+    pub fn is_held(&self, node: usize) -> bool {
+        self.held[node]
+    }
+
+    /// The first keyframe of the piece that a keyframe belongs to.
+    pub fn leader(&self, node: usize) -> usize {
+        self.leader[node]
+    }
+
+    /// How a keyframe moves within its piece with the turns per metre of the mount.
+    pub fn bend(&self, node: usize) -> &Matrix4x2<f64> {
+        &self.bends[node]
+    }
+
+    /// The edges that can change.
+    pub fn edges(&self) -> &[usize] {
+        &self.edges
+    }
+}
+
+impl PoseGraph {
+    /// For each keyframe, whether it is among the `most` with the fewest edges between them and the nearest of `ends`.
+    fn near(&self, ends: &[usize], most: usize) -> Vec<bool> {
+        let mut near = vec![false; self.nodes.len()];
+        let mut open: VecDeque<usize> = ends.iter().copied().collect();
+        let mut count = 0;
+        while let Some(at) = open.pop_front().filter(|_| count < most) {
+            if std::mem::replace(&mut near[at], true) {
+                continue;
+            }
+            count += 1;
+            open.extend(self.edges_at[at].iter().map(|&edge| self.edges[edge].other(at)));
+        }
+        near
+    }
+
+    /// The edge by which odometry measured one keyframe from the other.
+    fn link(&self, before: usize, node: usize) -> Option<&Weighted> {
+        let edges = self.edges_at[node].iter().map(|&edge| &self.edges[edge]);
+        edges.into_iter().find(|edge| edge.kind == EdgeKind::Odometry && edge.other(node) == before)
+    }
+
+    /// How the keyframe at the other end of an edge moves with the mount's turn, where `bend` is how the one at this end does.
+    fn bent_along(&self, bend: &Matrix4x2<f64>, node: usize, edge: &Weighted) -> Matrix4x2<f64> {
+        let (here, there) = (&self.nodes[node].pose, &self.nodes[edge.other(node)].pose);
+        let from = &self.nodes[edge.from];
+        let (sin, cos) = from.pose.heading_rad.sin_cos();
+        let mut own = edge.by_mount();
+        turn(&mut own, from.scale() * cos, from.scale() * sin);
+        let back = edge.from != node;
+        let mut bend = if back { bend - own } else { *bend };
+        swing(&mut bend, there.x_m - here.x_m, there.y_m - here.y_m);
+        if back { bend } else { bend + own }
+    }
+}
