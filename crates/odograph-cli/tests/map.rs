@@ -110,6 +110,10 @@ fn points_are_written_with_their_colours() {
         header.lines().find_map(|line| line.strip_prefix("element vertex ")).unwrap().parse().unwrap();
     assert!(told.starts_with(&format!("{} points of ground, 12 cameras", count - 12)), "{told}");
     assert!(count > 5000 && count <= 20_012 && bytes.len() - end == 27 * count);
+    let few = ["export", "map.gpkg", "-o", "few.ply", "--max-points", "100"];
+    let (_, told, _) = text(&odograph(&few, folder.path()));
+    let points: usize = told.split(' ').next().unwrap().parse().unwrap();
+    assert!(points > 50 && points <= 100, "fewer than even the coarsest picture has pixels: {told}");
     let last = &bytes[bytes.len() - 27..];
     assert_eq!((f64::from_le_bytes(last[16..24].try_into().unwrap()), &last[24..]), (0.5, &[255, 0, 0][..]));
 }
@@ -205,6 +209,10 @@ fn what_cannot_be_is_said_in_one_sentence() {
         (vec!["export", "map.gpkg", "-o", "a.tum", "--session", "4"], 2, "no session 4"),
         (vec!["mosaic", "map.gpkg", "--resolution", "-1"], 2, "--resolution"),
         (vec!["mosaic", "map.gpkg", "-o", "a.tum"], 2, "picture"),
+        (vec!["mosaic", "map.gpkg", "--resolution", "100"], 3, "a finer --resolution"),
+        // All of a map taken away is no thinning, and cannot be undone.
+        (vec!["thin", "map.gpkg", "--max-keyframes", "0"], 2, "--max-keyframes"),
+        (vec!["export", "map.gpkg", "-o", "a.ply", "--max-points", "0"], 2, "--max-points"),
     ] {
         let (found, told, complaint) = text(&odograph(&arguments, folder.path()));
         assert_eq!((found, told.as_str()), (code, ""), "{arguments:?}: {complaint}");

@@ -72,6 +72,11 @@ pub fn laid(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Resul
     file.mosaic()?.filter(|_| laid).ok_or_else(|| {
         Error::input(if interrupt::asked() {
             "interrupted; the map has the mosaic that it had".to_owned()
+        } else if let Some(metres) = resolution_m {
+            format!(
+                "{}: no keyframe shows ground enough for a pixel of {metres} m; give a finer --resolution",
+                file.path().display()
+            )
         } else {
             format!(
                 "{} has no keyframe that looks at the ground; there is no mosaic to lay",

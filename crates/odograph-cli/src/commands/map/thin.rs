@@ -15,8 +15,9 @@ pub struct ThinArguments {
     /// How large the file may be, as 200MB, 1.5GB or 800kB.
     #[arg(long, value_name = "SIZE", value_parser = size, required_unless_present = "max_keyframes")]
     max_size: Option<u64>,
-    /// How many keyframes there may be.
-    #[arg(long, value_name = "N", conflicts_with = "max_size")]
+    /// How many keyframes there may be, one at least.
+    #[arg(long, value_name = "N", conflicts_with = "max_size",
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     max_keyframes: Option<usize>,
     /// Say nothing but errors.
     #[arg(short, long)]

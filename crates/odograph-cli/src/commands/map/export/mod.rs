@@ -35,7 +35,8 @@ pub struct ExportArguments {
     #[arg(long, value_name = "N")]
     session: Option<u32>,
     /// Points in a .ply at most; the mosaic is taken as coarse as that needs.
-    #[arg(long, value_name = "N", default_value_t = 2_000_000)]
+    #[arg(long, value_name = "N", default_value_t = 2_000_000,
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     max_points: usize,
     /// Overwrite what is there.
     #[arg(long)]

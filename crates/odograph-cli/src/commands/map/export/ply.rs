@@ -14,7 +14,9 @@ pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> 
     let keyframes = file.map()?.keyframes;
     let layer = file.mosaic()?;
     let level = layer.as_ref().map(|layer| chosen(file, layer, most_points)).transpose()?;
-    let ground = level.map_or(0, |(_, points)| points);
+    // Where even the coarsest level has too many, every so many of its points.
+    let every = level.map_or(1, |(_, points)| points.div_ceil(most_points as u64).max(1));
+    let ground = level.map_or(0, |(_, points)| points.div_ceil(every));
     if ground == 0 && keyframes.is_empty() {
         return Err(Error::input(format!(
             "{} has no mosaic and no keyframe to write",
@@ -34,8 +36,13 @@ pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> 
         .map_err(broken)?;
         if let (Some(layer), Some((level, _))) = (&layer, level) {
             let (width, _, placement) = layer.picture_at(level);
+            let mut shown = 0;
             file.each_tile_row(layer, level, &mut |first_row, rows| {
                 for (k, pixel) in rows.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
+                    shown += 1;
+                    if (shown - 1) % every > 0 {
+                        continue;
+                    }
                     let (column, row) = (k % width as usize, first_row + k / width as usize);
                     let point = placement.ground_from_pixel(column as f64, row as f64);
                     output.write_all(&vertex([point.x_m, point.y_m, 0.0], &pixel[..3])).map_err(broken)?;
