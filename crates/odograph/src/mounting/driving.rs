@@ -14,6 +14,9 @@
 //! sides do more than that: errors of the lens that look like a tilt in one direction do not in another.
 
 mod bundle;
+mod untold;
+
+pub use untold::UntoldTilt;
 
 use super::combination::{Combined, combine};
 use super::uncertainty::CameraUncertainty;
@@ -162,6 +165,11 @@ impl DrivenTilt {
         if self.groups.last().is_none_or(|group| !group.pairs.is_empty()) {
             self.groups.push(Group::default());
         }
+    }
+
+    /// How many pairs of views there are so far.
+    pub fn pairs(&self) -> usize {
+        self.pairs
     }
 
     /// How far the camera went over the ground by the odometry, and one standard deviation, both in metres at the height that it assumed.

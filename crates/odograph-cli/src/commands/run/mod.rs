@@ -5,6 +5,7 @@ pub(super) mod folder;
 mod many;
 mod map;
 pub(super) mod mapping;
+mod mount;
 pub(super) mod pipeline;
 mod plan;
 mod reference;
@@ -15,13 +16,14 @@ pub(super) mod views;
 
 use crate::{Outcome, console};
 pub use folder::OutputFolder;
+use mount::Mount;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::Sensors;
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
 use odograph::formats::trajectory_file;
 use odograph::mapping::Mosaic;
 use odograph::motion::MotionModel;
-use pipeline::Tracked;
+use pipeline::{Ended, Tracked};
 pub use plan::{RunPlan, SourcePlan};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
@@ -239,8 +241,30 @@ pub fn follow(
     // What cannot be read is told before all the work.
     reference::read(plan)?;
     let description = source.info().description.clone();
-    let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
-    finish(plan, &description, tracked, &sensors, &mut folder, arguments, started)
+    let mut plan = plan.clone();
+    let tracked = track(&mut plan, source, &mut folder, arguments)?;
+    finish(&plan, &description, tracked, &sensors, &mut folder, arguments, started)
+}
+
+/// Tracks all of the source; once more from its beginning where the camera is found not to sit as the plan says, which then says how it sits.
+fn track(
+    plan: &mut RunPlan,
+    mut source: odograph_video::Source,
+    folder: &mut OutputFolder,
+    arguments: &OutputArguments,
+) -> Result<Tracked> {
+    let mut mount = Mount::new(plan);
+    mount.look_first(plan, arguments)?;
+    loop {
+        match pipeline::track(plan, source, folder, arguments, mount.watch(plan))? {
+            Ended::Tracked(tracked) => return Ok(Tracked { mount: mount.found(), ..*tracked }),
+            Ended::SitsOtherwise(found) => {
+                mount.take(found, plan);
+                folder.begin_again()?;
+                source = plan.source.open()?;
+            }
+        }
+    }
 }
 
 /// Improves what was tracked and writes everything into the folder.
@@ -268,7 +292,10 @@ pub(super) fn finish(
         tracked.warnings.push(format!("the map ended early: {error}"));
         failure.get_or_insert(error);
     }
-    tracked.warnings.extend(tilt::untold(&tracked.frames, &plan.rig, plan.odometry.motion.model));
+    tracked.warnings.extend(match &tracked.mount {
+        Some(found) => Some(found.sentence()),
+        None => tilt::untold(&tracked.frames, &plan.rig, plan.odometry.motion.model),
+    });
     let at_once = trajectory_file::tum_from_frames(&tracked.frames);
     // What other sensors tell comes first; loops then pull at the path that they have set right.
     let fused = fusion::fuse(&tracked.frames, sensors);
