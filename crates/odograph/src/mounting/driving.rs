@@ -116,6 +116,9 @@ pub enum Revealed {
     },
 }
 
+/// The only pair of a keyframe may be so much of a step.
+const SHORTEST: f64 = 0.25;
+
 /// A tilt known worse than this is not a measurement: the level mount that people take without one is about as good, degrees.
 const USEFUL_DEG: f64 = 0.25;
 
@@ -144,7 +147,11 @@ impl DrivenTilt {
         let squares: f64 = tracks.iter().map(|track| square(track.pixel.distance(track.corner))).sum();
         let moved_px = (squares / tracks.len() as f64).sqrt();
         let step_px = self.config.step * self.camera.width().min(self.camera.height()) as f64;
-        let far = (moved_px - self.moved_px).abs() >= step_px || (frame.keyframe && moved_px >= step_px);
+        let far = (moved_px - self.moved_px).abs() >= step_px;
+        // A keyframe that is left says what it can; under a tilt that is far off none lasts a whole step.
+        let none_yet = self.groups.last().is_none_or(|group| group.pairs.is_empty());
+        let least_px = if none_yet { SHORTEST * step_px } else { step_px };
+        let far = far || (frame.keyframe && moved_px >= least_px);
         if far && self.pairs < self.config.most_pairs {
             let every = tracks.len().div_ceil(self.config.most_tracks.max(1));
             let kept = tracks.iter().step_by(every);
