@@ -98,7 +98,9 @@ pub fn track(
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
     tracking.progress.finish_and_clear();
-    if let Some(tilt) = tracking.sits {
+    let to_the_end = outcome.is_ok() && tracking.sits.is_none() && !interrupt::asked();
+    let at_end = tracking.untold.as_ref().filter(|_| to_the_end).and_then(UntoldTilt::at_end);
+    if let Some(tilt) = tracking.sits.or(at_end) {
         ground.mapping.discard()?;
         return Ok(Ended::SitsOtherwise(tilt));
     }

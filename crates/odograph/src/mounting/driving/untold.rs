@@ -37,6 +37,9 @@ const AGAIN: usize = 4;
 /// Tracks of a pair: of four hundred, these have most of what all say.
 const MOST_TRACKS: usize = 80;
 
+/// At the end of the recording twice the pairs are enough.
+const AT_END: usize = 2;
+
 /// What the odometry itself leaves as it was told while it is within this: parts of the height, radians. (On a mount that is as told it is a
 /// hundredth of this.)
 const DOUBTFUL: f64 = 2e-4;
@@ -77,6 +80,17 @@ impl UntoldTilt {
             return None;
         }
         self.next_look *= if self.measured.is_some() { AGAIN } else { 2 };
+        self.look()
+    }
+
+    /// The same at the end of the recording, where that is not far enough for the next look: with the tilt of all of it the short way is followed once more.
+    pub fn at_end(&self) -> Option<TiltMeasurement> {
+        let least = self.measured.as_ref().map_or(FIRST_LOOK, |before| AT_END * before.pairs);
+        let worth = self.next_look <= LAST_LOOK && self.driven.pairs() >= least;
+        worth.then(|| self.look()).flatten()
+    }
+
+    fn look(&self) -> Option<TiltMeasurement> {
         if !self.doubted {
             return None;
         }
