@@ -14,6 +14,9 @@
 //! sides do more than that: errors of the lens that look like a tilt in one direction do not in another.
 
 mod bundle;
+mod untold;
+
+pub use untold::UntoldTilt;
 
 use super::combination::{Combined, combine};
 use super::uncertainty::CameraUncertainty;
@@ -113,6 +116,9 @@ pub enum Revealed {
     },
 }
 
+/// The only pair of a keyframe may be so much of a step.
+const SHORTEST: f64 = 0.25;
+
 /// A tilt known worse than this is not a measurement: the level mount that people take without one is about as good, degrees.
 const USEFUL_DEG: f64 = 0.25;
 
@@ -141,7 +147,11 @@ impl DrivenTilt {
         let squares: f64 = tracks.iter().map(|track| square(track.pixel.distance(track.corner))).sum();
         let moved_px = (squares / tracks.len() as f64).sqrt();
         let step_px = self.config.step * self.camera.width().min(self.camera.height()) as f64;
-        let far = (moved_px - self.moved_px).abs() >= step_px || (frame.keyframe && moved_px >= step_px);
+        let far = (moved_px - self.moved_px).abs() >= step_px;
+        // A keyframe that is left says what it can; under a tilt that is far off none lasts a whole step.
+        let none_yet = self.groups.last().is_none_or(|group| group.pairs.is_empty());
+        let least_px = if none_yet { SHORTEST * step_px } else { step_px };
+        let far = far || (frame.keyframe && moved_px >= least_px);
         if far && self.pairs < self.config.most_pairs {
             let every = tracks.len().div_ceil(self.config.most_tracks.max(1));
             let kept = tracks.iter().step_by(every);
@@ -162,6 +172,11 @@ impl DrivenTilt {
         if self.groups.last().is_none_or(|group| !group.pairs.is_empty()) {
             self.groups.push(Group::default());
         }
+    }
+
+    /// How many pairs of views there are so far.
+    pub fn pairs(&self) -> usize {
+        self.pairs
     }
 
     /// How far the camera went over the ground by the odometry, and one standard deviation, both in metres at the height that it assumed.

@@ -103,6 +103,7 @@ pub fn follow(
         live: Some(live),
         failure: outcome.err().or(farewell.failure).or(not_kept),
         unmapped: following.unmapped,
+        mount: None,
     };
     let mut folder = following.recorder.into_folder();
     run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)

@@ -7,7 +7,7 @@ use odograph::formats::trajectory_file;
 use odograph::trajectory::FrameEstimate;
 use odograph_map::MapFile;
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Every file that a run writes.
@@ -92,6 +92,19 @@ impl OutputFolder {
         })?;
         let had_map = path.join("map.gpkg").exists();
         Ok(Self { path: path.to_owned(), growing, pending: Vec::new(), started: false, had_map, made })
+    }
+
+    /// Takes back what was recorded: the run is begun again.
+    pub fn begin_again(&mut self) -> Result<()> {
+        self.growing.set_len(0).and_then(|()| self.growing.rewind()).map_err(|error| {
+            Error::output(format!(
+                "{} cannot be written: {error}",
+                self.path.join("trajectory.csv").display()
+            ))
+        })?;
+        self.pending.clear();
+        self.started = false;
+        Ok(())
     }
 
     /// Where it is.

@@ -246,6 +246,15 @@ impl Mapping {
         }))
     }
 
+    /// Takes away the new map file of a run that is begun again.
+    pub fn discard(self) -> Result<()> {
+        let GrowingFile { file, path, .. } = self.file;
+        match file {
+            Some(file) => file.close().and_then(|()| MapFile::remove(&path)),
+            None => Ok(()),
+        }
+    }
+
     /// Ends the file. Takes away the map of an earlier run where this one is in its place and saw no ground.
     pub fn close(&mut self) -> Result<()> {
         match self.file.file.take() {

@@ -1,10 +1,12 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
 mod budget;
+mod finish;
 pub(super) mod folder;
 mod many;
 mod map;
 pub(super) mod mapping;
+mod mount;
 pub(super) mod pipeline;
 mod plan;
 mod reference;
@@ -14,14 +16,12 @@ mod tilt;
 pub(super) mod views;
 
 use crate::{Outcome, console};
+pub(super) use finish::finish;
 pub use folder::OutputFolder;
-use odograph::error::{Error, Result};
-use odograph::filter::fusion::Sensors;
-use odograph::filter::{SmoothedFrame, carrier_path, fusion};
-use odograph::formats::trajectory_file;
-use odograph::mapping::Mosaic;
+use mount::Mount;
+use odograph::error::Result;
 use odograph::motion::MotionModel;
-use pipeline::Tracked;
+use pipeline::{Ended, Tracked};
 pub use plan::{RunPlan, SourcePlan};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
@@ -239,107 +239,29 @@ pub fn follow(
     // What cannot be read is told before all the work.
     reference::read(plan)?;
     let description = source.info().description.clone();
-    let tracked = pipeline::track(plan, source, &mut folder, arguments)?;
-    finish(plan, &description, tracked, &sensors, &mut folder, arguments, started)
+    let mut plan = plan.clone();
+    let tracked = track(&mut plan, source, &mut folder, arguments)?;
+    finish(&plan, &description, tracked, &sensors, &mut folder, arguments, started)
 }
 
-/// Improves what was tracked and writes everything into the folder.
-pub(super) fn finish(
-    plan: &RunPlan,
-    description: &str,
-    mut tracked: Tracked,
-    sensors: &Sensors,
+/// Tracks all of the source; once more from its beginning where the camera is found not to sit as the plan says, which then says how it sits.
+fn track(
+    plan: &mut RunPlan,
+    mut source: odograph_video::Source,
     folder: &mut OutputFolder,
     arguments: &OutputArguments,
-    started: Instant,
-) -> Result<RunReport> {
-    if tracked.frames.len() < arguments.least_frames && !tracked.interrupted {
-        let too_few = if tracked.frames.is_empty() { "no frame" } else { "only one frame" };
-        return Err(tracked.failure.unwrap_or_else(|| {
-            Error::input(format!(
-                "{} has {too_few} in the chosen range; a movement needs at least two",
-                plan.source.path
-            ))
-        }));
-    }
-    let mut failure = tracked.failure.take();
-    tracked.warnings.extend(failure.as_ref().map(|error| format!("the recording ended early: {error}")));
-    if let Some(error) = tracked.unmapped.take() {
-        tracked.warnings.push(format!("the map ended early: {error}"));
-        failure.get_or_insert(error);
-    }
-    tracked.warnings.extend(tilt::untold(&tracked.frames, &plan.rig, plan.odometry.motion.model));
-    let at_once = trajectory_file::tum_from_frames(&tracked.frames);
-    // What other sensors tell comes first; loops then pull at the path that they have set right.
-    let fused = fusion::fuse(&tracked.frames, sensors);
-    // An hour has hundreds of thousands of frames: they are not kept twice longer than needed.
-    let (raw, references) = (std::mem::take(&mut tracked.frames), std::mem::take(&mut tracked.references));
-    let straight = tracked.mapping.straighten(raw, &fused, references);
-    let loops = tracked.mapping.statistics(&fused.frames, &straight);
-    tracked.warnings.extend(tracked.mapping.warning());
-    let fused = fused.laid(straight);
-    let path = fused.smooth(&plan.odometry.filter);
-    tracked.warnings.extend(plan.sensors.warnings(&fused.reports));
-    let reports = fused.reports;
-    tracked.frames = fused.frames;
-    folder.write_trajectories(&tracked.frames, &plan.text()?)?;
-    folder.write("odometry.tum", at_once.as_bytes())?;
-    // Only now the map, which may not fit on its disk any more: the trajectories are there all the same, and so is all that follows.
-    if let Err(error) = tracked.mapping.save(&tracked.frames) {
-        tracked.warnings.push(format!("the map is not where the trajectories are: {error}"));
-        failure.get_or_insert(error);
-    }
-    folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
-    let smoothed = SmoothedFrame::trajectory(&path);
-    folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
-    let carrier = carrier_path(&path, &plan.rig);
-    folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())?;
-    let threads = arguments.threads();
-    let mosaic = match tracked.views.lay(&plan.camera, &tracked.frames, &mut tracked.mapping, threads) {
-        Ok(mosaic) => mosaic,
-        Err(error) => {
-            tracked.warnings.push(format!("there is no picture of the ground: {error}"));
-            failure.get_or_insert(error);
-            Mosaic::new(Default::default())
+) -> Result<Tracked> {
+    let mut mount = Mount::new(plan);
+    mount.look_first(plan, arguments)?;
+    loop {
+        match pipeline::track(plan, source, folder, arguments, mount.watch(plan))? {
+            Ended::Tracked(tracked) => return Ok(Tracked { mount: mount.found(), ..*tracked }),
+            Ended::SitsOtherwise(found) => {
+                mount.take(found, plan);
+                folder.begin_again()?;
+                source = plan.source.open()?;
+            }
         }
-    };
-    let reference = match (&plan.reference, reference::read(plan)?) {
-        (Some(path), Some(read)) => reference::compared(path, &read, &tracked.frames)
-            .map_err(|error| tracked.warnings.push(format!("the path cannot be compared: {error}")))
-            .ok(),
-        _ => None,
-    };
-    let loops_drawn = tracked.mapping.loops();
-    let shown = map::Shown {
-        description,
-        frames: &tracked.frames,
-        loops: &loops_drawn,
-        mosaic: &mosaic,
-        sensors: &reports,
-        reference: reference.as_ref(),
-    };
-    let drawn = map::write(plan, &shown, &mut tracked.mapping, folder, threads)?;
-    match &drawn.ground {
-        Ok(warning) => tracked.warnings.extend(warning.clone()),
-        Err(error) => {
-            tracked.warnings.push(format!("the map has no new picture of the ground: {error}"));
-        }
-    }
-    map::write_page(plan, &shown, &drawn, &tracked.warnings, folder)?;
-    if let Err(error) = drawn.ground {
-        failure.get_or_insert(error);
-    }
-    let closed = tracked.mapping.close();
-    let statistics = Statistics::new(&tracked, plan.budget, &reports, loops, started.elapsed());
-    folder.finish(&statistics)?;
-    match failure.or(closed.err()) {
-        Some(error) => Err(error),
-        None => Ok(RunReport {
-            statistics,
-            recognised: tracked.mapping.warning().is_none(),
-            warnings: tracked.warnings,
-            folder: folder.path().to_owned(),
-        }),
     }
 }
 

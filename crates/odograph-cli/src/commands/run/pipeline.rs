@@ -2,6 +2,7 @@
 
 use super::folder::OutputFolder;
 use super::mapping::Mapping;
+use super::mount::FoundMount;
 use super::statistics::LiveStatistics;
 pub use super::views::Posed;
 use super::views::Views;
@@ -10,6 +11,7 @@ use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
+use odograph::mounting::{TiltMeasurement, UntoldTilt};
 use odograph::odometry::{FrameReference, KeyframeEvent, Odometry};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
@@ -35,6 +37,16 @@ pub struct Tracked {
     pub failure: Option<Error>,
     /// What ended the map before that, if anything did: a disk that is full. The path does not need it.
     pub unmapped: Option<Error>,
+    /// How the camera sits, where that is not what was told.
+    pub mount: Option<FoundMount>,
+}
+
+/// How the pipeline ended.
+pub enum Ended {
+    /// With all of the source that there was.
+    Tracked(Box<Tracked>),
+    /// At a frame from which on it is sure that the camera does not sit as the plan says.
+    SitsOtherwise(TiltMeasurement),
 }
 
 /// How long each frame took in each stage.
@@ -57,13 +69,14 @@ fn queue(camera: &Camera) -> usize {
     (QUEUE_BYTES / frame_bytes.max(1)).clamp(SHORTEST_QUEUE, LONGEST_QUEUE)
 }
 
-/// Follows every frame of the source. Each frame's result is in the folder within a second of video.
+/// Follows every frame of the source, or until `untold` is sure. Each frame's result is in the folder within a second of video.
 pub fn track(
     plan: &RunPlan,
     source: Source,
     folder: &mut OutputFolder,
     arguments: &OutputArguments,
-) -> Result<Tracked> {
+    untold: Option<UntoldTilt>,
+) -> Result<Ended> {
     let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
     odometry.tell_keyframes();
     let mapping = Mapping::new(plan, folder.path(), arguments)?;
@@ -73,6 +86,8 @@ pub fn track(
         frames: Vec::new(),
         references: Vec::new(),
         times: Vec::new(),
+        untold,
+        sits: None,
         progress: progress(source.info().frame_count, arguments.quiet),
         folder,
     };
@@ -83,8 +98,14 @@ pub fn track(
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
     tracking.progress.finish_and_clear();
+    let to_the_end = outcome.is_ok() && tracking.sits.is_none() && !interrupt::asked();
+    let at_end = tracking.untold.as_ref().filter(|_| to_the_end).and_then(UntoldTilt::at_end);
+    if let Some(tilt) = tracking.sits.or(at_end) {
+        ground.mapping.discard()?;
+        return Ok(Ended::SitsOtherwise(tilt));
+    }
     let Ground { views, mapping, unmapped, times: map_times } = ground;
-    Ok(Tracked {
+    Ok(Ended::Tracked(Box::new(Tracked {
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
         references: tracking.references,
@@ -96,13 +117,17 @@ pub fn track(
         live: None,
         failure: outcome.err(),
         unmapped,
-    })
+        mount: None,
+    })))
 }
 
 /// The three stages in turn.
 fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, ground: &mut Ground) -> Result<()> {
     while let Some(frame) = decoding.next()? {
-        ground.next(tracking.next(frame)?)?;
+        match tracking.next(frame)? {
+            Some(followed) => ground.next(followed)?,
+            None => break,
+        }
     }
     Ok(())
 }
@@ -134,15 +159,18 @@ fn side_by_side(
             here = Some(ground);
             None
         };
-        let outcome = frames_out.iter().try_for_each(|frame| -> Result<()> {
-            let followed = tracking.next(frame)?;
-            match &mut here {
-                Some(ground) => ground.next(followed)?,
-                None if followed_in.send(followed).is_err() => return Err(ended()),
-                None => {}
+        let mut follow = || -> Result<()> {
+            for frame in &frames_out {
+                let Some(followed) = tracking.next(frame)? else { break };
+                match &mut here {
+                    Some(ground) => ground.next(followed)?,
+                    None if followed_in.send(followed).is_err() => return Err(ended()),
+                    None => {}
+                }
             }
             Ok(())
-        });
+        };
+        let outcome = follow();
         drop((frames_out, followed_in));
         let died = |_| ended();
         // What ended the mapping ended the tracking after it.
@@ -182,6 +210,9 @@ struct Tracking<'a> {
     frames: Vec<FrameEstimate>,
     references: Vec<Option<FrameReference>>,
     times: Vec<Duration>,
+    untold: Option<UntoldTilt>,
+    /// What that has found: the run ends there.
+    sits: Option<TiltMeasurement>,
     progress: ProgressBar,
     folder: &'a mut OutputFolder,
 }
@@ -194,10 +225,17 @@ struct Followed {
 }
 
 impl Tracking<'_> {
-    fn next(&mut self, frame: Frame) -> Result<Followed> {
+    /// Nothing once it is sure that the camera does not sit as it was told.
+    fn next(&mut self, frame: Frame) -> Result<Option<Followed>> {
         let started = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        if let Some(untold) = &mut self.untold {
+            self.sits = untold.watch(&estimate, self.odometry.tracks());
+            if self.sits.is_some() {
+                return Ok(None);
+            }
+        }
         let mut events = self.odometry.take_keyframe_events();
         self.times.push(started.elapsed());
         self.folder.record(&estimate)?;
@@ -209,7 +247,7 @@ impl Tracking<'_> {
         let in_source = |index: u64| self.frames.get(index as usize).map(|made| made.frame);
         number_as_source(&mut events, in_source);
         let is_keyframe = is_made(&events, frame.number);
-        Ok(Followed { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events })
+        Ok(Some(Followed { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events }))
     }
 }
 

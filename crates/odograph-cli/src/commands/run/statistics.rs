@@ -2,6 +2,7 @@
 
 use super::budget::Budget;
 use super::mapping::LoopStatistics;
+use super::mount::FoundMount;
 use super::pipeline::Tracked;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
@@ -38,6 +39,9 @@ pub struct Statistics {
     /// What was given up for a budget, and whether it was kept; left out where there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub budget: Option<BudgetStatistics>,
+    /// How the camera sits, where that was found not to be what was told; left out otherwise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mount: Option<FoundMount>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
     /// How the run kept up with its source; left out of runs over recordings.
@@ -188,6 +192,7 @@ impl Statistics {
             loops,
             peak_memory_bytes: peak_memory_bytes(),
             budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
+            mount: tracked.mount,
             interrupted: tracked.interrupted,
             live: tracked.live,
             sensors: sensors.iter().map(SensorStatistics::new).collect(),

@@ -4,7 +4,7 @@ use crate::geometry::GroundPoint;
 use crate::motion::Random;
 use crate::odometry::{Odometry, OdometryConfig};
 use crate::simulation::{
-    Effects, Path as DrivenPath, PathKind, Simulation, SimulationConfig, Texture, Vibration,
+    Effects, Path as DrivenPath, PathKind, Simulation, SimulationConfig, Texture, Vibration, Wander,
 };
 
 fn normal(random: &mut Random) -> f64 {
@@ -183,4 +183,42 @@ fn a_shaking_mount_gives_its_mean_tilt_and_a_wider_deviation() {
     let (found, _) = measured(&drive(RIG, effects, EIGHT), Rig::level(RIG.height_m), 1);
     let deviation = found.covariance.trace().sqrt();
     assert!(off(&found).norm() < 3.5 * deviation && deviation < 0.2f64.to_radians(), "{found:?}");
+}
+
+/// What [`UntoldTilt`] finds in a drive whose camera was told to sit like `told`, and at which frame.
+fn noticed(simulation: &Simulation, told: Rig, mut untold: UntoldTilt) -> Option<(TiltMeasurement, u64)> {
+    let camera = simulation.config().camera.clone();
+    let mut odometry = Odometry::new(camera, told, OdometryConfig::default()).unwrap();
+    simulation.frames().find_map(|frame| {
+        let estimate = odometry.process(frame.image, frame.time_s).unwrap();
+        Some((untold.watch(&estimate, odometry.tracks())?, estimate.frame))
+    })
+}
+
+#[test]
+fn a_tilt_that_was_not_told_is_noticed_early_and_known_better_later() {
+    let simulation = drive(RIG, Effects::default(), EIGHT);
+    let camera = &simulation.config().camera;
+    let level = Rig { roll_rad: 0.0, pitch_rad: 0.0, ..RIG };
+    let (first, at) = noticed(&simulation, level, UntoldTilt::new(camera, &level)).unwrap();
+    // A third of the way at the latest; it cannot be known better than it says.
+    assert!(3 * at < simulation.times_s().len() as u64, "{at}");
+    let deviation = first.covariance.trace().sqrt();
+    assert!(deviation < 0.05f64.to_radians() && off(&first).norm() < 4.0 * deviation, "{first:?}");
+    let taken = Rig { roll_rad: first.roll_rad, pitch_rad: first.pitch_rad, ..RIG };
+    let again = noticed(&simulation, taken, UntoldTilt::measured(camera, &taken, &first));
+    if let Some((second, later)) = again {
+        assert!(later > at && second.covariance.trace() < first.covariance.trace(), "{second:?}");
+    }
+}
+
+#[test]
+fn a_tilt_that_was_told_or_changes_is_left_alone() {
+    let steady = drive(RIG, Effects::default(), EIGHT);
+    let camera = &steady.config().camera;
+    assert_eq!(noticed(&steady, RIG, UntoldTilt::new(camera, &RIG)), None);
+    let swaying =
+        Effects { tilt_change: Some(Wander { amplitude: 0.05, period_s: 2.0 }), ..Effects::default() };
+    let swaying = drive(RIG, swaying, EIGHT);
+    assert_eq!(noticed(&swaying, RIG, UntoldTilt::new(camera, &RIG)), None);
 }
