@@ -57,7 +57,8 @@ impl Pieces {
         let mut bends: Vec<Matrix4x2<f64>> = Vec::with_capacity(graph.nodes.len());
         for node in 0..graph.nodes.len() {
             let before = node.checked_sub(1);
-            let joins = before.filter(|&before| (node + shift) % length > 0 && !held[node] && !held[before]);
+            let begins = (node + shift).is_multiple_of(length);
+            let joins = before.filter(|&before| !begins && !held[node] && !held[before]);
             let joined = joins.and_then(|before| Some((before, graph.link(before, node)?)));
             leader.push(joined.map_or(node, |(before, _)| leader[before]));
             bends.push(

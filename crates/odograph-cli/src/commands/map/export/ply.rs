@@ -40,7 +40,7 @@ pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> 
             file.each_tile_row(layer, level, &mut |first_row, rows| {
                 for (k, pixel) in rows.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
                     shown += 1;
-                    if (shown - 1) % every > 0 {
+                    if !(shown - 1u64).is_multiple_of(every) {
                         continue;
                     }
                     let (column, row) = (k % width as usize, first_row + k / width as usize);
