@@ -9,7 +9,9 @@ use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
 use crate::mapping::places::{PlacesConfig, Signature};
 use crate::mapping::plane_motion::{laid_from, motion_covariance, seen_from};
+use crate::motion::MotionEstimate;
 use crate::motion::ViewingPose;
+use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random, RigWander};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
@@ -149,20 +151,65 @@ impl Matcher {
         if still && !leans_alike(&prediction, &found.estimate.pose, CONTRADICTING) {
             return None;
         }
-        self.sighting(keyframe, &found, if still { UNMODELLED_PX } else { UNMODELLED_MOVING_PX })
+        let presence = follow::presence(keyframe, camera, &found);
+        let inliers = found.estimate.inlier_count();
+        let whole =
+            if found.agreement.is_none() { self.refined(keyframe, pictured, &found, &wander) } else { None };
+        let estimate = whole.unwrap_or(found.estimate);
+        self.sighting(
+            keyframe,
+            &estimate,
+            (inliers, presence),
+            if still { UNMODELLED_PX } else { UNMODELLED_MOVING_PX },
+        )
     }
 
-    fn sighting(&self, keyframe: &Keyframe, found: &Measurement, off_px: f64) -> Option<Sighting> {
-        let pose = &found.estimate.pose;
+    /// The pose from all of the overlap where the corners tell less than lens and interpolation do: in pictures that are faint or full of noise. `None`
+    /// where they tell more, and where the whole contradicts them.
+    fn refined(
+        &self,
+        keyframe: &Keyframe,
+        pictured: &Pictured,
+        found: &Measurement,
+        wander: &RigWander,
+    ) -> Option<MotionEstimate> {
+        let (camera, motion) = (&self.camera, &self.config.motion);
+        let corners = &found.estimate;
+        let spread = |estimate: &MotionEstimate| estimate.covariance[(0, 0)] + estimate.covariance[(1, 1)];
+        let pixel_m = self.pixel_m(&keyframe.pose);
+        if spread(corners) < 2.0 * (UNMODELLED_PX * pixel_m).powi(2) {
+            return None;
+        }
+        let image = DenseImage::new(pictured.pyramid.base());
+        let prior = wander.prior(&found.prediction, motion);
+        let whole = dense::refine(camera, keyframe.dense(camera), &image, &corners.pose, &prior, motion)?;
+        let off_m =
+            (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);
+        let tells = whole.score >= DenseEstimate::LEAST_SCORE
+            && whole.agreement >= motion.minimum_inlier_fraction
+            && off_m < pixel_m
+            && leans_alike(&corners.pose, &whole.estimate.pose, CONTRADICTING);
+        (tells && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)
+    }
+
+    /// What a keyframe is seen at, with how many of its corners and how large a part of them were found.
+    fn sighting(
+        &self,
+        keyframe: &Keyframe,
+        estimate: &MotionEstimate,
+        (inliers, presence): (usize, f64),
+        off_px: f64,
+    ) -> Option<Sighting> {
+        let pose = &estimate.pose;
         let off_px = off_px.powi(2);
         let off_m2 = off_px * self.pixel_m(&keyframe.pose).powi(2);
         let off_rad2 = off_px / (0.5 * self.camera.width().min(self.camera.height()) as f64).powi(2);
         let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));
         let sighting = Sighting {
             motion: seen_from(&keyframe.pose, pose),
-            covariance: motion_covariance(&keyframe.pose, pose, &found.estimate.covariance) + unmodelled,
-            inliers: found.estimate.inlier_count(),
-            presence: follow::presence(keyframe, &self.camera, found),
+            covariance: motion_covariance(&keyframe.pose, pose, &estimate.covariance) + unmodelled,
+            inliers,
+            presence,
         };
         sighting.motion.iter().all(|value| value.is_finite()).then_some(sighting)
     }
@@ -213,4 +260,47 @@ fn leans_alike(a: &GroundPose, b: &GroundPose, most: f64) -> bool {
 
 fn at_origin(pose: &GroundPose) -> GroundPose {
     GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*pose }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Distortion;
+    use crate::simulation::{Ground, Renderer, Texture};
+
+    #[test]
+    fn a_keyframe_full_of_noise_is_found_by_all_of_its_pixels() {
+        let lens = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
+        let camera = Camera::new((320, 240), (250.0, 250.0), (160.5, 119.0), lens).unwrap();
+        let renderer = Renderer::new(&camera);
+        let matcher = Matcher::new(&camera, &OdometryConfig::default());
+        let ground = Ground::new(Texture::Carpet, renderer.footprint_m(0.75), false, 9).unwrap();
+        let mut random = Random::new(4);
+        let mut picture = |pose: &GroundPose| {
+            let mut image = renderer.gray_view(&ground, pose);
+            for sample in image.samples_mut() {
+                // The sum of four uniform numbers deviates by 0.577 of their width: 10 gray levels of noise.
+                let noise: f64 = (0..4).map(|_| random.below(1 << 16) as f64 / 65536.0 - 0.5).sum();
+                *sample = (f64::from(*sample) + 10.0 / 0.577 * noise).round().clamp(0.0, 255.0) as u8;
+            }
+            image
+        };
+        let mut squares_m2 = Vec::new();
+        for number in 0..10 {
+            let turn = f64::from(number);
+            let here = GroundPose { x_m: 2.0 * turn, heading_rad: 0.9 * turn, ..GroundPose::level(0.75) };
+            let (sin, cos) = (1.3 * turn).sin_cos();
+            let heading_rad = 2.6 * turn;
+            let there = GroundPose { x_m: here.x_m + 0.2 * cos, y_m: 0.2 * sin, heading_rad, ..here };
+            let (sought, pictured) =
+                (matcher.sought(picture(&here), &here), matcher.pictured(picture(&there), &there));
+            let truth = seen_from(&here, &there);
+            let expected = truth + Vector4::new(0.004 * cos, -0.004 * sin, 0.006 * sin, 0.0);
+            let found = matcher.find(&sought, &pictured, &expected, 8.0).expect("in view");
+            squares_m2.push((found.motion - truth).xy().norm_squared());
+        }
+        // The corners alone are off by 0.4 mm, a seventh of a pixel; all of the pixels by 0.17 mm.
+        let off_m = (squares_m2.iter().sum::<f64>() / squares_m2.len() as f64).sqrt();
+        assert!(off_m < 0.28e-3, "{off_m}");
+    }
 }
