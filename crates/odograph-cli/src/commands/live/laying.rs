@@ -1,12 +1,13 @@
 //! The mosaic as it is laid while the frames come.
 
 use super::straight::Correction;
+use crate::commands::run::timings::Timings;
 use crate::commands::run::views::{Posed, Views};
 use odograph::camera::Camera;
 use odograph::error::Error;
 use odograph::mapping::Mosaic;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// The mosaic so far, and the frames of which it is laid again at the end, where they then are.
 pub struct Laying {
@@ -17,7 +18,7 @@ pub struct Laying {
     views: Views,
     /// Of the first frame that could not be kept.
     failure: Option<Error>,
-    times: Vec<Duration>,
+    times: Timings,
     /// The frame before, where it was not laid: laid after all when it turns out to be the last of its stretch.
     before: Option<Posed>,
 }
@@ -28,7 +29,7 @@ pub struct Kept {
     /// Why not all frames could be kept of which the mosaic is laid again.
     pub failure: Option<Error>,
     /// How long each frame took.
-    pub times: Vec<Duration>,
+    pub times: Timings,
 }
 
 impl Laying {
@@ -40,7 +41,7 @@ impl Laying {
             mosaic: Mosaic::new(Default::default()),
             correction: Correction::NONE,
             failure: None,
-            times: Vec::new(),
+            times: Timings::default(),
             before: None,
         }
     }
