@@ -12,6 +12,8 @@ use std::time::Instant;
 /// The mosaic so far, and the frames of which it is laid again at the end, where they then are.
 pub struct Laying {
     camera: Camera,
+    /// Whether somebody can look at the mosaic.
+    shown: bool,
     mosaic: Mosaic,
     /// Where frames are laid: as odometry has them, until a loop has moved that.
     correction: Correction,
@@ -33,11 +35,12 @@ pub struct Kept {
 }
 
 impl Laying {
-    /// Of a run that writes into `folder`.
-    pub fn new(camera: Camera, folder: &Path) -> Self {
+    /// Of a run that writes into `folder`. Where nobody can look, frames are only kept for the end.
+    pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         Self {
             views: Views::new(&camera, folder),
             camera,
+            shown,
             mosaic: Mosaic::new(Default::default()),
             correction: Correction::NONE,
             failure: None,
@@ -65,10 +68,12 @@ impl Laying {
         if self.failure.is_none() {
             self.failure = self.views.next(posed.clone()).err();
         }
-        if self.mosaic.wants(&self.camera, &self.correction.pose(&posed.pose)) {
-            self.lay(&posed);
-        } else {
-            self.before = Some(posed);
+        if self.shown {
+            if self.mosaic.wants(&self.camera, &self.correction.pose(&posed.pose)) {
+                self.lay(&posed);
+            } else {
+                self.before = Some(posed);
+            }
         }
         self.times.push(started.elapsed());
     }
