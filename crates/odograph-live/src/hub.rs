@@ -1,7 +1,7 @@
 //! What there is to see, in one place. Who tracks puts it there and never waits; who looks takes what is new to him since he last looked.
 
 use crate::ground::Ground;
-use crate::record::TrackRecord;
+use crate::record::{Records, TrackRecord};
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
 use odograph::mapping::MosaicSquare;
 use serde::Serialize;
@@ -11,8 +11,6 @@ use std::time::{Duration, Instant};
 
 /// More marks than a person sets.
 const MOST_MARKS: usize = 10_000;
-/// Records that go into one message at most.
-const RECORDS_A_MESSAGE: usize = 8192;
 /// How often the ground is looked at for changes.
 const GROUND_INTERVAL: Duration = Duration::from_millis(250);
 
@@ -37,31 +35,6 @@ struct Seen {
     marks: Vec<Mark>,
     notices: Vec<Notice>,
     notices_told: u64,
-}
-
-/// The records of all frames: 60 bytes each. In pieces of a message, so that they never move and take no more memory than they need.
-#[derive(Default)]
-struct Records {
-    pieces: Vec<Vec<f32>>,
-    count: usize,
-}
-
-impl Records {
-    fn push(&mut self, record: &TrackRecord) {
-        if self.count.is_multiple_of(RECORDS_A_MESSAGE) {
-            self.pieces.push(Vec::with_capacity(RECORDS_A_MESSAGE * TrackRecord::LENGTH));
-        }
-        if let Some(piece) = self.pieces.last_mut() {
-            piece.extend_from_slice(&record.values);
-            self.count += 1;
-        }
-    }
-
-    /// Those from a number on, as far as they lie together.
-    fn from(&self, first: usize) -> &[f32] {
-        let (piece, before) = (first / RECORDS_A_MESSAGE, first % RECORDS_A_MESSAGE);
-        self.pieces.get(piece).and_then(|piece| piece.get(before * TrackRecord::LENGTH..)).unwrap_or_default()
-    }
 }
 
 /// The newest of what is told whole each time it changes.
@@ -135,7 +108,7 @@ impl Hub {
     pub fn add_record(&self, record: &TrackRecord) -> usize {
         let mut seen = self.seen();
         seen.records.push(record);
-        let number = seen.records.count - 1;
+        let number = seen.records.count() - 1;
         drop(seen);
         self.news.notify_all();
         number
@@ -174,7 +147,7 @@ impl Hub {
     /// Marks the place of the newest frame; `None` where there is none yet, or far too many marks.
     pub fn mark(&self, name: &str) -> Option<Mark> {
         let mut seen = self.seen();
-        let count = seen.records.count;
+        let count = seen.records.count();
         if count == 0 || seen.marks.len() >= MOST_MARKS {
             return None;
         }
@@ -263,7 +236,7 @@ impl Hub {
     fn collect(&self, seen: &Seen, cursor: &mut Cursor) -> Option<News> {
         let mut news = News::default();
         let mut any = false;
-        if seen.records.count > cursor.records {
+        if seen.records.count() > cursor.records {
             let records = seen.records.from(cursor.records).to_vec();
             let next = cursor.records + records.len() / TrackRecord::LENGTH;
             news.records = Some((cursor.records, records));
@@ -403,7 +376,7 @@ mod tests {
     fn a_long_path_comes_whole_and_in_order_however_late_somebody_looks() {
         let hub = hub();
         let mut early = hub.look();
-        let count = 2 * RECORDS_A_MESSAGE + 10;
+        let count = 2 * Records::IN_A_PIECE + 10;
         let mut met = 0;
         for k in 0..count {
             hub.add_record(&record(k as f32, 0.0));
