@@ -219,6 +219,20 @@ fn a_run_finds_the_tilt_that_it_was_not_told() {
     let again = odograph(&["run", &path("found/run.toml"), "-q", "-o", &path("again")]);
     assert_eq!(again.status.code(), Some(0), "{}", said(&again));
     assert!(fs::read(path("again/trajectory.tum")).unwrap() == path_found);
+    // Without a camera file nothing is known of the lens, and what it bends is not taken for a tilt.
+    let tape = odograph(&[
+        "run",
+        &frames,
+        "--timestamps",
+        &times,
+        "--field-of-view",
+        "0.96x0.72",
+        "-q",
+        "-o",
+        &path("tape"),
+    ]);
+    assert_eq!(tape.status.code(), Some(0), "{}", said(&tape));
+    assert!(fs::read_to_string(path("tape/run.toml")).unwrap().contains("model = \"rigid\""));
     // A map that is continued is not begun again; the recording is looked at beforehand.
     let (continued, _, path_continued) =
         run(&path("continued"), &["--height", "0.75", "--map", &path("found/map.gpkg")]);

@@ -1,7 +1,7 @@
 //! What there is to see, in one place. Who tracks puts it there and never waits; who looks takes what is new to him since he last looked.
 
 use crate::ground::Ground;
-use crate::record::TrackRecord;
+use crate::record::{Records, TrackRecord};
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
 use odograph::mapping::MosaicSquare;
 use serde::Serialize;
@@ -11,8 +11,6 @@ use std::time::{Duration, Instant};
 
 /// More marks than a person sets.
 const MOST_MARKS: usize = 10_000;
-/// Records that go into one message.
-const RECORDS_A_MESSAGE: usize = 8192;
 /// How often the ground is looked at for changes.
 const GROUND_INTERVAL: Duration = Duration::from_millis(250);
 
@@ -29,7 +27,7 @@ pub struct Hub {
 
 #[derive(Default)]
 struct Seen {
-    records: Vec<f32>,
+    records: Records,
     view: Option<Arc<View>>,
     views: u64,
     status: Status,
@@ -109,8 +107,8 @@ impl Hub {
     /// Adds a frame. Gives its number among the records.
     pub fn add_record(&self, record: &TrackRecord) -> usize {
         let mut seen = self.seen();
-        seen.records.extend_from_slice(&record.values);
-        let number = seen.records.len() / TrackRecord::LENGTH - 1;
+        seen.records.push(record);
+        let number = seen.records.count() - 1;
         drop(seen);
         self.news.notify_all();
         number
@@ -149,11 +147,11 @@ impl Hub {
     /// Marks the place of the newest frame; `None` where there is none yet, or far too many marks.
     pub fn mark(&self, name: &str) -> Option<Mark> {
         let mut seen = self.seen();
-        let count = seen.records.len() / TrackRecord::LENGTH;
+        let count = seen.records.count();
         if count == 0 || seen.marks.len() >= MOST_MARKS {
             return None;
         }
-        let last = &seen.records[(count - 1) * TrackRecord::LENGTH..];
+        let last = seen.records.from(count - 1);
         let known = |value: f32| value.is_finite().then_some(value);
         let name: String = name.chars().filter(|c| !c.is_control()).take(80).collect();
         let mark = Mark {
@@ -238,12 +236,11 @@ impl Hub {
     fn collect(&self, seen: &Seen, cursor: &mut Cursor) -> Option<News> {
         let mut news = News::default();
         let mut any = false;
-        let count = seen.records.len() / TrackRecord::LENGTH;
-        if count > cursor.records {
-            let end = count.min(cursor.records + RECORDS_A_MESSAGE);
-            let range = cursor.records * TrackRecord::LENGTH..end * TrackRecord::LENGTH;
-            news.records = Some((cursor.records, seen.records[range].to_vec()));
-            cursor.records = end;
+        if seen.records.count() > cursor.records {
+            let records = seen.records.from(cursor.records).to_vec();
+            let next = cursor.records + records.len() / TrackRecord::LENGTH;
+            news.records = Some((cursor.records, records));
+            cursor.records = next;
             any = true;
         }
         let now = Instant::now();
@@ -373,6 +370,35 @@ mod tests {
         assert_eq!(told(&mut slow), r#"{"board":4,"kind":"board"}"#);
         drop(slow);
         assert_eq!(hub.viewers(), 1);
+    }
+
+    #[test]
+    fn a_long_path_comes_whole_and_in_order_however_late_somebody_looks() {
+        let hub = hub();
+        let mut early = hub.look();
+        let count = 2 * Records::IN_A_PIECE + 10;
+        let mut met = 0;
+        for k in 0..count {
+            hub.add_record(&record(k as f32, 0.0));
+            if k % 1000 == 0 {
+                met += early.news(Duration::ZERO).records.unwrap().1.len() / TrackRecord::LENGTH;
+            }
+        }
+        let mut late = hub.look();
+        let mut next = 0;
+        while let Some((first, records)) = late.news(Duration::ZERO).records {
+            assert_eq!(first, next);
+            for record in records.chunks_exact(TrackRecord::LENGTH) {
+                assert_eq!(record[0], next as f32);
+                next += 1;
+            }
+        }
+        assert_eq!(next, count);
+        while let Some((first, records)) = early.news(Duration::ZERO).records {
+            assert_eq!(first, met);
+            met += records.len() / TrackRecord::LENGTH;
+        }
+        assert_eq!(met, count);
     }
 
     #[test]

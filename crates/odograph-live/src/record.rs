@@ -177,6 +177,40 @@ impl TrackRecord {
     }
 }
 
+/// The records of all frames: 60 bytes each. In pieces, so that they never move and take no more memory than they need.
+#[derive(Default)]
+pub(crate) struct Records {
+    pieces: Vec<Vec<f32>>,
+    count: usize,
+}
+
+impl Records {
+    /// Records that lie together, and go into one message at most.
+    pub const IN_A_PIECE: usize = 8192;
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Adds that of the next frame.
+    pub fn push(&mut self, record: &TrackRecord) {
+        if self.count.is_multiple_of(Self::IN_A_PIECE) {
+            self.pieces.push(Vec::with_capacity(Self::IN_A_PIECE * TrackRecord::LENGTH));
+        }
+        if let Some(piece) = self.pieces.last_mut() {
+            piece.extend_from_slice(&record.values);
+            self.count += 1;
+        }
+    }
+
+    /// Those from a number on, as far as they lie together.
+    pub fn from(&self, first: usize) -> &[f32] {
+        let (piece, before) = (first / Self::IN_A_PIECE, first % Self::IN_A_PIECE);
+        self.pieces.get(piece).and_then(|piece| piece.get(before * TrackRecord::LENGTH..)).unwrap_or_default()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -17,6 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[derive(Clone)]
 pub struct LiveGround {
     camera: Camera,
+    shown: bool,
     state: Arc<Mutex<State>>,
 }
 
@@ -49,14 +50,20 @@ impl State {
 }
 
 impl LiveGround {
-    pub fn new(camera: Camera, folder: &Path) -> Self {
-        let laying = Laying::new(camera.clone(), folder);
+    /// Of a run that writes into `folder`. Where nobody can look (`shown` is false) nothing is laid before the end.
+    pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
+        let laying = Laying::new(camera.clone(), folder, shown);
         let state = State { mosaic: Stage::Growing(Box::new(laying)), generation: 0, bare: BTreeSet::new() };
-        Self { camera, state: Arc::new(Mutex::new(state)) }
+        Self { camera, shown, state: Arc::new(Mutex::new(state)) }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether somebody can look.
+    pub fn is_shown(&self) -> bool {
+        self.shown
     }
 
     /// Lays a frame where it shows something new.
@@ -158,6 +165,20 @@ mod tests {
     }
 
     #[test]
+    fn where_nobody_can_look_nothing_is_laid() {
+        let folder = tempfile::tempdir().unwrap();
+        let laid = |shown| {
+            let ground = LiveGround::new(camera(), folder.path(), shown);
+            ground.lay(posed(0, 50, at(0.0)));
+            ground.lay(posed(1, 90, at(30.0)));
+            assert!(ground.finish().unwrap().failure.is_none());
+            Ground::state(&ground).is_some()
+        };
+        assert!(laid(true));
+        assert!(!laid(false));
+    }
+
+    #[test]
     fn after_a_loop_the_ground_lies_where_the_map_has_it_and_so_does_what_comes() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map.gpkg");
@@ -180,7 +201,7 @@ mod tests {
             let gray = GrayImage::from_samples(64, 48, vec![shade; 64 * 48]).unwrap();
             file.add_keyframe(keyframe, &KeyframeImage { gray, color: None }, &[]).unwrap();
         }
-        let ground = LiveGround::new(camera, folder.path());
+        let ground = LiveGround::new(camera, folder.path(), true);
         ground.lay(posed(0, 50, at(0.0)));
         ground.lay(posed(1, 90, at(30.0)));
         let before = Ground::state(&ground).unwrap().revision;

@@ -10,7 +10,7 @@ use odograph::trajectory::{
 };
 use std::collections::VecDeque;
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// A frame, and what it was measured against.
@@ -93,13 +93,25 @@ impl KeptFrames {
                 "the path cannot be read back from the disk of {folder}: {error}; trajectory.csv.part has what was recorded"
             ))
         };
-        let mut bytes = Vec::new();
+        let (mut frames, mut references) = (Vec::new(), Vec::new());
+        frames.reserve_exact(self.count as usize);
+        references.reserve_exact(self.count as usize);
         if let Some(file) = &mut self.file {
             file.seek(SeekFrom::Start(0)).map_err(failed)?;
-            file.take(self.end).read_to_end(&mut bytes).map_err(failed)?;
+            let mut file = BufReader::new(file.take(self.end));
+            let mut bytes = [0; 8 * NUMBERS_OF_A_FRAME];
+            for _ in 0..self.end / bytes.len() as u64 {
+                file.read_exact(&mut bytes).map_err(failed)?;
+                let (frame, reference) = decoded(&bytes);
+                frames.push(frame);
+                references.push(reference);
+            }
         }
-        let stored = bytes.chunks_exact(8 * NUMBERS_OF_A_FRAME).map(decoded);
-        Ok(stored.chain(self.rest).unzip())
+        for (frame, reference) in self.rest {
+            frames.push(frame);
+            references.push(reference);
+        }
+        Ok((frames, references))
     }
 
     fn write(&mut self) -> io::Result<()> {

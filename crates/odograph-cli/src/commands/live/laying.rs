@@ -1,23 +1,26 @@
 //! The mosaic as it is laid while the frames come.
 
 use super::straight::Correction;
+use crate::commands::run::timings::Timings;
 use crate::commands::run::views::{Posed, Views};
 use odograph::camera::Camera;
 use odograph::error::Error;
 use odograph::mapping::Mosaic;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// The mosaic so far, and the frames of which it is laid again at the end, where they then are.
 pub struct Laying {
     camera: Camera,
+    /// Whether somebody can look at the mosaic.
+    shown: bool,
     mosaic: Mosaic,
     /// Where frames are laid: as odometry has them, until a loop has moved that.
     correction: Correction,
     views: Views,
     /// Of the first frame that could not be kept.
     failure: Option<Error>,
-    times: Vec<Duration>,
+    times: Timings,
     /// The frame before, where it was not laid: laid after all when it turns out to be the last of its stretch.
     before: Option<Posed>,
 }
@@ -28,19 +31,20 @@ pub struct Kept {
     /// Why not all frames could be kept of which the mosaic is laid again.
     pub failure: Option<Error>,
     /// How long each frame took.
-    pub times: Vec<Duration>,
+    pub times: Timings,
 }
 
 impl Laying {
-    /// Of a run that writes into `folder`.
-    pub fn new(camera: Camera, folder: &Path) -> Self {
+    /// Of a run that writes into `folder`. Where nobody can look, frames are only kept for the end.
+    pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         Self {
             views: Views::new(&camera, folder),
             camera,
+            shown,
             mosaic: Mosaic::new(Default::default()),
             correction: Correction::NONE,
             failure: None,
-            times: Vec::new(),
+            times: Timings::default(),
             before: None,
         }
     }
@@ -64,10 +68,12 @@ impl Laying {
         if self.failure.is_none() {
             self.failure = self.views.next(posed.clone()).err();
         }
-        if self.mosaic.wants(&self.camera, &self.correction.pose(&posed.pose)) {
-            self.lay(&posed);
-        } else {
-            self.before = Some(posed);
+        if self.shown {
+            if self.mosaic.wants(&self.camera, &self.correction.pose(&posed.pose)) {
+                self.lay(&posed);
+            } else {
+                self.before = Some(posed);
+            }
         }
         self.times.push(started.elapsed());
     }

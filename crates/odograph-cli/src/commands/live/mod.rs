@@ -155,7 +155,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         live: true,
         calibration: false,
     };
-    let laying = ground::LiveGround::new(plan.camera.clone(), folder.path());
+    let laying = ground::LiveGround::new(plan.camera.clone(), folder.path(), arguments.serve.serve.is_some());
     let serving =
         Serving::start(&arguments.serve, introduction, laying.clone(), Offer::of_run(folder.path()))?;
     if let Some(url) = serving.url()

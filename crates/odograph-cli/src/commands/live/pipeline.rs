@@ -70,6 +70,7 @@ pub fn follow(
         outputs,
         log,
         hub,
+        shown: ground.is_shown(),
         watch,
         queue: Arc::new(Newest::new(opened.policy, QUEUE)),
         policy: opened.policy,
@@ -188,6 +189,8 @@ struct Following<'a> {
     outputs: Outputs,
     log: Option<&'a McapLog>,
     hub: &'a Hub,
+    /// Whether somebody can look.
+    shown: bool,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
     policy: Policy,
@@ -234,7 +237,9 @@ impl Following<'_> {
                     // A map that cannot be written (the disk is full) ends; tracking does not.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, happened.frame.as_ref()).err();
-                        straightening.look(mapping);
+                        if ground.is_shown() {
+                            straightening.look(mapping);
+                        }
                     }
                 });
                 beside.relaying.close();
@@ -291,11 +296,15 @@ impl Following<'_> {
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
         let reference = self.odometry.reference();
         let keyframe = reference.map(|reference| reference.keyframe.0);
-        let record = TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
-        let record = self.hub.add_record(&record);
-        if self.hub.viewers() > 0 {
-            let tracks = self.odometry.tracks().to_vec();
-            beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
+        // A robot that nobody looks at need not remember its way.
+        if self.shown {
+            let record =
+                TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
+            let record = self.hub.add_record(&record);
+            if self.hub.viewers() > 0 {
+                let tracks = self.odometry.tracks().to_vec();
+                beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
+            }
         }
         self.distance_m += self.step_m(&estimate);
         let pose = estimate.estimate.as_ref().map(|known| known.pose);

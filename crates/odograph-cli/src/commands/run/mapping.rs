@@ -1,6 +1,7 @@
 //! The map of a run: grows in its file while the run goes on, and pulls the path straight at the end.
 
 use super::statistics::StageTime;
+use super::timings::Timings;
 use super::{OutputArguments, RunPlan};
 use crate::interrupt;
 use odograph::camera::{Camera, Rig};
@@ -15,13 +16,13 @@ use odograph_map::{MapFile, PathFrame};
 use odograph_video::Frame;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// The mapper of a run, and the file that it writes.
 pub struct Mapping {
     mapper: Mapper,
     file: GrowingFile,
-    times: Vec<Duration>,
+    times: Timings,
 }
 
 /// A ground pixel of the mosaic that a run lays into a map that it continues is so many times as wide as what a pixel in the middle of an image sees.
@@ -84,7 +85,7 @@ impl Mapping {
         } else {
             Mapper::new(&plan.camera, plan.rig, &plan.odometry, plan.slam)
         };
-        Ok(Self { mapper, file, times: Vec::new() })
+        Ok(Self { mapper, file, times: Timings::default() })
     }
 
     /// Takes what happened to the keyframes with a frame.
@@ -119,7 +120,7 @@ impl Mapping {
     }
 
     /// How long each keyframe took.
-    pub fn times(&self) -> &[Duration] {
+    pub fn times(&self) -> &Timings {
         &self.times
     }
 

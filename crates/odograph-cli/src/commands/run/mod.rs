@@ -13,6 +13,7 @@ mod reference;
 mod sensors;
 pub(super) mod statistics;
 mod tilt;
+pub(super) mod timings;
 pub(super) mod views;
 
 use crate::{Outcome, console};

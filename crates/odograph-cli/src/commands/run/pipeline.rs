@@ -4,6 +4,7 @@ use super::folder::OutputFolder;
 use super::mapping::Mapping;
 use super::mount::FoundMount;
 use super::statistics::LiveStatistics;
+use super::timings::Timings;
 pub use super::views::Posed;
 use super::views::Views;
 use super::{OutputArguments, RunPlan};
@@ -17,7 +18,7 @@ use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
 use std::sync::mpsc;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// What came out of the pipeline.
 pub struct Tracked {
@@ -52,9 +53,9 @@ pub enum Ended {
 /// How long each frame took in each stage.
 #[derive(Debug, Default)]
 pub struct StageTimes {
-    pub decode: Vec<Duration>,
-    pub track: Vec<Duration>,
-    pub map: Vec<Duration>,
+    pub decode: Timings,
+    pub track: Timings,
+    pub map: Timings,
 }
 
 /// Frames that wait between two stages: enough to even out a keyframe, which takes as long as decoding ten frames, few enough not to need much memory.
@@ -85,14 +86,14 @@ pub fn track(
         odometry,
         frames: Vec::new(),
         references: Vec::new(),
-        times: Vec::new(),
+        times: Timings::default(),
         untold,
         sits: None,
         progress: progress(source.info().frame_count, arguments.quiet),
         folder,
     };
-    let mut decoding = Decoding { source, times: Vec::new() };
-    let mut ground = Ground { views, mapping, unmapped: None, times: Vec::new() };
+    let mut decoding = Decoding { source, times: Timings::default() };
+    let mut ground = Ground { views, mapping, unmapped: None, times: Timings::default() };
     let outcome = match arguments.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
@@ -187,7 +188,7 @@ fn ended() -> Error {
 /// Stage one: frames from the source, until its end or until the run is asked to end.
 struct Decoding {
     source: Source,
-    times: Vec<Duration>,
+    times: Timings,
 }
 
 impl Decoding {
@@ -209,7 +210,7 @@ struct Tracking<'a> {
     odometry: Odometry,
     frames: Vec<FrameEstimate>,
     references: Vec<Option<FrameReference>>,
-    times: Vec<Duration>,
+    times: Timings,
     untold: Option<UntoldTilt>,
     /// What that has found: the run ends there.
     sits: Option<TiltMeasurement>,
@@ -272,7 +273,7 @@ struct Ground {
     views: Views,
     mapping: Mapping,
     unmapped: Option<Error>,
-    times: Vec<Duration>,
+    times: Timings,
 }
 
 impl Ground {

@@ -128,7 +128,11 @@ impl RunPlan {
             )));
         }
         let mut odometry = OdometryConfig::default();
-        odometry.motion.model = MotionModel::from(arguments.motion);
+        odometry.motion.model = match MotionModel::from(arguments.motion) {
+            // How much a lens bends is not known from a tape measure, and what it bends looks like height and tilt that change.
+            MotionModel::Auto if arguments.camera.is_none() => MotionModel::Rigid,
+            model => model,
+        };
         let budget = match arguments.budget_ms {
             Some(frame_ms) => Some(budget::fit(&mut odometry, size, frame_ms)?),
             None => None,

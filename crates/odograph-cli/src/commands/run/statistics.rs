@@ -4,6 +4,7 @@ use super::budget::Budget;
 use super::mapping::LoopStatistics;
 use super::mount::FoundMount;
 use super::pipeline::Tracked;
+use super::timings::Timings;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
 use odograph::trajectory::{TrackStatus, distance_m};
@@ -78,14 +79,14 @@ pub struct LiveStatistics {
 pub struct BudgetStatistics {
     #[serde(flatten)]
     pub given_up: Budget,
-    /// Frames that took longer to track than that.
+    /// Frames that took longer to track than that by more than a hundredth.
     pub frames_over: u64,
 }
 
 impl BudgetStatistics {
-    fn new(budget: Budget, track: &[Duration]) -> Self {
-        let over = track.iter().filter(|time| 1e3 * time.as_secs_f64() > budget.frame_ms).count();
-        Self { given_up: budget, frames_over: over as u64 }
+    fn new(budget: Budget, track: &Timings) -> Self {
+        let frames_over = track.longer_than(Duration::from_secs_f64(1e-3 * budget.frame_ms));
+        Self { given_up: budget, frames_over }
     }
 }
 
@@ -142,14 +143,8 @@ pub struct StageTime {
 }
 
 impl StageTime {
-    pub fn of(durations: &[Duration]) -> Self {
-        let mut sorted: Vec<f64> = durations.iter().map(|d| 1e3 * d.as_secs_f64()).collect();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let rank = (0.99 * sorted.len() as f64).ceil() as usize;
-        Self {
-            mean_ms: sorted.iter().sum::<f64>() / sorted.len().max(1) as f64,
-            p99_ms: sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0),
-        }
+    pub fn of(timings: &Timings) -> Self {
+        Self { mean_ms: timings.mean_ms(), p99_ms: timings.quantile_ms(0.99) }
     }
 }
 
@@ -169,7 +164,6 @@ impl Statistics {
             (Some(first), Some(last)) => last.time_s - first.time_s,
             _ => 0.0,
         };
-        let seconds = |durations: &[Duration]| durations.iter().sum::<Duration>().as_secs_f64();
         let rate = |s: f64| if s > 0.0 { frames.len() as f64 / s } else { 0.0 };
         Self {
             frames: frames.len() as u64,
@@ -178,9 +172,8 @@ impl Statistics {
             distance_m: distance_m(frames),
             fps: rate(elapsed.as_secs_f64()),
             fps_without_decoding: rate(
-                seconds(&tracked.times.track)
-                    + seconds(&tracked.times.map)
-                    + seconds(tracked.mapping.times()),
+                (tracked.times.track.sum() + tracked.times.map.sum() + tracked.mapping.times().sum())
+                    .as_secs_f64(),
             ),
             stages: BTreeMap::from([
                 ("decode", StageTime::of(&tracked.times.decode)),
