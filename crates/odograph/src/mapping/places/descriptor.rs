@@ -19,6 +19,12 @@ const SMOOTHING: usize = 2;
 /// Reach of the surroundings whose mean is taken off, spots.
 const SURROUNDINGS: usize = 15;
 
+/// Where the median of the sums is smaller than this, a gray level and a half, they are noise; that is not strengthened.
+const LEAST_USUAL: f32 = 35.0;
+
+/// What is so many standard deviations (1.48 medians) strong reaches half of the way to white or black.
+const STRONG: f32 = 3.0;
+
 /// How many of `config.features` a picture of the usual size gives at most and at least, where it shows more or less ground.
 const MORE_GROUND: (f64, f64) = (0.1, 1.7);
 
@@ -62,14 +68,28 @@ impl Smooth {
         Self { width, sums, disc: disc(width) }
     }
 
-    /// In gray levels around 128, so strengthened that they deviate from it by some tens.
+    /// In gray levels around 128: what is usual in the view deviates from it by some tens, and what is far stronger by not much more. So corners are
+    /// sought in the faces of bricks too and not only where the joints cross: those tell one brick from the next.
     fn image(&self) -> GrayImage {
-        let squares: f64 = self.sums.iter().map(|&sum| f64::from(sum) * f64::from(sum)).sum();
-        let deviation = (squares / self.sums.len() as f64).sqrt() as f32;
-        let gain = 32.0 / deviation.max(50.0);
-        let samples = self.sums.iter().map(|&sum| (128.5 + gain * f32::from(sum)).clamp(0.0, 255.0) as u8);
-        GrayImage::from_samples(self.width, self.sums.len() / self.width, samples.collect())
+        let usual = 1.48 * self.median().max(LEAST_USUAL);
+        let half = STRONG * usual;
+        let gray = |&sum: &i16| {
+            let sum = f32::from(sum);
+            (128.5 + 127.0 * sum / (sum.abs() + half)) as u8
+        };
+        let samples = self.sums.iter().map(gray).collect();
+        GrayImage::from_samples(self.width, self.sums.len() / self.width, samples)
             .unwrap_or(GrayImage::new(0, 0))
+    }
+
+    /// The median of the sums without their signs, of every seventh, which is as good as of all.
+    fn median(&self) -> f32 {
+        let mut sizes: Vec<u16> = self.sums.iter().step_by(7).map(|sum| sum.unsigned_abs()).collect();
+        let middle = sizes.len() / 2;
+        if sizes.is_empty() {
+            return 0.0;
+        }
+        f32::from(*sizes.select_nth_unstable(middle).1)
     }
 
     fn feature(&self, view: &View, corner: &Corner) -> GroundFeature {
