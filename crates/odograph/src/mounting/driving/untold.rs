@@ -47,6 +47,10 @@ const DOUBTFUL: f64 = 2e-4;
 /// A smaller tilt than this does not bend a path by more than the pixels do, radians.
 const LEAST_RAD: f64 = 0.02 * std::f64::consts::PI / 180.0;
 
+/// Who tells a tilt that is not straight down has measured it: what differs from it by less than this may as well be an error of the camera's calibration,
+/// which looks like a tilt too, radians.
+const LEAST_FROM_MEASURED_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+
 /// A tilt is told apart from none where it is so many of its standard deviations off (once in some hundred thousand looks by chance, in two dimensions).
 const SIGNIFICANT: f64 = 5.0;
 
@@ -120,8 +124,10 @@ impl UntoldTilt {
         let [roll, pitch] = found.scatter_rad;
         let certainty =
             found.covariance.try_inverse().map_or(0.0, |information| off.dot(&(information * off)));
+        let level = self.told.roll_rad == 0.0 && self.told.pitch_rad == 0.0;
+        let least_rad = if level { LEAST_RAD } else { LEAST_FROM_MEASURED_RAD };
         found.revealed == Revealed::Both
-            && off.norm() >= LEAST_RAD
+            && off.norm() >= least_rad
             && certainty >= SIGNIFICANT * SIGNIFICANT
             && roll.hypot(pitch) < STEADY * off.norm()
     }
