@@ -26,10 +26,10 @@ pub fn finish(
     let mut run = Finishing { failure: ended_early(&mut tracked), plan, tracked, folder };
     run.tell_tilt();
     let at_once = trajectory_file::tum_from_frames(&run.tracked.frames);
-    let improved = run.improve(sensors);
-    run.write_paths(&at_once, &improved.path)?;
-    run.draw(description, &improved.sensors, arguments.threads())?;
-    run.end(improved, started)
+    let Improved { path, sensors, loops } = run.improve(sensors);
+    run.write_paths(at_once, path)?;
+    run.draw(description, &sensors, arguments.threads())?;
+    run.end(&sensors, loops, started)
 }
 
 /// A run that is being finished.
@@ -108,18 +108,20 @@ impl Finishing<'_> {
         Improved { path, sensors: fused.reports, loops }
     }
 
-    /// The trajectories, the map's keyframes, and the paths that are made of the frames.
-    fn write_paths(&mut self, at_once: &str, path: &[SmoothedFrame]) -> Result<()> {
+    /// The trajectories, the map's keyframes, and the paths that are made of the frames; of an hour they are a hundred megabytes, which the pictures
+    /// then have.
+    fn write_paths(&mut self, at_once: String, path: Vec<SmoothedFrame>) -> Result<()> {
         self.folder.write_trajectories(&self.tracked.frames, &self.plan.text()?)?;
         self.folder.write("odometry.tum", at_once.as_bytes())?;
+        drop(at_once);
         // Only now the map, which may not fit on its disk any more: the trajectories are there all the same, and so is all that follows.
         if let Err(error) = self.tracked.mapping.save(&self.tracked.frames) {
             self.fail("the map is not where the trajectories are", error);
         }
-        self.folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(path).as_bytes())?;
-        let smoothed = SmoothedFrame::trajectory(path);
+        self.folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
+        let smoothed = SmoothedFrame::trajectory(&path);
         self.folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
-        let carrier = carrier_path(path, &self.plan.rig);
+        let carrier = carrier_path(&path, &self.plan.rig);
         self.folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())
     }
 
@@ -160,10 +162,9 @@ impl Finishing<'_> {
     }
 
     /// Closes the map and writes the statistics, last of all.
-    fn end(mut self, improved: Improved, started: Instant) -> Result<RunReport> {
+    fn end(mut self, sensors: &[SensorReport], loops: LoopStatistics, started: Instant) -> Result<RunReport> {
         let closed = self.tracked.mapping.close();
-        let Improved { sensors, loops, .. } = improved;
-        let statistics = Statistics::new(&self.tracked, self.plan.budget, &sensors, loops, started.elapsed());
+        let statistics = Statistics::new(&self.tracked, self.plan.budget, sensors, loops, started.elapsed());
         self.folder.finish(&statistics)?;
         match self.failure.or(closed.err()) {
             Some(error) => Err(error),
