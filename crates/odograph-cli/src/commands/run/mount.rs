@@ -52,7 +52,7 @@ pub struct Mount {
     measured: Option<TiltMeasurement>,
 }
 
-/// A recording that cannot be begun again is looked at beforehand: for so many pairs of views.
+/// Where a map is continued the recording is looked at beforehand, for so many pairs of views.
 const LOOKED_AT: usize = 32;
 
 impl Mount {
