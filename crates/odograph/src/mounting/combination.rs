@@ -1,6 +1,7 @@
 //! Several measurements of the same quantities brought together, when they scatter by more than each one's own noise.
 
 use nalgebra::{SMatrix, SVector};
+use std::ops::AddAssign;
 
 /// What one measurement says about `N` quantities, as a quadratic about a common point: its information matrix, and that times the
 /// offset at which it would have them. A measurement may know nothing of some of them.
@@ -8,6 +9,34 @@ use nalgebra::{SMatrix, SVector};
 pub struct Part<const N: usize> {
     pub information: SMatrix<f64, N, N>,
     pub slope: SVector<f64, N>,
+}
+
+impl<const N: usize> Default for Part<N> {
+    /// Nothing is known.
+    fn default() -> Self {
+        Self { information: SMatrix::zeros(), slope: SVector::zeros() }
+    }
+}
+
+impl<const N: usize> AddAssign for Part<N> {
+    fn add_assign(&mut self, other: Self) {
+        self.information += other.information;
+        self.slope += other.slope;
+    }
+}
+
+impl<const N: usize> Part<N> {
+    /// What is left for the first `M` where the others are known to be at an offset from the common point.
+    pub fn with_known<const M: usize>(&self, offset: &SVector<f64, N>) -> Part<M> {
+        let mut left = Part::default();
+        for i in 0..M {
+            left.slope[i] = self.slope[i] - (M..N).map(|k| self.information[(i, k)] * offset[k]).sum::<f64>();
+            for k in 0..M {
+                left.information[(i, k)] = self.information[(i, k)];
+            }
+        }
+        left
+    }
 }
 
 /// What all say together.

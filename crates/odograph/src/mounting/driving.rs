@@ -14,9 +14,12 @@
 //! sides do more than that: errors of the lens that look like a tilt in one direction do not in another.
 
 mod bundle;
+mod lens;
 mod untold;
 
-pub use untold::UntoldTilt;
+use bundle::{Solved, TILT};
+pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
+pub use untold::{Found, Untold};
 
 use super::combination::{Combined, combine};
 use super::uncertainty::CameraUncertainty;
@@ -203,28 +206,30 @@ impl DrivenTilt {
     /// Fails where there are too few pairs to solve at all; a movement that does not determine the tilt is told by
     /// [`TiltMeasurement::revealed`].
     pub fn solve(&self, start: &Rig, uncertainty: Option<&CameraUncertainty>) -> Result<TiltMeasurement> {
-        let too_few = || {
-            Error::input(
-                "the recording does not show enough movement over the floor to tell the tilt; drive at least 5 m, with turns to both sides",
-            )
-        };
-        let solved = bundle::solve(&self.camera, self.groups.iter(), start).ok_or_else(too_few)?;
-        let Combined { offset, mut covariance, scatter } = combine(&solved.parts).ok_or_else(too_few)?;
-        let found =
-            Rig { roll_rad: solved.roll_rad + offset[0], pitch_rad: solved.pitch_rad + offset[1], ..*start };
+        let solved = bundle::solve::<TILT>(&self.camera, self.groups.iter(), start).ok_or_else(too_few)?;
+        let mut combined = combine(&solved.parts).ok_or_else(too_few)?;
         if let Some(uncertainty) = uncertainty {
-            covariance += self.carried(&found, uncertainty).ok_or_else(|| {
+            let [roll, pitch] = combined.offset.into();
+            let found =
+                Rig { roll_rad: solved.roll_rad + roll, pitch_rad: solved.pitch_rad + pitch, ..*start };
+            combined.covariance += self.carried(&found, uncertainty).ok_or_else(|| {
                 Error::input(
                     "the camera's own uncertainty is so large that driving says nothing; calibrate the camera again",
                 )
             })?;
         }
-        let eigen = covariance.symmetric_eigen();
-        let worst = usize::from(eigen.eigenvalues[1] > eigen.eigenvalues[0]);
-        let deviation_rad = eigen.eigenvalues[worst].max(0.0).sqrt();
+        self.tilt(&solved, &combined)
+    }
+
+    /// The tilt of what the pairs have in common.
+    fn tilt<const N: usize>(&self, solved: &Solved<N>, combined: &Combined<N>) -> Result<TiltMeasurement> {
         if solved.parts.len() < FEWEST_KEYFRAMES {
             return Err(too_few());
         }
+        let covariance: Matrix2<f64> = combined.covariance.fixed_view::<TILT, TILT>(0, 0).into_owned();
+        let eigen = covariance.symmetric_eigen();
+        let worst = usize::from(eigen.eigenvalues[1] > eigen.eigenvalues[0]);
+        let deviation_rad = eigen.eigenvalues[worst].max(0.0).sqrt();
         let revealed = if deviation_rad <= USEFUL_DEG.to_radians() {
             Revealed::Both
         } else {
@@ -232,16 +237,22 @@ impl DrivenTilt {
             Revealed::NotAll { worst: [direction[0], direction[1]], deviation_rad }
         };
         Ok(TiltMeasurement {
-            roll_rad: found.roll_rad,
-            pitch_rad: found.pitch_rad,
+            roll_rad: solved.roll_rad + combined.offset[0],
+            pitch_rad: solved.pitch_rad + combined.offset[1],
             covariance,
             revealed,
-            scatter_rad: scatter.map(f64::sqrt).into(),
+            scatter_rad: [0, 1].map(|k| combined.scatter[k].sqrt()),
             keyframes: solved.parts.len(),
             pairs: solved.pairs,
             rms_px: solved.rms_px,
         })
     }
+}
+
+fn too_few() -> Error {
+    Error::input(
+        "the recording does not show enough movement over the floor to tell the tilt; drive at least 5 m, with turns to both sides",
+    )
 }
 
 impl DrivenTilt {
@@ -250,7 +261,7 @@ impl DrivenTilt {
         const ENOUGH: usize = 40;
         let every = self.groups.len().div_ceil(ENOUGH).max(1);
         uncertainty.carried(&self.camera, |camera| {
-            let solved = bundle::solve(camera, self.groups.iter().step_by(every), found)?;
+            let solved = bundle::solve::<TILT>(camera, self.groups.iter().step_by(every), found)?;
             let Combined { offset, .. } = combine(&solved.parts)?;
             Some([solved.roll_rad + offset[0], solved.pitch_rad + offset[1]])
         })

@@ -13,5 +13,8 @@ mod reprojection;
 mod uncertainty;
 
 pub use board::{BoardDirection, BoardMounting, FloorBoard, MountingView, ambiguity_turns, rig_from_boards};
-pub use driving::{DrivenTilt, DrivingConfig, Revealed, TiltMeasurement, UntoldTilt};
+pub use driving::{
+    DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement, Revealed, SelfCalibration,
+    TiltMeasurement, Untold,
+};
 pub use uncertainty::{CameraUncertainty, MeasuredRig, RigDeviations};

@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
 /// A camera at a pose over the ground, its rotation worked out once for many points.
 pub struct PosedCamera<'a> {
@@ -15,8 +15,18 @@ pub struct PosedCamera<'a> {
     pitch_axis: Vector3<f64>,
 }
 
+/// Where a ray meets the ground, and how that changes.
+pub struct Met {
+    pub point: GroundPoint,
+    /// By roll and pitch of the pose.
+    pub by_tilt: Matrix2<f64>,
+    /// By the ray.
+    pub by_ray: Matrix2<f64>,
+}
+
 /// Where a ground point is seen, and how that changes.
 pub struct Seen {
+    pub ray: Ray,
     pub pixel: Pixel,
     /// By (x, y, heading, height, roll, pitch) of the pose.
     pub by_pose: SMatrix<f64, 2, 6>,
@@ -46,7 +56,8 @@ impl<'a> PosedCamera<'a> {
         if p.z <= 1e-9 {
             return None;
         }
-        let (pixel, pixel_by_ray) = self.camera.pixel_and_derivative(Ray::new(p.x / p.z, p.y / p.z))?;
+        let ray = Ray::new(p.x / p.z, p.y / p.z);
+        let (pixel, pixel_by_ray) = self.camera.pixel_and_derivative(ray)?;
         let ray_by_point =
             Matrix2x3::new(1.0 / p.z, 0.0, -p.x / (p.z * p.z), 0.0, 1.0 / p.z, -p.y / (p.z * p.z));
         let by_point = pixel_by_ray * ray_by_point * self.camera_from_world;
@@ -59,25 +70,30 @@ impl<'a> PosedCamera<'a> {
             by_pose.set_column(column, &-(by_point * axis.cross(&from_camera)));
         }
         let by_ground = by_point.fixed_columns::<2>(0).into_owned();
-        Some(Seen { pixel, by_pose, by_ground })
+        Some(Seen { ray, pixel, by_pose, by_ground })
     }
 
-    /// Where a ray meets the ground, and the derivative of that by roll and pitch. `None` where the ray does not go downwards.
-    pub fn ground(&self, ray: Ray) -> Option<(GroundPoint, Matrix2<f64>)> {
-        let direction = self.camera_from_world.transpose() * ray.vector();
+    /// `None` where the ray does not go downwards.
+    pub fn ground(&self, ray: Ray) -> Option<Met> {
+        let world_from_camera = self.camera_from_world.transpose();
+        let direction = world_from_camera * ray.vector();
         if direction.z >= -1e-9 {
             return None;
         }
         let reach = -self.pose.height_m / direction.z;
         let point =
             GroundPoint::new(self.pose.x_m + reach * direction.x, self.pose.y_m + reach * direction.y);
-        let mut by_tilt = Matrix2::zeros();
-        for (column, axis) in [(0, &self.roll_axis), (1, &self.pitch_axis)] {
-            let turned = axis.cross(&direction);
+        let slides = |turned: Vector3<f64>| {
             let slide = turned.z / direction.z;
-            by_tilt[(0, column)] = reach * (turned.x - slide * direction.x);
-            by_tilt[(1, column)] = reach * (turned.y - slide * direction.y);
-        }
-        Some((point, by_tilt))
+            Vector2::new(reach * (turned.x - slide * direction.x), reach * (turned.y - slide * direction.y))
+        };
+        let [by_roll, by_pitch] =
+            [&self.roll_axis, &self.pitch_axis].map(|axis| slides(axis.cross(&direction)));
+        let [by_x, by_y] = [0, 1].map(|k| slides(world_from_camera.column(k).into_owned()));
+        Some(Met {
+            point,
+            by_tilt: Matrix2::from_columns(&[by_roll, by_pitch]),
+            by_ray: Matrix2::from_columns(&[by_x, by_y]),
+        })
     }
 }

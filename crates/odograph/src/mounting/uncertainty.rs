@@ -88,7 +88,7 @@ impl CameraUncertainty {
 }
 
 /// The camera with one parameter changed; `None` for a name that it does not have, or where no camera is left.
-fn varied(camera: &Camera, name: &str, by: f64) -> Option<Camera> {
+pub(super) fn varied(camera: &Camera, name: &str, by: f64) -> Option<Camera> {
     let ((mut fx, mut fy), (mut cx, mut cy)) = (camera.focal_px(), camera.principal_px());
     let mut distortion = *camera.distortion();
     match name {
@@ -106,7 +106,18 @@ fn varied(camera: &Camera, name: &str, by: f64) -> Option<Camera> {
     Camera::new((camera.width(), camera.height()), (fx, fy), (cx, cy), distortion).ok()
 }
 
-/// A coefficient by its name.
+/// A parameter of a camera by its name.
+pub(super) fn parameter(camera: &Camera, name: &str) -> Option<f64> {
+    let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.principal_px());
+    match name {
+        "fx" | "f" => Some(fx),
+        "fy" => Some(fy),
+        "cx" => Some(cx),
+        "cy" => Some(cy),
+        _ => coefficient(&mut camera.distortion().clone(), name).copied(),
+    }
+}
+
 fn coefficient<'a>(distortion: &'a mut Distortion, name: &str) -> Option<&'a mut f64> {
     match distortion {
         Distortion::None => None,

@@ -1,11 +1,12 @@
-//! A tilt of the mount that nobody told, noticed while a recording is followed.
+//! A mount and a lens that are not as they were told, noticed while a recording is followed.
 //!
 //! Ground that is laid out under a wrong tilt slopes: a camera that keeps its height over the floor seems to climb, by one part in sixty for
-//! each degree, and the path is stretched with it. The floor's own movement through the image tells the tilt long before that matters much: a metre
-//! and a half of driving, to a few thousandths of a degree on well-textured ground. So whoever reads a recording begins again with it, and the path
-//! is that of a mount which had been told.
+//! each degree, and the path is stretched with it. A lens that bends otherwise than its calibration says looks like a tilt towards wherever the camera goes. The
+//! floor's own movement through the image tells both long before they matter much: a metre and a half of driving, to a few thousandths of a degree and to a
+//! hundredth of a pixel on well-textured ground. So whoever reads a recording begins again with what was found, and the path is that of a camera
+//! which had been told right.
 
-use super::{DrivenTilt, DrivingConfig, Revealed, TiltMeasurement};
+use super::{DrivenTilt, DrivingConfig, LensMeasurement, Revealed, TiltMeasurement};
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
 use crate::odometry::TrackView;
@@ -14,15 +15,48 @@ use nalgebra::Vector2;
 
 /// Watches a recording while [`crate::odometry::Odometry`] follows it with the motion model that chooses by evidence.
 #[derive(Debug, Clone)]
-pub struct UntoldTilt {
+pub struct Untold {
     driven: DrivenTilt,
     told: Rig,
-    /// The measurement that the told tilt is, where it is one.
-    measured: Option<TiltMeasurement>,
-    /// Whether the odometry has found that the camera does not sit as it was told.
+    /// Whether the lens is looked at, too.
+    lens: bool,
+    /// What the told tilt and lens were found by, where they were.
+    before: Found,
+    /// Whether the odometry has found that the camera is not as it was told.
     doubted: bool,
-    /// At so many pairs of views the tilt is looked at next.
+    /// At so many pairs of views it is looked at next.
     next_look: usize,
+}
+
+/// What a recording says of its camera that is not as it was told.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Found {
+    /// How it sits.
+    pub tilt: Option<TiltMeasurement>,
+    /// How its lens bends.
+    pub lens: Option<LensMeasurement>,
+    /// Pairs of views from which it was found.
+    pub pairs: usize,
+}
+
+impl Found {
+    /// Nothing is another than it was told.
+    fn is_nothing(&self) -> bool {
+        self.tilt.is_none() && self.lens.is_none()
+    }
+
+    /// A rig with the tilt that was found.
+    pub fn rig(&self, told: &Rig) -> Rig {
+        match &self.tilt {
+            Some(tilt) => Rig { roll_rad: tilt.roll_rad, pitch_rad: tilt.pitch_rad, ..*told },
+            None => *told,
+        }
+    }
+
+    /// The camera with the lens that was found.
+    pub fn camera(&self, told: &Camera) -> Camera {
+        self.lens.as_ref().map_or_else(|| told.clone(), |lens| lens.camera.clone())
+    }
 }
 
 /// Pairs of views after which the tilt is looked at the first time, twice as many each time after that, and the last time. A pair is a movement by a tenth
@@ -57,24 +91,30 @@ const SIGNIFICANT: f64 = 5.0;
 /// A tilt is that of the mount, and not of a hand or of a spring, where it scatters from keyframe to keyframe by less than this part of itself.
 const STEADY: f64 = 1.0 / 3.0;
 
-impl UntoldTilt {
-    /// Nothing seen yet of a camera that was told to sit like `told`.
+impl Untold {
+    /// Nothing seen yet of a camera that was told to be `camera` and to sit like `told`.
     pub fn new(camera: &Camera, told: &Rig) -> Self {
         let config =
             DrivingConfig { most_tracks: MOST_TRACKS, most_pairs: LAST_LOOK, ..DrivingConfig::default() };
         let driven = DrivenTilt::new(camera, config);
-        Self { driven, told: *told, measured: None, doubted: false, next_look: FIRST_LOOK }
+        let (before, next_look) = (Found::default(), FIRST_LOOK);
+        Self { driven, told: *told, lens: true, before, doubted: false, next_look }
     }
 
-    /// The same where `told` has the tilt that was measured in an earlier part of the recording.
-    pub fn measured(camera: &Camera, told: &Rig, measured: &TiltMeasurement) -> Self {
-        let next_look = AGAIN * measured.pairs;
-        Self { measured: Some(measured.clone()), doubted: true, next_look, ..Self::new(camera, told) }
+    /// The same where `camera` and `told` are what was found in an earlier part of the recording.
+    pub fn found(camera: &Camera, told: &Rig, before: &Found) -> Self {
+        let next_look = AGAIN * before.pairs;
+        Self { before: before.clone(), doubted: true, next_look, ..Self::new(camera, told) }
     }
 
-    /// Takes the next frame: what [`crate::odometry::Odometry::process`] gave, and its tracks. The tilt as it is, where by now it is sure that it is not the one
-    /// that was told, or known better than the one that was measured.
-    pub fn watch(&mut self, frame: &FrameEstimate, tracks: &[TrackView]) -> Option<TiltMeasurement> {
+    /// The same where the lens is known to be as it was told.
+    pub fn with_lens_known(self) -> Self {
+        Self { lens: false, ..self }
+    }
+
+    /// Takes the next frame: what [`crate::odometry::Odometry::process`] gave, and its tracks. The camera as it is, where by now it is sure that it is not as it
+    /// was told, or known better than what was found before.
+    pub fn watch(&mut self, frame: &FrameEstimate, tracks: &[TrackView]) -> Option<Found> {
         if self.next_look > LAST_LOOK {
             return None;
         }
@@ -83,27 +123,43 @@ impl UntoldTilt {
         if self.driven.pairs() < self.next_look {
             return None;
         }
-        self.next_look *= if self.measured.is_some() { AGAIN } else { 2 };
+        self.next_look *= if self.before.is_nothing() { 2 } else { AGAIN };
         self.look()
     }
 
-    /// The same at the end of the recording, where that is not far enough for the next look: with the tilt of all of it the short way is followed once more.
-    pub fn at_end(&self) -> Option<TiltMeasurement> {
-        let least = self.measured.as_ref().map_or(FIRST_LOOK, |before| AT_END * before.pairs);
+    /// The same at the end of the recording, where that is not far enough for the next look: with all of it the short way is followed once more.
+    pub fn at_end(&self) -> Option<Found> {
+        let least = if self.before.is_nothing() { FIRST_LOOK } else { AT_END * self.before.pairs };
         let worth = self.next_look <= LAST_LOOK && self.driven.pairs() >= least;
         worth.then(|| self.look()).flatten()
     }
 
-    fn look(&self) -> Option<TiltMeasurement> {
+    fn look(&self) -> Option<Found> {
         if !self.doubted {
             return None;
         }
-        let found = self.driven.solve(&self.told, None).ok()?;
-        let is_news = match &self.measured {
-            Some(before) => self.is_better(&found, before),
-            None => self.is_another(&found),
-        };
-        is_news.then_some(found)
+        let (tilt, lens) = self.measured()?;
+        let tilt_is_news = self.tilt_is_news(&tilt);
+        let lens_is_news = lens.as_ref().is_some_and(|lens| self.lens_is_news(lens));
+        (tilt_is_news || lens_is_news).then(|| Found {
+            // What was found before is replaced by what is found now, be it little else.
+            tilt: (tilt_is_news || self.before.tilt.is_some()).then_some(tilt),
+            lens,
+            pairs: self.driven.pairs(),
+        })
+    }
+
+    /// The tilt, and the lens where that is another than it was calibrated to be; the tilt is with that lens.
+    fn measured(&self) -> Option<(TiltMeasurement, Option<LensMeasurement>)> {
+        if !self.lens {
+            return Some((self.driven.solve(&self.told, None).ok()?, None));
+        }
+        let before = self.before.lens.as_ref().map_or(0, |lens| lens.coefficients.len());
+        let found = self.driven.self_calibration(&self.told, before).ok()?;
+        Some(match found.lens {
+            Some((lens, tilt)) if self.before.lens.is_some() || lens.is_another() => (tilt, Some(lens)),
+            _ => (found.tilt, None),
+        })
     }
 
     /// How many pairs of views there are so far.
@@ -116,6 +172,22 @@ impl UntoldTilt {
         (pose.height_m / self.told.height_m - 1.0).abs() > DOUBTFUL
             || (pose.roll_rad - self.told.roll_rad).abs() > DOUBTFUL
             || (pose.pitch_rad - self.told.pitch_rad).abs() > DOUBTFUL
+    }
+
+    fn tilt_is_news(&self, found: &TiltMeasurement) -> bool {
+        match &self.before.tilt {
+            Some(before) => self.is_better(found, before),
+            None => self.is_another(found),
+        }
+    }
+
+    fn lens_is_news(&self, found: &LensMeasurement) -> bool {
+        match &self.before.lens {
+            Some(before) if found.deviation_px < BETTER * before.deviation_px => {
+                found.off_px >= LEAST_BETTER_PX
+            }
+            _ => found.is_another(),
+        }
     }
 
     /// Whether a tilt is surely, steadily and usefully another than the one told.
@@ -140,6 +212,8 @@ impl UntoldTilt {
     }
 }
 
-/// A tilt that is known better is begun again with where it is another by this much, radians, and its deviation is so many times as large.
+/// What is known better is begun again with where it is another by this much, radians and pixels at the edge of the image, and its deviation is so many times as
+/// large.
 const LEAST_BETTER_RAD: f64 = 5e-5;
+const LEAST_BETTER_PX: f64 = 0.03;
 const BETTER: f64 = 0.8;

@@ -1,0 +1,118 @@
+//! A lens that bends otherwise than its calibration says.
+
+use super::TILT;
+use crate::camera::{Camera, Distortion};
+use crate::geometry::Ray;
+use crate::mounting::combination::Part;
+use crate::mounting::uncertainty::{parameter, varied};
+use nalgebra::Vector2;
+
+/// The lens while it is looked for: some of its radial coefficients, the strongest first.
+pub struct Lens {
+    camera: Camera,
+    names: &'static [&'static str],
+    /// By how much each was changed so far.
+    bent: Vec<f64>,
+    /// The camera with [`STEP`] more and less of each.
+    around: Vec<[Camera; 2]>,
+}
+
+/// Half the width of a central difference by a coefficient.
+const STEP: f64 = 1e-5;
+
+/// One standard deviation of what a calibration may be off by, of a coefficient, and of lengths in parts of the focal length: three times what a careless one
+/// is. It only keeps a lens in its place of which the movement says nothing.
+const CARELESS: f64 = 0.1;
+
+/// The most parameters that are looked for.
+pub const MOST: usize = 7;
+
+impl Lens {
+    /// `None` where no camera is left. A lens that has fewer parameters leaves the others at zero, and no pair says anything of them.
+    pub fn new(camera: &Camera, count: usize) -> Option<Self> {
+        // A pinhole that is none has a lens after all.
+        let distortion = match *camera.distortion() {
+            Distortion::None if count > 0 => Distortion::from_opencv(&[0.0; 4])?,
+            known => known,
+        };
+        let all: &[&str] = match distortion {
+            Distortion::None => &[],
+            Distortion::BrownConrady { .. } => &["k1", "k2", "cx", "cy", "fy", "p1", "p2"],
+            Distortion::KannalaBrandt { .. } => &["k1", "k2", "cx", "cy", "fy"],
+            Distortion::DoubleSphere { .. } => &["alpha"],
+        };
+        let size = (camera.width(), camera.height());
+        let camera = Camera::new(size, camera.focal_px(), camera.principal_px(), distortion).ok()?;
+        let mut lens =
+            Self { camera, names: &all[..count.min(all.len())], bent: vec![0.0; count], around: Vec::new() };
+        lens.look_around()?;
+        Some(lens)
+    }
+
+    /// The camera with the lens as it is thought to be.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// By how much each coefficient was changed.
+    pub fn bent(&self) -> &[f64] {
+        &self.bent
+    }
+
+    /// The names of the coefficients, and what they are now.
+    pub fn coefficients(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        let value = |name: &&'static str| Some((*name, parameter(&self.camera, name)?));
+        self.names.iter().filter_map(value)
+    }
+
+    /// Changes the coefficients. `None` where no camera is left.
+    pub fn bend(&mut self, by: &[f64]) -> Option<()> {
+        for ((name, bent), by) in self.names.iter().zip(&mut self.bent).zip(by) {
+            self.camera = varied(&self.camera, name, *by)?;
+            *bent += by;
+        }
+        self.look_around()
+    }
+
+    fn look_around(&mut self) -> Option<()> {
+        let both =
+            |name: &&str| Some([varied(&self.camera, name, STEP)?, varied(&self.camera, name, -STEP)?]);
+        self.around = self.names.iter().map(both).collect::<Option<_>>()?;
+        Some(())
+    }
+
+    /// How each coefficient moves the pixel of a ray; zero for those that are not there.
+    pub fn slides(&self, ray: Ray) -> Option<[Vector2<f64>; MOST]> {
+        let mut slides = [Vector2::zeros(); MOST];
+        for (slide, [more, less]) in slides.iter_mut().zip(&self.around) {
+            let (more, less) = (more.pixel_from_ray(ray)?, less.pixel_from_ray(ray)?);
+            *slide = Vector2::new(more.x - less.x, more.y - less.y) / (2.0 * STEP);
+        }
+        Some(slides)
+    }
+
+    /// How each coefficient moves the ray of a pixel, `ray` being what it is now.
+    pub fn gives_way(&self, ray: Ray) -> Option<[Vector2<f64>; MOST]> {
+        if self.around.is_empty() {
+            return Some([Vector2::zeros(); MOST]);
+        }
+        let (_, pixel_by_ray) = self.camera.pixel_and_derivative(ray)?;
+        let ray_by_pixel = pixel_by_ray.try_inverse()?;
+        Some(self.slides(ray)?.map(|slide| -(ray_by_pixel * slide)))
+    }
+
+    /// What is known of the tilt and the lens without any pair.
+    pub fn prior<const N: usize>(&self) -> Part<N> {
+        let mut known = Part::default();
+        for (k, bent) in self.bent.iter().enumerate() {
+            let unit = match self.names.get(k) {
+                Some(&("cx" | "cy" | "fy")) => self.camera.focal_px().0,
+                _ => 1.0,
+            };
+            let variance = (CARELESS * unit) * (CARELESS * unit);
+            known.information[(TILT + k, TILT + k)] = 1.0 / variance;
+            known.slope[TILT + k] = -bent / variance;
+        }
+        known
+    }
+}

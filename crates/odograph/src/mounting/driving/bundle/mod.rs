@@ -1,0 +1,202 @@
+//! What many pairs of views have in common, each with a planar movement of its own: the tilt of the camera, and how its lens bends.
+
+mod lens;
+mod pair;
+mod sway;
+mod system;
+
+use super::Group;
+use crate::camera::{Camera, Rig};
+use crate::geometry::GroundPose;
+use crate::mounting::combination::{Part, inverse};
+pub use lens::Lens;
+use nalgebra::{SVector, Vector2};
+use pair::Work;
+use std::ops::AddAssign;
+use sway::{Sway, Wobble};
+use system::System;
+
+/// The solution, and what each keyframe says about it: the tilt where `N` is 2, and `N` − 2 parameters of the lens beside it.
+pub struct Solved<const N: usize> {
+    pub roll_rad: f64,
+    pub pitch_rad: f64,
+    /// By how much each parameter of the lens was changed.
+    pub bent: Vec<f64>,
+    pub parts: Vec<Part<N>>,
+    pub pairs: usize,
+    pub rms_px: f64,
+}
+
+/// Rounds of Gauss–Newton; from ten degrees off it needs six.
+const ROUNDS: usize = 30;
+
+/// A step below this is a thousandth of what can be told: radians, coefficients of a lens.
+const SETTLED: f64 = 1e-8;
+
+/// Rounds of those in which wrong tracks still lose their weight; what is left of them after it counts in full, so that the last
+/// rounds are plain least squares.
+const ROBUST_ROUNDS: usize = 15;
+
+/// A camera that is tilted further than this sees no ground.
+const STEEPEST_RAD: f64 = 1.4;
+
+/// Fewer agreeing tracks than this are no pair.
+const FEWEST_TRACKS: f64 = 12.0;
+
+/// Roll and pitch are the first of what the pairs have in common.
+pub const TILT: usize = 2;
+
+pub fn solve<'a, const N: usize>(
+    camera: &Camera,
+    groups: impl ExactSizeIterator<Item = &'a Group>,
+    start: &Rig,
+) -> Option<Solved<N>> {
+    let mut bundle = Bundle::<N>::begin(camera, groups, start)?;
+    for round in 0..ROUNDS {
+        let step = bundle.step(round)?;
+        if round > ROBUST_ROUNDS && step.norm() < SETTLED {
+            break;
+        }
+    }
+    Some(bundle.solved())
+}
+
+/// Everything that is solved for.
+struct Bundle<'a, const N: usize> {
+    tilt: Vector2<f64>,
+    lens: Lens,
+    pairs: Vec<Work<'a>>,
+    sway: Sway,
+    /// By how much each keyframe is tilted against the mount.
+    tilted: Vec<Vector2<f64>>,
+    wobble: Wobble,
+}
+
+impl<'a, const N: usize> Bundle<'a, N> {
+    fn begin(camera: &Camera, groups: impl ExactSizeIterator<Item = &'a Group>, start: &Rig) -> Option<Self> {
+        let tilt = Vector2::new(start.roll_rad, start.pitch_rad);
+        let lens = Lens::new(camera, N - TILT)?;
+        let tilted = vec![Vector2::zeros(); groups.len()];
+        let pairs = groups
+            .enumerate()
+            .flat_map(|(group, pairs)| pairs.pairs.iter().map(move |pair| (group, pair)))
+            .filter_map(|(group, pair)| Work::begin(&lens, group, pair, &first_pose(&tilt)))
+            .collect();
+        Some(Self { tilt, lens, pairs, sway: Sway::default(), tilted, wobble: Wobble::default() })
+    }
+
+    /// The pose of the first view of a pair.
+    fn first_pose(&self, pair: &Work<'_>) -> GroundPose {
+        first_pose(&(self.tilt + self.tilted[pair.group]))
+    }
+
+    fn systems(&self) -> Vec<System<N>> {
+        let system = |pair: &Work<'_>| System::new(&self.lens, pair, &self.first_pose(pair), &self.sway);
+        self.pairs.iter().map(system).collect()
+    }
+
+    /// What the pairs of each keyframe say where it and the mount are now.
+    fn parts(&self, systems: &[System<N>]) -> Vec<Part<N>> {
+        let mut parts = vec![Part::default(); self.tilted.len()];
+        for (pair, system) in self.pairs.iter().zip(systems) {
+            if let Some(reduced) = system.reduced() {
+                parts[pair.group] += reduced;
+            }
+        }
+        parts
+    }
+
+    /// One step of Gauss–Newton; `None` where it leads nowhere.
+    fn step(&mut self, round: usize) -> Option<SVector<f64, N>> {
+        let systems = self.systems();
+        let parts = self.parts(&systems);
+        let mut all = self.lens.prior();
+        for (part, tilted) in parts.iter().zip(&self.tilted) {
+            all += self.wobble.freed(part, tilted)?.left;
+        }
+        let step = inverse(&all.information)? * all.slope;
+        self.tilt += step.fixed_rows::<TILT>(0);
+        if self.tilt.iter().any(|angle| angle.is_nan() || angle.abs() >= STEEPEST_RAD) {
+            return None;
+        }
+        self.lens.bend(&step.as_slice()[TILT..])?;
+        let mut steps = Vec::with_capacity(parts.len());
+        let mut variances = Vec::with_capacity(parts.len());
+        for (part, tilted) in parts.iter().zip(&mut self.tilted) {
+            let freed = self.wobble.freed(part, tilted)?;
+            let own = freed.step(part, &step);
+            *tilted += own;
+            let mut together = step;
+            together.fixed_rows_mut::<TILT>(0).add_assign(&own);
+            steps.push(together);
+            variances.push(freed.covariance.diagonal());
+        }
+        let poses: Vec<GroundPose> = self.pairs.iter().map(|pair| self.first_pose(pair)).collect();
+        for ((pair, system), pose) in self.pairs.iter_mut().zip(&systems).zip(&poses) {
+            if let Some(step) = system.movement_step(&steps[pair.group]) {
+                pair.movement += step;
+            }
+            if N > TILT {
+                pair.look_through(&self.lens);
+            }
+            pair.judge(self.lens.camera(), pose, round);
+        }
+        // The first steps are long: what they leave is not the mount's.
+        if round >= 2 {
+            self.sway.learn(&self.pairs, &systems);
+            self.wobble.learn(&self.tilted, &variances);
+        }
+        Some(step)
+    }
+
+    fn solved(self) -> Solved<N> {
+        let mut parts = vec![Part::default(); self.tilted.len()];
+        let (mut squares, mut kept, mut pairs) = (0.0, 0.0, 0);
+        for (pair, system) in self.pairs.iter().zip(&self.systems()) {
+            let weight: f64 = pair.weights.iter().sum();
+            let Some(reduced) = system.reduced().filter(|_| weight >= FEWEST_TRACKS) else { continue };
+            // Where the keyframe is tilted is what its pairs say of the mount.
+            parts[pair.group] += reduced.about(&-self.tilted[pair.group]);
+            squares += 2.0 * weight * pair.variance_px2;
+            kept += weight;
+            pairs += 1;
+        }
+        parts.retain(|part| part.information.trace() > 0.0);
+        Solved {
+            roll_rad: self.tilt[0],
+            pitch_rad: self.tilt[1],
+            bent: self.lens.bent().to_vec(),
+            parts,
+            pairs,
+            rms_px: (squares / f64::max(kept, 1.0)).sqrt(),
+        }
+    }
+}
+
+impl<const N: usize> Part<N> {
+    /// The same about a point whose tilt is further by so much.
+    fn about(self, further: &Vector2<f64>) -> Self {
+        let slope = self.slope - self.information.fixed_columns::<TILT>(0) * further;
+        Self { slope, ..self }
+    }
+}
+
+impl<const N: usize> Solved<N> {
+    /// The same where all but the first `M` of what the pairs have in common are as they were told.
+    pub fn as_told<const M: usize>(&self) -> Solved<M> {
+        let told = SVector::from_fn(|k, _| k.checked_sub(TILT).map_or(0.0, |k| -self.bent[k]));
+        Solved {
+            roll_rad: self.roll_rad,
+            pitch_rad: self.pitch_rad,
+            bent: self.bent[..M - TILT].to_vec(),
+            parts: self.parts.iter().map(|part| part.with_known::<M>(&told)).collect(),
+            pairs: self.pairs,
+            rms_px: self.rms_px,
+        }
+    }
+}
+
+/// The pose of a first view: the height is the unit of length.
+fn first_pose(tilt: &Vector2<f64>) -> GroundPose {
+    GroundPose { roll_rad: tilt[0], pitch_rad: tilt[1], ..GroundPose::level(1.0) }
+}

@@ -1,0 +1,145 @@
+//! A pair of views while it is solved for.
+
+use super::lens::{self, Lens};
+use super::{FEWEST_TRACKS, ROBUST_ROUNDS};
+use crate::camera::Camera;
+use crate::geometry::{GroundPoint, GroundPose, Ray};
+use crate::mounting::driving::Pair;
+use nalgebra::{Vector2, Vector6};
+
+/// The movement of the camera between two views: x, y (heights), turn (radians); then by how much the second is higher than the first
+/// (heights) and tilted against it in roll and pitch, which a steady mount leaves at zero.
+pub type Movement = Vector6<f64>;
+
+/// Neighbouring tracks share errors of about this, pixels: a smaller noise is not believed.
+const SMALLEST_NOISE_PX: f64 = 0.01;
+
+/// The ray of a corner, and how each coefficient of the lens moves it.
+pub struct Corner {
+    pub ray: Ray,
+    pub by_lens: [Vector2<f64>; lens::MOST],
+}
+
+/// A pair that is being solved.
+pub struct Work<'a> {
+    pub pair: &'a Pair,
+    /// The tracks' corners in the first view.
+    pub corners: Vec<Option<Corner>>,
+    pub group: usize,
+    pub movement: Movement,
+    pub weights: Vec<f64>,
+    pub variance_px2: f64,
+}
+
+impl<'a> Work<'a> {
+    /// The planar movement that brings the ground points of the tracks best together (Umeyama, "Least-squares estimation of transformation
+    /// parameters", 1991, without scale), from those with which the odometry agreed.
+    pub fn begin(lens: &Lens, group: usize, pair: &'a Pair, rig: &GroundPose) -> Option<Self> {
+        let camera = lens.camera();
+        let on_ground = |pixel| camera.ray_from_pixel(pixel).and_then(|ray| rig.ground_from_ray(ray));
+        let agreeing: Vec<(GroundPoint, GroundPoint)> = pair
+            .tracks
+            .iter()
+            .filter(|(_, _, agrees)| *agrees)
+            .filter_map(|(first, second, _)| Some((on_ground(*first)?, on_ground(*second)?)))
+            .collect();
+        if (agreeing.len() as f64) < FEWEST_TRACKS {
+            return None;
+        }
+        let n = agreeing.len() as f64;
+        let mean = agreeing.iter().fold([0.0; 4], |m, (a, b)| {
+            [m[0] + a.x_m / n, m[1] + a.y_m / n, m[2] + b.x_m / n, m[3] + b.y_m / n]
+        });
+        let (mut along, mut across) = (0.0, 0.0);
+        for (a, b) in &agreeing {
+            let (ax, ay, bx, by) = (a.x_m - mean[0], a.y_m - mean[1], b.x_m - mean[2], b.y_m - mean[3]);
+            along += ax * bx + ay * by;
+            across += ay * bx - ax * by;
+        }
+        // The world seems to turn against the camera.
+        let turn_rad = across.atan2(along);
+        let (sin, cos) = turn_rad.sin_cos();
+        let movement = Vector6::new(
+            mean[0] - cos * mean[2] + sin * mean[3],
+            mean[1] - sin * mean[2] - cos * mean[3],
+            turn_rad,
+            0.0,
+            0.0,
+            0.0,
+        );
+        let weights = vec![1.0; pair.tracks.len()];
+        let mut work = Self { pair, corners: Vec::new(), group, movement, weights, variance_px2: 1.0 };
+        work.look_through(lens);
+        work.judge(lens.camera(), rig, 0);
+        Some(work)
+    }
+}
+
+impl Work<'_> {
+    /// Takes the rays of the corners as the lens has them now.
+    pub fn look_through(&mut self, lens: &Lens) {
+        let corner = |pixel| {
+            let ray = lens.camera().ray_from_pixel(pixel)?;
+            Some(Corner { ray, by_lens: lens.gives_way(ray)? })
+        };
+        self.corners = self.pair.tracks.iter().map(|(pixel, _, _)| corner(*pixel)).collect();
+    }
+
+    /// The pose of the second view.
+    pub fn second_pose(&self, rig: &GroundPose) -> GroundPose {
+        GroundPose {
+            x_m: self.movement[0],
+            y_m: self.movement[1],
+            heading_rad: self.movement[2],
+            height_m: rig.height_m + self.movement[3],
+            roll_rad: rig.roll_rad + self.movement[4],
+            pitch_rad: rig.pitch_rad + self.movement[5],
+        }
+    }
+
+    /// Weights and noise from how well the tracks are explained now.
+    pub fn judge(&mut self, camera: &Camera, rig: &GroundPose, round: usize) {
+        let second = self.second_pose(rig);
+        let errors: Vec<f64> = self
+            .pair
+            .tracks
+            .iter()
+            .zip(&self.corners)
+            .map(|((_, seen, _), corner)| {
+                let ray = corner.as_ref().map(|corner| corner.ray);
+                ray.and_then(|ray| rig.ground_from_ray(ray))
+                    .and_then(|ground| second.ray_from_ground(ground))
+                    .and_then(|ray| camera.pixel_from_ray(ray))
+                    .map_or(f64::INFINITY, |pixel| pixel.distance(*seen))
+            })
+            .collect();
+        if round > ROBUST_ROUNDS {
+            let squares: f64 =
+                errors.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0).map(|(e, _)| e * e).sum();
+            let kept: f64 = self.weights.iter().sum();
+            self.variance_px2 =
+                (squares / (2.0 * kept - 3.0).max(1.0)).max(SMALLEST_NOISE_PX * SMALLEST_NOISE_PX);
+            return;
+        }
+        let mut sorted = errors.clone();
+        let middle = sorted.len() / 2;
+        let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+        // Of a Rayleigh distribution the median is 1.1774 deviations of a coordinate. Tukey's c for 95 % efficiency is 4.685.
+        let scale_px = (median / 1.1774).max(SMALLEST_NOISE_PX);
+        if !scale_px.is_finite() {
+            self.weights.fill(0.0);
+            return;
+        }
+        let reach_px = scale_px * if round < ROBUST_ROUNDS { 4.685 } else { KEPT_DEVIATIONS };
+        let biweight = |ratio: f64| if ratio < 1.0 { (1.0 - ratio * ratio).powi(2) } else { 0.0 };
+        let weight = |error: f64| match round {
+            ROBUST_ROUNDS => f64::from(u8::from(error < reach_px)),
+            _ => biweight(error / reach_px),
+        };
+        self.weights = errors.iter().map(|&error| weight(error)).collect();
+        self.variance_px2 = scale_px * scale_px;
+    }
+}
+
+/// Tracks that are further off than this, in deviations of a coordinate, are wrong: 2 in 1000 of the others are.
+const KEPT_DEVIATIONS: f64 = 3.5;

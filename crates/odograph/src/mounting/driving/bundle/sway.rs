@@ -1,0 +1,99 @@
+//! How much a mount that is not steady moves: the second view of a pair against the first, and a keyframe against the mount.
+
+use super::TILT;
+use super::pair::Work;
+use super::system::System;
+use crate::mounting::combination::{Part, inverse};
+use nalgebra::{Matrix2, SVector, Vector2};
+
+/// By how much the second view of a pair may be higher and tilted against the first: a Gaussian whose variances the recording itself
+/// tells (empirical Bayes, as [`crate::motion::RigWander`] does for the odometry). On a steady mount nothing is left of them.
+pub struct Sway {
+    pub variance: [f64; 3],
+}
+
+/// Standard deviations to begin with: a part of the height, radians.
+const FIRST_SWAY: [f64; 3] = [0.01, 0.01, 0.01];
+
+/// Below this nothing changes that could be measured.
+const LEAST_SWAY: f64 = 1e-6;
+
+impl Default for Sway {
+    fn default() -> Self {
+        Self { variance: FIRST_SWAY.map(|sigma| sigma * sigma) }
+    }
+}
+
+impl Sway {
+    /// One step of expectation-maximisation (A. Dempster, N. Laird, D. Rubin, 1977).
+    pub fn learn<const N: usize>(&mut self, work: &[Work<'_>], systems: &[System<N>]) {
+        let mut squares = [0.0; 3];
+        let mut count = 0.0;
+        for (pair, system) in work.iter().zip(systems) {
+            let Some(covariance) = inverse(&system.movement) else { continue };
+            for k in 0..3 {
+                squares[k] += pair.movement[3 + k] * pair.movement[3 + k] + covariance[(3 + k, 3 + k)];
+            }
+            count += 1.0;
+        }
+        if count > 0.0 {
+            self.variance = squares.map(|sum| (sum / count).max(LEAST_SWAY * LEAST_SWAY));
+        }
+    }
+}
+
+/// By how much a keyframe may be tilted against the mount, in roll and pitch: as [`Sway`], from keyframe to keyframe.
+pub struct Wobble {
+    variance: [f64; TILT],
+}
+
+impl Default for Wobble {
+    fn default() -> Self {
+        Self { variance: [FIRST_WOBBLE * FIRST_WOBBLE; TILT] }
+    }
+}
+
+/// Standard deviation to begin with, radians.
+const FIRST_WOBBLE: f64 = 0.01;
+
+/// A keyframe whose own tilt is free.
+pub struct Freed<const N: usize> {
+    /// What its pairs say about the rest then.
+    pub left: Part<N>,
+    /// How well its tilt is known where the rest is.
+    pub covariance: Matrix2<f64>,
+    /// That times the way to where it would be.
+    slope: Vector2<f64>,
+}
+
+impl Wobble {
+    /// Frees the tilt of a keyframe; `part` is what its pairs say where it is tilted by `tilted`. To its pairs it is the same as the tilt of the mount.
+    pub fn freed<const N: usize>(&self, part: &Part<N>, tilted: &Vector2<f64>) -> Option<Freed<N>> {
+        let known = Vector2::from(self.variance.map(f64::recip));
+        let own = part.information.fixed_view::<TILT, TILT>(0, 0) + Matrix2::from_diagonal(&known);
+        let covariance = inverse(&own)?;
+        let slope = part.slope.fixed_rows::<TILT>(0) - known.component_mul(tilted);
+        let mixed = part.information.fixed_columns::<TILT>(0);
+        let left = Part {
+            information: part.information - mixed * covariance * mixed.transpose(),
+            slope: part.slope - mixed * covariance * slope,
+        };
+        Some(Freed { left, covariance, slope })
+    }
+
+    /// One step of expectation-maximisation, over the keyframes that say something.
+    pub fn learn(&mut self, tilted: &[Vector2<f64>], covariances: &[Vector2<f64>]) {
+        for k in 0..TILT {
+            let squares: f64 =
+                tilted.iter().zip(covariances).map(|(own, unsure)| own[k] * own[k] + unsure[k]).sum();
+            self.variance[k] = (squares / tilted.len().max(1) as f64).max(LEAST_SWAY * LEAST_SWAY);
+        }
+    }
+}
+
+impl<const N: usize> Freed<N> {
+    /// The step of the keyframe's tilt that goes with one of the rest.
+    pub fn step(&self, part: &Part<N>, rest: &SVector<f64, N>) -> Vector2<f64> {
+        self.covariance * (self.slope - part.information.fixed_rows::<TILT>(0) * rest)
+    }
+}

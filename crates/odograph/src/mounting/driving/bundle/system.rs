@@ -1,0 +1,76 @@
+//! The normal equations of one pair.
+
+use super::TILT;
+use super::lens::Lens;
+use super::pair::{Movement, Work};
+use super::sway::Sway;
+use crate::geometry::GroundPose;
+use crate::mounting::combination::{Part, inverse};
+use crate::mounting::reprojection::PosedCamera;
+use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
+
+/// Normal equations of one pair in units of its noise: what it has in common with the others first, its movement second.
+pub struct System<const N: usize> {
+    common: SMatrix<f64, N, N>,
+    mixed: SMatrix<f64, N, 6>,
+    pub movement: Matrix6<f64>,
+    common_slope: SVector<f64, N>,
+    movement_slope: Movement,
+}
+
+impl<const N: usize> System<N> {
+    pub fn new(lens: &Lens, work: &Work<'_>, rig: &GroundPose, sway: &Sway) -> Self {
+        let second_pose = work.second_pose(rig);
+        let first = PosedCamera::new(lens.camera(), *rig);
+        let second = PosedCamera::new(lens.camera(), second_pose);
+        let mut system = Self {
+            common: SMatrix::zeros(),
+            mixed: SMatrix::zeros(),
+            movement: Matrix6::zeros(),
+            common_slope: SVector::zeros(),
+            movement_slope: Movement::zeros(),
+        };
+        let tracks = work.pair.tracks.iter().zip(&work.corners).zip(&work.weights);
+        for (((_, seen_at, _), corner), &weight) in tracks {
+            let Some(corner) = corner.as_ref().filter(|_| weight > 0.0) else { continue };
+            let Some(met) = first.ground(corner.ray) else { continue };
+            let Some(seen) = second.see(met.point) else { continue };
+            let Some(slides) = lens.slides(seen.ray) else { continue };
+            let weight = weight / work.variance_px2;
+            let error = Vector2::new(seen_at.x - seen.pixel.x, seen_at.y - seen.pixel.y);
+            let by_movement = seen.by_pose;
+            let by_tilt = seen.by_pose.fixed_columns::<TILT>(4) + seen.by_ground * met.by_tilt;
+            let mut by_common = SMatrix::<f64, 2, N>::zeros();
+            by_common.fixed_columns_mut::<TILT>(0).copy_from(&by_tilt);
+            for k in TILT..N {
+                let gives_way = corner.by_lens[k - TILT];
+                let by_lens = slides[k - TILT] + seen.by_ground * (met.by_ray * gives_way);
+                by_common.set_column(k, &by_lens);
+            }
+            system.common += weight * by_common.transpose() * by_common;
+            system.mixed += weight * by_common.transpose() * by_movement;
+            system.movement += weight * by_movement.transpose() * by_movement;
+            system.common_slope += weight * by_common.transpose() * error;
+            system.movement_slope += weight * by_movement.transpose() * error;
+        }
+        for (k, variance) in sway.variance.iter().enumerate() {
+            system.movement[(3 + k, 3 + k)] += 1.0 / variance;
+            system.movement_slope[3 + k] -= work.movement[3 + k] / variance;
+        }
+        system
+    }
+
+    /// What is left for what the pairs have in common once the movement is free.
+    pub fn reduced(&self) -> Option<Part<N>> {
+        let movement = inverse(&self.movement)?;
+        Some(Part {
+            information: self.common - self.mixed * movement * self.mixed.transpose(),
+            slope: self.common_slope - self.mixed * movement * self.movement_slope,
+        })
+    }
+
+    /// The step of the movement that goes with one of what the pairs have in common.
+    pub fn movement_step(&self, step: &SVector<f64, N>) -> Option<Movement> {
+        Some(inverse(&self.movement)? * (self.movement_slope - self.mixed.transpose() * step))
+    }
+}

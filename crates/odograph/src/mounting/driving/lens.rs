@@ -1,0 +1,191 @@
+//! How the lens bends, as a recording of driving tells it.
+//!
+//! Straight ground that moves through a lens whose bending is not quite known moves a little faster or slower towards the edge of the image. Over a shift by d
+//! heights, an error ε of k1 looks like a tilt by 2 ε d towards the shift, with a curvature that no tilt has. Both are there in every pair of views, in
+//! the same sense, whatever the mount does; so ε is told from half a metre of driving as well as by a board, even from a camera that shakes and sways.
+//! So are the principal point and the decentering, by where the bending is centred, and the ratio of the focal lengths, by turns. The focal length itself is not:
+//! over level ground it is the height.
+
+use super::bundle::{self, Lens, Solved, TILT};
+use super::{DrivenTilt, TiltMeasurement};
+use crate::camera::{Camera, Rig};
+use crate::error::Result;
+use crate::geometry::Pixel;
+use crate::mounting::combination::{Combined, combine};
+use crate::mounting::uncertainty::parameter;
+use nalgebra::{DMatrix, DVector};
+
+/// The lens as a recording of driving tells it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LensMeasurement {
+    /// The camera with that lens; all else is as it was calibrated.
+    pub camera: Camera,
+    /// The coefficients that were looked for.
+    pub coefficients: Vec<LensCoefficient>,
+    /// By how much the calibration is off, and one standard deviation of that: at the edge of the image where each is largest, pixels.
+    pub off_px: f64,
+    /// See [`LensMeasurement::off_px`].
+    pub deviation_px: f64,
+    /// By how much the lens seems to differ from keyframe to keyframe beyond the noise of the tracks, pixels at the edge: what is no lens does so.
+    pub scatter_px: f64,
+    /// By how many standard deviations the calibration is off, in all coefficients together.
+    pub significance: f64,
+}
+
+/// A coefficient of the lens.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LensCoefficient {
+    /// Its name, as `k1`.
+    pub name: &'static str,
+    /// As it was found.
+    pub value: f64,
+    /// One standard deviation.
+    pub deviation: f64,
+}
+
+/// A calibration is off where it is by so many standard deviations …
+const SIGNIFICANT: f64 = 5.0;
+
+/// … and by more than this at the edge of the image, pixels: less than that bends no path.
+const LEAST_PX: f64 = 0.03;
+
+/// A lens known worse than this at the edge of the image is not a measurement: that is what a poor calibration has, pixels.
+const USEFUL_PX: f64 = 0.5;
+
+/// What differs from keyframe to keyframe by more than this part of itself is not the lens.
+const STEADY: f64 = 1.0 / 3.0;
+
+impl LensMeasurement {
+    /// Whether the lens surely bends otherwise than it was calibrated to.
+    pub fn is_another(&self) -> bool {
+        self.significance >= SIGNIFICANT
+            && self.off_px >= LEAST_PX
+            && self.scatter_px < STEADY * self.off_px
+            && self.deviation_px < USEFUL_PX.min(STEADY * self.off_px)
+    }
+
+    /// The same coefficients as another camera has them; zero where it has none.
+    pub fn coefficients_of(&self, camera: &Camera) -> Vec<f64> {
+        let value = |known: &LensCoefficient| parameter(camera, known.name).unwrap_or(0.0);
+        self.coefficients.iter().map(value).collect()
+    }
+
+    /// By how much another camera is off, at the edge of its image where that is most, pixels.
+    pub fn off_from_px(&self, camera: &Camera) -> f64 {
+        let off =
+            |pixel: Pixel| Some(self.camera.pixel_from_ray(camera.ray_from_pixel(pixel)?)?.distance(pixel));
+        edge(camera).filter_map(off).fold(0.0, f64::max)
+    }
+
+    /// The lens whose leading coefficients were changed by `bent`, known as well as `combined` says.
+    fn new<const N: usize>(told: &Camera, bent: &[f64], combined: &Combined<N>) -> Option<Self> {
+        let mut lens = Lens::new(told, N - TILT)?;
+        lens.bend(bent)?;
+        let covariance = combined.covariance.view((TILT, TILT), (bent.len(), bent.len())).clone_owned();
+        let scatter = DMatrix::from_diagonal(&combined.scatter.rows(TILT, bent.len()).clone_owned());
+        let off = DVector::from_column_slice(bent);
+        let significance = off.dot(&(covariance.clone().try_inverse()? * &off)).sqrt();
+        let mut largest = [0.0f64; 3];
+        for pixel in edge(told) {
+            // A lens may have no ray for its farthest corner.
+            let Some(ray) = told.ray_from_pixel(pixel) else { continue };
+            let moved = lens.camera().pixel_from_ray(ray)?;
+            let slides = lens.slides(ray)?;
+            let slides = DMatrix::from_fn(2, bent.len(), |row, k| slides[k][row]);
+            let spread = |variance: &DMatrix<f64>| (&slides * variance * slides.transpose()).trace().sqrt();
+            let there = [moved.distance(pixel), spread(&covariance), spread(&scatter)];
+            largest = std::array::from_fn(|k| largest[k].max(there[k]));
+        }
+        let deviations = covariance.diagonal().map(f64::sqrt);
+        let coefficients = lens.coefficients().zip(&deviations);
+        let coefficients = coefficients
+            .map(|((name, value), &deviation)| LensCoefficient { name, value, deviation })
+            .collect();
+        let [off_px, deviation_px, scatter_px] = largest;
+        let camera = lens.camera().clone();
+        Some(Self { camera, coefficients, off_px, deviation_px, scatter_px, significance })
+    }
+}
+
+/// The corners of the image and the middles of its sides.
+fn edge(camera: &Camera) -> impl Iterator<Item = Pixel> {
+    let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
+    let parts =
+        [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (0.0, 0.5), (1.0, 0.5), (0.0, 1.0), (0.5, 1.0), (1.0, 1.0)];
+    parts.into_iter().map(move |(x, y)| Pixel::new(x * right, y * bottom))
+}
+
+/// A calibration of the camera on the ground over which it drives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SelfCalibration {
+    /// How the camera sits if its lens is as it was calibrated.
+    pub tilt: TiltMeasurement,
+    /// How the lens bends, and how the camera sits then. `None` where the movement does not tell.
+    pub lens: Option<(LensMeasurement, TiltMeasurement)>,
+}
+
+impl DrivenTilt {
+    /// Tilt and lens together: as [`DrivenTilt::solve`], with parameters of the lens as further unknowns that all pairs have in common. The first radial coefficient
+    /// always; the second where it is surely another than it was calibrated to be; with it the principal point, the second focal length and the decentering
+    /// where those surely are. At least so many `parameters` as are given, for a lens that was found with so many before.
+    ///
+    /// Fails where there are too few pairs to solve at all.
+    pub fn self_calibration(&self, start: &Rig, parameters: usize) -> Result<SelfCalibration> {
+        let groups = self.groups.iter().step_by(self.pairs.div_ceil(ENOUGH).max(1));
+        let solved = bundle::solve::<MOST>(&self.camera, groups, start);
+        match solved.and_then(|solved| self.explained(&solved, parameters)) {
+            Some(found) => Ok(found),
+            None => Ok(SelfCalibration { tilt: self.solve(start, None)?, lens: None }),
+        }
+    }
+
+    /// What pairs that were solved for everything say about the tilt alone, and about a lens with no more parameters than are surely others, or were taken for that
+    /// before.
+    fn explained(&self, solved: &Solved<MOST>, parameters: usize) -> Option<SelfCalibration> {
+        // A principal point that is off looks much like decentering: where one is another, so may be the other.
+        let lens = (self.another(solved, 4, parameters))
+            .or_else(|| self.another(&solved.as_told::<4>(), 3, parameters))
+            .or_else(|| self.bent(&solved.as_told::<3>()));
+        Some(SelfCalibration { tilt: self.held(solved)?, lens })
+    }
+
+    /// A lens whose parameters from `first` on are surely others than told, or were taken for that before.
+    fn another<const N: usize>(
+        &self,
+        solved: &Solved<N>,
+        first: usize,
+        parameters: usize,
+    ) -> Option<(LensMeasurement, TiltMeasurement)> {
+        let as_before = parameters > first - TILT;
+        let found = self.bent(solved).filter(|_| as_before || last_are_others(solved, first))?;
+        (as_before || found.0.is_another()).then_some(found)
+    }
+
+    /// The tilt with the lens as it was told.
+    fn held<const N: usize>(&self, solved: &Solved<N>) -> Option<TiltMeasurement> {
+        let held = solved.as_told::<TILT>();
+        self.tilt(&held, &combine(&held.parts)?).ok()
+    }
+
+    fn bent<const N: usize>(&self, solved: &Solved<N>) -> Option<(LensMeasurement, TiltMeasurement)> {
+        let combined = combine(&solved.parts)?;
+        let bent: Vec<f64> =
+            solved.bent.iter().zip(combined.offset.iter().skip(TILT)).map(|(a, b)| a + b).collect();
+        let lens = LensMeasurement::new(&self.camera, &bent, &combined)?;
+        Some((lens, self.tilt(solved, &combined).ok()?))
+    }
+}
+
+/// Whether the parameters from `first` on are together surely others than was told.
+fn last_are_others<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
+    let Some(combined) = combine(&solved.parts) else { return false };
+    let off = DVector::from_fn(N - first, |k, _| solved.bent[first + k - TILT] + combined.offset[first + k]);
+    let covariance = combined.covariance.view((first, first), (N - first, N - first)).clone_owned();
+    covariance.try_inverse().is_some_and(|inverse| off.dot(&(inverse * &off)) > SIGNIFICANT * SIGNIFICANT)
+}
+
+/// So many pairs of views are enough for the lens; of more, keyframes are left out evenly.
+const ENOUGH: usize = 256;
+
+/// Roll, pitch, two radial coefficients, the principal point, the second focal length and the decentering.
+const MOST: usize = TILT + 7;
