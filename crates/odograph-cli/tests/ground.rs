@@ -240,6 +240,63 @@ fn a_run_finds_the_tilt_that_it_was_not_told() {
 }
 
 #[test]
+fn a_run_finds_the_lens_that_it_was_not_told() {
+    let temporary = tilted_drive();
+    let path = |name: &str| temporary.path().join(name).to_str().unwrap().to_owned();
+    let (frames, times, rig) = (path("drive/frames"), path("drive/frames.txt"), path("drive/rig.toml"));
+    let known = fs::read_to_string(path("drive/camera.yaml")).unwrap();
+    let coefficients = "[ -0.12, 0.02, 0.0004, -0.0003, 0.0 ]";
+    assert!(known.contains(coefficients), "{known}");
+    // As somebody has it who has measured the focal length, and nothing of the lens.
+    fs::write(path("guess.yaml"), known.replace(coefficients, "[ 0.0, 0.0, 0.0, 0.0, 0.0 ]")).unwrap();
+    let run = |camera: &str, output: &str, more: &[&str]| {
+        let mut arguments = vec!["run", frames.as_str(), "--timestamps", &times, "--rig", &rig];
+        arguments.extend(["--camera", camera, "--json", "-o", output]);
+        arguments.extend(more);
+        let done = odograph(&arguments);
+        assert_eq!(done.status.code(), Some(0), "{}", said(&done));
+        let statistics: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+        (statistics, said(&done), fs::read_to_string(format!("{output}/trajectory.tum")).unwrap())
+    };
+    let (told, _, path_told) = run(&path("drive/camera.yaml"), &path("told"), &[]);
+    let (found, warning, path_found) = run(&path("guess.yaml"), &path("found"), &["--threads", "1"]);
+    let (_, _, path_insisted) = run(&path("guess.yaml"), &path("insisted"), &["--motion", "rigid"]);
+    assert!(told["lens"].is_null() && !temporary.path().join("told/camera-found.yaml").exists(), "{told}");
+    assert!(warning.contains("not with k1 +0.00000, k2 +0.00000"), "{warning}");
+    // 14 px at the corner of the image; it is found to a tenth of a pixel, as it says.
+    let number = |key: &str| found["lens"][key].as_f64().unwrap();
+    assert!(number("off_px") > 10.0 && number("deviation_px") < 0.3, "{found}");
+    let places = |path: &str| -> Vec<Vec<f64>> {
+        let rows = path.lines().filter(|line| !line.starts_with('#'));
+        rows.map(|line| line.split_whitespace().map(|word| word.parse().unwrap()).collect()).collect()
+    };
+    // How far apart two paths are at most, metres; and how far one is from that of the lens that was told.
+    let apart = |path: &str, other: &str| {
+        let both = places(path).into_iter().zip(places(other));
+        let distance =
+            |(a, b): (Vec<f64>, Vec<f64>)| (1..4).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
+        both.map(distance).fold(0.0, f64::max)
+    };
+    let off = |path: &str| apart(path, &path_told);
+    // So short and small a recording tells bending, not decentering (p1 and p2), which leaves 2 mm.
+    assert!(
+        off(&path_found) < 4e-3 && off(&path_insisted) > 1e-2,
+        "{} {}",
+        off(&path_found),
+        off(&path_insisted)
+    );
+    // What was found is in the folder, and gives the same path: to be used from then on.
+    let (again, _, path_again) = run(&path("found/camera-found.yaml"), &path("again"), &[]);
+    assert!(again["lens"].is_null() && apart(&path_again, &path_found) < 1e-4, "{again}");
+    // The map has it too, and is continued by the file that it was begun with: the path is laid into the map's frame, which loops have moved.
+    let (continued, _, path_continued) =
+        run(&path("guess.yaml"), &path("continued"), &["--map", &path("found/map.gpkg")]);
+    assert!(continued["lens"].is_null() && off(&path_continued) < 0.01, "{}", off(&path_continued));
+    let side_by_side = run(&path("guess.yaml"), &path("threads"), &["--threads", "3"]).2;
+    assert!(side_by_side == path_found);
+}
+
+#[test]
 fn driving_gives_roll_and_pitch_and_a_distance_the_height() {
     let temporary = tilted_drive();
     let drive = temporary.path().join("drive");

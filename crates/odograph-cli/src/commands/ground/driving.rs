@@ -7,7 +7,8 @@ use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
 use odograph::image::RgbImage;
 use odograph::mounting::{
-    CameraUncertainty, DrivenTilt, DrivingConfig, MeasuredRig, Revealed, RigDeviations, TiltMeasurement,
+    CameraUncertainty, DrivenTilt, DrivingConfig, LensMeasurement, MeasuredRig, Revealed, RigDeviations,
+    TiltMeasurement,
 };
 use odograph::odometry::{Odometry, OdometryConfig};
 
@@ -15,6 +16,8 @@ use odograph::odometry::{Odometry, OdometryConfig};
 struct Pass {
     driven: DrivenTilt,
     found: TiltMeasurement,
+    /// The lens, where it is another than was told.
+    lens: Option<LensMeasurement>,
     frame: RgbImage,
     warnings: Vec<String>,
 }
@@ -58,11 +61,15 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
         let source = odograph_video::open(path, &arguments.source_options())?;
         (source.info().width, source.info().height)
     };
-    let (camera, uncertainty) = read_camera(&arguments.camera, size)?;
+    let (mut camera, uncertainty) = read_camera(&arguments.camera, size)?;
     let mut pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig)?;
+    let mut lens_off_px = None;
     for _ in 0..MOST_PASSES {
         let off_rad = (pass.found.roll_rad - rig.roll_rad).hypot(pass.found.pitch_rad - rig.pitch_rad);
-        if off_rad < AGAIN_DEG.to_radians() {
+        if let Some(lens) = pass.lens.filter(|_| lens_off_px.is_none()) {
+            lens_off_px = Some(lens.off_px);
+            camera = lens.camera;
+        } else if off_rad < AGAIN_DEG.to_radians() {
             break;
         }
         rig = Rig { roll_rad: pass.found.roll_rad, pitch_rad: pass.found.pitch_rad, ..rig };
@@ -78,6 +85,13 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     };
     let mut warnings = pass.warnings;
     warnings.extend(uncertainty.is_none().then(|| CAMERA_UNKNOWN.to_owned()));
+    warnings.extend(lens_off_px.map(|off_px| {
+        format!(
+            "the lens bends otherwise than {} says, by {off_px:.1} px at the edge of the image: the tilt is that with the lens as the recording \
+             shows it; odograph run finds it in the same way, odograph calibrate measures it",
+            arguments.camera.display()
+        )
+    }));
     let lost = pass.driven.lost_fraction();
     if lost > 0.0 {
         warnings.push(format!("{:.1} % of the frames could not be followed", 100.0 * lost));
@@ -105,8 +119,8 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     })
 }
 
-/// After so many more passes the tilt has settled to a hundredth of what is asked.
-const MOST_PASSES: usize = 2;
+/// After so many more passes the lens is known, and the tilt has settled to a hundredth of what is asked.
+const MOST_PASSES: usize = 3;
 
 /// Follows the whole recording and solves for its tilt.
 fn follow(
@@ -132,7 +146,9 @@ fn follow(
     }
     let frame = last.ok_or_else(|| Error::input(format!("{path} has no frame in the chosen range")))?;
     let found = driven.solve(&rig, uncertainty).map_err(|error| error.at(path))?;
-    Ok(Pass { driven, found, frame, warnings: source.take_warnings() })
+    let lens = driven.self_calibration(&rig, 0).ok().and_then(|calibration| calibration.lens);
+    let lens = lens.map(|(lens, _)| lens).filter(LensMeasurement::is_another);
+    Ok(Pass { driven, found, lens, frame, warnings: source.take_warnings() })
 }
 
 fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {

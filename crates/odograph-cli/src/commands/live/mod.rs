@@ -139,6 +139,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         let size = (source.source.info().width, source.source.info().height);
         Ok((source, size))
     })?;
+    plan.take_lens_of(run_arguments.output.map.as_deref())?;
     // What is written and shown is for others to read.
     plan.source.path = without_credentials(&plan.source.path);
     let info = source.source.info().clone();

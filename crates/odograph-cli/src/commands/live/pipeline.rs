@@ -105,6 +105,7 @@ pub fn follow(
         failure: outcome.err().or(farewell.failure).or(not_kept),
         unmapped: following.unmapped,
         mount: None,
+        lens: None,
     };
     let mut folder = following.recorder.into_folder();
     run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)

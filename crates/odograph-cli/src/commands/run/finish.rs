@@ -1,6 +1,7 @@
 //! The end of a run: what was tracked is improved by what came after it, written, and drawn. The trajectories come first: they are what cannot be had
 //! again without the recording. Whatever else fails is told in the end, when all the rest is there.
 
+use super::found::FoundLens;
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use super::{OutputArguments, OutputFolder, RunPlan, RunReport, Statistics};
@@ -8,7 +9,7 @@ use super::{map, reference, tilt};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorReport, Sensors};
 use odograph::filter::{SmoothedFrame, carrier_path, fusion};
-use odograph::formats::trajectory_file;
+use odograph::formats::{camera_file, trajectory_file};
 use odograph::mapping::Mosaic;
 use std::time::Instant;
 
@@ -24,13 +25,16 @@ pub fn finish(
 ) -> Result<RunReport> {
     enough(plan, &mut tracked, arguments)?;
     let mut run = Finishing { failure: ended_early(&mut tracked), plan, tracked, folder };
-    run.tell_tilt();
+    run.tell_camera();
     let at_once = trajectory_file::tum_from_frames(&run.tracked.frames);
     let Improved { path, sensors, loops } = run.improve(sensors);
     run.write_paths(at_once, path)?;
     run.draw(description, &sensors, arguments.threads())?;
     run.end(&sensors, loops, started)
 }
+
+/// The camera file with the lens as it was found, where not as told.
+const FOUND_CAMERA: &str = "camera-found.yaml";
 
 /// A run that is being finished.
 struct Finishing<'a> {
@@ -82,13 +86,15 @@ impl Finishing<'_> {
         self.failure.get_or_insert(error);
     }
 
-    /// How the camera sits, where that is not what was told.
-    fn tell_tilt(&mut self) {
+    /// How the camera sits and its lens bends, where not as was told.
+    fn tell_camera(&mut self) {
         let told = match &self.tracked.mount {
             Some(found) => Some(found.sentence()),
             None => tilt::untold(&self.tracked.frames, &self.plan.rig, self.plan.odometry.motion.model),
         };
         self.warn(told);
+        let bends = self.tracked.lens.as_ref().map(FoundLens::sentence);
+        self.warn(bends);
     }
 
     /// What other sensors tell comes first; loops then pull at the path that they have set right; the smoother last.
@@ -112,6 +118,10 @@ impl Finishing<'_> {
     /// then have.
     fn write_paths(&mut self, at_once: String, path: Vec<SmoothedFrame>) -> Result<()> {
         self.folder.write_trajectories(&self.tracked.frames, &self.plan.text()?)?;
+        match self.tracked.lens {
+            Some(_) => self.folder.write(FOUND_CAMERA, camera_file::write(&self.plan.camera).as_bytes())?,
+            None => self.folder.remove(FOUND_CAMERA)?,
+        }
         self.folder.write("odometry.tum", at_once.as_bytes())?;
         drop(at_once);
         // Only now the map, which may not fit on its disk any more: the trajectories are there all the same, and so is all that follows.

@@ -11,7 +11,7 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Every file that a run writes.
-pub const FILES: [&str; 14] = [
+pub const FILES: [&str; 15] = [
     "odometry.tum",
     "map.gpkg",
     "trajectory.tum",
@@ -25,6 +25,7 @@ pub const FILES: [&str; 14] = [
     "mosaic.pgw",
     "report.html",
     "run.toml",
+    "camera-found.yaml",
     "stats.json",
 ];
 

@@ -1,12 +1,13 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
 mod budget;
+mod camera_watch;
 mod finish;
 pub(super) mod folder;
+mod found;
 mod many;
 mod map;
 pub(super) mod mapping;
-mod mount;
 pub(super) mod pipeline;
 mod plan;
 mod reference;
@@ -17,9 +18,9 @@ pub(super) mod timings;
 pub(super) mod views;
 
 use crate::{Outcome, console};
+use camera_watch::CameraWatch;
 pub(super) use finish::finish;
 pub use folder::OutputFolder;
-use mount::Mount;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 use pipeline::{Ended, Tracked};
@@ -245,20 +246,23 @@ pub fn follow(
     finish(&plan, &description, tracked, &sensors, &mut folder, arguments, started)
 }
 
-/// Tracks all of the source; once more from its beginning where the camera is found not to sit as the plan says, which then says how it sits.
+/// Tracks all of the source; once more from its beginning where the camera is found not to be as the plan says, which then says how it is.
 fn track(
     plan: &mut RunPlan,
     mut source: odograph_video::Source,
     folder: &mut OutputFolder,
     arguments: &OutputArguments,
 ) -> Result<Tracked> {
-    let mut mount = Mount::new(plan);
-    mount.look_first(plan, arguments)?;
+    plan.take_lens_of(arguments.map.as_deref())?;
+    let mut watch = CameraWatch::new(plan);
+    watch.look_first(plan, arguments)?;
     loop {
-        match pipeline::track(plan, source, folder, arguments, mount.watch(plan))? {
-            Ended::Tracked(tracked) => return Ok(Tracked { mount: mount.found(), ..*tracked }),
-            Ended::SitsOtherwise(found) => {
-                mount.take(found, plan);
+        match pipeline::track(plan, source, folder, arguments, watch.watch(plan))? {
+            Ended::Tracked(tracked) => {
+                return Ok(Tracked { mount: watch.mount(), lens: watch.lens(), ..*tracked });
+            }
+            Ended::IsAnother(found) => {
+                watch.take(found, plan);
                 folder.begin_again()?;
                 source = plan.source.open()?;
             }

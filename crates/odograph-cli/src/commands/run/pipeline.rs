@@ -1,8 +1,8 @@
 //! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
 
 use super::folder::OutputFolder;
+use super::found::{FoundLens, FoundMount};
 use super::mapping::Mapping;
-use super::mount::FoundMount;
 use super::statistics::LiveStatistics;
 use super::timings::Timings;
 pub use super::views::Posed;
@@ -12,7 +12,7 @@ use crate::interrupt;
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
-use odograph::mounting::{TiltMeasurement, UntoldTilt};
+use odograph::mounting::{Found, Untold};
 use odograph::odometry::{FrameReference, KeyframeEvent, Odometry};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
@@ -40,6 +40,8 @@ pub struct Tracked {
     pub unmapped: Option<Error>,
     /// How the camera sits, where that is not what was told.
     pub mount: Option<FoundMount>,
+    /// How the lens bends, where not as told.
+    pub lens: Option<FoundLens>,
 }
 
 /// How the pipeline ended.
@@ -47,7 +49,7 @@ pub enum Ended {
     /// With all of the source that there was.
     Tracked(Box<Tracked>),
     /// At a frame from which on it is sure that the camera does not sit as the plan says.
-    SitsOtherwise(TiltMeasurement),
+    IsAnother(Found),
 }
 
 /// How long each frame took in each stage.
@@ -76,7 +78,7 @@ pub fn track(
     source: Source,
     folder: &mut OutputFolder,
     arguments: &OutputArguments,
-    untold: Option<UntoldTilt>,
+    untold: Option<Untold>,
 ) -> Result<Ended> {
     let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
     odometry.tell_keyframes();
@@ -88,7 +90,7 @@ pub fn track(
         references: Vec::new(),
         times: Timings::default(),
         untold,
-        sits: None,
+        found: None,
         progress: progress(source.info().frame_count, arguments.quiet),
         folder,
     };
@@ -99,11 +101,11 @@ pub fn track(
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
     };
     tracking.progress.finish_and_clear();
-    let to_the_end = outcome.is_ok() && tracking.sits.is_none() && !interrupt::asked();
-    let at_end = tracking.untold.as_ref().filter(|_| to_the_end).and_then(UntoldTilt::at_end);
-    if let Some(tilt) = tracking.sits.or(at_end) {
+    let to_the_end = outcome.is_ok() && tracking.found.is_none() && !interrupt::asked();
+    let at_end = tracking.untold.as_ref().filter(|_| to_the_end).and_then(Untold::at_end);
+    if let Some(found) = tracking.found.or(at_end) {
         ground.mapping.discard()?;
-        return Ok(Ended::SitsOtherwise(tilt));
+        return Ok(Ended::IsAnother(found));
     }
     let Ground { views, mapping, unmapped, times: map_times } = ground;
     Ok(Ended::Tracked(Box::new(Tracked {
@@ -119,6 +121,7 @@ pub fn track(
         failure: outcome.err(),
         unmapped,
         mount: None,
+        lens: None,
     })))
 }
 
@@ -211,9 +214,9 @@ struct Tracking<'a> {
     frames: Vec<FrameEstimate>,
     references: Vec<Option<FrameReference>>,
     times: Timings,
-    untold: Option<UntoldTilt>,
+    untold: Option<Untold>,
     /// What that has found: the run ends there.
-    sits: Option<TiltMeasurement>,
+    found: Option<Found>,
     progress: ProgressBar,
     folder: &'a mut OutputFolder,
 }
@@ -226,14 +229,14 @@ struct Followed {
 }
 
 impl Tracking<'_> {
-    /// Nothing once it is sure that the camera does not sit as it was told.
+    /// Nothing once it is sure that the camera is not as it was told.
     fn next(&mut self, frame: Frame) -> Result<Option<Followed>> {
         let started = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
         if let Some(untold) = &mut self.untold {
-            self.sits = untold.watch(&estimate, self.odometry.tracks());
-            if self.sits.is_some() {
+            self.found = untold.watch(&estimate, self.odometry.tracks());
+            if self.found.is_some() {
                 return Ok(None);
             }
         }

@@ -9,9 +9,10 @@ use odograph::formats::{camera_file, rig_file};
 use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
 use odograph::slam::SlamConfig;
+use odograph_map::MapFile;
 use odograph_video::{Source, SourceOptions};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What is run: the source, the camera over it, and every parameter of the pipeline.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -191,6 +192,18 @@ impl RunPlan {
         plan.odometry.validated().map_err(at_fault)?;
         plan.slam.validated().map_err(at_fault)?;
         Ok(plan)
+    }
+
+    /// Takes the camera of a map that is continued where it is the plan's with a lens that an earlier run has found. A run that finds a lens leaves the focal length
+    /// as it is, to the bit, and no two calibrations agree in that.
+    pub fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
+        let Some(map) = map.filter(|map| map.exists()) else { return Ok(()) };
+        let found = MapFile::open_read_only(map)?.camera().clone();
+        let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
+        if key(&found) == key(&self.camera) {
+            self.camera = found;
+        }
+        Ok(())
     }
 
     /// The plan as the text of `run.toml`.

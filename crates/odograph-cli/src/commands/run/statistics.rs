@@ -1,8 +1,8 @@
 //! The figures of a run: `stats.json` and the summary.
 
 use super::budget::Budget;
+use super::found::{FoundLens, FoundMount};
 use super::mapping::LoopStatistics;
-use super::mount::FoundMount;
 use super::pipeline::Tracked;
 use super::timings::Timings;
 use odograph::error::{Error, Result};
@@ -43,6 +43,9 @@ pub struct Statistics {
     /// How the camera sits, where that was found not to be what was told; left out otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mount: Option<FoundMount>,
+    /// How the lens bends, where that was found not to be as the camera file says; left out otherwise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lens: Option<FoundLens>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
     /// How the run kept up with its source; left out of runs over recordings.
@@ -186,6 +189,7 @@ impl Statistics {
             peak_memory_bytes: peak_memory_bytes(),
             budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
             mount: tracked.mount,
+            lens: tracked.lens.clone(),
             interrupted: tracked.interrupted,
             live: tracked.live,
             sensors: sensors.iter().map(SensorStatistics::new).collect(),

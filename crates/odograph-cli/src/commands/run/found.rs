@@ -1,0 +1,89 @@
+//! What a recording said of its camera that was not as it was told, for people and for `stats.json`.
+
+use odograph::camera::{Camera, Rig};
+use odograph::mounting::{LensMeasurement, TiltMeasurement};
+use serde::Serialize;
+
+/// How the camera was found to sit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FoundMount {
+    /// Roll and pitch against straight down as they were told, degrees.
+    pub told_roll_deg: f64,
+    pub told_pitch_deg: f64,
+    /// As the recording has them, and one standard deviation of each.
+    pub roll_deg: f64,
+    pub pitch_deg: f64,
+    pub roll_deviation_deg: f64,
+    pub pitch_deviation_deg: f64,
+}
+
+impl FoundMount {
+    pub fn new(told: &Rig, found: &TiltMeasurement) -> Self {
+        Self {
+            told_roll_deg: told.roll_rad.to_degrees(),
+            told_pitch_deg: told.pitch_rad.to_degrees(),
+            roll_deg: found.roll_rad.to_degrees(),
+            pitch_deg: found.pitch_rad.to_degrees(),
+            roll_deviation_deg: found.covariance[(0, 0)].sqrt().to_degrees(),
+            pitch_deviation_deg: found.covariance[(1, 1)].sqrt().to_degrees(),
+        }
+    }
+
+    pub fn sentence(&self) -> String {
+        format!(
+            "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as was told: the path was followed with the \
+             former, which is in run.toml; --rig tells it, odograph ground measures it, --motion rigid insists on what was told",
+            self.roll_deg, self.pitch_deg, self.told_roll_deg, self.told_pitch_deg
+        )
+    }
+}
+
+/// How the lens was found to bend.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FoundLens {
+    /// The coefficients that were looked for.
+    pub coefficients: Vec<FoundCoefficient>,
+    /// By how much the calibration was off at the edge of the image where it was most, and one standard deviation of that, pixels.
+    pub off_px: f64,
+    pub deviation_px: f64,
+}
+
+/// A coefficient of the lens: as the camera file has it, as the recording has it, and one standard deviation.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FoundCoefficient {
+    pub name: &'static str,
+    pub told: f64,
+    pub found: f64,
+    pub deviation: f64,
+}
+
+impl FoundLens {
+    pub fn new(told: &Camera, found: &LensMeasurement) -> Self {
+        let both = found.coefficients.iter().zip(found.coefficients_of(told));
+        let coefficients = both.map(|(found, told)| FoundCoefficient {
+            name: found.name,
+            told,
+            found: found.value,
+            deviation: found.deviation,
+        });
+        Self {
+            coefficients: coefficients.collect(),
+            off_px: found.off_from_px(told),
+            deviation_px: found.deviation_px,
+        }
+    }
+
+    pub fn sentence(&self) -> String {
+        let of = |value: fn(&FoundCoefficient) -> f64| {
+            let all = self.coefficients.iter().map(|known| format!("{} {:+.5}", known.name, value(known)));
+            all.collect::<Vec<_>>().join(", ")
+        };
+        format!(
+            "the lens bends with {}, not with {} as the camera file says, which is {:.1} px at the edge of the image: the path was followed with the \
+             former, which is in camera-found.yaml; odograph calibrate measures it, --motion rigid insists on the camera file",
+            of(|known| known.found),
+            of(|known| known.told),
+            self.off_px
+        )
+    }
+}
