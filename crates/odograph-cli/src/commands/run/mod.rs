@@ -2,6 +2,7 @@
 
 mod budget;
 mod finish;
+pub(super) mod kept_frames;
 pub(super) mod folder;
 mod many;
 mod map;
