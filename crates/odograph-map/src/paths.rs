@@ -7,7 +7,7 @@ use crate::keyframes::pose_from;
 use odograph::error::Result;
 use odograph::geometry::{GroundPose, wrap_angle};
 use odograph::mapping::plane_motion::{laid_from, seen_from};
-use rusqlite::{Connection, Row, params};
+use rusqlite::{CachedStatement, Connection, Row, params};
 
 /// Where the camera was at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,10 +25,22 @@ pub struct PathFrame {
 impl MapFile {
     /// Puts the path of a session into the map, in place of the one that was there: the frames that were tracked, in their order.
     pub fn set_path(&mut self, session: u32, frames: &[PathFrame]) -> Result<()> {
-        let transaction = self.connection.transaction().while_writing(&self.complaint)?;
-        write(&transaction, session, frames)
-            .and_then(|()| transaction.commit())
-            .while_writing(&self.complaint)
+        self.set_path_from(session, |put| frames.iter().try_for_each(put))
+    }
+
+    /// The same of frames that are not in memory at once: `frames` gives them one after the other. What it fails with is passed on, and the path stays the
+    /// one that was there.
+    pub fn set_path_from(
+        &mut self,
+        session: u32,
+        frames: impl FnOnce(&mut dyn FnMut(&PathFrame) -> Result<()>) -> Result<()>,
+    ) -> Result<()> {
+        let complaint = &self.complaint;
+        let transaction = self.connection.transaction().while_writing(complaint)?;
+        let mut written = WrittenPath::begin(&transaction, session).while_writing(complaint)?;
+        frames(&mut |frame| written.put(frame).while_writing(complaint))?;
+        written.end().while_writing(complaint)?;
+        transaction.commit().while_writing(complaint)
     }
 
     /// The path of a session; empty where none was put in.
@@ -113,14 +125,42 @@ fn between(a: &GroundPose, b: &GroundPose, share: f64) -> GroundPose {
 }
 
 pub(crate) fn write(connection: &Connection, session: u32, frames: &[PathFrame]) -> rusqlite::Result<()> {
-    connection.execute("DELETE FROM odograph_frame WHERE session = ?1", [session])?;
-    connection.execute("DELETE FROM paths WHERE session = ?1", [session])?;
-    let mut statement = connection
-        .prepare_cached("INSERT INTO odograph_frame VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)")?;
-    for PathFrame { frame, segment, time_s, pose } in frames {
+    let mut written = WrittenPath::begin(connection, session)?;
+    frames.iter().try_for_each(|frame| written.put(frame))?;
+    written.end()
+}
+
+/// A path that is being put into the map: its frames go there at once, its lines at the end.
+struct WrittenPath<'a> {
+    connection: &'a Connection,
+    insert: CachedStatement<'a>,
+    session: u32,
+    lines: Vec<Line>,
+}
+
+/// Frames of one segment.
+struct Line {
+    segment: usize,
+    from_s: f64,
+    to_s: f64,
+    points: Vec<(f64, f64)>,
+}
+
+impl<'a> WrittenPath<'a> {
+    /// Takes away the path that was there.
+    fn begin(connection: &'a Connection, session: u32) -> rusqlite::Result<Self> {
+        connection.execute("DELETE FROM odograph_frame WHERE session = ?1", [session])?;
+        connection.execute("DELETE FROM paths WHERE session = ?1", [session])?;
+        let insert = connection
+            .prepare_cached("INSERT INTO odograph_frame VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)")?;
+        Ok(Self { connection, insert, session, lines: Vec::new() })
+    }
+
+    fn put(&mut self, frame: &PathFrame) -> rusqlite::Result<()> {
+        let &PathFrame { frame, segment, time_s, pose } = frame;
         let GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad } = pose;
-        statement.execute(params![
-            session,
+        self.insert.execute(params![
+            self.session,
             frame,
             segment,
             time_s,
@@ -131,27 +171,29 @@ pub(crate) fn write(connection: &Connection, session: u32, frames: &[PathFrame])
             roll_rad,
             pitch_rad
         ])?;
-    }
-    // A line has at least two points: a segment of one frame is in the table of frames only.
-    for line in frames.chunk_by(|a, b| a.segment == b.segment).filter(|line| line.len() > 1) {
-        let points: Vec<(f64, f64)> = line.iter().map(|frame| (frame.pose.x_m, frame.pose.y_m)).collect();
-        let length_m: f64 =
-            points.windows(2).map(|two| (two[1].0 - two[0].0).hypot(two[1].1 - two[0].1)).sum();
-        connection.execute(
-            "INSERT INTO paths VALUES (NULL, ?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-            params![
-                line_geometry(&points),
-                session,
-                line[0].segment,
-                line.len(),
-                line[0].time_s,
-                line[line.len() - 1].time_s,
-                length_m
-            ],
-        )?;
-        if let Some(extent) = Extent::of(points) {
-            geopackage::grow_extent(connection, "paths", extent)?;
+        if self.lines.last().is_none_or(|line| line.segment != segment) {
+            self.lines.push(Line { segment, from_s: time_s, to_s: time_s, points: Vec::new() });
         }
+        if let Some(line) = self.lines.last_mut() {
+            line.to_s = time_s;
+            line.points.push((x_m, y_m));
+        }
+        Ok(())
     }
-    Ok(())
+
+    fn end(self) -> rusqlite::Result<()> {
+        // A line has at least two points: a segment of one frame is in the table of frames only.
+        for Line { segment, from_s, to_s, points } in self.lines.into_iter().filter(|l| l.points.len() > 1) {
+            let length_m: f64 =
+                points.windows(2).map(|two| (two[1].0 - two[0].0).hypot(two[1].1 - two[0].1)).sum();
+            self.connection.execute(
+                "INSERT INTO paths VALUES (NULL, ?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+                params![line_geometry(&points), self.session, segment, points.len(), from_s, to_s, length_m],
+            )?;
+            if let Some(extent) = Extent::of(points) {
+                geopackage::grow_extent(self.connection, "paths", extent)?;
+            }
+        }
+        Ok(())
+    }
 }

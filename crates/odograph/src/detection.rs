@@ -1,12 +1,12 @@
 //! Subsystem 3: objects of interest. Corners that can be found again, by the criterion of J. Shi and C. Tomasi, "Good features to track", 1994:
 //! the smaller eigenvalue of the gradient matrix over a window.
 
+mod strengths;
+
 use crate::image::GrayImage;
-use crate::image::simd::{
-    add_weighted_products, mark_local_maxima, roll_products, scharr_gradients, smaller_eigenvalues,
-    smaller_eigenvalues_of_sums,
-};
+use crate::image::simd::mark_local_maxima;
 use serde::{Deserialize, Serialize};
+use strengths::Strengths;
 
 /// Over which window the gradient matrix is summed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,128 +63,131 @@ pub struct Corner {
 /// keeps the minimum distance, until N are found. A texture that is strong in one place does not draw all corners there.
 /// The image is at most 65,536 pixels wide and high, as is every camera's.
 pub fn detect(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
-    let candidates = local_maxima(image, config, margin_px);
-    spread(&candidates, (image.width(), image.height()), config)
+    Detection::new((image.width(), image.height()), config, margin_px).corners(image)
 }
 
 /// Gradients weaker than this (gray levels per pixel, squared) are 8-bit rounding, not texture.
 const SMALLEST_STRENGTH: f32 = 0.02;
 
-/// Gives the strengths of all pixels, row by row from the top. Pixels whose window does not fit into the image have none: 0.
-fn for_each_row_of_strengths(
-    image: &GrayImage,
-    config: &DetectionConfig,
-    mut visit: impl FnMut(usize, &[f32]),
-) {
-    let (width, height) = (image.width(), image.height());
-    let radius = config.window_radius_px;
-    let rows = 2 * radius + 1;
-    let mut strengths = vec![0.0; width];
-    let (first, beyond) = (radius + 1, height.saturating_sub(radius + 1));
-    if width < rows + 2 || first >= beyond {
-        return (0..height).for_each(|y| visit(y, &strengths));
-    }
-    let weights = window_weights(config);
-    // A ring of the gradients of the last 2 r + 1 rows.
-    let mut ring = vec![[vec![0i16; width], vec![0i16; width]]; rows];
-    let mut newest = [vec![0i16; width], vec![0i16; width]];
-    // The sums of their products along the columns: whole numbers, which are kept up by adding the row that comes and taking off the one
-    // that goes, where 32 bits hold the sum over the whole window.
-    let rolls = config.window == Window::Rectangular && rows <= 11;
-    let mut totals = [vec![0i32; width], vec![0i32; width], vec![0i32; width]];
-    let mut columns = if rolls { Default::default() } else { [(); 3].map(|()| vec![0.0f32; width]) };
-    (0..first).for_each(|y| visit(y, &strengths));
-    for y in 1..height - 1 {
-        let [x_now, y_now] = &mut newest;
-        scharr_gradients(image.row(y - 1), image.row(y), image.row(y + 1), x_now, y_now);
-        if rolls {
-            let [old_x, old_y] = &ring[y % rows];
-            let [xx, xy, yy] = &mut totals;
-            roll_products(x_now, y_now, old_x, old_y, xx, xy, yy);
-        }
-        std::mem::swap(&mut ring[y % rows], &mut newest);
-        if y < rows {
-            continue;
-        }
-        let centre = y - radius;
-        let inner = &mut strengths[first..width - first];
-        if rolls {
-            let [xx, xy, yy] = &totals;
-            let scale = weights[0] * weights[0] * PER_PRODUCT;
-            smaller_eigenvalues_of_sums(&xx[1..], &xy[1..], &yy[1..], rows, scale, inner);
-        } else {
-            let [xx, xy, yy] = &mut columns;
-            for column in [&mut *xx, &mut *xy, &mut *yy] {
-                column.fill(0.0);
-            }
-            for (k, weight) in weights.iter().enumerate() {
-                // Row centre − radius + k.
-                let [x, y] = &ring[(centre + k - radius) % rows];
-                add_weighted_products(x, y, weight * PER_PRODUCT, xx, xy, yy);
-            }
-            smaller_eigenvalues(&xx[1..], &xy[1..], &yy[1..], &weights, inner);
-        }
-        visit(centre, &strengths);
-    }
-    strengths.fill(0.0);
-    (beyond..height).for_each(|y| visit(y, &strengths));
+/// No corner of an image of 8 bits is stronger, (gray levels per pixel)²: half of the largest sum of squares of both Scharr gradients at one pixel.
+const GREATEST_STRENGTH: f32 = 11_304.0;
+
+/// Corners that are looked for a part of the image at a time; what comes of it is what [`detect`] gives.
+#[derive(Debug)]
+pub struct Detection {
+    size: (usize, usize),
+    config: DetectionConfig,
+    margin: usize,
+    strengths: Strengths,
+    /// The next row whose strengths are to be taken.
+    next: usize,
+    /// The strengths of the last three rows.
+    last: [Vec<f32>; 3],
+    /// Whether a pixel is one of the maxima, for a row; a multiple of the blocks in which they are looked through.
+    marks: Vec<u8>,
+    /// Pixels that are stronger than their eight neighbours, and strong enough beside the strongest before them, in reading order.
+    maxima: Vec<Ranked>,
+    strongest: f32,
 }
 
-/// A product of two Scharr gradients in (gray levels per pixel)².
-const PER_PRODUCT: f32 = 1.0 / (32.0 * 32.0);
-
-/// Pixels that are stronger than their eight neighbours and strong enough beside the strongest of them, in reading order.
-fn local_maxima(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Ranked> {
-    let (width, height) = (image.width(), image.height());
-    let margin = margin_px.max(1);
-    let mut maxima = Vec::new();
-    if width <= 2 * margin || height <= 2 * margin {
-        return maxima;
+impl Detection {
+    /// Of an image of this size. Nothing is looked at yet.
+    pub fn new(size: (usize, usize), config: &DetectionConfig, margin_px: usize) -> Self {
+        let (width, height) = size;
+        let margin = margin_px.max(1);
+        let none = width <= 2 * margin || height <= 2 * margin;
+        Self {
+            size,
+            config: *config,
+            margin,
+            strengths: Strengths::new(size, config),
+            next: if none { height } else { 0 },
+            last: [(); 3].map(|()| vec![0.0; width]),
+            marks: vec![0; width.next_multiple_of(MARKS)],
+            maxima: Vec::new(),
+            strongest: 0.0,
+        }
     }
-    let mut last = [vec![0.0f32; width], vec![0.0f32; width], vec![0.0f32; width]];
-    // A multiple of the blocks in which marks are looked through.
-    let mut marks = vec![0u8; width.next_multiple_of(MARKS)];
-    let mut strongest = 0.0f32;
-    for_each_row_of_strengths(image, config, |read, strengths| {
-        last.rotate_left(1);
-        last[2].copy_from_slice(strengths);
-        let Some(y) = read.checked_sub(1).filter(|y| (margin..height - margin).contains(y)) else {
+
+    /// Looks at the image down to before this row.
+    pub fn look(&mut self, image: &GrayImage, until: usize) {
+        for read in self.next..until.min(self.size.1) {
+            let strengths = self.strengths.row(image, read);
+            self.last.rotate_left(1);
+            self.last[2].copy_from_slice(strengths);
+            self.next = read + 1;
+            if let Some(y) = read.checked_sub(1) {
+                self.find_maxima(y);
+            }
+        }
+    }
+
+    fn find_maxima(&mut self, y: usize) {
+        let ((width, height), margin) = (self.size, self.margin);
+        if !(margin..height - margin).contains(&y) {
             return;
-        };
-        let [above, here, below] = &last;
+        }
+        let [above, here, below] = &self.last;
         // Ties go to the first in reading order. What is too weak beside the strongest so far is so beside the strongest of all.
-        let least = SMALLEST_STRENGTH.max(config.quality * strongest);
-        mark_local_maxima(above, here, below, least, &mut marks[..width]);
-        for (block, marks) in marks.as_chunks::<MARKS>().0.iter().enumerate() {
-            // A mark is 0 or 1, and nearly all are 0.
-            let mut bits = u64::from_le_bytes(*marks);
+        let least = SMALLEST_STRENGTH.max(self.config.quality * self.strongest);
+        mark_local_maxima(above, here, below, least, &mut self.marks[..width]);
+        for (block, marks) in self.marks.as_chunks::<MARKS>().0.iter().enumerate() {
+            let mut bits = bits_of(marks);
             while bits != 0 {
-                let x = block * MARKS + bits.trailing_zeros() as usize / 8;
+                let x = block * MARKS + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
                 if (margin..width - margin).contains(&x) {
-                    maxima.push(Ranked::new(x, y, here[x]));
-                    strongest = strongest.max(here[x]);
+                    self.maxima.push(Ranked::new(x, y, here[x]));
+                    self.strongest = self.strongest.max(here[x]);
                 }
             }
         }
-    });
-    maxima.retain(|candidate| candidate.strength() >= config.quality * strongest);
-    maxima
+    }
+
+    /// Whether it is sure already that there will be so many corners.
+    ///
+    /// So it is where so many maxima, strong enough whatever comes, lie at least twice the minimum distance apart: as long as corners are wanted each is
+    /// taken itself or is too near to one that is, and that one is near to no other of them.
+    pub fn will_find(&self, count: usize) -> bool {
+        if count > self.config.corners {
+            return false;
+        }
+        let apart_px = 2.0 * self.config.minimum_distance_px;
+        let mut taken: Vec<Corner> = Vec::with_capacity(count);
+        for maximum in &self.maxima {
+            if taken.len() >= count {
+                break;
+            }
+            let corner = maximum.corner();
+            let away = |other: &Corner| {
+                (other.x as f64 - corner.x as f64).powi(2) + (other.y as f64 - corner.y as f64).powi(2)
+            };
+            if corner.strength >= self.config.quality * GREATEST_STRENGTH
+                && taken.iter().all(|other| away(other) >= apart_px.powi(2))
+            {
+                taken.push(corner);
+            }
+        }
+        taken.len() >= count
+    }
+
+    /// Looks at the rest of the image, and chooses the corners.
+    pub fn corners(mut self, image: &GrayImage) -> Vec<Corner> {
+        self.look(image, self.size.1);
+        self.maxima.retain(|candidate| candidate.strength() >= self.config.quality * self.strongest);
+        spread(&self.maxima, self.size, &self.config)
+    }
 }
 
-/// So many marks are looked through at a time: as many as there are bytes in a word.
-const MARKS: usize = 8;
+/// So many marks are looked through at a time: as many as there are bits in a word.
+const MARKS: usize = 64;
 
-fn window_weights(config: &DetectionConfig) -> Vec<f32> {
-    let n = 2 * config.window_radius_px;
-    let mut weights = vec![1.0f32; n + 1];
-    if config.window == Window::Gaussian {
-        for i in 1..=n {
-            weights[i] = weights[i - 1] * (n + 1 - i) as f32 / i as f32;
-        }
-    }
-    let total: f32 = weights.iter().sum();
-    weights.iter().map(|w| w / total).collect()
+/// A bit for each mark, which is 0 or 1. The product gathers the lowest bits of eight bytes in the highest byte.
+fn bits_of(marks: &[u8; MARKS]) -> u64 {
+    const GATHER: u64 = 0x0102_0408_1020_4080;
+    let eight =
+        |(at, marks): (usize, &[u8; 8])| (u64::from_le_bytes(*marks).wrapping_mul(GATHER) >> 56) << (8 * at);
+    marks.as_chunks::<8>().0.iter().enumerate().map(eight).fold(0, |bits, eight| bits | eight)
 }
 
 /// Takes the best candidates cell by cell; see [`detect`].
@@ -338,102 +341,4 @@ impl TakenCorners {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// White squares on black: their corners are the corners.
-    fn squares() -> GrayImage {
-        let mut image = GrayImage::new(200, 150);
-        for (x0, y0) in [(40, 40), (120, 40), (40, 90), (120, 90)] {
-            for y in y0..y0 + 25 {
-                for x in x0..x0 + 25 {
-                    image.samples_mut()[y * 200 + x] = 200;
-                }
-            }
-        }
-        image
-    }
-
-    #[test]
-    fn the_corners_of_squares_are_found_and_nothing_else() {
-        for window in [Window::Rectangular, Window::Gaussian] {
-            let config = DetectionConfig { window, quality: 0.3, ..Default::default() };
-            let corners = detect(&squares(), &config, 10);
-            assert_eq!(corners.len(), 16, "{window:?}");
-            for corner in corners {
-                let near = |v: usize, edges: [usize; 4]| edges.iter().any(|&e| v.abs_diff(e) <= 2);
-                assert!(
-                    near(corner.x, [40, 64, 120, 144]) && near(corner.y, [40, 64, 90, 114]),
-                    "{corner:?}"
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn strength_is_the_smaller_eigenvalue_of_the_mean_gradient_matrix() {
-        let mut state = 7u32;
-        let samples = (0..40 * 40)
-            .map(|_| {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (state >> 24) as u8
-            })
-            .collect();
-        let image = GrayImage::from_samples(40, 40, samples).unwrap();
-        let config = DetectionConfig::default();
-        let mut strengths = Vec::new();
-        for_each_row_of_strengths(&image, &config, |_, row| strengths.extend_from_slice(row));
-        for (cx, cy) in [(10usize, 12usize), (20, 5), (33, 30)] {
-            let mut m = nalgebra::Matrix2::<f64>::zeros();
-            for y in cy - 2..=cy + 2 {
-                for x in cx - 2..=cx + 2 {
-                    let v = |x: usize, y: usize| f64::from(image.row(y)[x]);
-                    let gx = (3.0 * (v(x + 1, y - 1) - v(x - 1, y - 1) + v(x + 1, y + 1) - v(x - 1, y + 1))
-                        + 10.0 * (v(x + 1, y) - v(x - 1, y)))
-                        / 32.0;
-                    let gy = (3.0 * (v(x - 1, y + 1) - v(x - 1, y - 1) + v(x + 1, y + 1) - v(x + 1, y - 1))
-                        + 10.0 * (v(x, y + 1) - v(x, y - 1)))
-                        / 32.0;
-                    m += nalgebra::Matrix2::new(gx * gx, gx * gy, gx * gy, gy * gy) / 25.0;
-                }
-            }
-            let expected = m.symmetric_eigenvalues().min();
-            let found = f64::from(strengths[cy * 40 + cx]);
-            assert!((found - expected).abs() < 1e-3 * expected.abs().max(1.0), "{found} {expected}");
-        }
-    }
-
-    #[test]
-    fn corners_keep_their_distance_and_their_number() {
-        let mut state = 1u32;
-        let samples = (0..320 * 240)
-            .map(|_| {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (state >> 24) as u8
-            })
-            .collect();
-        let image = GrayImage::from_samples(320, 240, samples).unwrap();
-        let config = DetectionConfig { corners: 100, ..Default::default() };
-        let corners = detect(&image, &config, 10);
-        assert_eq!(corners.len(), 100);
-        for (i, a) in corners.iter().enumerate() {
-            assert!(a.x >= 10 && a.y >= 10 && a.x < 310 && a.y < 230);
-            for b in &corners[..i] {
-                let d = (a.x as f64 - b.x as f64).hypot(a.y as f64 - b.y as f64);
-                assert!(d >= config.minimum_distance_px);
-            }
-        }
-        // Spread: every quarter of the image has its share.
-        let quarter = |c: &Corner| usize::from(c.x >= 160) + 2 * usize::from(c.y >= 120);
-        for q in 0..4 {
-            let count = corners.iter().filter(|c| quarter(c) == q).count();
-            assert!(count >= 15, "quarter {q} has {count}");
-        }
-    }
-
-    #[test]
-    fn a_blank_image_has_no_corners() {
-        assert!(detect(&GrayImage::new(100, 100), &DetectionConfig::default(), 5).is_empty());
-        assert!(detect(&GrayImage::new(3, 3), &DetectionConfig::default(), 5).is_empty());
-    }
-}
+mod tests;

@@ -135,15 +135,88 @@ pub struct FrameEstimate {
     pub segment: usize,
 }
 
+/// What is shown of a frame, in drawings and figures: a fifth of the memory of the whole [`FrameEstimate`], of which an hour has a hundred thousand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameSummary {
+    /// Number of the frame in its source, from 0.
+    pub frame: u64,
+    /// Its time, seconds, from the source.
+    pub time_s: f64,
+    /// Where the camera was; present exactly when [`FrameSummary::status`] is [`TrackStatus::Tracked`].
+    pub place: Option<PlaceSummary>,
+    /// Root mean square distance of the inliers from where the movement puts them, pixels; 0 without inliers.
+    pub residual_px: f64,
+    /// Number of corners found again in this frame.
+    pub tracks: u32,
+    /// How many of them agree with the movement.
+    pub inliers: u32,
+    /// Number of gaps before this frame.
+    pub segment: u32,
+    /// Whether its movement was measured.
+    pub status: TrackStatus,
+}
+
+/// What is shown of a pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaceSummary {
+    /// World x, metres.
+    pub x_m: f64,
+    /// World y, metres.
+    pub y_m: f64,
+    /// Heading, radians.
+    pub heading_rad: f64,
+    /// Height above the ground, metres.
+    pub height_m: f64,
+    /// Speed over ground, metres per second.
+    pub speed_m_s: f64,
+    /// Variance of x, covariance of x and y, variance of y, square metres, against the start of the run.
+    pub position_covariance: [f64; 3],
+    /// Variance of the heading, square radians.
+    pub heading_variance: f64,
+}
+
+impl From<&FrameEstimate> for FrameSummary {
+    fn from(frame: &FrameEstimate) -> Self {
+        let count = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);
+        Self {
+            frame: frame.frame,
+            time_s: frame.time_s,
+            place: frame.estimate.as_ref().map(PlaceSummary::from),
+            residual_px: frame.residual_px,
+            tracks: count(frame.tracks),
+            inliers: count(frame.inliers),
+            segment: count(frame.segment),
+            status: frame.status,
+        }
+    }
+}
+
+impl From<&PoseEstimate> for PlaceSummary {
+    fn from(known: &PoseEstimate) -> Self {
+        let (pose, covariance) = (&known.pose, &known.covariance);
+        Self {
+            x_m: pose.x_m,
+            y_m: pose.y_m,
+            heading_rad: pose.heading_rad,
+            height_m: pose.height_m,
+            speed_m_s: known.velocity.speed_m_s(),
+            position_covariance: [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]],
+            heading_variance: covariance[(2, 2)],
+        }
+    }
+}
+
 /// Length of the path over ground through all measured poses, metres; gaps do not count.
-pub fn distance_m(frames: &[FrameEstimate]) -> f64 {
-    let posed: Vec<_> =
-        frames.iter().filter_map(|f| f.estimate.as_ref().map(|e| (f.segment, e.pose))).collect();
-    posed
-        .windows(2)
-        .filter(|pair| pair[0].0 == pair[1].0)
-        .map(|pair| (pair[1].1.x_m - pair[0].1.x_m).hypot(pair[1].1.y_m - pair[0].1.y_m))
-        .sum()
+pub fn distance_m(frames: &[FrameSummary]) -> f64 {
+    let mut before: Option<(u32, PlaceSummary)> = None;
+    let mut way_m = 0.0;
+    for (segment, place) in frames.iter().filter_map(|frame| Some((frame.segment, frame.place?))) {
+        if let Some((_, from)) = before.filter(|before| before.0 == segment) {
+            way_m += (place.x_m - from.x_m).hypot(place.y_m - from.y_m);
+        }
+        before = Some((segment, place));
+    }
+    way_m
 }
 
 /// Where a camera was at a time: an entry of a trajectory file, from whatever program it comes.
@@ -162,14 +235,18 @@ pub struct Trajectory {
     pub poses: Vec<StampedPose>,
 }
 
+impl StampedPose {
+    /// Where the camera was at a frame; `None` where it is not known.
+    pub fn of_frame(frame: &FrameEstimate) -> Option<Self> {
+        let world_from_camera = frame.estimate.as_ref()?.pose.world_from_camera();
+        Some(Self { time_s: frame.time_s, world_from_camera })
+    }
+}
+
 impl Trajectory {
     /// The poses of the frames that have one.
     pub fn from_frames(frames: &[FrameEstimate]) -> Self {
-        let pose = |frame: &FrameEstimate| {
-            let world_from_camera = frame.estimate.as_ref()?.pose.world_from_camera();
-            Some(StampedPose { time_s: frame.time_s, world_from_camera })
-        };
-        Self { poses: frames.iter().filter_map(pose).collect() }
+        Self { poses: frames.iter().filter_map(StampedPose::of_frame).collect() }
     }
 
     /// Length of the path through all camera centres, metres; gaps count as straight lines.

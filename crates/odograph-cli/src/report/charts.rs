@@ -3,18 +3,18 @@
 use super::figures::{Figures, sigmas};
 use super::plot::{Range, Series, TimeAxis, plot};
 use odograph::geometry::wrap_angle;
-use odograph::trajectory::{FrameEstimate, PoseEstimate};
+use odograph::trajectory::{FrameSummary, PlaceSummary};
 use std::fmt::Write;
 
 /// Writes the section: a plot each for what a person may ask about the run.
-pub fn over_time(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
+pub fn over_time(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
     let Some(first) = frames.first() else { return };
     let times_s: Vec<f64> = frames.iter().map(|frame| frame.time_s - first.time_s).collect();
     let shaded_s: Vec<(f64, f64)> =
         figures.lost.iter().map(|stretch| (stretch.from_s, stretch.to_s)).collect();
     let axis = TimeAxis::new(&times_s, &shaded_s);
-    let posed = |value: &dyn Fn(&PoseEstimate) -> f64| -> Vec<Option<f64>> {
-        frames.iter().map(|frame| frame.estimate.as_ref().map(value)).collect()
+    let posed = |value: &dyn Fn(&PlaceSummary) -> f64| -> Vec<Option<f64>> {
+        frames.iter().map(|frame| frame.place.as_ref().map(value)).collect()
     };
     let blue = |values| Series { class: "blue", values };
     let shading = if figures.lost.is_empty() { "" } else { " Shaded: lost." };
@@ -32,7 +32,7 @@ pub fn over_time(frames: &[FrameEstimate], figures: &Figures, page: &mut String)
     figure(
         "Speed (m/s)",
         "How fast the camera moved over the ground.",
-        &[blue(posed(&|e| e.velocity.speed_m_s()))],
+        &[blue(posed(&|at| at.speed_m_s))],
         Range::FromZero,
     );
     figure(
@@ -41,7 +41,7 @@ pub fn over_time(frames: &[FrameEstimate], figures: &Figures, page: &mut String)
         &[blue(continuous_headings(frames))],
         Range::Around(2.0),
     );
-    let heights = posed(&|e| e.pose.height_m);
+    let heights = posed(&|at| at.height_m);
     let known = || heights.iter().copied().flatten();
     if known().fold(f64::NEG_INFINITY, f64::max) - known().fold(f64::INFINITY, f64::min) > 1e-6 {
         figure("Height (m)", "Height of the camera above the ground.", &[blue(heights)], Range::Around(0.01));
@@ -60,34 +60,34 @@ pub fn over_time(frames: &[FrameEstimate], figures: &Figures, page: &mut String)
         "Residual (px)",
         "How far the agreeing corners lie from where the movement puts them.",
         &[blue(
-            frames.iter().map(|f| (f.estimate.is_some() && f.inliers > 0).then_some(f.residual_px)).collect(),
+            frames.iter().map(|f| (f.place.is_some() && f.inliers > 0).then_some(f.residual_px)).collect(),
         )],
         Range::FromZero,
     );
-    let worst_m = frames.iter().filter_map(|f| f.estimate.as_ref()).map(|e| sigmas(e).0).fold(0.0, f64::max);
+    let worst_m = frames.iter().filter_map(|f| f.place.as_ref()).map(|at| sigmas(at).0).fold(0.0, f64::max);
     let (unit, size_m) = if worst_m < 0.1 { ("mm", 0.001) } else { ("m", 1.0) };
     figure(
         &format!("Uncertainty of the position ({unit})"),
         "One standard deviation in the worst direction, by the program's own reckoning.",
-        &[blue(posed(&|e| sigmas(e).0 / size_m))],
+        &[blue(posed(&|at| sigmas(at).0 / size_m))],
         Range::FromZero,
     );
     figure(
         "Uncertainty of the heading (°)",
         "One standard deviation, by the program's own reckoning.",
-        &[blue(posed(&|e| sigmas(e).1.to_degrees()))],
+        &[blue(posed(&|at| sigmas(at).1.to_degrees()))],
         Range::FromZero,
     );
     page.push_str("</div>\n");
 }
 
 /// The heading of every frame with a pose, degrees, without the jumps of whole turns.
-fn continuous_headings(frames: &[FrameEstimate]) -> Vec<Option<f64>> {
+fn continuous_headings(frames: &[FrameSummary]) -> Vec<Option<f64>> {
     let mut before: Option<f64> = None;
     let mut next = |heading_rad: f64| {
         let continued = before.map_or(heading_rad, |last| last + wrap_angle(heading_rad - last));
         before = continued.is_finite().then_some(continued).or(before);
         continued.to_degrees()
     };
-    frames.iter().map(|frame| frame.estimate.as_ref().map(|e| next(e.pose.heading_rad))).collect()
+    frames.iter().map(|frame| frame.place.map(|at| next(at.heading_rad))).collect()
 }

@@ -1,7 +1,6 @@
 //! The figures of a run that stand at the head of its report.
 
-use odograph::geometry::GroundPose;
-use odograph::trajectory::{FrameEstimate, LossReason, PoseEstimate, TrackStatus, distance_m};
+use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus, distance_m};
 
 /// A stretch of frames without a pose.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,27 +25,27 @@ pub struct Figures {
     pub lost: Vec<LostStretch>,
     /// Distance divided by the time that was not lost, metres per second.
     pub mean_speed_m_s: Option<f64>,
-    pub first: Option<GroundPose>,
-    pub last: Option<PoseEstimate>,
+    pub first: Option<PlaceSummary>,
+    pub last: Option<PlaceSummary>,
 }
 
 impl Figures {
-    pub fn new(frames: &[FrameEstimate]) -> Self {
+    pub fn new(frames: &[FrameSummary]) -> Self {
         let ends = frames.first().zip(frames.last());
         let duration_s = ends.map_or(0.0, |(first, last)| (last.time_s - first.time_s).max(0.0));
         let lost = lost_stretches(frames);
         let distance_m = distance_m(frames);
         let known_s = duration_s - lost.iter().map(|stretch| stretch.to_s - stretch.from_s).sum::<f64>();
-        let mut estimates = frames.iter().filter_map(|frame| frame.estimate.as_ref());
+        let mut places = frames.iter().filter_map(|frame| frame.place);
         Self {
             frames: frames.len(),
-            with_pose: estimates.clone().count(),
+            with_pose: places.clone().count(),
             duration_s,
             distance_m,
             lost,
             mean_speed_m_s: (known_s > 0.0).then_some(distance_m / known_s),
-            first: estimates.clone().next().map(|e| e.pose),
-            last: estimates.next_back().cloned(),
+            first: places.clone().next(),
+            last: places.next_back(),
         }
     }
 
@@ -57,13 +56,13 @@ impl Figures {
 
     /// Straight from the first position to the last, metres.
     pub fn start_to_end_m(&self) -> Option<f64> {
-        let (first, last) = (self.first?, self.last.as_ref()?.pose);
+        let (first, last) = (self.first?, self.last?);
         Some((last.x_m - first.x_m).hypot(last.y_m - first.y_m))
     }
 }
 
 /// The runs of frames without a pose.
-pub fn lost_stretches(frames: &[FrameEstimate]) -> Vec<LostStretch> {
+pub fn lost_stretches(frames: &[FrameSummary]) -> Vec<LostStretch> {
     let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
     let mut stretches: Vec<LostStretch> = vec![];
     let mut open = false;
@@ -96,14 +95,14 @@ pub fn lost_stretches(frames: &[FrameEstimate]) -> Vec<LostStretch> {
 
 /// The frames with a pose that the fewest corners speak for, weakest first, spread over the run so that one bad moment
 /// does not fill the list. The first frame of a stretch has nothing to be compared with and does not count.
-pub fn weakest(frames: &[FrameEstimate], count: usize) -> Vec<&FrameEstimate> {
-    let follows = |pair: &[FrameEstimate]| pair[0].estimate.is_some() && pair[1].estimate.is_some();
-    let mut candidates: Vec<&FrameEstimate> =
+pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
+    let follows = |pair: &[FrameSummary]| pair[0].place.is_some() && pair[1].place.is_some();
+    let mut candidates: Vec<&FrameSummary> =
         frames.windows(2).filter(|pair| follows(pair)).map(|pair| &pair[1]).collect();
     candidates.sort_by_key(|frame| (frame.inliers, frame.frame));
     let duration_s = Figures::new(frames).duration_s;
     let apart_s = (duration_s / (3.0 * count as f64)).min(5.0);
-    let mut chosen: Vec<&FrameEstimate> = vec![];
+    let mut chosen: Vec<&FrameSummary> = vec![];
     for frame in candidates {
         if chosen.len() == count {
             break;
@@ -131,9 +130,8 @@ pub fn in_words(reason: LossReason) -> &'static str {
 }
 
 /// Standard deviations of the position in its worst direction, metres, and of the heading, radians.
-pub fn sigmas(estimate: &PoseEstimate) -> (f64, f64) {
-    let c = &estimate.covariance;
-    let (xx, xy, yy) = (c[(0, 0)], c[(0, 1)], c[(1, 1)]);
+pub fn sigmas(place: &PlaceSummary) -> (f64, f64) {
+    let [xx, xy, yy] = place.position_covariance;
     let worst = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);
-    (worst.max(0.0).sqrt(), c[(2, 2)].max(0.0).sqrt())
+    (worst.max(0.0).sqrt(), place.heading_variance.max(0.0).sqrt())
 }

@@ -8,7 +8,7 @@ use odograph::filter::fusion::SensorReport;
 use odograph::mapping::drawing::scale::{duration_text, length_text};
 use odograph::mapping::drawing::svg::{data_uri, escape};
 use odograph::mapping::{MapDrawing, Placement};
-use odograph::trajectory::FrameEstimate;
+use odograph::trajectory::FrameSummary;
 use std::fmt::Write;
 
 /// Rows of the table of lost stretches; a run that is lost more often is told by number.
@@ -21,7 +21,7 @@ pub struct ReportInput<'a> {
     /// What was read, in words: file, size, frame rate; any text.
     pub source: &'a str,
     /// Every frame of the run, in order of time.
-    pub frames: &'a [FrameEstimate],
+    pub frames: &'a [FrameSummary],
     /// The camera as used.
     pub camera: &'a Camera,
     /// How it sat over the ground at the start.
@@ -157,13 +157,12 @@ fn cards(figures: &Figures, page: &mut String) {
         );
     }
     if let (Some(last), Some(away_m)) = (&figures.last, figures.start_to_end_m()) {
-        let pose = &last.pose;
         card(
             "End position",
-            &position_text(pose.x_m, pose.y_m),
+            &position_text(last.x_m, last.y_m),
             &format!(
                 "x forward, y left of the start; the heading there is {}°.",
-                number(pose.heading_rad.to_degrees(), 1)
+                number(last.heading_rad.to_degrees(), 1)
             ),
             page,
         );
@@ -247,7 +246,7 @@ fn beside(reference: Option<&ReportReference>, page: &mut String) {
     );
 }
 
-fn doubts(frames: &[FrameEstimate], figures: &Figures, page: &mut String) {
+fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
     page.push_str("<h2>Where it was unsure</h2>\n");
     if figures.lost.is_empty() {
         page.push_str("<p>It was never lost.</p>\n");

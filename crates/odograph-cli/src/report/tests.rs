@@ -3,9 +3,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use odograph::image::RgbImage;
 use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicOptions};
-use odograph::trajectory::{
-    FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity,
-};
+use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus};
 use std::f64::consts::TAU;
 
 fn camera() -> Camera {
@@ -14,44 +12,36 @@ fn camera() -> Camera {
 }
 
 /// A figure eight with a stretch that is lost, at 30 frames a second.
-fn figure_eight(count: u64) -> Vec<FrameEstimate> {
+fn figure_eight(count: u64) -> Vec<FrameSummary> {
     let lost = count / 2..count / 2 + count / 12;
     (0..count)
         .map(|k| {
             let (s, rate) = (k as f64 / count as f64, TAU / count as f64 * 30.0);
             let a = TAU * s * 0.97;
             let (vx, vy) = (1.6 * a.cos() * rate, 1.8 * (2.0 * a).cos() * rate);
-            let pose = GroundPose {
+            let tracked = !lost.contains(&k);
+            let place = PlaceSummary {
                 x_m: 1.6 * a.sin(),
                 y_m: 0.9 * (2.0 * a).sin(),
                 heading_rad: vy.atan2(vx),
-                ..GroundPose::level(0.5)
+                height_m: 0.5,
+                speed_m_s: vx.hypot(vy),
+                position_covariance: [(0.02 * s).powi(2), 0.0, (0.035 * s).powi(2)],
+                heading_variance: (0.004 * s).powi(2),
             };
-            let tracked = !lost.contains(&k);
-            let mut covariance = nalgebra::Matrix6::zeros();
-            covariance[(0, 0)] = (0.02 * s).powi(2);
-            covariance[(1, 1)] = (0.035 * s).powi(2);
-            covariance[(2, 2)] = (0.004 * s).powi(2);
-            let velocity = Velocity { x_m_s: vx, y_m_s: vy, heading_rad_s: 0.0 };
-            FrameEstimate {
+            FrameSummary {
                 frame: k,
                 time_s: 1000.0 + k as f64 / 30.0,
+                place: tracked.then_some(place),
+                residual_px: if tracked { 0.12 + 0.05 * (9.0 * a).sin() } else { 0.0 },
+                tracks: if tracked { 240 - (40.0 * (3.0 * a).sin()) as u32 } else { 7 },
+                inliers: if tracked { 210 - (60.0 * (3.0 * a).sin().abs()) as u32 } else { 0 },
+                segment: u32::from(k >= lost.end),
                 status: if tracked {
                     TrackStatus::Tracked
                 } else {
                     TrackStatus::Lost { reason: LossReason::Bare }
                 },
-                estimate: tracked.then_some(PoseEstimate {
-                    pose,
-                    velocity,
-                    covariance,
-                    measured: PlaneMeasurement::new(&pose, &covariance),
-                }),
-                tracks: if tracked { 240 - (40.0 * (3.0 * a).sin()) as usize } else { 7 },
-                inliers: if tracked { 210 - (60.0 * (3.0 * a).sin().abs()) as usize } else { 0 },
-                residual_px: if tracked { 0.12 + 0.05 * (9.0 * a).sin() } else { 0.0 },
-                keyframe: k % 12 == 0,
-                segment: usize::from(k >= lost.end),
             }
         })
         .collect()
@@ -69,12 +59,14 @@ fn floor(point: GroundPoint) -> [f64; 3] {
     [165.0 + 60.0 * tile + grain, 150.0 + 50.0 * tile + grain, 128.0 + 40.0 * tile + grain]
 }
 
-fn mosaic_of(frames: &[FrameEstimate], camera: &Camera) -> Mosaic {
+fn mosaic_of(frames: &[FrameSummary], camera: &Camera) -> Mosaic {
     let rays: Vec<Ray> = (0..320 * 240)
         .map(|k| camera.ray_from_pixel(Pixel::new((k % 320) as f64, (k / 320) as f64)).unwrap())
         .collect();
     let mut mosaic = Mosaic::new(MosaicOptions::default());
-    for pose in frames.iter().filter_map(|frame| frame.estimate.as_ref()).map(|estimate| estimate.pose) {
+    for at in frames.iter().filter_map(|frame| frame.place) {
+        let (x_m, y_m, heading_rad) = (at.x_m, at.y_m, at.heading_rad);
+        let pose = GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(at.height_m) };
         if mosaic.wants(camera, &pose) {
             let colour =
                 |ray: &Ray| floor(pose.ground_from_ray(*ray).unwrap()).map(|c| c.clamp(0.0, 255.0) as u8);
@@ -85,7 +77,7 @@ fn mosaic_of(frames: &[FrameEstimate], camera: &Camera) -> Mosaic {
     mosaic
 }
 
-fn report(frames: &[FrameEstimate], title: &str, warnings: &[String]) -> String {
+fn report(frames: &[FrameSummary], title: &str, warnings: &[String]) -> String {
     let map = MapDrawing { title, ..MapDrawing::default() }.svg(frames);
     html(&ReportInput {
         title,
@@ -168,7 +160,7 @@ fn empty_and_wholly_lost_runs_have_a_report() {
     let mut frames = figure_eight(60);
     for frame in &mut frames {
         frame.status = TrackStatus::Lost { reason: LossReason::Jump };
-        frame.estimate = None;
+        frame.place = None;
     }
     for frames in [&[][..], &frames[..1], &frames[..]] {
         let page = report(frames, "drive", &[]);
@@ -185,13 +177,12 @@ fn an_hour_stays_a_small_page() {
 }
 
 /// Paths that are hard to draw well.
-fn odd_paths() -> Vec<(&'static str, Vec<FrameEstimate>)> {
-    let along = |count: u64, pose: &dyn Fn(f64) -> (f64, f64, f64)| -> Vec<FrameEstimate> {
+fn odd_paths() -> Vec<(&'static str, Vec<FrameSummary>)> {
+    let along = |count: u64, pose: &dyn Fn(f64) -> (f64, f64, f64)| -> Vec<FrameSummary> {
         let mut frames = figure_eight(count);
         for (k, frame) in frames.iter_mut().enumerate() {
-            if let Some(estimate) = &mut frame.estimate {
-                let (x_m, y_m, heading_rad) = pose(k as f64 / count as f64);
-                estimate.pose = GroundPose { x_m, y_m, heading_rad, ..estimate.pose };
+            if let Some(place) = &mut frame.place {
+                (place.x_m, place.y_m, place.heading_rad) = pose(k as f64 / count as f64);
             }
         }
         frames
@@ -199,7 +190,7 @@ fn odd_paths() -> Vec<(&'static str, Vec<FrameEstimate>)> {
     let mut lost_at_the_end = along(300, &|s| (300.0 * s, 4000.0 * s, 1.5));
     for frame in &mut lost_at_the_end[250..] {
         frame.status = TrackStatus::Lost { reason: LossReason::Jump };
-        frame.estimate = None;
+        frame.place = None;
     }
     vec![
         ("none", vec![]),

@@ -7,12 +7,13 @@
 
 mod carrier;
 mod constant_acceleration;
+mod coordinate;
 pub mod fusion;
 mod smoother;
 
-pub use carrier::{CARRIER_CUTOFF_HZ, carrier_path};
+pub use carrier::{CARRIER_CUTOFF_HZ, Carrier, carrier_path};
 pub use constant_acceleration::{ConstantAcceleration, Filtered};
-pub use smoother::{PoseSource, SmoothedFrame, smooth};
+pub use smoother::{PoseSource, SmoothedFrame, SmoothedPath, Smoother, Walk, smooth};
 
 use serde::{Deserialize, Serialize};
 

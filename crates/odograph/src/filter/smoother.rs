@@ -1,16 +1,16 @@
 //! A smoother for recordings: every frame's position and heading from what came before *and* after it.
 //!
-//! The estimates are those of H. Rauch, F. Tung and C. Striebel, "Maximum likelihood estimates of linear dynamic systems", 1965, computed
-//! in the form of A. Bryson and M. Frazier (G. Bierman, "Fixed interval smoothing with discrete measurements", 1973), which inverts nothing
-//! but the innovation's variance. The model is that of [`super::ConstantAcceleration`]; how much the acceleration changes is told by the
-//! innovations of a filter that runs forward in time and of one that runs backward, the larger of the two, so that the first frame of a
-//! jerk is not smoothed away. Where frames are missing the same equations bridge the gap.
+//! Each coordinate is smoothed by itself ([`super::coordinate`]). Where frames are missing the same equations bridge the gap.
+//!
+//! A recording is gone through twice, so that its frames need not be in memory: once to gather what was measured ([`Smoother`]), once to tell where each
+//! frame was ([`SmoothedPath`]).
 
 use super::FilterConfig;
-use super::constant_acceleration::{Axis, SMALLEST_VARIANCE, transition, unknown_motion, white_jerk};
+use super::constant_acceleration::SMALLEST_VARIANCE;
+use super::coordinate::{Measured, Smoothed, adapted, smooth_coordinate};
 use crate::geometry::GroundPose;
 use crate::trajectory::StampedPose;
-use crate::trajectory::{FrameEstimate, PoseEstimate, Trajectory, Velocity};
+use crate::trajectory::{FrameEstimate, PoseEstimate, Velocity};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt;
 
@@ -57,194 +57,169 @@ pub struct SmoothedFrame {
 /// The path with what came after each frame taken into account: one entry for each frame from the first measured one to the last,
 /// bridged where a frame could not be measured. Times must not fall.
 pub fn smooth(frames: &[FrameEstimate], config: &FilterConfig) -> Vec<SmoothedFrame> {
-    let measured = |frame: &FrameEstimate| frame.estimate.is_some();
-    let (Some(first), Some(last)) = (frames.iter().position(measured), frames.iter().rposition(measured))
-    else {
-        return Vec::new();
-    };
-    let frames = &frames[first..=last];
-    let densities = [config.jerk_density, config.jerk_density, config.heading_jerk_density];
-    let axes = [0, 1, 2].map(|axis| {
-        let sample = |frame: &FrameEstimate| Sample {
-            time_s: frame.time_s,
-            measured: frame.estimate.as_ref().map(|known| {
-                let plane = &known.measured;
-                let value = [plane.x_m, plane.y_m, plane.heading_rad][axis];
-                (value, plane.covariance[(axis, axis)].max(SMALLEST_VARIANCE))
-            }),
-        };
-        let samples: Vec<Sample> = frames.iter().map(sample).collect();
-        smooth_axis(&samples, &adapted(&samples, densities[axis]))
-    });
-    let ends = Ends::of(frames);
-    (0..frames.len())
-        .map(|i| smoothed_frame(frames, &ends, i, axes.each_ref().map(|axis| &axis[i])))
-        .collect()
-}
-
-impl SmoothedFrame {
-    /// The poses of smoothed frames as a trajectory. Of frames at the same moment the first counts.
-    pub fn trajectory(path: &[Self]) -> Trajectory {
-        let mut poses: Vec<StampedPose> = Vec::with_capacity(path.len());
-        for frame in path {
-            if poses.last().is_none_or(|before| before.time_s < frame.time_s) {
-                let world_from_camera = frame.pose.world_from_camera();
-                poses.push(StampedPose { time_s: frame.time_s, world_from_camera });
-            }
-        }
-        Trajectory { poses }
-    }
-}
-
-/// A coordinate at a moment: its measured value and the variance of that, where there is one.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
-    pub time_s: f64,
-    pub measured: Option<(f64, f64)>,
-}
-
-/// A coordinate, its velocity and acceleration, and the variance of the coordinate.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Smoothed {
-    pub state: Vector3<f64>,
-    pub variance: f64,
-}
-
-/// The density of the jerk in each step (from the sample before to this one) as the innovations have it, in both directions of time.
-fn adapted(samples: &[Sample], least_density: f64) -> Vec<f64> {
-    let mut densities = vec![least_density; samples.len()];
-    let known: Vec<(usize, f64, f64)> =
-        samples.iter().enumerate().filter_map(|(i, s)| s.measured.map(|(z, r)| (i, z, r))).collect();
-    let mut run = |order: &mut dyn Iterator<Item = &(usize, f64, f64)>| {
-        let Some(&(mut before, z, r)) = order.next() else { return };
-        let mut axis = Axis::new(z, r, least_density);
-        for &(i, z, r) in order {
-            let step_s = (samples[i].time_s - samples[before].time_s).abs();
-            let density = axis.update(step_s, z, r);
-            for step in &mut densities[before.min(i) + 1..=before.max(i)] {
-                *step = step.max(density);
-            }
-            before = i;
-        }
-    };
-    run(&mut known.iter());
-    run(&mut known.iter().rev());
-    densities
-}
-
-/// What the filter has at one sample, for the way back.
-struct Step {
-    state: Vector3<f64>,
-    covariance: Matrix3<f64>,
-    transition: Matrix3<f64>,
-    /// Innovation, its variance and the gain, where there was a measurement.
-    update: Option<(f64, f64, Vector3<f64>)>,
-}
-
-/// Every sample from all of them. The first one must be measured. `densities` is that of the jerk in the step before each sample.
-pub(super) fn smooth_axis(samples: &[Sample], densities: &[f64]) -> Vec<Smoothed> {
-    let Some(first) = samples.first() else { return Vec::new() };
-    let (value, variance) = first.measured.unwrap_or((0.0, 1e6));
-    let mut steps = vec![Step {
-        state: Vector3::new(value, 0.0, 0.0),
-        covariance: unknown_motion(variance),
-        transition: Matrix3::identity(),
-        update: None,
-    }];
-    for (pair, &density) in samples.windows(2).zip(&densities[1..]) {
-        let before = &steps[steps.len() - 1];
-        let t = (pair[1].time_s - pair[0].time_s).max(0.0);
-        let transition = transition(t);
-        let state = transition * before.state;
-        let covariance = transition * before.covariance * transition.transpose() + density * white_jerk(t);
-        steps.push(match pair[1].measured {
-            None => Step { state, covariance, transition, update: None },
-            Some((z, r)) => {
-                let (innovation, spread) = (z - state[0], covariance[(0, 0)] + r);
-                let gain = covariance.column(0) / spread;
-                let keep = Matrix3::identity() - gain * Vector3::x().transpose();
-                Step {
-                    state: state + gain * innovation,
-                    covariance: keep * covariance * keep.transpose() + gain * gain.transpose() * r,
-                    transition,
-                    update: Some((innovation, spread, gain)),
-                }
-            }
-        });
-    }
-    let (mut adjoint, mut information) = (Vector3::zeros(), Matrix3::zeros());
-    let mut smoothed: Vec<Smoothed> = steps
-        .iter()
-        .rev()
-        .map(|step| {
-            let covariance = step.covariance - step.covariance * information * step.covariance;
-            let here = Smoothed {
-                state: step.state - step.covariance * adjoint,
-                variance: covariance[(0, 0)]
-                    .clamp(SMALLEST_VARIANCE, step.covariance[(0, 0)].max(SMALLEST_VARIANCE)),
-            };
-            if let Some((innovation, spread, gain)) = step.update {
-                let keep = Matrix3::identity() - gain * Vector3::x().transpose();
-                adjoint = keep.transpose() * adjoint - Vector3::x() * (innovation / spread);
-                information = keep.transpose() * information * keep;
-                information[(0, 0)] += 1.0 / spread;
-            }
-            adjoint = step.transition.transpose() * adjoint;
-            information = step.transition.transpose() * information * step.transition;
-            here
-        })
-        .collect();
-    smoothed.reverse();
+    let mut smoother = Smoother::for_frames(frames.len());
+    frames.iter().for_each(|frame| smoother.push(frame));
+    let path = smoother.smoothed(config);
+    let mut walk = path.walk();
+    let mut smoothed = Vec::with_capacity(frames.len());
+    frames.iter().for_each(|frame| walk.next(frame, &mut |frame| smoothed.push(frame)));
     smoothed
 }
 
-/// For each frame the measured frames at or before and at or after it.
-struct Ends {
-    before: Vec<usize>,
-    after: Vec<usize>,
+/// Gathers what was measured, for [`smooth`] over frames that are not in memory at once.
+#[derive(Debug)]
+pub struct Smoother {
+    /// From the first measured frame on.
+    times_s: Vec<f64>,
+    measured: [Vec<Measured>; 3],
+    /// How many of them there are up to the last measured one.
+    count: usize,
 }
 
-impl Ends {
-    /// The first and the last frame are measured.
-    fn of(frames: &[FrameEstimate]) -> Self {
-        let mut before = vec![0; frames.len()];
-        let mut after = vec![frames.len().saturating_sub(1); frames.len()];
-        for i in 1..frames.len() {
-            before[i] = if frames[i].estimate.is_some() { i } else { before[i - 1] };
+impl Smoother {
+    /// Of a recording of about so many frames.
+    pub fn for_frames(frames: usize) -> Self {
+        Self {
+            times_s: Vec::with_capacity(frames),
+            measured: [(); 3].map(|()| Vec::with_capacity(frames)),
+            count: 0,
         }
-        for i in (0..frames.len().saturating_sub(1)).rev() {
-            after[i] = if frames[i].estimate.is_some() { i } else { after[i + 1] };
+    }
+
+    /// Takes the next frame; its time must not be before that of the frame before.
+    pub fn push(&mut self, frame: &FrameEstimate) {
+        let plane = frame.estimate.as_ref().map(|known| &known.measured);
+        if self.times_s.is_empty() && plane.is_none() {
+            return;
         }
-        Self { before, after }
+        self.times_s.push(frame.time_s);
+        for (axis, measured) in self.measured.iter_mut().enumerate() {
+            measured.push(plane.map(|plane| {
+                let value = [plane.x_m, plane.y_m, plane.heading_rad][axis];
+                (value, plane.covariance[(axis, axis)].max(SMALLEST_VARIANCE))
+            }));
+        }
+        if plane.is_some() {
+            self.count = self.times_s.len();
+        }
+    }
+
+    /// The path of all that was taken.
+    pub fn smoothed(self, config: &FilterConfig) -> SmoothedPath {
+        let times_s = &self.times_s[..self.count];
+        let densities = [config.jerk_density, config.jerk_density, config.heading_jerk_density];
+        let mut density = densities.into_iter();
+        let axes = self.measured.map(|measured| {
+            let measured = &measured[..self.count];
+            let adapted = adapted(times_s, measured, density.next().unwrap_or(config.jerk_density));
+            smooth_coordinate(times_s, measured, |step| adapted[step])
+        });
+        SmoothedPath { axes }
     }
 }
 
-fn smoothed_frame(frames: &[FrameEstimate], ends: &Ends, i: usize, axes: [&Smoothed; 3]) -> SmoothedFrame {
-    let frame = &frames[i];
-    let [x, y, heading] = axes.map(|axis| axis.state);
-    let velocity = Velocity { x_m_s: x[1], y_m_s: y[1], heading_rad_s: heading[1] };
-    let variances = axes.map(|axis| axis.variance);
-    let level = GroundPose { x_m: x[0], y_m: y[0], heading_rad: heading[0], ..GroundPose::level(1.0) };
-    let (height_m, roll_rad, pitch_rad, covariance) = match &frame.estimate {
-        Some(known) => {
-            // What smoothing leaves of the frame's own noise; its correlations stay.
-            let own = known.measured.covariance;
-            let left = Matrix3::from_diagonal(&Vector3::from_fn(|axis, _| {
-                (variances[axis] / own[(axis, axis)].max(SMALLEST_VARIANCE)).min(1.0).sqrt()
-            }));
-            let pose = &known.pose;
-            (pose.height_m, pose.roll_rad, pose.pitch_rad, carried(known) + left * own * left)
+/// The coordinates of a smoothed path; what else its frames have comes from the frames themselves, which are gone through again.
+#[derive(Debug)]
+pub struct SmoothedPath {
+    axes: [Vec<Smoothed>; 3],
+}
+
+impl SmoothedPath {
+    /// A way through the path.
+    pub fn walk(&self) -> Walk<'_> {
+        Walk { path: self, next: 0, before: None, gap: Vec::new() }
+    }
+}
+
+/// On the way through a smoothed path, along the frames that it was made of.
+#[derive(Debug)]
+pub struct Walk<'a> {
+    path: &'a SmoothedPath,
+    /// Counted from the first measured frame.
+    next: usize,
+    /// The last measured frame.
+    before: Option<FrameEstimate>,
+    /// Number and time of those since.
+    gap: Vec<(u64, f64)>,
+}
+
+impl Walk<'_> {
+    /// Takes the next of the frames, and gives the smoothed ones that are known with it: those of a gap come with the frame behind it.
+    pub fn next(&mut self, frame: &FrameEstimate, take: &mut dyn FnMut(SmoothedFrame)) {
+        let Some(known) = &frame.estimate else {
+            if self.before.is_some() && self.next + self.gap.len() < self.path.axes[0].len() {
+                self.gap.push((frame.frame, frame.time_s));
+            }
+            return;
+        };
+        for (number, time_s) in std::mem::take(&mut self.gap) {
+            if let Some(before) = &self.before {
+                take(self.path.bridged(self.next, (number, time_s), before, frame));
+            }
+            self.next += 1;
         }
-        None => bridged(frames, (ends.before[i], ends.after[i]), frame.time_s, &velocity, variances),
-    };
-    SmoothedFrame {
-        frame: frame.frame,
-        time_s: frame.time_s,
-        pose: GroundPose { height_m, roll_rad, pitch_rad, ..level },
-        velocity,
-        covariance,
-        source: if frame.estimate.is_some() { PoseSource::Measured } else { PoseSource::Bridged },
-        segment: frames[ends.before[i]].segment,
+        take(self.path.measured(self.next, frame, known));
+        self.next += 1;
+        self.before = Some(frame.clone());
+    }
+}
+
+impl SmoothedFrame {
+    /// As an entry of a trajectory.
+    pub fn stamped(&self) -> StampedPose {
+        StampedPose { time_s: self.time_s, world_from_camera: self.pose.world_from_camera() }
+    }
+}
+
+impl SmoothedPath {
+    /// Position and heading, velocity and variances of a frame.
+    fn plane(&self, index: usize) -> (GroundPose, Velocity, [f64; 3]) {
+        let axes = self.axes.each_ref().map(|axis| &axis[index]);
+        let [x, y, heading] = axes.map(|axis| axis.state);
+        let velocity = Velocity { x_m_s: x[1], y_m_s: y[1], heading_rad_s: heading[1] };
+        let level = GroundPose { x_m: x[0], y_m: y[0], heading_rad: heading[0], ..GroundPose::level(1.0) };
+        (level, velocity, axes.map(|axis| axis.variance))
+    }
+
+    fn measured(&self, index: usize, frame: &FrameEstimate, known: &PoseEstimate) -> SmoothedFrame {
+        let (level, velocity, variances) = self.plane(index);
+        // What smoothing leaves of the frame's own noise; its correlations stay.
+        let own = known.measured.covariance;
+        let left = Matrix3::from_diagonal(&Vector3::from_fn(|axis, _| {
+            (variances[axis] / own[(axis, axis)].max(SMALLEST_VARIANCE)).min(1.0).sqrt()
+        }));
+        let GroundPose { height_m, roll_rad, pitch_rad, .. } = known.pose;
+        SmoothedFrame {
+            frame: frame.frame,
+            time_s: frame.time_s,
+            pose: GroundPose { height_m, roll_rad, pitch_rad, ..level },
+            velocity,
+            covariance: carried(known) + left * own * left,
+            source: PoseSource::Measured,
+            segment: frame.segment,
+        }
+    }
+
+    /// A frame, of this number and time, between two measured ones.
+    fn bridged(
+        &self,
+        index: usize,
+        (frame, time_s): (u64, f64),
+        before: &FrameEstimate,
+        after: &FrameEstimate,
+    ) -> SmoothedFrame {
+        let (level, velocity, variances) = self.plane(index);
+        let (height_m, roll_rad, pitch_rad, covariance) =
+            bridged((before, after), time_s, &velocity, variances);
+        SmoothedFrame {
+            frame,
+            time_s,
+            pose: GroundPose { height_m, roll_rad, pitch_rad, ..level },
+            velocity,
+            covariance,
+            source: PoseSource::Bridged,
+            segment: before.segment,
+        }
     }
 }
 
@@ -255,16 +230,15 @@ fn carried(known: &PoseEstimate) -> Matrix3<f64> {
 
 /// Height, tilt and covariance between two measured frames.
 fn bridged(
-    frames: &[FrameEstimate],
-    (before, after): (usize, usize),
+    (before, after): (&FrameEstimate, &FrameEstimate),
     time_s: f64,
     velocity: &Velocity,
     variances: [f64; 3],
 ) -> (f64, f64, f64, Matrix3<f64>) {
-    let (Some(a), Some(b)) = (&frames[before].estimate, &frames[after].estimate) else {
+    let (Some(a), Some(b)) = (&before.estimate, &after.estimate) else {
         return (1.0, 0.0, 0.0, Matrix3::from_diagonal(&Vector3::from(variances)));
     };
-    let (since_s, left_s) = (time_s - frames[before].time_s, frames[after].time_s - time_s);
+    let (since_s, left_s) = (time_s - before.time_s, after.time_s - time_s);
     let share = if since_s + left_s > 0.0 { since_s / (since_s + left_s) } else { 0.0 };
     let between = |from: f64, to: f64| from + share * (to - from);
     // Where the stretch behind a gap lies is not measured either: its covariance says so, and comes in with the way through the gap.

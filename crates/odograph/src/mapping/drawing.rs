@@ -12,7 +12,7 @@ mod window;
 
 use crate::geometry::GroundPoint;
 use crate::mapping::Placement;
-use crate::trajectory::{FrameEstimate, distance_m};
+use crate::trajectory::{FrameSummary, distance_m};
 use path::{Path, simplified};
 use std::fmt::Write;
 use svg::{coordinate, escape};
@@ -66,7 +66,7 @@ impl MapDrawing<'_> {
     ///
     /// Any number of frames makes a drawing, none too: polylines are thinned to what the eye can tell apart. Poses that are not
     /// finite count as lost.
-    pub fn svg(&self, frames: &[FrameEstimate]) -> String {
+    pub fn svg(&self, frames: &[FrameSummary]) -> String {
         let path = Path::new(frames);
         let backdrop = self.backdrop.filter(|b| b.is_drawable());
         let page_width = if self.width.is_nan() { 1200.0 } else { self.width.clamp(400.0, 4000.0).round() };
@@ -112,7 +112,7 @@ impl MapDrawing<'_> {
     }
 
     /// Title and figures over the drawing, as many lines as they need; returns where the drawn ground begins.
-    fn heading(&self, frames: &[FrameEstimate], path: &Path<'_>, page_width: f64, body: &mut String) -> f64 {
+    fn heading(&self, frames: &[FrameSummary], path: &Path<'_>, page_width: f64, body: &mut String) -> f64 {
         if self.title.trim().is_empty() {
             return 20.0;
         }
@@ -202,7 +202,7 @@ fn hex((red, green, blue): (u8, u8, u8)) -> String {
 
 /// The measured stretches: a pale casing that lifts them off the ground, then the line in the colours of time.
 fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
-    let at = |place: &path::Place<'_>| window.page(place.pose().x_m, place.pose().y_m);
+    let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let _ = writeln!(body, "<g fill=\"none\" stroke-linejoin=\"round\" stroke-linecap=\"round\">");
     for stretch in &path.stretches {
         let line = simplified(stretch.iter().map(at), 0.25);
@@ -230,7 +230,7 @@ fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
 /// Dashed lines between stretches: nobody knows the way the camera took there. Returns where the measurement broke off and
 /// where it began again.
 fn gaps(path: &Path<'_>, window: &Window, body: &mut String) -> Vec<(f64, f64)> {
-    let at = |place: &path::Place<'_>| window.page(place.pose().x_m, place.pose().y_m);
+    let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let mut breaks = vec![];
     for pair in path.stretches.windows(2) {
         if let (Some(before), Some(after)) = (pair[0].last(), pair[1].first()) {

@@ -33,7 +33,7 @@ impl Candidate {
         camera: &Camera,
         config: &OdometryConfig,
     ) -> Option<Self> {
-        let keyframe = Keyframe::new(pyramid, last.pose, last.covariance, camera, &config.detection);
+        let mut keyframe = Keyframe::new(pyramid, last.pose, last.covariance, camera, &config.detection);
         let made = (frame, last.time_s);
         let enough = keyframe.can_be_followed(2 * config.motion.minimum_inliers);
         enough.then_some(Self { keyframe, last, made, confirmations: 0 })
@@ -69,7 +69,8 @@ impl Candidate {
 
     /// A fast camera leaves the candidate's ground before it is believed: the next frame is measured against this one, where it shows enough.
     pub fn move_on(&mut self, pyramid: Pyramid, frame: u64, camera: &Camera, config: &OdometryConfig) {
-        let next = Keyframe::new(pyramid, self.last.pose, self.last.covariance, camera, &config.detection);
+        let mut next =
+            Keyframe::new(pyramid, self.last.pose, self.last.covariance, camera, &config.detection);
         if next.can_be_followed(2 * config.motion.minimum_inliers) {
             self.keyframe = next;
             self.made = (frame, self.last.time_s);

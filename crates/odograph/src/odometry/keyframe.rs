@@ -2,7 +2,7 @@
 
 use super::texture;
 use crate::camera::Camera;
-use crate::detection::{DetectionConfig, detect};
+use crate::detection::{Detection, DetectionConfig};
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
@@ -28,8 +28,10 @@ pub struct Keyframe {
     pub corners: Vec<KeyCorner>,
     /// How many corners it began with.
     pub corners_at_first: usize,
-    /// Where the corners are, enough to prepare the keyframe again.
+    /// Where the corners are, enough to prepare the keyframe again; [`Keyframe::find`] gives them.
     places: Vec<(usize, usize)>,
+    /// What looks for them, where only a part of the image has been looked at.
+    sought: Option<Box<Detection>>,
     /// Whether the corners are there.
     is_prepared: bool,
     /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
@@ -64,24 +66,36 @@ impl Keyframe {
         keyframe
     }
 
-    /// The same, but the corners are only found: [`Keyframe::prepare`] must have been called before anything is measured against them. The frame
-    /// that becomes a keyframe is the slowest anyway; the next one, which needs them, has the time.
+    /// The same, but its corners are sought in two thirds of the image only: [`Keyframe::prepare`] must have been called before anything is measured
+    /// against them. The frame that becomes a keyframe is among the slowest anyway; the next one, which needs them, does the rest and takes as long.
     pub fn to_be_prepared(
         pyramid: Pyramid,
         pose: GroundPose,
         covariance: Matrix6<f64>,
         detection: &DetectionConfig,
     ) -> Self {
-        let places = detect(pyramid.base(), detection, MARGIN_PX).iter().map(|c| (c.x, c.y)).collect();
-        Self::recorded(KeyframeRecord {
+        let image = pyramid.base();
+        let mut sought = Detection::new((image.width(), image.height()), detection, MARGIN_PX);
+        sought.look(image, 2 * image.height() / 3);
+        let record = KeyframeRecord {
             id: None,
             pyramid,
             pose,
             covariance,
-            places,
+            places: Vec::new(),
             view: None,
             reachable: true,
-        })
+        };
+        Self { sought: Some(Box::new(sought)), ..Self::recorded(record) }
+    }
+
+    /// Where the corners are.
+    fn find(&mut self) -> &[(usize, usize)] {
+        if let Some(sought) = self.sought.take() {
+            let corners = sought.corners(self.pyramid.base());
+            self.places = corners.iter().map(|corner| (corner.x, corner.y)).collect();
+        }
+        &self.places
     }
 
     /// A keyframe as it was remembered, without its corners.
@@ -96,6 +110,7 @@ impl Keyframe {
             pose,
             covariance,
             places,
+            sought: None,
             is_prepared: false,
             view,
             faint,
@@ -108,6 +123,7 @@ impl Keyframe {
         if std::mem::replace(&mut self.is_prepared, true) {
             return;
         }
+        self.find();
         let ground_from_ray = GroundFromRay::new(&self.pose);
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&self.pyramid, place)?;
@@ -136,9 +152,14 @@ impl Keyframe {
     }
 
     /// Whether there is enough to follow: so many corners, or on faint ground texture at all.
-    pub fn can_be_followed(&self, corners: usize) -> bool {
-        let there = if self.is_prepared { self.corners.len() } else { self.places.len() };
-        if self.is_faint() { !texture::is_bare(self.pyramid.base()) } else { there >= corners }
+    pub fn can_be_followed(&mut self, corners: usize) -> bool {
+        if self.is_faint() {
+            return !texture::is_bare(self.pyramid.base());
+        }
+        if self.is_prepared {
+            return self.corners.len() >= corners;
+        }
+        self.sought.as_ref().is_some_and(|sought| sought.will_find(corners)) || self.find().len() >= corners
     }
 
     /// Makes the view for coarse registration, where there is none yet.
@@ -169,7 +190,8 @@ impl Keyframe {
     }
 
     /// What is kept of a keyframe that is no longer in use.
-    pub fn retire(self) -> KeyframeRecord {
+    pub fn retire(mut self) -> KeyframeRecord {
+        self.find();
         let Self { id, pyramid, pose, covariance, places, view, .. } = self;
         KeyframeRecord { id, pyramid, pose, covariance, places, view, reachable: true }
     }

@@ -55,68 +55,121 @@ pub fn map_frames(
     frames: &[FrameEstimate],
     references: &[Option<FrameReference>],
 ) -> Vec<FrameEstimate> {
-    if !mapper.is_straightened() {
-        return frames.to_vec();
+    let mut stretches = Stretches::default();
+    for (frame, reference) in frames.iter().zip(references) {
+        stretches.push(frame, reference.as_ref());
     }
-    let mut straight = frames.to_vec();
-    let mut first = 0;
-    while first < frames.len() {
-        let Some(keyframe) = references.get(first).copied().flatten().map(|reference| reference.keyframe)
-        else {
-            first += 1;
-            continue;
-        };
-        let stretch = stretch(&references[first..], keyframe);
-        lay(mapper, keyframe, &mut straight[first..first + stretch], references[first + stretch - 1]);
-        first += stretch;
-    }
-    straight
+    let mut straightening = stretches.straightening(mapper);
+    frames.iter().map(|frame| straightening.next(frame.clone())).collect()
 }
 
-/// How many frames from the first on were measured against a keyframe, without a loss between them.
-fn stretch(references: &[Option<FrameReference>], keyframe: KeyframeId) -> usize {
-    let mut count = 0;
-    for reference in references {
-        match reference {
-            Some(reference) if reference.keyframe == keyframe => {
-                count += 1;
-                if reference.next.is_some() {
-                    break;
-                }
+/// The stretches of a recording in which frames were measured against one keyframe, without a loss between them: what must be known of its end before a
+/// stretch is laid. For frames that are not in memory at once: they are gone through twice, here and in [`Straightening`].
+#[derive(Debug, Default)]
+pub struct Stretches {
+    /// In order; frames that were measured against nothing are in none.
+    stretches: Vec<Stretch>,
+    /// Whether the next frame may belong to the last of them.
+    open: bool,
+    frames: usize,
+}
+
+#[derive(Debug)]
+struct Stretch {
+    first: usize,
+    count: usize,
+    keyframe: KeyframeId,
+    /// Where the next keyframe takes over: that one, the last frame's pose against it, and as it was measured here.
+    end: Option<(KeyframeId, GroundPose, GroundPose)>,
+}
+
+impl Stretches {
+    /// Takes the next frame, in the odometry frame, and what it was measured against.
+    pub fn push(&mut self, frame: &FrameEstimate, reference: Option<&FrameReference>) {
+        let index = self.frames;
+        self.frames += 1;
+        let Some(&FrameReference { keyframe, next }) = reference else {
+            self.open = false;
+            return;
+        };
+        let end = next.zip(frame.estimate.as_ref()).map(|((id, pose), known)| (id, pose, measured(known)));
+        match self.stretches.last_mut().filter(|stretch| self.open && stretch.keyframe == keyframe) {
+            Some(stretch) => {
+                stretch.count += 1;
+                stretch.end = end;
             }
-            _ => break,
+            None => self.stretches.push(Stretch { first: index, count: 1, keyframe, end }),
         }
+        self.open = next.is_none();
     }
-    count
+
+    /// What lays the same frames where the map has them.
+    pub fn straightening<'a>(&'a self, mapper: &'a Mapper) -> Straightening<'a> {
+        Straightening { mapper, rest: &self.stretches, index: 0, laid: None }
+    }
 }
 
-/// Lays the frames that were measured against one keyframe, up to where the next one takes over.
-fn lay(mapper: &Mapper, keyframe: KeyframeId, frames: &mut [FrameEstimate], last: Option<FrameReference>) {
-    let Some(here) = mapper.of_run(keyframe) else { return };
-    let begin = Correction::of(here);
-    // The last of them is where the next keyframe has it.
-    let next = last.and_then(|last| last.next);
-    let end = frames.last().and_then(|frame| {
-        let (id, in_next) = next?;
-        let known = frame.estimate.as_ref()?;
-        let measured = GroundPose {
-            x_m: known.measured.x_m,
-            y_m: known.measured.y_m,
-            heading_rad: known.measured.heading_rad,
-            ..known.pose
+/// Takes frames to the map, one after the other.
+#[derive(Debug)]
+pub struct Straightening<'a> {
+    mapper: &'a Mapper,
+    /// The stretches that the next frame is in, or is before.
+    rest: &'a [Stretch],
+    index: usize,
+    /// How the first of them is laid; `None` where that was not asked yet.
+    laid: Option<Laid<'a>>,
+}
+
+/// How the frames of a stretch are laid.
+#[derive(Debug, Clone, Copy)]
+struct Laid<'a> {
+    /// The keyframe; `None` where it is not in the map.
+    here: Option<&'a MapKeyframe>,
+    end: Option<Correction>,
+}
+
+impl<'a> Straightening<'a> {
+    /// The next frame, where the map has it.
+    pub fn next(&mut self, mut frame: FrameEstimate) -> FrameEstimate {
+        let index = self.index;
+        self.index += 1;
+        let Some(stretch) =
+            self.rest.first().filter(|stretch| stretch.first <= index && self.mapper.is_straightened())
+        else {
+            return frame;
         };
-        let to = Correction::of(mapper.of_run(id)?).pose(&in_next);
-        let turns =
-            ((to.heading_rad - measured.heading_rad - begin.turn_rad()) / std::f64::consts::TAU).round();
-        let to = GroundPose { heading_rad: to.heading_rad - turns * std::f64::consts::TAU, ..to };
-        Some(Correction { from: measured, to })
-    });
-    let count = frames.len() as f64;
-    for (at, frame) in frames.iter_mut().enumerate() {
-        let Some(known) = &mut frame.estimate else { continue };
-        let share = (at + 1) as f64 / count;
-        corrected(known, &begin, end.as_ref().map(|end| (end, share)), here);
+        let laid = *self.laid.get_or_insert_with(|| Laid::new(self.mapper, stretch));
+        if let (Some(known), Some(here)) = (&mut frame.estimate, laid.here) {
+            // The last of a stretch is where the next keyframe has it.
+            let share = (index - stretch.first + 1) as f64 / stretch.count as f64;
+            corrected(known, &Correction::of(here), laid.end.as_ref().map(|end| (end, share)), here);
+        }
+        if index + 1 == stretch.first + stretch.count {
+            (self.rest, self.laid) = (&self.rest[1..], None);
+        }
+        frame
     }
+}
+
+impl<'a> Laid<'a> {
+    fn new(mapper: &'a Mapper, stretch: &Stretch) -> Self {
+        let here = mapper.of_run(stretch.keyframe);
+        let end = here.zip(stretch.end).and_then(|(here, (next, in_next, measured))| {
+            let begin = Correction::of(here);
+            let to = Correction::of(mapper.of_run(next)?).pose(&in_next);
+            let turns =
+                ((to.heading_rad - measured.heading_rad - begin.turn_rad()) / std::f64::consts::TAU).round();
+            let to = GroundPose { heading_rad: to.heading_rad - turns * std::f64::consts::TAU, ..to };
+            Some(Correction { from: measured, to })
+        });
+        Self { here, end }
+    }
+}
+
+/// A pose as its own pixels have it.
+pub(super) fn measured(known: &PoseEstimate) -> GroundPose {
+    let plane = &known.measured;
+    GroundPose { x_m: plane.x_m, y_m: plane.y_m, heading_rad: plane.heading_rad, ..known.pose }
 }
 
 /// Corrects a frame: between what its own keyframe says and, with a share, the next one.
@@ -140,12 +193,7 @@ fn corrected(
         }
     };
     let pose = blend(&|correction| correction.pose(&known.pose));
-    let plane = GroundPose {
-        x_m: known.measured.x_m,
-        y_m: known.measured.y_m,
-        heading_rad: known.measured.heading_rad,
-        ..known.pose
-    };
+    let plane = measured(known);
     let plane = blend(&|correction| correction.pose(&plane));
     let turn_rad = plane.heading_rad - known.measured.heading_rad;
     let scale = pose.height_m / known.pose.height_m;

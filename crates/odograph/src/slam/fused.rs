@@ -1,11 +1,12 @@
 //! Other sensors in the map: the path that they have set right is what the loops then pull at.
 
 use super::Mapper;
+use super::correction::measured;
 use crate::geometry::GroundPose;
 use crate::mapping::plane_motion::seen_from;
 use crate::mapping::{EdgeKind, KeyframeId};
 use crate::odometry::FrameReference;
-use crate::trajectory::{FrameEstimate, PoseEstimate};
+use crate::trajectory::FrameEstimate;
 use std::collections::BTreeMap;
 
 impl Mapper {
@@ -57,11 +58,6 @@ impl Mapper {
         }
         self.rebuild();
     }
-}
-
-fn measured(known: &PoseEstimate) -> GroundPose {
-    let plane = &known.measured;
-    GroundPose { x_m: plane.x_m, y_m: plane.y_m, heading_rad: plane.heading_rad, ..known.pose }
 }
 
 /// Where a frame was and where it is: what lies to it moves along.

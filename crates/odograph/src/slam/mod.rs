@@ -16,7 +16,7 @@ mod merge;
 mod recognition;
 
 pub use closure::LoopClosure;
-pub use correction::map_frames;
+pub use correction::{Straightening, Stretches, map_frames};
 pub use images::{KeyframeStore, MemoryImages};
 pub use locate::Located;
 pub use mapper::Mapper;

@@ -1,7 +1,6 @@
 //! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with a page in the browser.
 
 mod ground;
-mod kept_frames;
 mod latency;
 mod laying;
 mod mcap;

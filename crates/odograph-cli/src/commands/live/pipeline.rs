@@ -1,7 +1,6 @@
 //! Capture | track | map and show, side by side. Only tracking is waited for; everything else gets what it can carry.
 
 use super::ground::LiveGround;
-use super::kept_frames::KeptFrames;
 use super::latency::Latencies;
 use super::laying;
 use super::mcap::McapLog;
@@ -9,6 +8,7 @@ use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
 use super::straight::{self, Relaying, Straightening};
+use crate::commands::run::kept_frames::KeptFrames;
 use crate::commands::run::mapping::Mapping;
 use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, is_made, number_as_source};
 use crate::commands::run::statistics::LiveStatistics;
@@ -91,11 +91,9 @@ pub fn follow(
     };
     following.times.map = times;
     let live = following.statistics();
-    let (frames, references) = following.frames.into_all()?;
     let tracked = Tracked {
         keyframes: following.odometry.keyframes(),
-        frames,
-        references,
+        frames: following.frames,
         views,
         mapping,
         warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),

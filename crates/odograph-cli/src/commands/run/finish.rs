@@ -2,15 +2,18 @@
 //! again without the recording. Whatever else fails is told in the end, when all the rest is there.
 
 use super::found::FoundLens;
+use super::kept_frames::KeptFrames;
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use super::{OutputArguments, OutputFolder, RunPlan, RunReport, Statistics};
 use super::{map, reference, tilt};
 use odograph::error::{Error, Result};
-use odograph::filter::fusion::{SensorReport, Sensors};
-use odograph::filter::{SmoothedFrame, carrier_path, fusion};
-use odograph::formats::{camera_file, trajectory_file};
+use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
+use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
+use odograph::formats::camera_file;
+use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
 use odograph::mapping::Mosaic;
+use odograph::trajectory::{FrameSummary, StampedPose};
 use std::time::Instant;
 
 /// Improves what was tracked and writes everything into the folder.
@@ -25,12 +28,13 @@ pub fn finish(
 ) -> Result<RunReport> {
     enough(plan, &mut tracked, arguments)?;
     let mut run = Finishing { failure: ended_early(&mut tracked), plan, tracked, folder };
-    run.tell_camera();
-    let at_once = trajectory_file::tum_from_frames(&run.tracked.frames);
-    let Improved { path, sensors, loops } = run.improve(sensors);
-    run.write_paths(at_once, path)?;
-    run.draw(description, &sensors, arguments.threads())?;
-    run.end(&sensors, loops, started)
+    run.tell_camera()?;
+    let mut improved = run.improve(sensors)?;
+    run.write_paths(&mut improved)?;
+    let frames = improved.summaries(&mut run.tracked)?;
+    let Improved { mut laid, sensors, loops, .. } = improved;
+    run.draw(description, laid.as_mut(), &frames, &sensors, arguments.threads())?;
+    run.end(&frames, &sensors, loops, started)
 }
 
 /// The camera file with the lens as it was found, where not as told.
@@ -39,25 +43,42 @@ const FOUND_CAMERA: &str = "camera-found.yaml";
 /// A run that is being finished.
 struct Finishing<'a> {
     plan: &'a RunPlan,
+    /// Its frames are those in the odometry frame.
     tracked: Tracked,
     folder: &'a mut OutputFolder,
     /// What ended the recording early, or the first thing that could not be made.
     failure: Option<Error>,
 }
 
-/// What other sensors, loops and the smoother made of the frames.
+/// What other sensors and loops made of the frames.
 struct Improved {
-    path: Vec<SmoothedFrame>,
+    /// The frames where they are in the end; `None` where that is where odometry has them.
+    laid: Option<KeptFrames>,
+    /// Frames without a pose, where the sensors tell one.
+    reckoned: Reckoned,
     sensors: Vec<SensorReport>,
     loops: LoopStatistics,
 }
 
+impl Improved {
+    /// What is shown of them.
+    fn summaries(&mut self, tracked: &mut Tracked) -> Result<Vec<FrameSummary>> {
+        let frames = self.laid.as_mut().unwrap_or(&mut tracked.frames);
+        let mut summaries = Vec::with_capacity(frames.count());
+        frames.each(|frame, _| {
+            summaries.push(frame.into());
+            Ok(())
+        })?;
+        Ok(summaries)
+    }
+}
+
 /// Fails where there is no movement to be told.
 fn enough(plan: &RunPlan, tracked: &mut Tracked, arguments: &OutputArguments) -> Result<()> {
-    if tracked.frames.len() >= arguments.least_frames || tracked.interrupted {
+    if tracked.frames.count() >= arguments.least_frames || tracked.interrupted {
         return Ok(());
     }
-    let too_few = if tracked.frames.is_empty() { "no frame" } else { "only one frame" };
+    let too_few = if tracked.frames.count() == 0 { "no frame" } else { "only one frame" };
     Err(tracked.failure.take().unwrap_or_else(|| {
         Error::input(format!(
             "{} has {too_few} in the chosen range; a movement needs at least two",
@@ -87,64 +108,110 @@ impl Finishing<'_> {
     }
 
     /// How the camera sits and its lens bends, where not as was told.
-    fn tell_camera(&mut self) {
+    fn tell_camera(&mut self) -> Result<()> {
         let told = match &self.tracked.mount {
             Some(found) => Some(found.sentence()),
-            None => tilt::untold(&self.tracked.frames, &self.plan.rig, self.plan.odometry.motion.model),
+            None => tilt::untold(&mut self.tracked.frames, &self.plan.rig, self.plan.odometry.motion.model)?,
         };
         self.warn(told);
         let bends = self.tracked.lens.as_ref().map(FoundLens::sentence);
         self.warn(bends);
+        Ok(())
     }
 
-    /// What other sensors tell comes first; loops then pull at the path that they have set right; the smoother last.
-    fn improve(&mut self, sensors: &Sensors) -> Improved {
+    /// What other sensors tell comes first; loops then pull at the path that they have set right.
+    fn improve(&mut self, sensors: &Sensors) -> Result<Improved> {
         let tracked = &mut self.tracked;
-        let fused = fusion::fuse(&tracked.frames, sensors);
-        // An hour has hundreds of thousands of frames: they are not kept twice longer than needed.
-        let (raw, references) =
-            (std::mem::take(&mut tracked.frames), std::mem::take(&mut tracked.references));
-        let straight = tracked.mapping.straighten(raw, &fused, references);
-        let loops = tracked.mapping.statistics(&fused.frames, &straight);
+        let (mut fused, mut reckoned, mut reports) = (None, Reckoned::default(), Vec::new());
+        if *sensors != Sensors::default() {
+            // Sensors are compared with all of the recording at once: only then it is all in memory.
+            let (raw, mut references) = tracked.frames.all()?;
+            let fusion = fusion::fuse(&raw, sensors);
+            if fusion.moved {
+                tracked.mapping.take_over(&raw, &fusion.frames, &mut references);
+                let mut kept = KeptFrames::new(self.folder.path());
+                fusion.frames.into_iter().zip(references).for_each(|(f, reference)| kept.push(f, reference));
+                fused = Some(kept);
+            }
+            (reckoned, reports) = (fusion.reckoned, fusion.reports);
+        }
+        let frames = fused.as_mut().unwrap_or(&mut tracked.frames);
+        let straight = tracked.mapping.straighten(frames, !reckoned.is_empty(), self.folder.path())?;
+        let reckoned = reckoned.laid(&straight.moves);
+        let loops = tracked.mapping.statistics(&straight);
         tracked.warnings.extend(tracked.mapping.warning());
-        let fused = fused.laid(straight);
-        let path = fused.smooth(&self.plan.odometry.filter);
-        tracked.warnings.extend(self.plan.sensors.warnings(&fused.reports));
-        tracked.frames = fused.frames;
-        Improved { path, sensors: fused.reports, loops }
+        tracked.warnings.extend(self.plan.sensors.warnings(&reports));
+        Ok(Improved { laid: straight.frames.or(fused), reckoned, sensors: reports, loops })
     }
 
-    /// The trajectories, the map's keyframes, and the paths that are made of the frames; of an hour they are a hundred megabytes, which the pictures
-    /// then have.
-    fn write_paths(&mut self, at_once: String, path: Vec<SmoothedFrame>) -> Result<()> {
-        self.folder.write_trajectories(&self.tracked.frames, &self.plan.text()?)?;
+    /// The trajectories, the map's keyframes, and the paths that are made of the frames.
+    fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
+        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        self.folder.write_trajectories(frames, &self.plan.text()?)?;
         match self.tracked.lens {
             Some(_) => self.folder.write(FOUND_CAMERA, camera_file::write(&self.plan.camera).as_bytes())?,
             None => self.folder.remove(FOUND_CAMERA)?,
         }
-        self.folder.write("odometry.tum", at_once.as_bytes())?;
-        drop(at_once);
+        self.folder.write_tum("odometry.tum", |put| {
+            self.tracked
+                .frames
+                .each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
+        })?;
         // Only now the map, which may not fit on its disk any more: the trajectories are there all the same, and so is all that follows.
-        if let Err(error) = self.tracked.mapping.save(&self.tracked.frames) {
+        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        if let Err(error) = self.tracked.mapping.save(frames) {
             self.fail("the map is not where the trajectories are", error);
         }
-        self.folder.write("trajectory-smoothed.csv", trajectory_file::csv_from_smoothed(&path).as_bytes())?;
-        let smoothed = SmoothedFrame::trajectory(&path);
-        self.folder.write("trajectory-smoothed.tum", trajectory_file::write_tum(&smoothed).as_bytes())?;
-        let carrier = carrier_path(&path, &self.plan.rig);
-        self.folder.write("carrier.tum", trajectory_file::write_tum(&carrier).as_bytes())
+        self.write_smoothed(improved)
+    }
+
+    /// The smoothed path and that of the carrier: made in one piece, of the few numbers that they need, and written frame by frame.
+    fn write_smoothed(&mut self, improved: &mut Improved) -> Result<()> {
+        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let mut smoother = Smoother::for_frames(frames.count());
+        frames.each(|frame, _| {
+            smoother.push(frame);
+            Ok(())
+        })?;
+        let path = smoother.smoothed(&self.plan.odometry.filter);
+        let mut smoothed = Smoothed { frames, path: &path, reckoned: &improved.reckoned };
+        self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
+            smoothed.each(|frame| put(&smoothed_line(frame)))
+        })?;
+        let mut carrier = Carrier::for_frames(smoothed.frames.count());
+        self.folder.write_tum("trajectory-smoothed.tum", |put| {
+            let mut before_s = f64::NEG_INFINITY;
+            smoothed.each(|frame| {
+                carrier.push(frame);
+                // Of frames at the same moment the first counts.
+                let later = frame.time_s > before_s;
+                before_s = before_s.max(frame.time_s);
+                if later { put(&frame.stamped()) } else { Ok(()) }
+            })
+        })?;
+        drop(path);
+        let mut carrier = carrier.path(&self.plan.rig);
+        self.folder.write_tum("carrier.tum", |put| carrier.try_for_each(|pose| put(&pose)))
     }
 
     /// The mosaic, the map and the page.
-    fn draw(&mut self, description: &str, sensors: &[SensorReport], threads: usize) -> Result<()> {
+    fn draw(
+        &mut self,
+        description: &str,
+        laid: Option<&mut KeptFrames>,
+        frames: &[FrameSummary],
+        sensors: &[SensorReport],
+        threads: usize,
+    ) -> Result<()> {
         let tracked = &mut self.tracked;
-        let laid = tracked.views.lay(&self.plan.camera, &tracked.frames, &mut tracked.mapping, threads);
+        let laid = laid.unwrap_or(&mut tracked.frames);
+        let laid = tracked.views.lay(&self.plan.camera, laid, &mut tracked.mapping, threads);
         let mosaic = laid.unwrap_or_else(|error| {
             self.fail("there is no picture of the ground", error);
             Mosaic::new(Default::default())
         });
         let compared = match (&self.plan.reference, reference::read(self.plan)?) {
-            (Some(path), Some(read)) => reference::compared(path, &read, &self.tracked.frames)
+            (Some(path), Some(read)) => reference::compared(path, &read, self.folder.path())
                 .map_err(|error| self.warn([format!("the path cannot be compared: {error}")]))
                 .ok(),
             _ => None,
@@ -153,7 +220,7 @@ impl Finishing<'_> {
         let tracked = &mut self.tracked;
         let shown = map::Shown {
             description,
-            frames: &tracked.frames,
+            frames,
             loops: &loops,
             mosaic: &mosaic,
             sensors,
@@ -172,9 +239,16 @@ impl Finishing<'_> {
     }
 
     /// Closes the map and writes the statistics, last of all.
-    fn end(mut self, sensors: &[SensorReport], loops: LoopStatistics, started: Instant) -> Result<RunReport> {
+    fn end(
+        mut self,
+        frames: &[FrameSummary],
+        sensors: &[SensorReport],
+        loops: LoopStatistics,
+        started: Instant,
+    ) -> Result<RunReport> {
         let closed = self.tracked.mapping.close();
-        let statistics = Statistics::new(&self.tracked, self.plan.budget, sensors, loops, started.elapsed());
+        let statistics =
+            Statistics::new(&self.tracked, frames, self.plan.budget, sensors, loops, started.elapsed());
         self.folder.finish(&statistics)?;
         match self.failure.or(closed.err()) {
             Some(error) => Err(error),
@@ -185,5 +259,33 @@ impl Finishing<'_> {
                 folder: self.folder.path().to_owned(),
             }),
         }
+    }
+}
+
+/// A smoothed path with what the sensors tell of its gaps, along the frames that it was made of.
+struct Smoothed<'a> {
+    frames: &'a mut KeptFrames,
+    path: &'a SmoothedPath,
+    reckoned: &'a Reckoned,
+}
+
+impl Smoothed<'_> {
+    /// Goes through the path. Fails where the frames cannot be read back, and with what `take` fails with.
+    fn each(&mut self, mut take: impl FnMut(&SmoothedFrame) -> Result<()>) -> Result<()> {
+        let (mut walk, mut merge) = (self.path.walk(), self.reckoned.merge());
+        let mut taken = Ok(());
+        let mut take = |frame: SmoothedFrame, taken: &mut Result<()>| {
+            if taken.is_ok() {
+                *taken = take(&frame);
+            }
+        };
+        self.frames.each(|frame, _| {
+            walk.next(frame, &mut |smoothed| {
+                merge.next(smoothed, &mut |smoothed| take(smoothed, &mut taken));
+            });
+            std::mem::replace(&mut taken, Ok(()))
+        })?;
+        merge.end(&mut |smoothed| take(smoothed, &mut taken));
+        taken
     }
 }

@@ -1,10 +1,11 @@
 //! The output folder: nothing in it is overwritten unasked, nothing in it is half written, and what was computed is in it when the program dies.
 
 use super::Statistics;
+use super::kept_frames::KeptFrames;
 use crate::files;
 use odograph::error::{Error, Result};
-use odograph::formats::trajectory_file;
-use odograph::trajectory::FrameEstimate;
+use odograph::formats::trajectory_file::{self, FRAMES_HEADER, TUM_HEADER, frame_line, tum_line};
+use odograph::trajectory::{FrameEstimate, StampedPose};
 use odograph_map::MapFile;
 use std::fs::{self, File};
 use std::io::{Seek, Write};
@@ -154,19 +155,39 @@ impl OutputFolder {
         files::write(&self.path.join(name), bytes)
     }
 
+    /// Writes a file that begins with `header` line by line, as `fill` puts them.
+    pub fn write_lines(
+        &mut self,
+        name: &str,
+        header: &str,
+        fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
+    ) -> Result<()> {
+        write_lines(&self.path.join(name), header, fill)
+    }
+
+    /// Writes a trajectory as TUM text pose by pose, as `fill` puts them.
+    pub fn write_tum(
+        &mut self,
+        name: &str,
+        fill: impl FnOnce(&mut dyn FnMut(&StampedPose) -> Result<()>) -> Result<()>,
+    ) -> Result<()> {
+        self.write_lines(name, TUM_HEADER, |put| fill(&mut |pose| put(&tum_line(pose))))
+    }
+
     /// Writes the trajectories and the parameters: what cannot be had again without the recording comes before any picture. Takes
     /// away what was only there in case of a crash.
-    pub fn write_trajectories(&mut self, frames: &[FrameEstimate], run_toml: &str) -> Result<()> {
-        let csv = trajectory_file::csv_from_frames(frames);
+    pub fn write_trajectories(&mut self, frames: &mut KeptFrames, run_toml: &str) -> Result<()> {
         // Written under a third name: where the disk is full what was recorded as it came must stay, with its last second as far as it goes.
         let _ = self.flush();
         let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
-        files::write(&whole, csv.as_bytes())?;
+        write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(frame))))?;
         fs::rename(&whole, &path)
             .map_err(|error| Error::output(format!("{} cannot be written: {error}", path.display())))?;
         let _ = fs::remove_file(files::beside(&path));
         self.started = true;
-        self.write("trajectory.tum", trajectory_file::tum_from_frames(frames).as_bytes())?;
+        self.write_tum("trajectory.tum", |put| {
+            frames.each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
+        })?;
         self.write("run.toml", run_toml.as_bytes())
     }
 
@@ -174,4 +195,20 @@ impl OutputFolder {
     pub fn finish(&mut self, statistics: &Statistics) -> Result<()> {
         self.write("stats.json", (statistics.json()? + "\n").as_bytes())
     }
+}
+
+fn write_lines(
+    path: &Path,
+    header: &str,
+    fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
+) -> Result<()> {
+    files::write_with(path, |output| {
+        let mut put = |line: &str| {
+            output
+                .write_all(line.as_bytes())
+                .map_err(|error| Error::output(format!("{} cannot be written: {error}", path.display())))
+        };
+        put(header)?;
+        fill(&mut put)
+    })
 }

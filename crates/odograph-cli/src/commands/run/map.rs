@@ -9,7 +9,7 @@ use odograph::error::Result;
 use odograph::filter::fusion::SensorReport;
 use odograph::geometry::GroundPoint;
 use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicPicture, Placement};
-use odograph::trajectory::FrameEstimate;
+use odograph::trajectory::FrameSummary;
 use std::panic::resume_unwind;
 use std::thread;
 
@@ -17,7 +17,7 @@ use std::thread;
 pub struct Shown<'a> {
     /// What the recording is, in words.
     pub description: &'a str,
-    pub frames: &'a [FrameEstimate],
+    pub frames: &'a [FrameSummary],
     /// Where the camera was when it recognised a place, and where it had been.
     pub loops: &'a [[GroundPoint; 2]],
     pub mosaic: &'a Mosaic,

@@ -1,16 +1,16 @@
 //! The map of a run: grows in its file while the run goes on, and pulls the path straight at the end.
 
+use super::kept_frames::KeptFrames;
 use super::statistics::StageTime;
 use super::timings::Timings;
 use super::{OutputArguments, RunPlan};
 use crate::interrupt;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::filter::fusion::Fusion;
-use odograph::geometry::GroundPoint;
+use odograph::geometry::{GroundPoint, GroundPose};
 use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe, Mosaic};
 use odograph::odometry::{FrameReference, KeyframeEvent};
-use odograph::slam::{KeyframeStore, Mapper, MemoryImages, map_frames};
+use odograph::slam::{KeyframeStore, Mapper, MemoryImages, Stretches};
 use odograph::trajectory::FrameEstimate;
 use odograph_map::{MapFile, PathFrame};
 use odograph_video::Frame;
@@ -124,24 +124,43 @@ impl Mapping {
         &self.times
     }
 
-    /// The frames in the map frame, from those in the odometry frame before and after other sensors; the former, and what they were measured against, are
-    /// of no use any more. Nothing is written.
-    pub fn straighten(
+    /// Takes over what other sensors made of the path: the frames before and after, and what they were measured against, which is brought along.
+    pub fn take_over(
         &mut self,
-        raw: Vec<FrameEstimate>,
-        fused: &Fusion,
-        mut references: Vec<Option<FrameReference>>,
-    ) -> Vec<FrameEstimate> {
-        if fused.moved {
-            self.mapper.take_over(&raw, &fused.frames, &mut references);
-        }
-        drop(raw);
+        raw: &[FrameEstimate],
+        fused: &[FrameEstimate],
+        references: &mut [Option<FrameReference>],
+    ) {
+        self.mapper.take_over(raw, fused, references);
+    }
+
+    /// Ends the map, and lays the frames where it has them; with how each moves where `moves` are asked for. Of the output nothing is written. Fails where
+    /// the frames cannot be read back.
+    pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
         self.mapper.finish();
-        map_frames(&self.mapper, &fused.frames, &references)
+        let kept = self.mapper.is_straightened().then(|| KeptFrames::new(folder));
+        let mut straight = Straight { frames: kept, ..Straight::default() };
+        let mut stretches = Stretches::default();
+        if straight.frames.is_some() {
+            frames.each(|frame, reference| {
+                stretches.push(frame, reference);
+                Ok(())
+            })?;
+        }
+        let mut straightening = stretches.straightening(&self.mapper);
+        frames.each(|before, _| {
+            let after = straightening.next(before.clone());
+            straight.count(before, &after, moves);
+            if let Some(kept) = &mut straight.frames {
+                kept.push(after, None);
+            }
+            Ok(())
+        })?;
+        Ok(straight)
     }
 
     /// Puts into the file where the keyframes lie in the end, and the path of the run.
-    pub fn save(&mut self, frames: &[FrameEstimate]) -> Result<()> {
+    pub fn save(&mut self, frames: &mut KeptFrames) -> Result<()> {
         self.file.set_poses(&self.mapper.map().keyframes)?;
         self.write_path(frames)
     }
@@ -157,14 +176,7 @@ impl Mapping {
     }
 
     /// What the loops did to the frames.
-    pub fn statistics(&self, before: &[FrameEstimate], after: &[FrameEstimate]) -> LoopStatistics {
-        let place = |frame: &FrameEstimate| frame.estimate.as_ref().map(|known| known.pose);
-        let moved = |(a, b): (&FrameEstimate, &FrameEstimate)| {
-            let (a, b) = (place(a)?, place(b)?);
-            Some((a.x_m - b.x_m).hypot(a.y_m - b.y_m))
-        };
-        let moves: Vec<f64> = before.iter().zip(after).filter_map(moved).collect();
-        let squares: f64 = moves.iter().map(|moved| moved * moved).sum();
+    pub fn statistics(&self, straight: &Straight) -> LoopStatistics {
         let closed = self.mapper.closures().len();
         let session = self.mapper.session();
         let map = self.mapper.map();
@@ -174,8 +186,8 @@ impl Mapping {
         LoopStatistics {
             closed: closed as u64,
             revisited: loops.saturating_sub(closed) as u64,
-            correction_rms_m: (squares / moves.len().max(1) as f64).sqrt(),
-            correction_most_m: moves.iter().copied().fold(0.0, f64::max),
+            correction_rms_m: (straight.squares_m2 / straight.posed.max(1) as f64).sqrt(),
+            correction_most_m: straight.most_m,
             turn_per_m: [ahead, left],
             keyframe: StageTime::of(&self.times),
         }
@@ -205,15 +217,20 @@ impl Mapping {
         closures.filter_map(|closure| Some([place(closure.edge.from)?, place(closure.edge.to)?])).collect()
     }
 
-    fn write_path(&mut self, frames: &[FrameEstimate]) -> Result<()> {
+    fn write_path(&mut self, frames: &mut KeptFrames) -> Result<()> {
         let writable = self.file.kept.is_none();
         let Some(file) = self.file.file.as_mut().filter(|_| writable) else { return Ok(()) };
-        let posed = |frame: &FrameEstimate| {
-            let pose = frame.estimate.as_ref()?.pose;
-            Some(PathFrame { frame: frame.frame, segment: frame.segment, time_s: frame.time_s, pose })
-        };
-        let frames: Vec<PathFrame> = frames.iter().filter_map(posed).collect();
-        file.set_path(self.file.session, &frames)
+        file.set_path_from(self.file.session, |put| {
+            frames.each(|frame, _| match &frame.estimate {
+                Some(known) => put(&PathFrame {
+                    frame: frame.frame,
+                    segment: frame.segment,
+                    time_s: frame.time_s,
+                    pose: known.pose,
+                }),
+                None => Ok(()),
+            })
+        })
     }
 
     /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the camera sees it. Where all ground is this run's, that is
@@ -261,6 +278,32 @@ impl Mapping {
         match self.file.file.take() {
             Some(file) => file.close(),
             None => MapFile::remove(&self.file.path),
+        }
+    }
+}
+
+/// Frames as the map has them.
+#[derive(Default)]
+pub struct Straight {
+    /// `None` where they are what they were.
+    pub frames: Option<KeptFrames>,
+    /// The times of the frames with a pose, each with that pose before and after, where that was asked for.
+    pub moves: Vec<(f64, GroundPose, GroundPose)>,
+    /// How far the poses moved: squares and the most, metres.
+    squares_m2: f64,
+    most_m: f64,
+    posed: usize,
+}
+
+impl Straight {
+    fn count(&mut self, before: &FrameEstimate, after: &FrameEstimate, moves: bool) {
+        let (Some(a), Some(b)) = (&before.estimate, &after.estimate) else { return };
+        let moved_m = (a.pose.x_m - b.pose.x_m).hypot(a.pose.y_m - b.pose.y_m);
+        self.squares_m2 += moved_m * moved_m;
+        self.most_m = self.most_m.max(moved_m);
+        self.posed += 1;
+        if moves {
+            self.moves.push((before.time_s, a.pose, b.pose));
         }
     }
 }

@@ -3,6 +3,7 @@
 mod budget;
 mod camera_watch;
 mod finish;
+pub(super) mod kept_frames;
 pub(super) mod folder;
 mod found;
 mod many;

@@ -2,6 +2,7 @@
 
 use super::folder::OutputFolder;
 use super::found::{FoundLens, FoundMount};
+use super::kept_frames::KeptFrames;
 use super::mapping::Mapping;
 use super::statistics::LiveStatistics;
 use super::timings::Timings;
@@ -13,7 +14,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::mounting::{Found, Untold};
-use odograph::odometry::{FrameReference, KeyframeEvent, Odometry};
+use odograph::odometry::{KeyframeEvent, Odometry};
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
 use std::sync::mpsc;
@@ -22,9 +23,8 @@ use std::time::Instant;
 
 /// What came out of the pipeline.
 pub struct Tracked {
-    pub frames: Vec<FrameEstimate>,
-    /// For each frame, what it was measured against.
-    pub references: Vec<Option<FrameReference>>,
+    /// With what each was measured against.
+    pub frames: KeptFrames,
     /// Of which frames the mosaic is laid.
     pub views: Views,
     pub mapping: Mapping,
@@ -86,8 +86,7 @@ pub fn track(
     let views = Views::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,
-        frames: Vec::new(),
-        references: Vec::new(),
+        frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
         untold,
         found: None,
@@ -111,7 +110,6 @@ pub fn track(
     Ok(Ended::Tracked(Box::new(Tracked {
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
-        references: tracking.references,
         views,
         mapping,
         warnings: decoding.source.take_warnings(),
@@ -211,8 +209,7 @@ impl Decoding {
 /// Stage two: poses.
 struct Tracking<'a> {
     odometry: Odometry,
-    frames: Vec<FrameEstimate>,
-    references: Vec<Option<FrameReference>>,
+    frames: KeptFrames,
     times: Timings,
     untold: Option<Untold>,
     /// What that has found: the run ends there.
@@ -246,10 +243,8 @@ impl Tracking<'_> {
         self.progress.inc(1);
         let pose = estimate.estimate.as_ref().map(|known| known.pose);
         let segment = estimate.segment;
-        self.frames.push(estimate);
-        self.references.push(self.odometry.reference());
-        let in_source = |index: u64| self.frames.get(index as usize).map(|made| made.frame);
-        number_as_source(&mut events, in_source);
+        self.frames.push(estimate, self.odometry.reference());
+        number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
         Ok(Some(Followed { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events }))
     }

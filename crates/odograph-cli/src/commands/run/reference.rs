@@ -5,8 +5,7 @@ use crate::commands::evaluate::{plot, trajectory_in};
 use crate::report::ReportReference;
 use odograph::error::Result;
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
-use odograph::formats::trajectory_file::{self, Trajectory};
-use odograph::trajectory::FrameEstimate;
+use odograph::formats::trajectory_file::Trajectory;
 use std::path::Path;
 
 /// The path that the plan names, where it names one. Fails where it cannot be read.
@@ -14,9 +13,9 @@ pub fn read(plan: &RunPlan) -> Result<Option<Trajectory>> {
     plan.reference.as_deref().map(trajectory_in).transpose()
 }
 
-/// The two paths laid onto each other by a turn, a shift and a scale. Fails where they have no times in common.
-pub fn compared(path: &Path, reference: &Trajectory, frames: &[FrameEstimate]) -> Result<ReportReference> {
-    let estimate = trajectory_file::parse_tum(&trajectory_file::tum_from_frames(frames))?;
+/// The path of the run in `folder` and that one, laid onto each other by a turn, a shift and a scale. Fails where they have no times in common.
+pub fn compared(path: &Path, reference: &Trajectory, folder: &Path) -> Result<ReportReference> {
+    let estimate = trajectory_in(&folder.join("trajectory.tum"))?;
     let options = EvaluationOptions {
         max_time_difference_s: TOLERANCE_S,
         alignment: Alignment::Sim3,

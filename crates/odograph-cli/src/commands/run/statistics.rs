@@ -7,7 +7,7 @@ use super::pipeline::Tracked;
 use super::timings::Timings;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{SensorKind, SensorParameter, SensorReport};
-use odograph::trajectory::{TrackStatus, distance_m};
+use odograph::trajectory::{FrameSummary, TrackStatus, distance_m};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -152,16 +152,16 @@ impl StageTime {
 }
 
 impl Statistics {
-    /// The figures of what was tracked in `elapsed`, beside the sensors.
+    /// The figures of what was tracked in `elapsed`, with the frames where they are in the end, beside the sensors.
     pub fn new(
         tracked: &Tracked,
+        frames: &[FrameSummary],
         budget: Option<Budget>,
         sensors: &[SensorReport],
         loops: LoopStatistics,
         elapsed: Duration,
     ) -> Self {
-        let frames = &tracked.frames;
-        let posed = |i: usize| frames[i].estimate.is_some();
+        let posed = |i: usize| frames[i].place.is_some();
         let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
         let duration_s = match (frames.first(), frames.last()) {
             (Some(first), Some(last)) => last.time_s - first.time_s,

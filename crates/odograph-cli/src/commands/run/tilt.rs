@@ -1,8 +1,9 @@
 //! A tilt of the camera that nobody told.
 
+use super::kept_frames::KeptFrames;
 use odograph::camera::Rig;
+use odograph::error::Result;
 use odograph::motion::MotionModel;
-use odograph::trajectory::FrameEstimate;
 
 /// Fewer posed frames than this, in the second half of a recording, tell nothing.
 const LEAST_FRAMES: usize = 60;
@@ -12,16 +13,27 @@ const WORTH_TELLING_RAD: f64 = 0.0035;
 const STEADY: f64 = 1.0 / 3.0;
 
 /// A sentence where the camera sat otherwise than was told, all through the second half of a recording. While that is learned, in the first metres, it bends and
-/// stretches the path, and nothing that comes later makes that good.
-pub fn untold(frames: &[FrameEstimate], rig: &Rig, model: MotionModel) -> Option<String> {
+/// stretches the path, and nothing that comes later makes that good. Fails where the frames cannot be read back.
+pub fn untold(frames: &mut KeptFrames, rig: &Rig, model: MotionModel) -> Result<Option<String>> {
     if model != MotionModel::Auto {
-        return None; // either held, or the recording's own affair
+        return Ok(None); // either held, or the recording's own affair
     }
     let told = rig.first_pose();
-    let poses = frames.iter().filter_map(|frame| frame.estimate.as_ref()).map(|known| known.pose);
-    let tilts: Vec<[f64; 2]> =
-        poses.map(|pose| [pose.roll_rad - told.roll_rad, pose.pitch_rad - told.pitch_rad]).collect();
-    let later = &tilts[tilts.len() / 2..];
+    let mut earlier = frames.posed() / 2;
+    let mut later = Vec::with_capacity(frames.posed() - earlier);
+    frames.each(|frame, _| {
+        let Some(known) = &frame.estimate else { return Ok(()) };
+        match earlier.checked_sub(1) {
+            Some(left) => earlier = left,
+            None => later.push([known.pose.roll_rad - told.roll_rad, known.pose.pitch_rad - told.pitch_rad]),
+        }
+        Ok(())
+    })?;
+    Ok(steady(&later))
+}
+
+/// A sentence where these tilts against what was told are those of a mount.
+fn steady(later: &[[f64; 2]]) -> Option<String> {
     if later.len() < LEAST_FRAMES {
         return None;
     }
@@ -42,9 +54,11 @@ pub fn untold(frames: &[FrameEstimate], rig: &Rig, model: MotionModel) -> Option
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
     use super::*;
     use odograph::geometry::GroundPose;
-    use odograph::trajectory::{PlaneMeasurement, PoseEstimate, TrackStatus};
+    use odograph::trajectory::{FrameEstimate, PlaneMeasurement, PoseEstimate, TrackStatus};
 
     fn frames(roll_rad: impl Fn(f64) -> f64) -> Vec<FrameEstimate> {
         let frame = |number: u64| {
@@ -66,8 +80,14 @@ mod tests {
         (0..300).map(frame).collect()
     }
 
+    fn told_as(frames: &[FrameEstimate], model: MotionModel) -> Option<String> {
+        let mut kept = KeptFrames::new(&std::env::temp_dir());
+        frames.iter().for_each(|frame| kept.push(frame.clone(), None));
+        untold(&mut kept, &Rig::level(1.0), model).unwrap()
+    }
+
     fn told(frames: &[FrameEstimate]) -> Option<String> {
-        untold(frames, &Rig::level(1.0), MotionModel::Auto)
+        told_as(frames, MotionModel::Auto)
     }
 
     #[test]
@@ -77,6 +97,6 @@ mod tests {
         assert_eq!(told(&frames(|k| 0.01 + 0.02 * (0.05 * k).sin())), None);
         assert_eq!(told(&frames(|k| 1e-3 * (0.05 * k).sin())), None);
         assert_eq!(told(&learned[..100]), None);
-        assert_eq!(untold(&learned, &Rig::level(1.0), MotionModel::Free), None);
+        assert_eq!(told_as(&learned, MotionModel::Free), None);
     }
 }

@@ -3,12 +3,12 @@
 //! The keyframes show nearly all of the ground and are in the map anyway; besides them a few frames are kept that show what no keyframe does.
 //! So a frame costs a look at what is covered, and the mosaic is laid once, at the end, where loops and other sensors say that the frames are.
 
+use super::kept_frames::KeptFrames;
 use super::mapping::Mapping;
 use odograph::camera::Camera;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use odograph::mapping::{Coverage, KeyframeImage, Mosaic};
-use odograph::trajectory::FrameEstimate;
 use odograph_map::FrameImages;
 use odograph_video::Frame;
 use std::panic::resume_unwind;
@@ -79,7 +79,7 @@ impl Views {
     pub fn lay(
         &mut self,
         camera: &Camera,
-        frames: &[FrameEstimate],
+        frames: &mut KeptFrames,
         mapping: &mut Mapping,
         threads: usize,
     ) -> Result<Mosaic> {
@@ -87,12 +87,16 @@ impl Views {
         let mut views: Vec<_> = mapping.own_keyframes().map(|(id, frame)| (frame, Some(id))).collect();
         views.extend(self.images.frames().map(|frame| (frame, None)));
         views.sort_unstable_by_key(|(frame, _)| *frame);
-        let posed = views.into_iter().filter_map(|(number, keyframe)| {
-            let at = frames.binary_search_by_key(&number, |estimate| estimate.frame).ok()?;
-            Some((number, keyframe, frames[at].estimate.as_ref()?.pose))
-        });
+        let (mut posed, mut wanted) = (Vec::with_capacity(views.len()), views.into_iter().peekable());
+        frames.each(|frame, _| {
+            while let Some((number, keyframe)) = wanted.next_if(|(number, _)| *number <= frame.frame) {
+                let known = frame.estimate.as_ref().filter(|_| number == frame.frame);
+                posed.extend(known.map(|known| (number, keyframe, known.pose)));
+            }
+            Ok(())
+        })?;
         let images = &mut self.images;
-        let mut loaded = posed.map(move |(number, keyframe, pose)| {
+        let mut loaded = posed.into_iter().map(move |(number, keyframe, pose)| {
             let image = keyframe.map_or_else(|| images.load(number), |id| mapping.image(id));
             image.map(|image| (image, pose))
         });

@@ -33,7 +33,7 @@ use calibration::{MOST_CONTRADICTIONS, Sighted};
 use camera_motion::{Node, Step};
 use estimator::{Consistency, Corrected, Estimate};
 use nalgebra::Matrix3;
-use reckoning::{Believed, Gap, Reckoned};
+use reckoning::{Believed, Gap};
 use report::{gyro_report, sighted_report, wheel_report};
 
 /// The records of the sensors there are.
@@ -59,8 +59,12 @@ pub struct Fusion {
     /// Whether any pose is another one than the camera's alone.
     pub moved: bool,
     /// Frames without a pose, where the sensors tell one.
-    reckoned: Vec<SmoothedFrame>,
+    pub reckoned: Reckoned,
 }
+
+/// What the sensors tell of frames without a pose, in order.
+#[derive(Debug, Clone, Default)]
+pub struct Reckoned(Vec<SmoothedFrame>);
 
 /// What became of the sensors one by one: those that are believed.
 struct Comparison<'a> {
@@ -127,21 +131,30 @@ pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
     );
     match outcome {
         Some((estimate, bridges)) => corrected(frames, &nodes, &estimate.corrected, &bridges, reports),
-        None => Fusion { frames: frames.to_vec(), reports, moved: false, reckoned: Vec::new() },
+        None => Fusion { frames: frames.to_vec(), reports, moved: false, reckoned: Reckoned::default() },
     }
 }
 
 impl Fusion {
-    /// The same recording with its frames elsewhere, as a map has them: what the sensors tell of frames without a pose goes along with the
-    /// frames before and after. `frames` are those of this fusion, in the same order.
-    pub fn laid(self, frames: Vec<FrameEstimate>) -> Self {
-        let pose = |frame: &FrameEstimate| frame.estimate.as_ref().map(|known| known.pose);
-        let moves: Vec<(f64, GroundPose, GroundPose)> = self
-            .frames
-            .iter()
-            .zip(&frames)
-            .filter_map(|(before, after)| Some((before.time_s, pose(before)?, pose(after)?)))
-            .collect();
+    /// The smoothed path ([`smooth`]), with the gaps as the sensors tell them.
+    pub fn smooth(&self, config: &FilterConfig) -> Vec<SmoothedFrame> {
+        let mut path = Vec::with_capacity(self.frames.len());
+        let mut merge = self.reckoned.merge();
+        smooth(&self.frames, config).into_iter().for_each(|frame| merge.next(frame, &mut |f| path.push(f)));
+        merge.end(&mut |frame| path.push(frame));
+        path
+    }
+}
+
+impl Reckoned {
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The same with the frames that have a pose elsewhere, as a map has them: they go along with those before and after. `moves` are the times of the
+    /// latter, in order, each with its pose before and after.
+    pub fn laid(self, moves: &[(f64, GroundPose, GroundPose)]) -> Self {
         let moved = |frame: SmoothedFrame| {
             let next = moves.partition_point(|(time_s, ..)| *time_s <= frame.time_s);
             let ends = [next.checked_sub(1).and_then(|at| moves.get(at)), moves.get(next)];
@@ -159,20 +172,36 @@ impl Fusion {
             };
             SmoothedFrame { pose, ..frame }
         };
-        let reckoned = self.reckoned.into_iter().map(moved).collect();
-        Self { frames, reckoned, ..self }
+        Self(self.0.into_iter().map(moved).collect())
     }
 
-    /// The smoothed path ([`smooth`]), with the gaps as the sensors tell them.
-    pub fn smooth(&self, config: &FilterConfig) -> Vec<SmoothedFrame> {
-        let mut path = smooth(&self.frames, config);
-        for frame in &self.reckoned {
-            match path.binary_search_by_key(&frame.frame, |frame| frame.frame) {
-                Ok(at) => path[at] = frame.clone(),
-                Err(at) => path.insert(at, frame.clone()),
-            }
+    /// What puts them into a smoothed path that comes frame by frame.
+    pub fn merge(&self) -> Merge<'_> {
+        Merge { rest: &self.0 }
+    }
+}
+
+/// Puts what the sensors tell into a smoothed path: in the place of frames that it has, and between them.
+#[derive(Debug)]
+pub struct Merge<'a> {
+    rest: &'a [SmoothedFrame],
+}
+
+impl Merge<'_> {
+    /// Takes the next frame of the path, and gives those that come up to it.
+    pub fn next(&mut self, frame: SmoothedFrame, take: &mut dyn FnMut(SmoothedFrame)) {
+        let count = self.rest.partition_point(|reckoned| reckoned.frame <= frame.frame);
+        let (now, rest) = self.rest.split_at(count);
+        self.rest = rest;
+        now.iter().cloned().for_each(&mut *take);
+        if now.last().is_none_or(|reckoned| reckoned.frame != frame.frame) {
+            take(frame);
         }
-        path
+    }
+
+    /// Gives those behind the last frame of the path.
+    pub fn end(self, take: &mut dyn FnMut(SmoothedFrame)) {
+        self.rest.iter().cloned().for_each(take);
     }
 }
 
@@ -218,7 +247,7 @@ impl Comparison<'_> {
         {
             return None;
         }
-        let mut gaps: Vec<Option<Reckoned>> = vec![None; nodes.len()];
+        let mut gaps: Vec<Option<reckoning::Reckoned>> = vec![None; nodes.len()];
         let mut bridges = Vec::new();
         for (before, node) in nodes.iter().enumerate() {
             let after = (before + 1 < nodes.len()).then_some(before + 1);
@@ -305,7 +334,7 @@ fn corrected(
         // What would be rewritten by rounding alone stays as it was.
         fused = frames.to_vec();
     }
-    let reckoned = bridges.iter().flat_map(|bridge| bridge.laid(&fused, nodes)).collect();
+    let reckoned = Reckoned(bridges.iter().flat_map(|bridge| bridge.laid(&fused, nodes)).collect());
     Fusion { frames: fused, reports, moved, reckoned }
 }
 

@@ -7,7 +7,7 @@
 mod frames_csv;
 
 pub use crate::trajectory::{StampedPose, Trajectory};
-pub use frames_csv::{csv_from_frames, csv_from_smoothed};
+pub use frames_csv::{FRAMES_HEADER, SMOOTHED_HEADER, csv_from_frames, frame_line, smoothed_line};
 
 use crate::error::{Error, Result};
 use crate::trajectory::FrameEstimate;
@@ -62,21 +62,25 @@ pub fn parse_tum(text: &str) -> Result<Trajectory> {
     if poses.is_empty() { Err(no_pose()) } else { Ok(Trajectory { poses }) }
 }
 
-/// A trajectory as TUM text, with a line of comment that names the columns. Positions to 1e-9 m, times to 1e-9 s; of the two
-/// quaternions of a rotation the one with `qw` ≥ 0.
+/// A trajectory as TUM text: [`TUM_HEADER`] and a line a pose ([`tum_line`]).
 pub fn write_tum(trajectory: &Trajectory) -> String {
-    let mut text = String::from("# time_s x_m y_m z_m qx qy qz qw (world_from_camera)\n");
-    for pose in &trajectory.poses {
-        let t = pose.world_from_camera.translation.vector;
-        let q = pose.world_from_camera.rotation.coords;
-        let q = if q.w < 0.0 { -q } else { q };
-        let _ = writeln!(
-            text,
-            "{:.9} {:.9} {:.9} {:.9} {:.12} {:.12} {:.12} {:.12}",
-            pose.time_s, t.x, t.y, t.z, q.x, q.y, q.z, q.w
-        );
-    }
+    let mut text = String::from(TUM_HEADER);
+    trajectory.poses.iter().for_each(|pose| text.push_str(&tum_line(pose)));
     text
+}
+
+/// The line of comment, with its end, that names the columns of a TUM trajectory.
+pub const TUM_HEADER: &str = "# time_s x_m y_m z_m qx qy qz qw (world_from_camera)\n";
+
+/// A pose as a line of TUM text, with its end. Positions to 1e-9 m, times to 1e-9 s; of the two quaternions of a rotation the one with `qw` ≥ 0.
+pub fn tum_line(pose: &StampedPose) -> String {
+    let t = pose.world_from_camera.translation.vector;
+    let q = pose.world_from_camera.rotation.coords;
+    let q = if q.w < 0.0 { -q } else { q };
+    format!(
+        "{:.9} {:.9} {:.9} {:.9} {:.12} {:.12} {:.12} {:.12}\n",
+        pose.time_s, t.x, t.y, t.z, q.x, q.y, q.z, q.w
+    )
 }
 
 /// The frames that have a pose as TUM text ([`write_tum`]).

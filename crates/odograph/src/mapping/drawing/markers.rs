@@ -6,7 +6,7 @@ use super::svg::{coordinate as c, text_width};
 use super::window::{RIGHT_MARGIN, Window};
 use super::{BACKGROUND, INK, MUTED, TIME_COLOURS, hex, time_colour};
 use crate::geometry::{GroundPoint, wrap_angle};
-use crate::trajectory::PoseEstimate;
+use crate::trajectory::PlaceSummary;
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
@@ -69,9 +69,9 @@ pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body
     let mut ticks = String::new();
     for stretch in &path.stretches {
         let Some(first) = stretch.first() else { continue };
-        let (mut since_m, mut before, mut heading) = (0.0, first.pose(), first.pose().heading_rad);
+        let (mut since_m, mut before, mut heading) = (0.0, first.at, first.at.heading_rad);
         for (index, place) in stretch.iter().enumerate() {
-            let pose = place.pose();
+            let pose = place.at;
             since_m += (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m);
             before = pose;
             if index == 0 || since_m < every_m && wrap_angle(pose.heading_rad - heading).abs() < 0.785 {
@@ -109,9 +109,8 @@ fn dart(x: f64, y: f64, heading_rad: f64) -> String {
 
 /// Half axes of the 2-sigma ellipse of the position, metres, and the direction of the longer one, radians; `None` where the
 /// covariance is not one.
-fn two_sigma(estimate: &PoseEstimate) -> Option<(f64, f64, f64)> {
-    let (xx, xy, yy) =
-        (estimate.covariance[(0, 0)], estimate.covariance[(0, 1)], estimate.covariance[(1, 1)]);
+fn two_sigma(at: &PlaceSummary) -> Option<(f64, f64, f64)> {
+    let [xx, xy, yy] = at.position_covariance;
     let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
     let (long, short) = (middle + half, (middle - half).max(0.0));
     (long.is_finite() && long > 0.0)
@@ -125,13 +124,13 @@ pub(super) fn ellipses(path: &Path<'_>, window: &Window, shown: &mut Shown, body
     let mut end: Option<(f64, f64, f64)> = None;
     let mut last: Option<(f64, f64, f64)> = None;
     for place in path.places().next_back().into_iter().chain(path.places()) {
-        let (x, y) = window.page(place.pose().x_m, place.pose().y_m);
+        let (x, y) = window.page(place.at.x_m, place.at.y_m);
         let close =
             |other: Option<(f64, f64, f64)>| other.is_some_and(|(u, v, apart)| (x - u).hypot(y - v) < apart);
         if drawn.len() >= 60 || close(end) || close(last) {
             continue;
         }
-        let Some((long, short, turn)) = two_sigma(place.estimate) else { continue };
+        let Some((long, short, turn)) = two_sigma(place.at) else { continue };
         let (long, short) = (long * window.scale, short * window.scale);
         if !(SEEN..3000.0).contains(&long) {
             continue;
@@ -192,8 +191,8 @@ pub(super) fn ends(path: &Path<'_>, window: &Window, body: &mut String) {
     let (Some(first), Some(last)) = (path.places().next(), path.places().next_back()) else {
         return;
     };
-    let start = window.page(first.pose().x_m, first.pose().y_m);
-    let end = window.page(last.pose().x_m, last.pose().y_m);
+    let start = window.page(first.at.x_m, first.at.y_m);
+    let end = window.page(last.at.x_m, last.at.y_m);
     let _ = writeln!(body, "{}{}", start_mark(start.0, start.1), end_mark(end.0, end.1));
     let mut ink = inked(path, window);
     let together = (start.0 - end.0).hypot(start.1 - end.1) < 12.0;
@@ -229,7 +228,7 @@ fn inked(path: &Path<'_>, window: &Window) -> Vec<(f64, f64)> {
     for stretch in &path.stretches {
         let mut before: Option<(f64, f64)> = None;
         for place in stretch {
-            let at = window.page(place.pose().x_m, place.pose().y_m);
+            let at = window.page(place.at.x_m, place.at.y_m);
             let from = before.unwrap_or(at);
             let length = (at.0 - from.0).hypot(at.1 - from.1);
             if before.is_some() && length < 4.0 {

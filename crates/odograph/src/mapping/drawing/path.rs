@@ -1,21 +1,13 @@
 //! The path as it was measured: stretches that hang together, and the gaps between them.
 
-use crate::geometry::GroundPose;
-use crate::trajectory::{FrameEstimate, PoseEstimate};
+use crate::trajectory::{FrameSummary, PlaceSummary};
 
 /// One measured pose with its time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place<'a> {
     /// Seconds since the first frame.
     pub time_s: f64,
-    /// The estimate it comes from.
-    pub estimate: &'a PoseEstimate,
-}
-
-impl Place<'_> {
-    pub fn pose(&self) -> &GroundPose {
-        &self.estimate.pose
-    }
+    pub at: &'a PlaceSummary,
 }
 
 /// The measured path: poses of one stretch follow each other frame by frame; between stretches the camera was lost.
@@ -30,7 +22,7 @@ pub(super) struct Path<'a> {
 
 impl<'a> Path<'a> {
     /// Splits frames into stretches: at every lost frame and wherever the segment changes. Poses that are not finite are lost.
-    pub fn new(frames: &'a [FrameEstimate]) -> Self {
+    pub fn new(frames: &'a [FrameSummary]) -> Self {
         let mut path = Self::default();
         let (Some(first), Some(last)) = (frames.first(), frames.last()) else {
             return path;
@@ -38,10 +30,10 @@ impl<'a> Path<'a> {
         path.duration_s = (last.time_s - first.time_s).max(0.0);
         let mut segment = None;
         for frame in frames {
-            let usable = frame.estimate.as_ref().filter(|e| {
-                [e.pose.x_m, e.pose.y_m, e.pose.heading_rad].iter().all(|v| v.is_finite() && v.abs() < 1e12)
+            let usable = frame.place.as_ref().filter(|at| {
+                [at.x_m, at.y_m, at.heading_rad].iter().all(|v| v.is_finite() && v.abs() < 1e12)
             });
-            let Some(estimate) = usable else {
+            let Some(at) = usable else {
                 segment = None;
                 path.ends_lost = !path.stretches.is_empty();
                 continue;
@@ -52,7 +44,7 @@ impl<'a> Path<'a> {
             }
             path.ends_lost = false;
             if let Some(stretch) = path.stretches.last_mut() {
-                stretch.push(Place { time_s: frame.time_s - first.time_s, estimate });
+                stretch.push(Place { time_s: frame.time_s - first.time_s, at });
             }
         }
         path

@@ -1,38 +1,33 @@
 use super::*;
-use crate::geometry::GroundPose;
-use crate::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity};
-use nalgebra::Matrix6;
+use crate::trajectory::{LossReason, PlaceSummary, TrackStatus};
 use proptest::prelude::*;
 
-fn tracked(number: u64, x_m: f64, y_m: f64, heading_rad: f64, sigma_m: f64) -> FrameEstimate {
-    let mut covariance = Matrix6::zeros();
-    covariance[(0, 0)] = sigma_m * sigma_m;
-    covariance[(1, 1)] = 0.3 * sigma_m * sigma_m;
-    covariance[(0, 1)] = 0.2 * sigma_m * sigma_m;
-    covariance[(1, 0)] = covariance[(0, 1)];
-    let pose = GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(1.0) };
-    FrameEstimate {
+fn tracked(number: u64, x_m: f64, y_m: f64, heading_rad: f64, sigma_m: f64) -> FrameSummary {
+    let variance = sigma_m * sigma_m;
+    FrameSummary {
         frame: number,
         time_s: 100.0 + number as f64 / 30.0,
-        status: TrackStatus::Tracked,
-        estimate: Some(PoseEstimate {
-            pose,
-            velocity: Velocity::default(),
-            covariance,
-            measured: PlaneMeasurement::new(&pose, &covariance),
+        place: Some(PlaceSummary {
+            x_m,
+            y_m,
+            heading_rad,
+            height_m: 1.0,
+            speed_m_s: 0.0,
+            position_covariance: [variance, 0.2 * variance, 0.3 * variance],
+            heading_variance: 0.0,
         }),
+        residual_px: 0.1,
         tracks: 200,
         inliers: 180,
-        residual_px: 0.1,
-        keyframe: number.is_multiple_of(10),
         segment: 0,
+        status: TrackStatus::Tracked,
     }
 }
 
-fn lost(number: u64) -> FrameEstimate {
-    FrameEstimate {
+fn lost(number: u64) -> FrameSummary {
+    FrameSummary {
         status: TrackStatus::Lost { reason: LossReason::Bare },
-        estimate: None,
+        place: None,
         ..tracked(number, 0.0, 0.0, 0.0, 0.0)
     }
 }
@@ -52,7 +47,7 @@ fn assert_well_formed(svg: &str) {
     assert!(!svg.contains("NaN") && !svg.contains("inf"));
 }
 
-fn drawn(frames: &[FrameEstimate]) -> String {
+fn drawn(frames: &[FrameSummary]) -> String {
     let svg = MapDrawing { title: "a <drive> & more", ..MapDrawing::default() }.svg(frames);
     assert_well_formed(&svg);
     svg
@@ -93,7 +88,7 @@ fn a_gap_is_dashed_and_never_part_of_the_solid_path() {
     let mut frames: Vec<_> = (0..50).map(|k| tracked(k, 0.2 * k as f64, 0.0, 0.0, 0.0)).collect();
     frames.extend((50..60).map(lost));
     frames
-        .extend((60..100).map(|k| FrameEstimate { segment: 1, ..tracked(k, 0.2 * k as f64, 5.0, 0.0, 0.0) }));
+        .extend((60..100).map(|k| FrameSummary { segment: 1, ..tracked(k, 0.2 * k as f64, 5.0, 0.0, 0.0) }));
     let svg = drawn(&frames);
     assert!(svg.contains("stroke-dasharray") && svg.contains("lost: the way is not known"));
     for line in svg.lines().filter(|line| line.contains("stroke-width=\"3.2\"")) {
@@ -142,7 +137,7 @@ proptest! {
     fn any_numbers_make_a_well_formed_drawing(values in proptest::collection::vec(
         (proptest::num::f64::ANY, proptest::num::f64::ANY, proptest::num::f64::ANY, proptest::num::f64::ANY), 0..20)) {
         let frames: Vec<_> = values.iter().enumerate().map(|(k, v)| {
-            FrameEstimate { time_s: v.3, ..tracked(k as u64, v.0, v.1, v.2, v.3) }
+            FrameSummary { time_s: v.3, ..tracked(k as u64, v.0, v.1, v.2, v.3) }
         }).collect();
         drawn(&frames);
     }

@@ -52,7 +52,7 @@ impl Window {
             low = (low.0.min(x), low.1.min(y));
             high = (high.0.max(x), high.1.max(y));
         };
-        path.places().for_each(|place| include(place.pose().x_m, place.pose().y_m));
+        path.places().for_each(|place| include(place.at.x_m, place.at.y_m));
         if let Some((placement, columns, rows)) = backdrop {
             for (column, row) in [(-0.5, -0.5), (columns as f64 - 0.5, rows as f64 - 0.5)] {
                 let corner = placement.ground_from_pixel(column, row);

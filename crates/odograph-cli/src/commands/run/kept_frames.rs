@@ -1,4 +1,4 @@
-//! The frames of a live run until it ends: in a file without a name, so that memory does not grow with the hours.
+//! The frames of a run until it ends: in a file without a name, so that memory does not grow with the hours.
 
 use nalgebra::{Matrix3, Matrix6};
 use odograph::error::{Error, Result};
@@ -10,7 +10,7 @@ use odograph::trajectory::{
 };
 use std::collections::VecDeque;
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// A frame, and what it was measured against.
@@ -33,6 +33,7 @@ pub struct KeptFrames {
     /// Those that are not on disk yet.
     rest: Vec<Kept>,
     count: u64,
+    posed: u64,
     first_time_s: Option<f64>,
     last: Option<FrameEstimate>,
     numbers: VecDeque<u64>,
@@ -48,6 +49,7 @@ impl KeptFrames {
             full: false,
             rest: Vec::new(),
             count: 0,
+            posed: 0,
             first_time_s: None,
             last: None,
             numbers: VecDeque::new(),
@@ -57,6 +59,7 @@ impl KeptFrames {
     /// Keeps the next frame.
     pub fn push(&mut self, frame: FrameEstimate, reference: Option<FrameReference>) {
         self.count += 1;
+        self.posed += u64::from(frame.estimate.is_some());
         self.first_time_s.get_or_insert(frame.time_s);
         self.numbers.push_back(frame.frame);
         if self.numbers.len() > NUMBERS {
@@ -67,6 +70,16 @@ impl KeptFrames {
         if self.rest.len() >= CHUNK && !self.full {
             self.full = self.write().is_err();
         }
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.count as usize
+    }
+
+    /// How many of them have a pose.
+    pub fn posed(&self) -> usize {
+        self.posed as usize
     }
 
     /// The time of the first frame, seconds.
@@ -85,37 +98,50 @@ impl KeptFrames {
         self.numbers.get(index.checked_sub(first)? as usize).copied()
     }
 
-    /// All frames, and what each was measured against. Fails where they cannot be read back.
-    pub fn into_all(mut self) -> Result<(Vec<FrameEstimate>, Vec<Option<FrameReference>>)> {
+    /// Goes through all frames in order, each with what it was measured against. Fails where they cannot be read back, and with what `take` fails with.
+    pub fn each(
+        &mut self,
+        mut take: impl FnMut(&FrameEstimate, Option<&FrameReference>) -> Result<()>,
+    ) -> Result<()> {
+        let Self { folder, file, end, rest, .. } = self;
         let failed = |error: io::Error| {
-            let folder = self.folder.display();
             Error::output(format!(
-                "the path cannot be read back from the disk of {folder}: {error}; trajectory.csv.part has what was recorded"
+                "the path cannot be read back from the disk of {}: {error}; trajectory.csv.part has what was recorded",
+                folder.display()
             ))
         };
-        let (mut frames, mut references) = (Vec::new(), Vec::new());
-        frames.reserve_exact(self.count as usize);
-        references.reserve_exact(self.count as usize);
-        if let Some(file) = &mut self.file {
+        if let Some(file) = file {
             file.seek(SeekFrom::Start(0)).map_err(failed)?;
-            let mut file = BufReader::new(file.take(self.end));
-            let mut bytes = [0; 8 * NUMBERS_OF_A_FRAME];
-            for _ in 0..self.end / bytes.len() as u64 {
-                file.read_exact(&mut bytes).map_err(failed)?;
-                let (frame, reference) = decoded(&bytes);
-                frames.push(frame);
-                references.push(reference);
+            let mut block = vec![0; FRAME_BYTES * CHUNK];
+            let mut left = *end as usize;
+            while left > 0 {
+                let block = &mut block[..left.min(FRAME_BYTES * CHUNK)];
+                file.read_exact(block).map_err(failed)?;
+                left -= block.len();
+                for bytes in block.chunks_exact(FRAME_BYTES) {
+                    let (frame, reference) = decoded(bytes);
+                    take(&frame, reference.as_ref())?;
+                }
             }
         }
-        for (frame, reference) in self.rest {
-            frames.push(frame);
-            references.push(reference);
-        }
+        rest.iter().try_for_each(|(frame, reference)| take(frame, reference.as_ref()))
+    }
+
+    /// All frames, and what each was measured against. Fails where they cannot be read back.
+    pub fn all(&mut self) -> Result<(Vec<FrameEstimate>, Vec<Option<FrameReference>>)> {
+        let (mut frames, mut references) = (Vec::new(), Vec::new());
+        frames.reserve_exact(self.count());
+        references.reserve_exact(self.count());
+        self.each(|frame, reference| {
+            frames.push(frame.clone());
+            references.push(reference.copied());
+            Ok(())
+        })?;
         Ok((frames, references))
     }
 
     fn write(&mut self) -> io::Result<()> {
-        let mut bytes = Vec::with_capacity(8 * NUMBERS_OF_A_FRAME * self.rest.len());
+        let mut bytes = Vec::with_capacity(FRAME_BYTES * self.rest.len());
         for kept in &self.rest {
             encoded(kept).into_iter().for_each(|number| bytes.extend(number.to_le_bytes()));
         }
@@ -133,6 +159,7 @@ impl KeptFrames {
 
 /// Nine of the frame, its pose, velocity, covariance and measurement, and ten of what it was measured against.
 const NUMBERS_OF_A_FRAME: usize = 9 + 6 + 3 + 36 + 12 + 10;
+const FRAME_BYTES: usize = 8 * NUMBERS_OF_A_FRAME;
 
 /// Why a frame may be lost, in the order of their codes from 1 on; 0 is not lost.
 const REASONS: [LossReason; 6] = [
@@ -284,7 +311,7 @@ mod tests {
         assert_eq!(kept.first_time_s(), Some(80.0 / 7.0));
         let (expected, references): (Vec<_>, Vec<_>) = frames().into_iter().unzip();
         assert_eq!(kept.last(), expected.last());
-        assert_eq!(kept.into_all().unwrap(), (expected, references));
+        assert_eq!(kept.all().unwrap(), (expected, references));
     }
 
     #[test]
@@ -294,6 +321,6 @@ mod tests {
             kept.push(frame, reference);
         }
         let (expected, references): (Vec<_>, Vec<_>) = frames().into_iter().unzip();
-        assert_eq!(kept.into_all().unwrap(), (expected, references));
+        assert_eq!(kept.all().unwrap(), (expected, references));
     }
 }

@@ -1,0 +1,145 @@
+//! One coordinate smoothed over a whole recording.
+//!
+//! The estimates are those of H. Rauch, F. Tung and C. Striebel, "Maximum likelihood estimates of linear dynamic systems", 1965, computed
+//! in the form of A. Bryson and M. Frazier (G. Bierman, "Fixed interval smoothing with discrete measurements", 1973), which inverts nothing
+//! but the innovation's variance. The model is that of [`super::ConstantAcceleration`].
+
+use super::constant_acceleration::{Axis, SMALLEST_VARIANCE, transition, unknown_motion, white_jerk};
+use nalgebra::{Matrix3, Vector3};
+
+/// A measured value and its variance.
+pub(super) type Measured = Option<(f64, f64)>;
+
+/// A coordinate, its velocity and acceleration, and the variance of the coordinate.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Smoothed {
+    pub state: Vector3<f64>,
+    pub variance: f64,
+}
+
+/// The density of the jerk in each step (from the sample before to this one): how much the acceleration changes is told by the innovations of a filter
+/// that runs forward in time and of one that runs backward, the larger of the two, so that the first frame of a jerk is not smoothed away.
+pub(super) fn adapted(times_s: &[f64], measured: &[Measured], least_density: f64) -> Vec<f64> {
+    let mut densities = vec![least_density; measured.len()];
+    let mut run = |order: &mut dyn Iterator<Item = usize>| {
+        let mut known = order.filter_map(|i| measured[i].map(|(z, r)| (i, z, r)));
+        let Some((mut before, z, r)) = known.next() else { return };
+        let mut axis = Axis::new(z, r, least_density);
+        for (i, z, r) in known {
+            let step_s = (times_s[i] - times_s[before]).abs();
+            let density = axis.update(step_s, z, r);
+            for step in &mut densities[before.min(i) + 1..=before.max(i)] {
+                *step = step.max(density);
+            }
+            before = i;
+        }
+    };
+    run(&mut (0..measured.len()));
+    run(&mut (0..measured.len()).rev());
+    densities
+}
+
+/// What the filter has at one sample, for the way back.
+#[derive(Debug, Clone)]
+struct Step {
+    state: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    transition: Matrix3<f64>,
+    /// Innovation, its variance and the gain, where there was a measurement.
+    update: Option<(f64, f64, Vector3<f64>)>,
+}
+
+impl Step {
+    /// The first sample, which must be measured.
+    fn first(measured: Measured) -> Self {
+        let (value, variance) = measured.unwrap_or((0.0, 1e6));
+        Self {
+            state: Vector3::new(value, 0.0, 0.0),
+            covariance: unknown_motion(variance),
+            transition: Matrix3::identity(),
+            update: None,
+        }
+    }
+
+    /// The sample so much later.
+    fn next(&self, step_s: f64, density: f64, measured: Measured) -> Self {
+        let t = step_s.max(0.0);
+        let transition = transition(t);
+        let state = transition * self.state;
+        let covariance = transition * self.covariance * transition.transpose() + density * white_jerk(t);
+        let Some((z, r)) = measured else { return Self { state, covariance, transition, update: None } };
+        let (innovation, spread) = (z - state[0], covariance[(0, 0)] + r);
+        let gain = covariance.column(0) / spread;
+        let keep = Matrix3::identity() - gain * Vector3::x().transpose();
+        Self {
+            state: state + gain * innovation,
+            covariance: keep * covariance * keep.transpose() + gain * gain.transpose() * r,
+            transition,
+            update: Some((innovation, spread, gain)),
+        }
+    }
+}
+
+/// So many steps are made again on the way back from the one that was kept before them: they take thirty times the memory of what comes of them.
+const MADE_AGAIN: usize = 256;
+
+/// Every sample from all of them. The first one must be measured. `density` is that of the jerk in the step before a sample.
+pub(super) fn smooth_coordinate(
+    times_s: &[f64],
+    measured: &[Measured],
+    density: impl Fn(usize) -> f64,
+) -> Vec<Smoothed> {
+    let Some(&first) = measured.first() else { return Vec::new() };
+    let next = |step: &Step, i: usize| step.next(times_s[i] - times_s[i - 1], density(i), measured[i]);
+    let mut step = Step::first(first);
+    let mut kept = vec![step.clone()];
+    for i in 1..measured.len() {
+        step = next(&step, i);
+        if i.is_multiple_of(MADE_AGAIN) {
+            kept.push(step.clone());
+        }
+    }
+    let mut smoothed = vec![Smoothed { state: Vector3::zeros(), variance: 0.0 }; measured.len()];
+    let mut wayback = WayBack { adjoint: Vector3::zeros(), information: Matrix3::zeros() };
+    let mut steps: Vec<Step> = Vec::with_capacity(MADE_AGAIN);
+    for (block, start) in kept.into_iter().enumerate().rev() {
+        let from = block * MADE_AGAIN;
+        steps.clear();
+        steps.push(start);
+        for i in from + 1..measured.len().min(from + MADE_AGAIN) {
+            steps.push(next(&steps[i - from - 1], i));
+        }
+        for (step, smoothed) in steps.iter().zip(&mut smoothed[from..]).rev() {
+            *smoothed = wayback.pass(step);
+        }
+    }
+    smoothed
+}
+
+/// What the samples behind tell of those before.
+struct WayBack {
+    adjoint: Vector3<f64>,
+    information: Matrix3<f64>,
+}
+
+impl WayBack {
+    /// A step with all that came after it; then it counts too.
+    fn pass(&mut self, step: &Step) -> Smoothed {
+        let Self { adjoint, information } = self;
+        let covariance = step.covariance - step.covariance * *information * step.covariance;
+        let here = Smoothed {
+            state: step.state - step.covariance * *adjoint,
+            variance: covariance[(0, 0)]
+                .clamp(SMALLEST_VARIANCE, step.covariance[(0, 0)].max(SMALLEST_VARIANCE)),
+        };
+        if let Some((innovation, spread, gain)) = step.update {
+            let keep = Matrix3::identity() - gain * Vector3::x().transpose();
+            *adjoint = keep.transpose() * *adjoint - Vector3::x() * (innovation / spread);
+            *information = keep.transpose() * *information * keep;
+            information[(0, 0)] += 1.0 / spread;
+        }
+        *adjoint = step.transition.transpose() * *adjoint;
+        *information = step.transition.transpose() * *information * step.transition;
+        here
+    }
+}
