@@ -106,11 +106,13 @@ impl Odometry {
     /// How the first keyframe after a gap lies to the last one before.
     pub(super) fn across_the_gap(&self, last: &LastPose, next: &Keyframe) -> Option<Before> {
         let before = self.keyframe.as_ref()?;
-        Some(Before {
-            id: before.id?,
-            pose: before.pose,
-            covariance: next.covariance - self.carried_covariance(&last.pose),
-            kind: EdgeKind::Gap,
-        })
+        // Where the camera is became less sure by the gap; how high and how tilted it is was measured anew, and may be known better than before.
+        let mut covariance = next.covariance - self.carried_covariance(&last.pose);
+        for k in 3..6 {
+            covariance.row_mut(k).fill(0.0);
+            covariance.column_mut(k).fill(0.0);
+            covariance[(k, k)] = next.covariance[(k, k)];
+        }
+        Some(Before { id: before.id?, pose: before.pose, covariance, kind: EdgeKind::Gap })
     }
 }

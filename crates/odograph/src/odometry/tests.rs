@@ -158,6 +158,22 @@ fn unknown_ground_after_a_loss_is_a_new_segment() {
 }
 
 #[test]
+fn what_is_known_better_across_a_gap_has_a_variance_all_the_same() {
+    let world = World::new("asphalt");
+    let [mut before, mut after] = [(); 2].map(|()| world.odometry());
+    world.run(&mut before, &drive(0.0, 3).collect::<Vec<_>>());
+    world.run(&mut after, &drive(5.0, 3).collect::<Vec<_>>());
+    // As after a long way over which height and tilt were less sure than where they are measured anew.
+    for (odometry, variance) in [(&mut before, 4e-10), (&mut after, 1e-10)] {
+        let known = &mut odometry.keyframe.as_mut().unwrap().covariance;
+        (3..6).for_each(|k| known[(k, k)] = variance);
+    }
+    let next = after.keyframe.as_ref().unwrap();
+    let tie = before.across_the_gap(before.last.as_ref().unwrap(), next).unwrap();
+    assert!((3..6).all(|k| tie.covariance[(k, k)] > 0.0), "{}", tie.covariance);
+}
+
+#[test]
 fn four_fifths_of_the_image_a_frame_are_followed() {
     let world = World::new("asphalt");
     // 0.58 m of the 0.72 m that the image shows along the way, at the peak of 7.4 m in 25 frames.

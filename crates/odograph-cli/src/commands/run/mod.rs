@@ -263,7 +263,7 @@ fn track(
                 return Ok(Tracked { mount: watch.mount(), lens: watch.lens(), ..*tracked });
             }
             Ended::IsAnother(found) => {
-                watch.take(found, plan);
+                watch.take(*found, plan);
                 folder.begin_again()?;
                 source = plan.source.open()?;
             }

@@ -48,8 +48,8 @@ pub struct Tracked {
 pub enum Ended {
     /// With all of the source that there was.
     Tracked(Box<Tracked>),
-    /// At a frame from which on it is sure that the camera does not sit as the plan says.
-    IsAnother(Found),
+    /// At a frame from which on it is sure that the camera is not as the plan says.
+    IsAnother(Box<Found>),
 }
 
 /// How long each frame took in each stage.
@@ -104,7 +104,7 @@ pub fn track(
     let at_end = tracking.untold.as_ref().filter(|_| to_the_end).and_then(Untold::at_end);
     if let Some(found) = tracking.found.or(at_end) {
         ground.mapping.discard()?;
-        return Ok(Ended::IsAnother(found));
+        return Ok(Ended::IsAnother(Box::new(found)));
     }
     let Ground { views, mapping, unmapped, times: map_times } = ground;
     Ok(Ended::Tracked(Box::new(Tracked {
