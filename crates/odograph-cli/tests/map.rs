@@ -170,6 +170,17 @@ fn the_mosaic_is_laid_again_at_the_resolution_asked_for() {
     let left: f64 = world.lines().nth(4).unwrap().parse().unwrap();
     // Half an image from the first keyframe: 60 px of 3.8 mm before the lens, at the top of the image.
     assert!((-0.4..-0.1).contains(&left), "{left}");
+
+    // Finer than the images by far: what is laid instead is said, and why, and is a quarter of a pixel of 0.8 m by a focal length.
+    let (code, told, complaint) =
+        text(&odograph(&["mosaic", "map.gpkg", "--resolution", "1e-9"], folder.path()));
+    assert_eq!((code, complaint.lines().count()), (0, 1), "{complaint}");
+    assert!(
+        complaint.contains("--resolution 0.000000001 is finer") && complaint.contains("a quarter"),
+        "{complaint}"
+    );
+    let laid = told.trim_end().rsplit_once(" px of ").unwrap().1;
+    assert!(complaint.contains(laid), "{told} {complaint}");
 }
 
 #[test]

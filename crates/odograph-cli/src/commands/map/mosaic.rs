@@ -50,11 +50,23 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
         export::write_picture(&file, path, form, None)?;
     }
     file.close()?;
+    if let Some(asked_m) = arguments.resolution.filter(|asked_m| layer.resolution_m > 1.001 * asked_m) {
+        console::warn(&coarser(asked_m, layer.resolution_m));
+    }
     if !arguments.quiet {
         let (width, height, _) = layer.picture_at(layer.finest);
         console::print(&format!("{width}x{height} px of {:.2} mm\n", 1000.0 * layer.resolution_m))?;
     }
     Ok(Outcome::Done)
+}
+
+/// That the mosaic was laid with wider pixels than were asked for, and why.
+fn coarser(asked_m: f64, laid_m: f64) -> String {
+    format!(
+        "--resolution {asked_m} is finer than this map bears: the mosaic was laid with pixels of {:.2} mm, as a quarter of what a pixel of its images sees \
+         is the finest that shows anything, and no mosaic is more than 2^30 pixels wide",
+        1e3 * laid_m
+    )
 }
 
 /// Lays the mosaic of a map and keeps it there, with a bar for people. Fails where it is interrupted, and where no keyframe looks at the ground.
