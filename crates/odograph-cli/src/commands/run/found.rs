@@ -75,7 +75,11 @@ impl FoundLens {
 
     pub fn sentence(&self) -> String {
         let of = |value: fn(&FoundCoefficient) -> f64| {
-            let all = self.coefficients.iter().map(|known| format!("{} {:+.5}", known.name, value(known)));
+            let all = self.coefficients.iter().map(|known| match known.name {
+                // Pixels.
+                "cx" | "cy" | "fy" => format!("{} {:.2}", known.name, value(known)),
+                name => format!("{name} {:+.5}", value(known)),
+            });
             all.collect::<Vec<_>>().join(", ")
         };
         format!(

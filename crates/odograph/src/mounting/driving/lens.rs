@@ -8,7 +8,7 @@
 
 use super::bundle::{self, Lens, Solved, TILT};
 use super::{DrivenTilt, TiltMeasurement};
-use crate::camera::{Camera, Rig};
+use crate::camera::{Camera, Distortion, Rig};
 use crate::error::Result;
 use crate::geometry::Pixel;
 use crate::mounting::combination::{Combined, combine};
@@ -142,8 +142,12 @@ impl DrivenTilt {
     /// What pairs that were solved for everything say about the tilt alone, and about a lens with no more parameters than are surely others, or were taken for that
     /// before.
     fn explained(&self, solved: &Solved<MOST>, parameters: usize) -> Option<SelfCalibration> {
-        // A principal point that is off looks much like decentering: where one is another, so may be the other.
-        let lens = (self.another(solved, 4, parameters))
+        // A principal point that is off looks much like decentering: where one is another, so may be the other, if the lens has any.
+        let whole = match self.camera.distortion() {
+            Distortion::KannalaBrandt { .. } => self.another(&solved.as_told::<7>(), 4, parameters),
+            _ => self.another(solved, 4, parameters),
+        };
+        let lens = whole
             .or_else(|| self.another(&solved.as_told::<4>(), 3, parameters))
             .or_else(|| self.bent(&solved.as_told::<3>()));
         Some(SelfCalibration { tilt: self.held(solved)?, lens })
