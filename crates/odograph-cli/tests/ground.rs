@@ -288,6 +288,14 @@ fn a_run_finds_the_lens_that_it_was_not_told() {
     // What was found is in the folder, and gives the same path: to be used from then on.
     let (again, _, path_again) = run(&path("found/camera-found.yaml"), &path("again"), &[]);
     assert!(again["lens"].is_null() && apart(&path_again, &path_found) < 1e-4, "{again}");
+    // It stays where the run that it is given to writes over the one that found it.
+    let (_, _, path_over) = run(&path("found/camera-found.yaml"), &path("again"), &["--force"]);
+    assert!(path_over == path_again);
+    fs::copy(path("found/camera-found.yaml"), path("again/camera-found.yaml")).unwrap();
+    run(&path("again/camera-found.yaml"), &path("again"), &["--force"]);
+    assert!(temporary.path().join("again/camera-found.yaml").exists());
+    run(&path("drive/camera.yaml"), &path("again"), &["--force"]);
+    assert!(!temporary.path().join("again/camera-found.yaml").exists());
     // The map has it too, and is continued by the file that it was begun with: the path is laid into the map's frame, which loops have moved.
     let (continued, _, path_continued) =
         run(&path("guess.yaml"), &path("continued"), &["--map", &path("found/map.gpkg")]);

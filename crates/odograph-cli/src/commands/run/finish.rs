@@ -148,8 +148,12 @@ impl Finishing<'_> {
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
         let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
         self.folder.write_trajectories(frames, &self.plan.text()?)?;
+        let camera = camera_file::write(&self.plan.camera);
+        // The camera file of an earlier run may be the one that this run was given: that stays.
+        let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
         match self.tracked.lens {
-            Some(_) => self.folder.write(FOUND_CAMERA, camera_file::write(&self.plan.camera).as_bytes())?,
+            Some(_) => self.folder.write(FOUND_CAMERA, camera.as_bytes())?,
+            None if stays => {}
             None => self.folder.remove(FOUND_CAMERA)?,
         }
         self.folder.write_tum("odometry.tum", |put| {

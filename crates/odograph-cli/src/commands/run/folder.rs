@@ -150,6 +150,11 @@ impl OutputFolder {
         }
     }
 
+    /// Whether a file of an earlier run has these bytes.
+    pub fn holds(&self, name: &str, bytes: &[u8]) -> bool {
+        fs::read(self.path.join(name)).is_ok_and(|there| there == bytes)
+    }
+
     /// Writes one file.
     pub fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
         files::write(&self.path.join(name), bytes)
