@@ -23,7 +23,7 @@ use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
 use nalgebra::Matrix2;
 use plane::Plane;
-use tile::{AREA, Look, SIDE, Tile};
+use tile::{AREA, Look, NOISE_OF_CONTRAST, NOISE_OF_GRADIENT, NOISE_OF_PLANE, SIDE, Tile};
 
 /// An image whose tiles lie on the ground, to compare others with.
 #[derive(Debug, Clone)]
@@ -246,7 +246,8 @@ struct Light {
 }
 
 impl Light {
-    /// Both images have the same noise, so that the gain is that of total least squares; what they do not share is noise. `None` where they share nothing.
+    /// Both images have the same noise, of which less is left where samples lie between those of the image: the gain is that of total least squares, and
+    /// what they do not share is noise. `None` where they share nothing.
     fn between(looks: &[(&Tile, Look)]) -> Option<Self> {
         let sum = |of: fn(&Tile, &Look) -> f64| looks.iter().map(|(tile, look)| of(tile, look)).sum::<f64>();
         let product = sum(|_, look| look.product);
@@ -256,12 +257,13 @@ impl Light {
         if looks.len() < FEWEST_TILES || product < 1e-3 * (energy * seen).sqrt() {
             return None;
         }
-        let ratio = (seen - energy) / product;
-        let gain = 0.5 * (ratio + (ratio * ratio + 4.0).sqrt());
-        let samples = (AREA * looks.len()) as f64;
-        let noise = ((energy - product / gain) / samples).max(LEAST_NOISE);
+        let tiles = looks.len() as f64;
+        let left = sum(|_, look| AREA as f64 * look.noise - NOISE_OF_PLANE) / (tiles * NOISE_OF_CONTRAST);
+        let ratio = (seen - left * energy) / product;
+        let gain = 0.5 * (ratio + (ratio * ratio + 4.0 * left).sqrt());
+        let noise = ((energy - product / gain) / (tiles * NOISE_OF_CONTRAST)).max(LEAST_NOISE);
         // Smoothed samples and smoothed derivatives have the same noise.
-        let answer = ((squares - 2.0 * samples * noise) / squares).min(1.0);
+        let answer = ((squares - 2.0 * tiles * NOISE_OF_GRADIENT * noise) / squares).min(1.0);
         (answer > LEAST_ANSWER).then_some(Self { gain, noise, answer })
     }
 }
@@ -273,7 +275,7 @@ const FEWEST_TILES: usize = 12;
 const LEAST_NOISE: f64 = 0.02;
 
 /// Where less of the derivatives than this is ground, a coarser level knows more.
-const LEAST_ANSWER: f64 = 0.12;
+const LEAST_ANSWER: f64 = 0.05;
 
 /// The sum of the tiles' correlations over the root of the sum of their squares: about one standard deviation where the images are unrelated, whatever
 /// their textures; the root of the number of tiles where all of them agree.

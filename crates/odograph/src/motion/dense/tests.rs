@@ -144,3 +144,39 @@ fn other_ground_is_not_taken_for_the_same() {
     let found = world.refined(&from, &reference, &image, &from);
     assert!(found.is_none_or(|found| found.score < DenseEstimate::LEAST_SCORE));
 }
+
+#[test]
+fn noise_is_not_taken_for_ground() {
+    // Ground in so much noise that it makes less than a tenth of the squared derivatives: were more of them believed, each step would be too short, and what
+    // two images are apart would be more than is claimed.
+    let from = GroundPose::level(HEIGHT_M);
+    let truth = GroundPose { x_m: 0.081, y_m: -0.043, heading_rad: 0.07, ..from };
+    let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
+    let prior = RigWander::new(&from).prior(&from, &config);
+    for (texture, noise) in [("asphalt", 12.0), ("concrete", 6.0)] {
+        let (mut answers, mut normalised, pairs) = (0.0, 0.0, 12);
+        for seed in 0..pairs {
+            let world = World::new(texture, 3 + seed);
+            let mut random = Random::new(seed);
+            let mut dense = |pose: &GroundPose| DenseImage::new(&world.image(pose, noise, &mut random));
+            let (reference, image) = (dense(&from), dense(&truth));
+            let reference = DenseReference::new(&world.camera, &reference, &from, 0);
+            let (tiles, plane) = (&reference.levels[0].1, &image.planes[0]);
+            let (camera, laid_from) = (&world.camera, &from);
+            let level =
+                Level { camera, tiles, laid_from, plane, halvings: 0, prior: &prior, config: &config };
+            let beside = |by: f64| GroundPose { x_m: truth.x_m + 0.3 * by * PIXEL_M, ..truth };
+            let from_beside = |by: f64| level.step(&beside(by)).unwrap().estimate.pose.x_m;
+            answers += 1.0 - (from_beside(1.0) - from_beside(-1.0)) / (0.6 * PIXEL_M);
+            let found = level.settle(&truth).unwrap();
+            let off = error(&found, &truth);
+            let covariance = found.estimate.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+            normalised += off.dot(&(covariance.try_inverse().unwrap() * off));
+        }
+        let (answer, nees) = (answers / pairs as f64, normalised / pairs as f64);
+        println!("{texture}: of a step {answer:.3} is answered, NEES {nees:.2}");
+        assert!((0.9..1.1).contains(&answer), "{texture}: {answer}");
+        // As above: 95 % of the means over twelve pairs lie between 1.8 and 4.55.
+        assert!((1.5..4.55).contains(&nees), "{texture}: {nees}");
+    }
+}

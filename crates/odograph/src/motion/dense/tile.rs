@@ -15,6 +15,12 @@ pub(super) const SIDE: usize = 16;
 /// Samples of a tile.
 pub(super) const AREA: usize = SIDE * SIDE;
 
+/// To how many samples' worth the noise of a tile comes, once smoothed and less a plane: of smoothed noise much is slow, and goes with the plane.
+pub(super) const NOISE_OF_CONTRAST: f64 = AREA as f64 - NOISE_OF_PLANE;
+pub(super) const NOISE_OF_GRADIENT: f64 = AREA as f64 - 1.2;
+/// What the plane takes of it, wherever between the samples of the image the tile lies.
+pub(super) const NOISE_OF_PLANE: f64 = 10.6;
+
 /// From the first sample of a row or column to the centre.
 const TO_CENTRE: f64 = (SIDE as f64 - 1.0) / 2.0;
 
@@ -44,6 +50,8 @@ pub(super) struct Look {
     pub slope: Vector2<f64>,
     /// Sum of the squares of the image's own contrast.
     pub energy: f64,
+    /// The noise of a sample of the image, as a part of that of a sample of the reference: variances.
+    pub noise: f64,
 }
 
 impl Tile {
@@ -88,10 +96,11 @@ impl Tile {
     pub fn look(&self, camera: &Camera, pose: &ViewingPose, plane: &Plane) -> Option<Look> {
         let warp = self.patch.warp(camera, pose)?;
         let mut samples = [0.0; AREA];
-        sample(plane, &warp, &mut samples).then(|| {
+        sample(plane, &warp, &mut samples).map(|noise| {
             remove_plane(&mut samples);
             Look {
                 warp,
+                noise,
                 product: dot(&self.contrast, &samples),
                 slope: Vector2::new(dot(&self.gradient[0], &samples), dot(&self.gradient[1], &samples)),
                 energy: dot(&samples, &samples),
@@ -122,8 +131,8 @@ fn remove_plane(samples: &mut Samples) {
     }
 }
 
-/// Samples a plane under a warp; `false` unless everything that is read lies in it.
-fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> bool {
+/// Samples a plane under a warp and says how much of the noise is left ([`Look::noise`]); `None` unless everything that is read lies in it.
+fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> Option<f64> {
     let linear = &expected.warp.linear;
     let position = expected.warp.position;
     let centre = Vector2::new(plane.sample_of_pixel(position.x), plane.sample_of_pixel(position.y));
@@ -134,7 +143,7 @@ fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> bool {
         && centre.x + extent.x < plane.width as f64 - 2.01
         && centre.y + extent.y < plane.height as f64 - 2.01;
     if !inside {
-        return false;
+        return None;
     }
     // Within a tile single precision is enough, from a corner near it.
     let corner = Vector2::new((centre.x - extent.x).floor(), (centre.y - extent.y).floor());
@@ -150,7 +159,20 @@ fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> bool {
             *out = spline(plane, begin + line * plane.width + column, x - column as f32, y - line as f32);
         }
     }
-    true
+    // The samples have their places between those of the image from tile to tile, or, where it is turned, all over a tile: a few stand for all.
+    let places = (0..AREA).step_by(NOISE_STEP).map(|at| Vector2::new((at % SIDE) as f32, (at / SIDE) as f32));
+    let left =
+        places.map(|place| first + linear * place).map(|place| noise_left(place.x) * noise_left(place.y));
+    Some(f64::from(left.sum::<f32>()) / AREA.div_ceil(NOISE_STEP) as f64)
+}
+
+/// Of so many samples one is asked for its noise: odd, so that these are all over a tile.
+const NOISE_STEP: usize = 15;
+
+/// How much of the variance of white noise the spline leaves at a place along a side, as a part of what it leaves at whole ones: 1 there, 0.92 halfway.
+fn noise_left(place: f32) -> f32 {
+    let squares = |weights: [f32; 4]| weights.iter().map(|weight| weight * weight).sum::<f32>();
+    squares(weights(place - place.floor())) / squares(weights(0.0))
 }
 
 /// The cubic B-spline of the four by four samples from `first` on.
