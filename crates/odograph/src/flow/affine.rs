@@ -2,7 +2,7 @@
 
 use super::patch::{AREA, SIDE, Samples, TO_CENTRE, sample};
 use super::template::{LevelTemplate, Template};
-use super::track::{covariance, unexplained};
+use super::track::{Likeness, covariance};
 use super::{Track, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
@@ -50,9 +50,10 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
             break;
         }
     }
-    let dissimilarity = unexplained(patch, dot(&patch.appearance().contrast, &samples), &samples);
+    let Likeness { dissimilarity, light } =
+        Likeness::of(patch, dot(&patch.appearance().contrast, &samples), &samples);
     let covariance_px2 = covariance(patch, &warp.linear, dissimilarity);
-    Some((warp, Track { position: warp.position, dissimilarity, covariance_px2 }))
+    Some((warp, Track { position: warp.position, dissimilarity, covariance_px2, light }))
 }
 
 /// How sample `at` changes with a shift (x, y) and with the four affine terms (xx, xy, yx, yy).

@@ -11,10 +11,12 @@
 
 mod affine;
 mod patch;
+mod response;
 mod template;
 mod track;
 
 pub use affine::dissimilarity;
+pub use response::Response;
 pub use template::Template;
 pub use track::{Track, TrackFailure, forward_backward_px, track};
 

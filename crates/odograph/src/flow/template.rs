@@ -1,8 +1,9 @@
 //! The first appearance of a corner, prepared for being found again.
 
 use super::patch::{AREA, SIDE, TO_CENTRE};
+use super::response::Response;
 use crate::geometry::Pixel;
-use crate::image::simd::{Appearance, Orthogonal, patch_sums, write_appearance};
+use crate::image::simd::{Appearance, Orthogonal, moments, patch_sums, write_appearance};
 use crate::image::{GrayImage, Pyramid};
 use nalgebra::{Matrix2, Vector2};
 use std::cell::RefCell;
@@ -14,6 +15,7 @@ use std::sync::OnceLock;
 pub struct Template {
     centre: Pixel,
     finest: LevelTemplate,
+    response: Response,
     /// The other levels, finer ones first; made when they are first needed.
     coarser: OnceLock<Vec<LevelTemplate>>,
 }
@@ -33,7 +35,9 @@ impl Template {
     pub fn of_finest_level(pyramid: &Pyramid, corner: (usize, usize)) -> Option<Self> {
         let centre = Pixel::new(corner.0 as f64 + 0.5, corner.1 as f64 + 0.5);
         let finest = LevelTemplate::new(pyramid.base(), centre.x, centre.y)?;
-        Some(Self { centre, finest, coarser: OnceLock::new() })
+        let moments = moments(finest.appearance(), finest.mean);
+        let response = Response::new(&moments, &finest.inverse_hessian);
+        Some(Self { centre, finest, response, coarser: OnceLock::new() })
     }
 
     /// Makes the coarser levels, where they are not there yet, from the pyramid that the template was made of.
@@ -51,6 +55,11 @@ impl Template {
     /// The keyframe point that the template is about, in pixels of the full image.
     pub fn centre(&self) -> Pixel {
         self.centre
+    }
+
+    /// How it answers to what is not the same all over it.
+    pub fn response(&self) -> &Response {
+        &self.response
     }
 
     /// How many levels there are; at least one.
@@ -86,6 +95,8 @@ pub(super) struct LevelTemplate {
     pub inverse_hessian: Matrix2<f64>,
     /// Sum of the squared contrast.
     pub contrast_energy: f64,
+    /// Mean gray level.
+    pub mean: f32,
 }
 
 /// Room for one appearance. A keyframe has hundreds of them, 3 KiB each, and the next one has as many again: they are kept for it, because
@@ -179,6 +190,7 @@ impl LevelTemplate {
             inverse_hessian,
             appearance,
             contrast_energy,
+            mean: less.mean,
         })
     }
 }

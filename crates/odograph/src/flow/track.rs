@@ -17,6 +17,8 @@ pub struct Track {
     pub dissimilarity: f64,
     /// Covariance of the position as far as the noise of the samples goes, pixels²: large along an edge that is only straight.
     pub covariance_px2: Matrix2<f64>,
+    /// Logarithm of its mean gray level over the template's.
+    pub light: f64,
 }
 
 /// Why a template was not found again.
@@ -55,22 +57,22 @@ pub fn track(
         let result =
             search(patch, level, template.centre(), image, prediction, shift, config.iterations, step_px);
         match result {
-            Ok((level_shift, dissimilarity)) => {
+            Ok((level_shift, likeness)) => {
                 // A coarse level that found something else must not lead the finer ones astray.
-                if level == 0 || dissimilarity < config.dissimilarity {
+                if level == 0 || likeness.dissimilarity < config.dissimilarity {
                     shift = level_shift;
                 }
-                found = Some(dissimilarity);
+                found = Some(likeness);
             }
             Err(failure) if level == 0 => return Err(failure),
             // On a coarse level the patch covers more of the image and may lie partly outside; finer ones may still hold.
             Err(_) => {}
         }
     }
-    let dissimilarity = found.ok_or(TrackFailure::Outside)?;
+    let Likeness { dissimilarity, light } = found.ok_or(TrackFailure::Outside)?;
     let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
     let covariance_px2 = covariance(template.finest(), &prediction.linear, dissimilarity);
-    Ok(Track { position, dissimilarity, covariance_px2 })
+    Ok(Track { position, dissimilarity, covariance_px2, light })
 }
 
 /// The covariance of where a patch is found under a warp of this shape, pixels²: what is left unexplained is noise, and the gradients weigh it.
@@ -118,7 +120,7 @@ fn levels_for(off_px: f64) -> usize {
 }
 
 /// One level of [`track`] for a template about the keyframe point `centre`: the improved shift (pixels of the full image) and the
-/// dissimilarity there.
+/// likeness there.
 fn search(
     patch: &LevelTemplate,
     level: usize,
@@ -128,7 +130,7 @@ fn search(
     mut shift: Vector2<f64>,
     iterations: usize,
     step_px: f64,
-) -> Result<(Vector2<f64>, f64), TrackFailure> {
+) -> Result<(Vector2<f64>, Likeness), TrackFailure> {
     let scale = (1usize << level) as f64;
     // The patch of this level is centred on samples of its level, a little beside the template's own centre.
     let offset = patch.centre * scale - Vector2::new(centre.x, centre.y);
@@ -165,13 +167,13 @@ fn search(
             if last_step_known && part < 0.5 {
                 shift -= step * steps_left;
             }
-            return Ok((shift, unexplained(patch, product, &samples)));
+            return Ok((shift, Likeness::of(patch, product, &samples)));
         }
     }
     if last_step > 25.0 * step_px && last_step > 0.1 * scale {
         return Err(TrackFailure::Diverged);
     }
-    Ok((shift, unexplained(patch, product, &samples)))
+    Ok((shift, Likeness::of(patch, product, &samples)))
 }
 
 /// No image of the same ground is darker than this part of the keyframe, as far as levels other than the full image are concerned.
@@ -180,15 +182,30 @@ const LEAST_COARSE_GAIN: f64 = 0.5;
 /// Steps that shrink more slowly than this, or grow, are taken to shrink by this.
 const MOST_SHRINKING: f64 = 0.9;
 
-/// The part of the contrast of `samples` that gain and offset of the template leave unexplained: √(1 − ρ²), ρ the correlation. `product` is
-/// that of the samples with the template's contrast.
-pub(super) fn unexplained(patch: &LevelTemplate, product: f64, samples: &Samples) -> f64 {
-    let (_, energy) = mean_and_energy(samples);
-    if energy < 1e-6 || product <= 0.0 {
-        return 1.0;
-    }
-    (1.0 - (product * product / (energy * patch.contrast_energy))).max(0.0).sqrt()
+/// How alike a template and what was found are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Likeness {
+    /// The part of the contrast that gain and offset of the template leave unexplained: √(1 − ρ²), ρ the correlation.
+    pub dissimilarity: f64,
+    /// Logarithm of the mean gray level over the template's.
+    pub light: f64,
 }
+
+impl Likeness {
+    /// `product` is that of the samples with the template's contrast.
+    pub fn of(patch: &LevelTemplate, product: f64, samples: &Samples) -> Self {
+        let (mean, energy) = mean_and_energy(samples);
+        let light = (mean.max(DARKEST) / f64::from(patch.mean).max(DARKEST)).ln();
+        if energy < 1e-6 || product <= 0.0 {
+            return Self { dissimilarity: 1.0, light };
+        }
+        let unexplained = 1.0 - (product * product / (energy * patch.contrast_energy));
+        Self { dissimilarity: unexplained.max(0.0).sqrt(), light }
+    }
+}
+
+/// Below this mean gray level the light is not told.
+const DARKEST: f64 = 1.0;
 
 /// Follows a found template backward: a patch of `image` at the found place is searched in the keyframe. Gives how far from
 /// the template's centre it arrives, in keyframe pixels (Z. Kalal et al., 2010); `None` where it does not arrive.

@@ -5,14 +5,22 @@ use crate::flow::Warp;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-/// Three points this far around the centre of a patch of 16x16 samples, a third of a turn apart, show where and in which shape it is expected,
+/// Five points this far around the centre of a patch of 16x16 samples, a fifth of a turn apart, show where and in which shape it is expected,
 /// samples. In their mean a curvature of the warp (a lens is never straight) shifts as much as in the mean of the whole patch, of
 /// which the samples are (16² − 1) / 12 from the middle along either side: their squared distance is twice that of both.
 const RING: f64 = 6.519_202_405_202_649;
 
+/// How many points. Five tell all that is linear and quadratic about the warp: the first two harmonics around the ring.
+const POINTS: usize = 5;
+
 /// Of the ring's points, (right, down) in units of its radius.
-const AROUND: [(f64, f64); 3] =
-    [(1.0, 0.0), (-0.5, 0.866_025_403_784_438_6), (-0.5, -0.866_025_403_784_438_6)];
+const AROUND: [(f64, f64); POINTS] = [
+    (1.0, 0.0),
+    (0.309_016_994_374_947_45, 0.951_056_516_295_153_5),
+    (-0.809_016_994_374_947_5, 0.587_785_252_292_473_1),
+    (-0.809_016_994_374_947_5, -0.587_785_252_292_473_1),
+    (0.309_016_994_374_947_45, -0.951_056_516_295_153_5),
+];
 
 /// A square patch of 16x16 samples on the ground.
 #[derive(Debug, Clone, Copy)]
@@ -20,7 +28,7 @@ pub struct GroundPatch {
     /// Where its centre lies.
     pub ground: GroundPoint,
     /// Where the points of the ring around the centre lie.
-    ring: [GroundPoint; 3],
+    ring: [GroundPoint; POINTS],
     /// Pixels from one sample to the next.
     pixels_per_sample: f64,
 }
@@ -33,6 +41,8 @@ pub struct PatchWarp {
     /// How far the patch as a whole is from where its centre is, pixels: Lucas–Kanade finds the whole patch, and what lies on the ground is its
     /// centre. Left out, a lens that bends lines makes every way as much longer as its curvature changes along it.
     pub bend: Vector2<f64>,
+    /// The second derivatives of the warp by (right, right), (right, down) and (down, down), pixels by samples².
+    pub curvature: [Vector2<f64>; 3],
 }
 
 impl GroundPatch {
@@ -43,8 +53,9 @@ impl GroundPatch {
         centre: Pixel,
         pixels_per_sample: f64,
     ) -> Option<Self> {
-        let (ray, [first, second, third]) = rays_about(camera, centre, RING * pixels_per_sample)?;
-        let ring = [from.of(first)?, from.of(second)?, from.of(third)?];
+        let (ray, around) = rays_about(camera, centre, RING * pixels_per_sample)?;
+        let [a, b, c, d, e] = around.map(|ray| from.of(ray));
+        let ring = [a?, b?, c?, d?, e?];
         Some(Self { ground: from.of(ray)?, ring, pixels_per_sample })
     }
 
@@ -52,23 +63,34 @@ impl GroundPatch {
     pub fn warp(&self, camera: &Camera, pose: &ViewingPose) -> Option<PatchWarp> {
         let centre = pose.pixel(camera, self.ground)?;
         let mut mean = Vector2::zeros();
-        let mut linear = Matrix2::zeros();
-        // Least squares over the ring.
-        let share = 2.0 / (3.0 * RING * self.pixels_per_sample);
+        let (mut right_left, mut down_up) = (Vector2::zeros(), Vector2::zeros());
+        let (mut stretch, mut shear) = (Vector2::zeros(), Vector2::zeros());
+        // The harmonics of the ring: least squares.
         for (point, (right, down)) in self.ring.iter().zip(AROUND) {
             let pixel = pose.pixel(camera, *point)?;
             let from_centre = Vector2::new(pixel.x - centre.x, pixel.y - centre.y);
-            mean += from_centre / 3.0;
-            linear += from_centre * Vector2::new(right, down).transpose() * share;
+            mean += from_centre;
+            right_left += from_centre * right;
+            down_up += from_centre * down;
+            stretch += from_centre * (right * right - down * down);
+            shear += from_centre * (2.0 * right * down);
         }
+        let points = POINTS as f64;
+        mean /= points;
+        let per_pixel = 2.0 / (points * RING * self.pixels_per_sample);
+        let linear = Matrix2::from_columns(&[right_left * per_pixel, down_up * per_pixel]);
+        // Around the ring half of the curvature is constant, the other half turns twice.
+        let per_sample2 = 4.0 / (RING * RING);
+        let (both, apart) = (mean * (0.5 * per_sample2), stretch * (per_sample2 / points));
+        let curvature = [both + apart, shear * (per_sample2 / points), both - apart];
         let position = Pixel::new(centre.x + mean.x, centre.y + mean.y);
-        Some(PatchWarp { warp: Warp { position, linear }, bend: mean })
+        Some(PatchWarp { warp: Warp { position, linear }, bend: mean, curvature })
     }
 }
 
 /// The rays of a pixel and of the points a radius around it (pixels): the others by one step of Newton's method from where the derivative at the
 /// first puts them, exact to far less than a thousandth of a pixel near the centre.
-fn rays_about(camera: &Camera, pixel: Pixel, radius_px: f64) -> Option<(Ray, [Ray; 3])> {
+fn rays_about(camera: &Camera, pixel: Pixel, radius_px: f64) -> Option<(Ray, [Ray; POINTS])> {
     let ray = camera.ray_from_pixel(pixel)?;
     let (_, pixel_by_ray) = camera.pixel_and_derivative(ray)?;
     let ray_by_pixel = pixel_by_ray.try_inverse()?;
@@ -80,7 +102,8 @@ fn rays_about(camera: &Camera, pixel: Pixel, radius_px: f64) -> Option<(Ray, [Ra
         let left = ray_by_pixel * Vector2::new(pixel.x + offset.x - seen.x, pixel.y + offset.y - seen.y);
         Some(Ray::new(guess.x + left.x, guess.y + left.y))
     };
-    Some((ray, [beside(AROUND[0])?, beside(AROUND[1])?, beside(AROUND[2])?]))
+    let [a, b, c, d, e] = AROUND.map(beside);
+    Some((ray, [a?, b?, c?, d?, e?]))
 }
 
 /// A pose with its rotation worked out once for many ground points.

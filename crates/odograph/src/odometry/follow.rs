@@ -2,6 +2,7 @@
 
 use super::OdometryConfig;
 use super::keyframe::{KeyCorner, Keyframe};
+use super::light_field::LightField;
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
@@ -13,7 +14,7 @@ use crate::motion::{
     ViewingPose, estimate, mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
-use nalgebra::{Matrix2, Matrix6};
+use nalgebra::{Matrix2, Matrix6, Vector2};
 
 /// A frame measured against a keyframe.
 #[derive(Debug, Clone)]
@@ -40,14 +41,21 @@ pub struct Found {
     pub warp: Warp,
     /// Of the position, from the noise of the samples, pixels².
     pub covariance_px2: Matrix2<f64>,
+    /// Logarithm of its brightness over that of its first appearance.
+    pub light: f64,
 }
 
 /// What was found, weighed by how well each patch holds in each direction.
 fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
-    let sighting = |found: &Found| Sighting {
-        ground: keyframe.corners[found.corner].patch.ground,
-        pixel: found.warp.position,
-        covariance_px2: found.covariance_px2,
+    let light = LightField::between(found);
+    let sighting = |found: &Found| {
+        let corner = &keyframe.corners[found.corner];
+        let Warp { position, linear } = &found.warp;
+        let pulled = light.as_ref().map_or_else(Vector2::zeros, |light| {
+            corner.template.response().to_light(linear, light.slope(*position))
+        });
+        let pixel = Pixel::new(position.x - pulled.x, position.y - pulled.y);
+        Sighting { ground: corner.patch.ground, pixel, covariance_px2: found.covariance_px2 }
     };
     let sightings: Buffer<Sighting> = found.iter().map(sighting).collect();
     whitened(&sightings, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
@@ -312,23 +320,28 @@ fn find(
     off_px: f64,
     config: &OdometryConfig,
 ) -> Option<Found> {
-    let PatchWarp { warp, bend } = corner.patch.warp(camera, pose)?;
+    let PatchWarp { warp, curvature, .. } = corner.patch.warp(camera, pose)?;
     if off_px > SETTLED_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
-    let (warp, covariance_px2) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
+    let (warp, covariance_px2, light) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
         Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
-            (Warp { position: found.position, ..warp }, found.covariance_px2)
+            (Warp { position: found.position, ..warp }, found.covariance_px2, found.light)
         }
         // Second judgement: perhaps only the expected shape was wrong.
         Ok(Track { position, .. }) => {
             let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
-            (judged.dissimilarity <= config.flow.dissimilarity).then_some((warp, judged.covariance_px2))?
+            (judged.dissimilarity <= config.flow.dissimilarity).then_some((
+                warp,
+                judged.covariance_px2,
+                judged.light,
+            ))?
         }
         Err(_) => return None,
     };
+    let bend = corner.template.response().to_curvature(&warp.linear, &curvature);
     let centre = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
-    Some(Found { corner: index, warp: Warp { position: centre, ..warp }, covariance_px2 })
+    Some(Found { corner: index, warp: Warp { position: centre, ..warp }, covariance_px2, light })
 }
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
@@ -344,7 +357,7 @@ fn follow_by_eye(
         let Track { position, .. } =
             track(&corner.template, pyramid, &corner.seen, off_px, &config.flow).ok()?;
         let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
-        let found = Found { corner: index, warp, covariance_px2: judged.covariance_px2 };
+        let found = Found { corner: index, warp, covariance_px2: judged.covariance_px2, light: judged.light };
         (judged.dissimilarity <= config.flow.dissimilarity).then_some(found)
     };
     keyframe.corners.iter().enumerate().filter_map(search).collect()

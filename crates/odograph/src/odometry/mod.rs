@@ -11,6 +11,7 @@ mod follow;
 mod keyframe;
 mod keyframe_event;
 mod last_pose;
+mod light_field;
 mod limits;
 mod loss;
 pub(crate) mod matching;

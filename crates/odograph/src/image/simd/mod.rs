@@ -216,6 +216,21 @@ widened! {
     write_appearance(image: &GrayImage, left: usize, top: usize, less: &Orthogonal, appearance: &mut Appearance)
 }
 
+/// Sums over a patch, (x, y) being a sample's place from the middle and (g, h) its gradients: how the patch answers to what is not the same all
+/// over it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Moments {
+    /// Of g g, g h and h h, each times x x, x y and y y.
+    pub squares: [[f64; 3]; 3],
+    /// Of g and h times the gray level, each times x and y.
+    pub light: [[f64; 2]; 2],
+}
+
+widened! {
+    /// The moments of a patch with that mean gray level.
+    moments(appearance: &Appearance, mean: f32) -> Moments
+}
+
 widened! {
     /// The binomial 1 4 6 4 1 across five rows, `sums` as long as each of them.
     blur_rows(a: &[u8], b: &[u8], c: &[u8], d: &[u8], e: &[u8], sums: &mut [u16])

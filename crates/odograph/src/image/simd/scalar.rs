@@ -2,7 +2,7 @@
 //!
 //! `inline(always)`, so that the copies for wider registers are compiled with these bodies inside.
 
-use super::{Appearance, Grid, Orthogonal, PATCH_SIDE, Patch, PatchSums, Shift};
+use super::{Appearance, Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Shift};
 use crate::image::GrayImage;
 
 /// Running sums of a product. Their number is part of the meaning: it fixes the order of additions.
@@ -217,6 +217,76 @@ pub fn write_appearance(
             gradient_y[i] = y - less.mean_y - less.share_y * value;
         }
     }
+}
+
+#[inline(always)]
+pub fn moments(appearance: &Appearance, mean: f32) -> Moments {
+    let Appearance { contrast, gradient_x, gradient_y } = appearance;
+    Moments {
+        squares: [
+            second_moments(sums_down(gradient_x, gradient_x, 0.0)),
+            second_moments(sums_down(gradient_x, gradient_y, 0.0)),
+            second_moments(sums_down(gradient_y, gradient_y, 0.0)),
+        ],
+        light: [
+            first_moments(sums_down(gradient_x, contrast, mean)),
+            first_moments(sums_down(gradient_y, contrast, mean)),
+        ],
+    }
+}
+
+/// By x x, x y and y y.
+#[inline(always)]
+fn second_moments([ones, lower, lowest]: [Columns; 3]) -> [f64; 3] {
+    [sum_along(&ones, 2), sum_along(&lower, 1), sum_along(&lowest, 0)]
+}
+
+/// By x and y.
+#[inline(always)]
+fn first_moments([ones, lower, _]: [Columns; 3]) -> [f64; 2] {
+    [sum_along(&ones, 1), sum_along(&lower, 0)]
+}
+
+/// The columns together, each times a power of its place.
+#[inline(always)]
+fn sum_along(columns: &Columns, power: usize) -> f64 {
+    let mut weighted = *columns;
+    for i in 0..PATCH_SIDE {
+        weighted[i] *= PLACES[power][i];
+    }
+    total(weighted)
+}
+
+type Columns = [f32; PATCH_SIDE];
+
+/// How far a row or column of a patch is from its middle, to the power of 0, 1 and 2.
+const PLACES: [Columns; 3] = {
+    let mut places = [[1.0; PATCH_SIDE]; 3];
+    let mut i = 0;
+    while i < PATCH_SIDE {
+        let place = i as f32 - (PATCH_SIDE as f32 - 1.0) / 2.0;
+        places[1][i] = place;
+        places[2][i] = place * place;
+        i += 1;
+    }
+    places
+};
+
+/// Column by column the sums of a (b + more), times the row's place to the power of 0, 1 and 2.
+#[inline(always)]
+fn sums_down(a: &Patch, b: &Patch, more: f32) -> [Columns; 3] {
+    let [mut ones, mut lower, mut lowest] = [[0.0; PATCH_SIDE]; 3];
+    let rows = a.chunks_exact(PATCH_SIDE).zip(b.chunks_exact(PATCH_SIDE));
+    for (j, (a, b)) in rows.enumerate() {
+        let (down, squared) = (PLACES[1][j], PLACES[2][j]);
+        for i in 0..PATCH_SIDE {
+            let product = a[i] * (b[i] + more);
+            ones[i] += product;
+            lower[i] += down * product;
+            lowest[i] += squared * product;
+        }
+    }
+    [ones, lower, lowest]
 }
 
 #[inline(always)]

@@ -125,6 +125,7 @@ proptest! {
         let (a, b) = (random_patch(seed), random_patch(seed ^ 1));
         prop_assert_eq!(dot(&a, &b), scalar::dot(&a, &b));
         prop_assert_eq!(mean_and_energy(&a), scalar::mean_and_energy(&a));
+        prop_assert_eq!(moments(&appearance(seed), 97.3), scalar::moments(&appearance(seed), 97.3));
     }
 
     #[test]
