@@ -264,14 +264,18 @@ pub fn refine(
         .filter(|(_, weight)| **weight > 0.0)
         .map(|(error, _)| error * error)
         .sum();
+    let spare = 2 * count - unknowns.count;
     // To agree is to be near, not only to be uncertain: of what is unlike the ground all is uncertain.
     let near = |(residual, &weight): (&Residual, &f64)| weight > 0.0 && residual.distance_px < reach_px;
     let inliers: Buffer<bool> = residuals.iter().zip(&weights).map(near).collect();
-    // Per coordinate: two coordinates a track, less the unknowns.
-    let variance_px2 = squares / (2 * count - unknowns.count) as f64;
+    let pull = Pull::new(&prior, scale_px);
+    let own = Fit { residuals: &residuals, weights: &weights, errors: &errors, reach_px, scale_px }
+        .covariance(&information, &pull, &unknowns)?
+        * (2 * count) as f64
+        / spare as f64;
     Some(MotionEstimate {
         pose,
-        covariance: covariance(&information, &unknowns, variance_px2)?
+        covariance: own
             + shared_errors(
                 camera,
                 &pose,
@@ -375,11 +379,64 @@ const ROUNDS: usize = 12;
 /// Pixel noise below this is not believed: tracks of neighbouring corners share their errors.
 const SMALLEST_SCALE_PX: f64 = 0.01;
 
-fn covariance(information: &Matrix6<f64>, unknowns: &Unknowns, variance_px2: f64) -> Option<Matrix6<f64>> {
-    let n = unknowns.count;
-    let inverse = unknowns.of(information).cholesky()?.inverse();
-    Some(Matrix6::from_fn(|i, j| if i < n && j < n { inverse[(i, j)] * variance_px2 } else { 0.0 }))
+/// A robust fit as it ended.
+struct Fit<'a> {
+    residuals: &'a [Residual],
+    weights: &'a [f64],
+    errors: &'a [f64],
+    reach_px: f64,
+    scale_px: f64,
 }
+
+impl Fit<'_> {
+    /// The covariance of the unknowns, from how far off the tracks really are (P. Huber, "The behavior of maximum likelihood estimates under nonstandard
+    /// conditions", 1967): what is far off counts little and is not taken for the noise of all.
+    fn covariance(
+        &self,
+        information: &Matrix6<f64>,
+        pull: &Pull,
+        unknowns: &Unknowns,
+    ) -> Option<Matrix6<f64>> {
+        let mut scatter = [[0.0; 6]; 6];
+        let (mut weights, mut answers) = (0.0, 0.0);
+        for ((Residual { error, by_pose, .. }, &weight), &length) in
+            self.residuals.iter().zip(self.weights).zip(self.errors)
+        {
+            if weight <= 0.0 {
+                continue;
+            }
+            let force: [f64; 6] =
+                std::array::from_fn(|i| weight * (error[0] * by_pose[0][i] + error[1] * by_pose[1][i]));
+            for i in 0..6 {
+                for j in i..6 {
+                    scatter[i][j] += force[i] * force[j];
+                }
+            }
+            // How the weighted residual grows with the residual, the mean of all directions.
+            let part = (length / self.reach_px).powi(2);
+            weights += weight;
+            answers += (1.0 - part) * (1.0 - 3.0 * part);
+        }
+        let answer = (answers / weights).max(LEAST_ANSWER);
+        let mut scatter = Matrix6::from_fn(|i, j| scatter[i.min(j)][i.max(j)]);
+        for i in 0..3 {
+            let at = 3 + i;
+            // The prior is as it is said to be, and no more robust than that.
+            scatter[(at, at)] += pull.weight[i] * self.scale_px * self.scale_px;
+        }
+        let mut information = information * answer;
+        for i in 0..3 {
+            information[(3 + i, 3 + i)] += (1.0 - answer) * pull.weight[i];
+        }
+        let n = unknowns.count;
+        let inverse = unknowns.of(&information).cholesky()?.inverse();
+        let covariance = inverse * unknowns.of(&scatter) * inverse;
+        Some(Matrix6::from_fn(|i, j| if i < n && j < n { covariance[(i, j)] } else { 0.0 }))
+    }
+}
+
+/// The least part of its weight with which a track answers: where most are far off, this is not told any more.
+const LEAST_ANSWER: f64 = 0.4;
 
 /// Covariance of what tracks have in common and no number of them averages away: light that changes, what the models of lens and ground leave,
 /// the bias of interpolation. An error of `shared_px`, turned into heading and tilt over half the image.
