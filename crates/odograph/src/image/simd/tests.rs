@@ -205,7 +205,7 @@ proptest! {
 #[test]
 fn sums_over_black_and_white_are_those_of_the_reference() {
     for period in [1, 2, 3, 300] {
-        let white = |i: usize| if i % 30 / period % 2 == 0 { 255 } else { 0 };
+        let white = |i: usize| if (i % 30 / period).is_multiple_of(2) { 255 } else { 0 };
         let image = GrayImage::from_samples(30, 30, (0..900).map(white).collect()).unwrap();
         assert_eq!(patch_sums(&image, 5, 6), scalar::patch_sums(&image, 5, 6));
     }
