@@ -4,7 +4,7 @@
 //! into a ground point in metres ([`crate::geometry::GroundPose`]).
 
 use crate::error::{Error, Result};
-use crate::geometry::{GroundPose, Pixel, Ray};
+use crate::geometry::{GroundPose, Pixel, Ray, length};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
@@ -166,7 +166,7 @@ impl Distortion {
 
     /// A ray near the one that reaches normalised image coordinates, for Newton's method to start from.
     fn ray_near(&self, (x, y): (f64, f64), tangent_limit: f64) -> Option<Ray> {
-        let radius = x.hypot(y);
+        let radius = length(x, y);
         let tangent = match *self {
             Self::KannalaBrandt { .. } => radius.min(1.5).tan(),
             Self::DoubleSphere { xi, alpha } => {
@@ -384,9 +384,9 @@ impl Camera {
         };
         let (mut residual, mut derivative) = misfit(ray);
         for _ in 0..50 {
-            let size = residual.0.hypot(residual.1);
+            let size = length(residual.0, residual.1);
             if size * self.fx.max(self.fy) < 1e-9 {
-                let inside = ray.x.hypot(ray.y) <= self.tangent_limit;
+                let inside = length(ray.x, ray.y) <= self.tangent_limit;
                 return inside.then_some(ray);
             }
             let inverse = derivative.try_inverse()?;
@@ -399,8 +399,8 @@ impl Camera {
             loop {
                 let next = Ray::new(ray.x + factor * dx, ray.y + factor * dy);
                 let (next_residual, next_derivative) = misfit(next);
-                let better = next_residual.0.hypot(next_residual.1) < size;
-                if better && next.x.hypot(next.y) <= self.tangent_limit * 1.001 {
+                let better = length(next_residual.0, next_residual.1) < size;
+                if better && length(next.x, next.y) <= self.tangent_limit * 1.001 {
                     (ray, residual, derivative) = (next, next_residual, next_derivative);
                     break;
                 }

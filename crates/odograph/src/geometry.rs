@@ -27,8 +27,14 @@ impl Pixel {
 
     /// Euclidean distance to another pixel, in pixels.
     pub fn distance(self, other: Self) -> f64 {
-        (self.x - other.x).hypot(self.y - other.y)
+        length(self.x - other.x, self.y - other.y)
     }
+}
+
+/// The length of the vector (`x`, `y`). Not `hypot`, which C libraries round each in its way and whose care for the greatest and the least numbers no
+/// length here needs: so it has the same bits on every machine.
+pub(crate) fn length(x: f64, y: f64) -> f64 {
+    (x * x + y * y).sqrt()
 }
 
 /// A viewing direction in the camera frame, the vector (`x`, `y`, 1): normalised, undistorted image coordinates.
@@ -69,7 +75,7 @@ impl GroundPoint {
 
     /// Distance to another ground point, in metres.
     pub fn distance(self, other: Self) -> f64 {
-        (self.x_m - other.x_m).hypot(self.y_m - other.y_m)
+        length(self.x_m - other.x_m, self.y_m - other.y_m)
     }
 }
 

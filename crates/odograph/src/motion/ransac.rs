@@ -4,7 +4,7 @@ use super::planar_pose::{Unknowns, gauss_newton_step};
 use super::{MotionConfig, MotionModel, Observation, Random, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
-use crate::geometry::{GroundPoint, GroundPose, Ray};
+use crate::geometry::{GroundPoint, GroundPose, Ray, length};
 
 stored!(Option<Ray>);
 
@@ -168,7 +168,7 @@ fn two_point_pose(
 ) -> Option<GroundPose> {
     let (ax, ay) = (ground[1].x_m - ground[0].x_m, ground[1].y_m - ground[0].y_m);
     let (bx, by) = (seen[1].x_m - seen[0].x_m, seen[1].y_m - seen[0].y_m);
-    let (length, seen_length) = (ax.hypot(ay), bx.hypot(by));
+    let (length, seen_length) = (length(ax, ay), length(bx, by));
     // Points nearer than a tenth of the height tell little about the heading.
     if length < 0.1 * prediction.height_m || seen_length < 1e-9 {
         return None;

@@ -1,7 +1,7 @@
 //! Sampling and halving by hand, eight samples at a time.
 
 use super::scalar::{self, row_start, rows_about, total};
-use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums};
+use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
@@ -74,7 +74,7 @@ impl<'a> Sampler<'a> {
             width,
             steps: steps.map(|i| [_mm256_mul_ps(dx, i), _mm256_mul_ps(dy, i)]),
             last: _mm256_set1_epi32((samples.len() - width - 2) as i32),
-            rows: rows_of_eight(image, grid),
+            rows: rows_about_neighbours(image, grid, LANES, CHUNK, &[3, 4]).unwrap_or(ANY),
             first_line: end(grid.along_row[1]),
             first_column: end(grid.along_row[0]),
         }
@@ -200,29 +200,6 @@ impl<'a> Sampler<'a> {
         let lower = between(lower_left, lower_right, fx);
         _mm256_add_ps(upper, _mm256_mul_ps(fy, _mm256_sub_ps(lower, upper)))
     }
-}
-
-/// On how many rows of the image eight neighbouring samples of a grid and those below them lie; see [`Sampler::rows`].
-fn rows_of_eight(image: &GrayImage, grid: &Grid) -> usize {
-    let steps = (LANES - 1) as f64;
-    let [columns, lines] = grid.along_row.map(|step| steps * step.abs());
-    let rows = match lines {
-        ..0.99 => 3,
-        ..1.99 => 4,
-        _ => return ANY,
-    };
-    let across = (PATCH_SIDE - 1) as f64;
-    let ends = |axis: usize| {
-        let [row, column] = [grid.along_row[axis] * across, grid.along_column[axis] * across];
-        let first = grid.first[axis];
-        (first + row.min(0.0) + column.min(0.0), first + row.max(0.0) + column.max(0.0))
-    };
-    let (x, y) = (ends(0), ends(1));
-    // Neither so where a number is not one. The first of eight is at column 0 of its chunk, the last with its neighbour at most at the end.
-    let fits = columns + 2.0 < CHUNK as f64 && x.0 > -0.5 && y.0 > -0.5 && x.1 < 1e6 && y.1 < 1e6;
-    // One row and one column more than needed, for rounding.
-    let end = |x: f64, y: f64| (y as usize + rows) * image.width() + x as usize + 1 + CHUNK;
-    if fits && end(x.1, y.1) <= image.samples().len() { rows } else { ANY }
 }
 
 /// Eight places of which the first chunk of bytes with all of them begins at `at`, counted from there.

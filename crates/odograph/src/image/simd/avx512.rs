@@ -4,7 +4,7 @@
 //! eight. What is done with them is what the reference does, in its order.
 
 use super::scalar::{row_start, total};
-use super::{Appearance, Grid, PATCH_SIDE, Patch, Shift};
+use super::{Appearance, Grid, PATCH_SIDE, Patch, Shift, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
@@ -25,21 +25,7 @@ pub fn is_here() -> bool {
 /// Over how many rows of the image each row of a grid lies, where they are few enough and all is inside the image: for a patch that is turned by at most
 /// 0.4 rad, is less than twice as wide, and is not at the very end of the image.
 pub fn rows(image: &GrayImage, grid: &Grid) -> Option<usize> {
-    let across = (PATCH_SIDE - 1) as f64;
-    let ends = |axis: usize| {
-        let [row, column] = [grid.along_row[axis] * across, grid.along_column[axis] * across];
-        let first = grid.first[axis];
-        (first + row.min(0.0) + column.min(0.0), first + row.max(0.0) + column.max(0.0))
-    };
-    let (x, y) = (ends(0), ends(1));
-    let [columns, lines] = grid.along_row.map(|step| across * step.abs());
-    // With the neighbour below, and rounding; with the neighbour to the right. Not so either where a number is not one.
-    let rows = if lines < FEW_ROWS as f64 - 2.01 { FEW_ROWS } else { MANY_ROWS };
-    let near = columns < CHUNK as f64 - 2.1 && lines < rows as f64 - 2.01;
-    let fits = near && x.0 > -0.5 && y.0 > -0.5 && x.1 < 1e6 && y.1 < 1e6;
-    // One row and one column more than needed, for rounding.
-    let end = || (y.1 as usize + rows) * image.width() + x.1 as usize + 1 + CHUNK;
-    (fits && end() <= image.samples().len()).then_some(rows)
+    rows_about_neighbours(image, grid, PATCH_SIDE, CHUNK, &[FEW_ROWS, MANY_ROWS])
 }
 
 /// See [`super::sample_patch`]; for grids with so many [`rows`].

@@ -1,8 +1,10 @@
 //! Laying frames on the ground: eight ground pixels of a row at a time are taken from a frame and averaged into what lies there already.
 //!
-//! The reference is one pixel after the other, [`lay_eight_by_one`]; for AVX2 eight are done side by side ([`wide`]). Both give the same bytes:
+//! The reference is one pixel after the other, [`lay_eight_by_one`]; for AVX2 and for NEON eight are done side by side (`wide`, `neon`). All give the same bytes:
 //! no multiply-add is fused, and each pixel's operations have the reference's order.
 
+#[cfg(target_arch = "aarch64")]
+mod neon;
 #[cfg(target_arch = "x86_64")]
 mod wide;
 
@@ -130,6 +132,11 @@ pub fn lay_eight<const N: usize>(
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
         return unsafe { wide::lay_eight(frame, places, pixels) };
+    }
+    #[cfg(target_arch = "aarch64")]
+    if std::arch::is_aarch64_feature_detected!("neon") {
+        // SAFETY: the processor has NEON.
+        return unsafe { neon::lay_eight(frame, places, pixels) };
     }
     lay_eight_by_one(frame, places, pixels)
 }

@@ -3,10 +3,12 @@
 //! Each kernel has one meaning, its scalar reference in [`scalar`], and gives the same bits on every machine:
 //!
 //! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
-//!   reorders or fuses operations on floating-point numbers;
-//! * the sampling of patches and of frames that are laid on the ground, which the compiler cannot widen because of its gathered loads, the sums
-//!   over patches and the halving of rows are written by hand in [`avx2`], [`avx512`] and [`ground`] and held equal to their references by tests. No multiply-add is fused, and the order of additions is the
-//!   reference's.
+//!   reorders or fuses operations on floating-point numbers. On 64-bit ARM it widens the reference itself, since every such processor
+//!   has NEON;
+//! * what the compiler cannot widen, or widens badly, is written by hand and held equal to its reference by tests: on x86-64 the sampling
+//!   of patches and of frames that are laid on the ground or straightened, with its gathered loads, the sums over patches and the halving of
+//!   rows (`avx2`, `avx512`, `wide` in [`ground`] and [`remap`]), on ARM the same but for patches that are only moved, and the sums of products
+//!   besides (`neon`, here and in these two). No multiply-add is fused, and the order of additions is the reference's.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -14,12 +16,16 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 pub mod ground;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 pub mod remap;
 mod scalar;
 #[cfg(test)]
 mod tests;
 
 use super::GrayImage;
+#[cfg(target_arch = "aarch64")]
+use std::arch::is_aarch64_feature_detected;
 
 /// Side of a patch in samples. Even, so that a row fills whole SIMD registers; its centre lies between the middle samples.
 pub const PATCH_SIDE: usize = 16;
@@ -52,14 +58,58 @@ impl Appearance {
     };
 }
 
-/// What the hand-written sampling needs: the processor's AVX2, and an image whose offsets fit into 32 bits.
-#[cfg(target_arch = "x86_64")]
+/// What the hand-written sampling needs: the processor's AVX2 or NEON, and an image whose offsets fit into 32 bits.
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 fn samples_wide(image: &GrayImage) -> bool {
-    is_x86_feature_detected!("avx2") && i32::try_from(image.samples().len()).is_ok()
+    #[cfg(target_arch = "x86_64")]
+    let is_here = is_x86_feature_detected!("avx2");
+    #[cfg(target_arch = "aarch64")]
+    let is_here = is_aarch64_feature_detected!("neon");
+    is_here && i32::try_from(image.samples().len()).is_ok()
 }
 
-/// Makes of a scalar reference a kernel that uses AVX2 where the processor has it.
+/// On which of so many rows of the image (`choices`, rising) `count` neighbours along a row of the grid lie wherever they are in it, with the samples
+/// below them, where `chunk` bytes of a row hold them with the samples to their right, and where all the chunks that begin at their first column and
+/// row are inside the image. `None` where none is enough: the grid is turned far, is wide, or is at the very end of the image.
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+fn rows_about_neighbours(
+    image: &GrayImage,
+    grid: &Grid,
+    count: usize,
+    chunk: usize,
+    choices: &[usize],
+) -> Option<usize> {
+    let [columns, lines] = grid.along_row.map(|step| (count - 1) as f64 * step.abs());
+    // With the neighbour below or to the right, one more for where they lie between samples, and rounding.
+    let rows = *choices.iter().find(|rows| lines < **rows as f64 - 2.01)?;
+    let across = (PATCH_SIDE - 1) as f64;
+    let ends = |axis: usize| {
+        let [row, column] = [grid.along_row[axis] * across, grid.along_column[axis] * across];
+        let first = grid.first[axis];
+        (first + row.min(0.0) + column.min(0.0), first + row.max(0.0) + column.max(0.0))
+    };
+    let (x, y) = (ends(0), ends(1));
+    // Not so either where a number is not one.
+    let fits = columns < chunk as f64 - 2.1 && x.0 > -0.5 && y.0 > -0.5 && x.1 < 1e6 && y.1 < 1e6;
+    // One row and one column more than needed, for rounding.
+    let end = || (y.1 as usize + rows) * image.width() + x.1 as usize + 1 + chunk;
+    (fits && end() <= image.samples().len()).then_some(rows)
+}
+
+/// Makes of a scalar reference a kernel that uses AVX2 where the processor has it; of `neon::name` one that is written by hand for NEON.
 macro_rules! widened {
+    ($(#[$doc:meta])* neon::$name:ident($($argument:ident: $kind:ty),* $(,)?) $(-> $result:ty)?) => {
+        $(#[$doc])*
+        pub fn $name($($argument: $kind),*) $(-> $result)? {
+            #[cfg(target_arch = "aarch64")]
+            if is_aarch64_feature_detected!("neon") {
+                // SAFETY: the processor has NEON.
+                return unsafe { neon::$name($($argument),*) };
+            }
+            widened! { $name($($argument: $kind),*) $(-> $result)? }
+            $name($($argument),*)
+        }
+    };
     ($(#[$doc:meta])* $name:ident($($argument:ident: $kind:ty),* $(,)?) $(-> $result:ty)?) => {
         $(#[$doc])*
         pub fn $name($($argument: $kind),*) $(-> $result)? {
@@ -121,6 +171,11 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
         // SAFETY: the processor has AVX2.
         return unsafe { avx2::sample_patch(image, grid, samples) };
     }
+    #[cfg(target_arch = "aarch64")]
+    if samples_wide(image) {
+        // SAFETY: the processor has NEON.
+        return unsafe { neon::sample_patch(image, grid, samples) };
+    }
     scalar::sample_patch(image, grid, samples);
 }
 
@@ -162,17 +217,22 @@ pub fn sample_and_multiply(
         // SAFETY: the processor has AVX2.
         return unsafe { avx2::sample_and_multiply(image, grid, appearance, samples) };
     }
+    #[cfg(target_arch = "aarch64")]
+    if samples_wide(image) {
+        // SAFETY: the processor has NEON.
+        return unsafe { neon::sample_and_multiply(image, grid, appearance, samples) };
+    }
     scalar::sample_and_multiply(image, grid, appearance, samples)
 }
 
 widened! {
     /// The sum of products of two patches. Sixteen running sums, one a column, added in the end.
-    dot(a: &Patch, b: &Patch) -> f64
+    neon::dot(a: &Patch, b: &Patch) -> f64
 }
 
 widened! {
     /// The mean of a patch and the sum of the squared differences from it.
-    mean_and_energy(samples: &Patch) -> (f64, f64)
+    neon::mean_and_energy(samples: &Patch) -> (f64, f64)
 }
 
 /// Sums over a patch of samples, of their central differences along x and y in half gray levels per pixel, and of the products of these.
@@ -206,6 +266,11 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
         return unsafe { avx2::patch_sums(image, left, top) };
+    }
+    #[cfg(target_arch = "aarch64")]
+    if is_aarch64_feature_detected!("neon") {
+        // SAFETY: the processor has NEON.
+        return unsafe { neon::patch_sums(image, left, top) };
     }
     scalar::patch_sums(image, left, top)
 }
@@ -243,6 +308,11 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
         return unsafe { avx2::blur_and_halve(sums, out) };
+    }
+    #[cfg(target_arch = "aarch64")]
+    if is_aarch64_feature_detected!("neon") {
+        // SAFETY: the processor has NEON.
+        return unsafe { neon::blur_and_halve(sums, out) };
     }
     scalar::blur_and_halve(sums, out);
 }

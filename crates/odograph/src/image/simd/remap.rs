@@ -1,5 +1,7 @@
 //! Bilinear sampling of a whole image at places that are known beforehand, in fixed point.
 
+#[cfg(target_arch = "aarch64")]
+mod neon;
 #[cfg(target_arch = "x86_64")]
 mod wide;
 
@@ -137,7 +139,7 @@ impl Remap {
         self.blocks.iter().map(empty).sum::<usize>() - filled_up * self.size.1
     }
 
-    /// Samples an image of `CHANNELS` interleaved channels: 1 or 3 of them use the processor's AVX2 where it has it. Panics where the
+    /// Samples an image of `CHANNELS` interleaved channels: 1 or 3 of them use the processor's AVX2 or NEON where it has it. Panics where the
     /// number of samples is not that of the sizes.
     pub fn apply<const CHANNELS: usize>(&self, source: &[u8], result: &mut [u8]) {
         assert_eq!(source.len(), CHANNELS * self.source.0 * self.source.1, "one sample a channel and pixel");
@@ -151,6 +153,17 @@ impl Remap {
             if CHANNELS == 3 {
                 // SAFETY: the processor has AVX2.
                 return unsafe { wide::rgb(self, source, result) };
+            }
+        }
+        #[cfg(target_arch = "aarch64")]
+        if std::arch::is_aarch64_feature_detected!("neon") && self.source.0 > 1 && self.source.1 > 1 {
+            if CHANNELS == 1 {
+                // SAFETY: the processor has NEON.
+                return unsafe { neon::gray(self, source, result) };
+            }
+            if CHANNELS == 3 {
+                // SAFETY: the processor has NEON.
+                return unsafe { neon::rgb(self, source, result) };
             }
         }
         self.apply_scalar::<CHANNELS>(source, result);
@@ -286,6 +299,11 @@ mod tests {
             let (mut expected, mut found) = (vec![0; 2400], vec![0; 2400]);
             remap.apply_scalar::<1>(&image, &mut expected);
             remap.apply::<1>(&image, &mut found);
+            assert_eq!(expected, found);
+            let image = samples(3 * 200 * 160, 8);
+            let (mut expected, mut found) = (vec![0; 7200], vec![0; 7200]);
+            remap.apply_scalar::<3>(&image, &mut expected);
+            remap.apply::<3>(&image, &mut found);
             assert_eq!(expected, found);
             assert_eq!(remap.without_source(), 0);
             let loose = remap.blocks.iter().filter(|block| block.reach == Reach::Loose).count();

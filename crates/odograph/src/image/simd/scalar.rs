@@ -114,19 +114,15 @@ fn between_columns(image: &GrayImage, shift: &Shift, j: usize) -> [f32; PATCH_SI
 /// The sum of running sums: those of the second half are added to those of the first, until one is left.
 #[inline(always)]
 pub fn total(sums: [f32; SUMS]) -> f64 {
-    let mut sums = sums.map(f64::from);
-    for half in [8, 4, 2, 1] {
-        for i in 0..half {
-            sums[i] += sums[i + half];
-        }
-    }
-    sums[0]
+    let eight: [f64; 8] = std::array::from_fn(|i| f64::from(sums[i]) + f64::from(sums[i + 8]));
+    let four: [f64; 4] = std::array::from_fn(|i| eight[i] + eight[i + 4]);
+    (four[0] + four[2]) + (four[1] + four[3])
 }
 
 #[inline(always)]
 pub fn dot(a: &Patch, b: &Patch) -> f64 {
     let mut sums = [0.0f32; SUMS];
-    for (a, b) in a.chunks_exact(SUMS).zip(b.chunks_exact(SUMS)) {
+    for (a, b) in a.as_chunks::<SUMS>().0.iter().zip(b.as_chunks::<SUMS>().0) {
         for i in 0..SUMS {
             sums[i] += a[i] * b[i];
         }
@@ -137,9 +133,9 @@ pub fn dot(a: &Patch, b: &Patch) -> f64 {
 #[inline(always)]
 fn mean(samples: &Patch) -> f64 {
     let mut sums = [0.0f32; SUMS];
-    for eight in samples.chunks_exact(SUMS) {
+    for row in samples.as_chunks::<SUMS>().0 {
         for i in 0..SUMS {
-            sums[i] += eight[i];
+            sums[i] += row[i];
         }
     }
     total(sums) / samples.len() as f64
@@ -150,9 +146,9 @@ pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
     let mean = mean(samples);
     let middle = mean as f32;
     let mut sums = [0.0f32; SUMS];
-    for eight in samples.chunks_exact(SUMS) {
+    for row in samples.as_chunks::<SUMS>().0 {
         for i in 0..SUMS {
-            let difference = eight[i] - middle;
+            let difference = row[i] - middle;
             sums[i] += difference * difference;
         }
     }
@@ -161,8 +157,9 @@ pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
 
 /// The rows of an image about row `j` of the patch whose first sample is (`left`, `top`), one sample wider on both sides.
 #[inline(always)]
-pub fn rows_about(image: &GrayImage, left: usize, top: usize, j: usize) -> [&[u8]; 3] {
-    [top + j - 1, top + j, top + j + 1].map(|y| &image.row(y)[left - 1..][..PATCH_SIDE + 2])
+pub fn rows_about(image: &GrayImage, left: usize, top: usize, j: usize) -> [&[u8; PATCH_SIDE + 2]; 3] {
+    let row = |y: usize| image.row(y)[left - 1..].first_chunk().expect("the samples about a patch");
+    [row(top + j - 1), row(top + j), row(top + j + 1)]
 }
 
 #[inline(always)]
@@ -203,11 +200,12 @@ pub fn write_appearance(
     less: &Orthogonal,
     appearance: &mut Appearance,
 ) {
+    let Appearance { contrast, gradient_x, gradient_y } = appearance;
+    let [contrast, gradient_x, gradient_y] =
+        [contrast, gradient_x, gradient_y].map(|patch| patch.as_chunks_mut::<PATCH_SIDE>().0);
     for j in 0..PATCH_SIDE {
         let [above, here, below] = rows_about(image, left, top, j);
-        let contrast = &mut appearance.contrast[j * PATCH_SIDE..][..PATCH_SIDE];
-        let gradient_x = &mut appearance.gradient_x[j * PATCH_SIDE..][..PATCH_SIDE];
-        let gradient_y = &mut appearance.gradient_y[j * PATCH_SIDE..][..PATCH_SIDE];
+        let (contrast, gradient_x, gradient_y) = (&mut contrast[j], &mut gradient_x[j], &mut gradient_y[j]);
         for i in 0..PATCH_SIDE {
             let value = f32::from(here[i + 1]) - less.mean;
             let x = 0.5 * (f32::from(here[i + 2]) - f32::from(here[i]));

@@ -1,4 +1,4 @@
-//! The kernels against their scalar references: the same bits. On a processor without AVX2 these compare the references with themselves.
+//! The kernels against their scalar references: the same bits. On a processor without AVX2 and NEON these compare the references with themselves.
 
 use super::*;
 use proptest::prelude::*;
@@ -85,9 +85,12 @@ proptest! {
         let linear = [sign * along[0], across[0], across[1], sign * along[1]];
         let Some(grid) = grid(width, height, linear, place, touching) else { return Ok(()) };
         let image = random_image(width, height, seed);
-        let (mut expected, mut sampled) = ([0.0; 256], [0.0; 256]);
-        scalar::sample_patch(&image, &grid, &mut expected);
+        let appearance = appearance(seed);
+        let (mut expected, mut found, mut sampled) = ([0.0; 256], [0.0; 256], [0.0; 256]);
+        let products = scalar::sample_and_multiply(&image, &grid, &appearance, &mut expected);
+        prop_assert_eq!(sample_and_multiply(&image, &grid, &appearance, &mut found), products);
         sample_patch(&image, &grid, &mut sampled);
+        prop_assert_eq!(found, expected);
         prop_assert_eq!(sampled, expected);
         #[cfg(target_arch = "x86_64")]
         if samples_wide(&image) {
@@ -197,6 +200,15 @@ proptest! {
         prop_assert_eq!(found.contrast, expected.contrast);
         prop_assert_eq!(found.gradient_x, expected.gradient_x);
         prop_assert_eq!(found.gradient_y, expected.gradient_y);
+    }
+}
+
+#[test]
+fn sums_over_black_and_white_are_those_of_the_reference() {
+    for period in [1, 2, 3, 300] {
+        let white = |i: usize| if (i % 30 / period).is_multiple_of(2) { 255 } else { 0 };
+        let image = GrayImage::from_samples(30, 30, (0..900).map(white).collect()).unwrap();
+        assert_eq!(patch_sums(&image, 5, 6), scalar::patch_sums(&image, 5, 6));
     }
 }
 

@@ -102,7 +102,8 @@ impl Smooth {
         GroundFeature {
             descriptor: self.descriptor(centre, cos, sin),
             position_m: view.position_m((corner.x as f64, corner.y as f64)),
-            direction_rad: y.atan2(x),
+            // By way of `f64`, where the same bits are found by the mathematics of any system: that of `f32` is not rounded alike.
+            direction_rad: f64::from(y).atan2(f64::from(x)) as f32,
         }
     }
 
