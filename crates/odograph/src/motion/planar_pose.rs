@@ -431,7 +431,9 @@ impl Fit<'_> {
         let n = unknowns.count;
         let inverse = unknowns.of(&information).cholesky()?.inverse();
         let covariance = inverse * unknowns.of(&scatter) * inverse;
-        Some(Matrix6::from_fn(|i, j| if i < n && j < n { covariance[(i, j)] } else { 0.0 }))
+        // Rounding leaves it not quite symmetric.
+        let entry = |i: usize, j: usize| 0.5 * (covariance[(i, j)] + covariance[(j, i)]);
+        Some(Matrix6::from_fn(|i, j| if i < n && j < n { entry(i, j) } else { 0.0 }))
     }
 }
 
