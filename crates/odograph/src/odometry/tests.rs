@@ -317,6 +317,25 @@ fn a_loss_says_its_cause() {
 }
 
 #[test]
+fn light_that_falls_off_towards_the_corners_lengthens_no_way() {
+    let world = World::new("concrete");
+    let mut odometry = world.odometry();
+    let poses: Vec<_> = dash(2.0, 50).collect();
+    for (number, pose) in poses.iter().enumerate() {
+        let mut image = world.image(*pose, number as u64);
+        for (at, sample) in image.samples_mut().iter_mut().enumerate() {
+            let (x, y) = ((at % 640) as f64 - 320.0, (at / 640) as f64 - 240.0);
+            *sample = (f64::from(*sample) * (1.0 - 0.4 * (x * x + y * y) / 160_000.0)).round() as u8;
+        }
+        let frame = odometry.process(image, number as f64 * FRAME_S).unwrap();
+        if number + 1 == poses.len() {
+            // Eight keyframes of 0.01 px each; by what the light alone would add it were 0.3 mm.
+            assert_right(&frame, pose, 0.1);
+        }
+    }
+}
+
+#[test]
 fn ground_of_one_gray_level_is_followed_as_a_whole() {
     let world = World::new("bare");
     // From rest to 1.2 m/s over 0.6 m, turning all the while: three keyframes.
