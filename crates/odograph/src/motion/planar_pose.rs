@@ -453,9 +453,9 @@ fn shared_errors(camera: &Camera, pose: &GroundPose, unknowns: &Unknowns, shared
 
 /// The part of a track's usual error that its neighbours share, and least and most of that, pixels, one standard deviation: what rendered drives
 /// show. Moving light leaves tracks worse and all in the same way; the noise of a dim sensor is each one's own.
-const SHARED_PART: f64 = 0.1;
-const LEAST_SHARED_PX: f64 = 0.002;
-const MOST_SHARED_PX: f64 = 0.005;
+const SHARED_PART: f64 = 0.05;
+const LEAST_SHARED_PX: f64 = 0.001;
+const MOST_SHARED_PX: f64 = 0.003;
 
 /// Standard deviation of one coordinate from the median distance of the observations that could be inliers (Rayleigh: median = 1.1774 σ).
 fn robust_scale(errors: &[f64], inlier_px: f64, within: &mut Vec<f64>) -> f64 {

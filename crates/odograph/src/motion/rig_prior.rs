@@ -27,9 +27,9 @@ pub struct RigWander {
 /// Weight of the newest frame in the average: about the last twenty count.
 const LEARNING_RATE: f64 = 0.05;
 
-/// Standard deviations below these change nothing that could be measured: a part of the height, radians. (Three times as much is seen: every keyframe
-/// then wavers by a fiftieth of a millimetre, which on a steady mount is most of the drift.)
-const SMALLEST_SIGMA: [f64; 3] = [1e-5, 1e-5, 1e-5];
+/// Standard deviations below these change nothing that could be measured: a part of the height, radians. (Six times as much is seen: every keyframe
+/// then wavers by a fiftieth of a millimetre, which on a steady mount is most of the drift. With less, a mount that begins to move is followed later.)
+const SMALLEST_SIGMA: [f64; 3] = [5e-6, 5e-6, 5e-6];
 
 impl RigWander {
     /// Nothing seen yet: as steady as the mount says.

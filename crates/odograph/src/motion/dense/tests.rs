@@ -147,14 +147,14 @@ fn other_ground_is_not_taken_for_the_same() {
 
 #[test]
 fn noise_is_not_taken_for_ground() {
-    // Ground in so much noise that it makes less than a tenth of the squared derivatives: were more of them believed, each step would be too short, and what
+    // Ground in so much noise that this makes most of the squared derivatives: were more of them believed, each step would be too short, and what
     // two images are apart would be more than is claimed.
     let from = GroundPose::level(HEIGHT_M);
     let truth = GroundPose { x_m: 0.081, y_m: -0.043, heading_rad: 0.07, ..from };
     let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
     let prior = RigWander::new(&from).prior(&from, &config);
-    for (texture, noise) in [("asphalt", 12.0), ("concrete", 6.0)] {
-        let (mut answers, mut normalised, pairs) = (0.0, 0.0, 12);
+    for (texture, noise) in [("asphalt", 12.0), ("concrete", 4.0)] {
+        let (mut answers, mut normalised, pairs) = (0.0, 0.0, 24);
         for seed in 0..pairs {
             let world = World::new(texture, 3 + seed);
             let mut random = Random::new(seed);
@@ -176,7 +176,7 @@ fn noise_is_not_taken_for_ground() {
         let (answer, nees) = (answers / pairs as f64, normalised / pairs as f64);
         println!("{texture}: of a step {answer:.3} is answered, NEES {nees:.2}");
         assert!((0.9..1.1).contains(&answer), "{texture}: {answer}");
-        // As above: 95 % of the means over twelve pairs lie between 1.8 and 4.55.
-        assert!((1.5..4.55).contains(&nees), "{texture}: {nees}");
+        // 95 % of the means over 24 pairs lie within 0.7 of 3; how much is ground is itself told from the noise, which adds some.
+        assert!((2.2..4.2).contains(&nees), "{texture}: {nees}");
     }
 }
