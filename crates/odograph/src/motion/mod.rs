@@ -13,12 +13,14 @@ mod planar_pose;
 mod random;
 mod ransac;
 mod rig_prior;
+mod sharing;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use mean::mean_displacement;
 pub use random::Random;
 pub use rig_prior::{RigPrior, RigWander};
+pub use sharing::Neighbours;
 
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
@@ -168,6 +170,8 @@ pub struct MotionEstimate {
     pub inliers: Buffer<bool>,
     /// Root mean square distance of the inliers from their re-projections, pixels.
     pub residual_px: f64,
+    /// How alike the errors of neighbouring tracks are.
+    pub neighbours: Neighbours,
     /// Height, roll and pitch as the tracks alone have them, without the prior, and the variance of each; only where all three were
     /// unknown.
     pub rig_evidence: Option<[(f64, f64); 3]>,

@@ -1,5 +1,6 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
+use super::sharing::{Neighbours, shared_errors, shared_errors_of_rig, shared_px};
 use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
@@ -13,8 +14,16 @@ pub struct Unknowns {
 }
 
 impl Unknowns {
+    /// All six.
+    pub const ALL: Self = Self { count: 6 };
+
     pub fn new(model: MotionModel) -> Self {
         Self { count: model.unknowns() }
+    }
+
+    /// How many.
+    pub fn count(&self) -> usize {
+        self.count
     }
 
     /// The matrix with the rows and columns of what is not solved for replaced by those of the identity.
@@ -40,8 +49,8 @@ impl Pull {
 /// Where an observation's ground point is seen from a pose, less where it was seen, whitened (pixels of a usual track), and the derivative of
 /// that by the six numbers of the pose.
 #[derive(Debug, Clone, Copy)]
-struct Residual {
-    error: [f64; 2],
+pub(super) struct Residual {
+    pub error: [f64; 2],
     /// The distance before whitening, pixels.
     distance_px: f64,
     by_pose: [[f64; 6]; 2],
@@ -51,7 +60,7 @@ stored!(Residual);
 
 impl Residual {
     /// Of a point that is not seen: no length, and nothing that it could change.
-    const NONE: Self = Self { error: [0.0; 2], distance_px: f64::INFINITY, by_pose: [[0.0; 6]; 2] };
+    pub const NONE: Self = Self { error: [0.0; 2], distance_px: f64::INFINITY, by_pose: [[0.0; 6]; 2] };
 
     fn length(&self) -> f64 {
         (self.error[0] * self.error[0] + self.error[1] * self.error[1]).sqrt()
@@ -243,7 +252,8 @@ pub fn refine(
         let moved = (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m) / pose.height_m
             + (pose.heading_rad - before.heading_rad).abs();
         if round >= 2 && config.model == MotionModel::Auto {
-            let evidence = evidence(camera, &step.tracks_alone, &pose, &pull, scale_px)?;
+            let shared_px = shared_px(prior.shared_part, scale_px);
+            let evidence = evidence(camera, &step.tracks_alone, &pose, &pull, scale_px, shared_px)?;
             if widen(&mut prior, &evidence) {
                 continue;
             }
@@ -275,16 +285,11 @@ pub fn refine(
         / spare as f64;
     Some(MotionEstimate {
         pose,
-        covariance: own
-            + shared_errors(
-                camera,
-                &pose,
-                &unknowns,
-                (SHARED_PART * scale_px).clamp(LEAST_SHARED_PX, MOST_SHARED_PX),
-            ),
+        covariance: own + shared_errors(camera, &pose, &unknowns, shared_px(prior.shared_part, scale_px)),
         by_keyframe: by_keyframe(observations, &residuals, &weights, laid_from, &information, &unknowns)?,
         inliers,
         residual_px: (squares / count as f64).sqrt(),
+        neighbours: Neighbours::of(camera, observations, &residuals, &weights),
         rig_evidence,
     })
 }
@@ -341,6 +346,7 @@ fn evidence(
     pose: &GroundPose,
     pull: &Pull,
     scale_px: f64,
+    shared_px: f64,
 ) -> Option<[(f64, f64); 3]> {
     let covariance = tracks_alone.cholesky()?.inverse();
     let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
@@ -349,15 +355,12 @@ fn evidence(
         force[3 + i] = pull.weight[i] * (here[i] - pull.mean[i]);
     }
     let step = covariance * force;
-    let shared = shared_errors(camera, pose, &Unknowns { count: 6 }, EVIDENCE_SHARED_PX);
+    let shared = shared_errors_of_rig(camera, pose, shared_px);
     Some([0, 1, 2].map(|i| {
         let at = 3 + i;
-        (here[i] + step[at], covariance[(at, at)] * scale_px * scale_px + shared[(at, at)])
+        (here[i] + step[at], covariance[(at, at)] * scale_px * scale_px + shared[i])
     }))
 }
-
-/// Neighbouring tracks share more of their errors in the modes of tilt than in a common shift, pixels.
-const EVIDENCE_SHARED_PX: f64 = 0.03;
 
 /// Opens the prior where the evidence lies more than four of its standard deviations off: a kerb, a push, a hand that lifts the camera. Says whether
 /// it did.
@@ -439,23 +442,6 @@ impl Fit<'_> {
 
 /// The least part of its weight with which a track answers: where most are far off, this is not told any more.
 const LEAST_ANSWER: f64 = 0.4;
-
-/// Covariance of what tracks have in common and no number of them averages away: light that changes, what the models of lens and ground leave,
-/// the bias of interpolation. An error of `shared_px`, turned into heading and tilt over half the image.
-fn shared_errors(camera: &Camera, pose: &GroundPose, unknowns: &Unknowns, shared_px: f64) -> Matrix6<f64> {
-    let focal_px = camera.focal_px().0;
-    let shift_m = shared_px * pose.height_m / focal_px;
-    let turn_rad = 2.0 * shared_px / (camera.width().min(camera.height()) as f64);
-    let tilt_rad = shared_px / focal_px;
-    let sigmas = [shift_m, shift_m, turn_rad, turn_rad * pose.height_m, tilt_rad, tilt_rad];
-    Matrix6::from_fn(|i, j| if i == j && i < unknowns.count { sigmas[i] * sigmas[i] } else { 0.0 })
-}
-
-/// The part of a track's usual error that its neighbours share, and least and most of that, pixels, one standard deviation: what rendered drives
-/// show. Moving light leaves tracks worse and all in the same way; the noise of a dim sensor is each one's own.
-const SHARED_PART: f64 = 0.05;
-const LEAST_SHARED_PX: f64 = 0.001;
-const MOST_SHARED_PX: f64 = 0.003;
 
 /// Standard deviation of one coordinate from the median distance of the observations that could be inliers (Rayleigh: median = 1.1774 σ).
 fn robust_scale(errors: &[f64], inlier_px: f64, within: &mut Vec<f64>) -> f64 {

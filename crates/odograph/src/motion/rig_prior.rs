@@ -1,7 +1,9 @@
-//! What is known of height, roll and pitch before a frame is measured.
+//! What is known of height, roll and pitch, and of the tracks' errors, before a frame is measured.
 
+use super::sharing::Neighbours;
 use super::{MotionConfig, MotionEstimate, MotionModel};
 use crate::geometry::GroundPose;
+use nalgebra::Matrix6;
 
 /// A Gaussian over height (metres), roll and pitch (radians).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -10,7 +12,51 @@ pub struct RigPrior {
     pub mean: [f64; 3],
     /// One standard deviation.
     pub sigma: [f64; 3],
+    /// The part of its error that a track shares with all the others, 0 to 1.
+    pub shared_part: f64,
 }
+
+/// How far height, roll or pitch is off: squares, averaged over the last frames.
+#[derive(Debug, Clone, Copy, Default)]
+struct Deviation {
+    /// From what the mount says.
+    from_nominal: f64,
+    /// From that of the keyframe, whose own error it does not hold.
+    from_keyframe: f64,
+    /// The variance of what the tracks say.
+    noise: f64,
+    /// The variance that the keyframe's own uncertainty adds.
+    of_keyframe: f64,
+}
+
+impl Deviation {
+    fn learn(&mut self, now: &Self) {
+        let average = |mean: &mut f64, now: f64| *mean += LEARNING_RATE * (now - *mean);
+        average(&mut self.from_nominal, now.from_nominal);
+        average(&mut self.from_keyframe, now.from_keyframe);
+        average(&mut self.noise, now.noise);
+        average(&mut self.of_keyframe, now.of_keyframe);
+    }
+
+    /// The variance of the rig's own movement: none unless it is seen beyond doubt, either while a keyframe serves, or by how far the camera has
+    /// come to be off without that being the keyframe's error.
+    fn wander(&self, shared_part: f64) -> f64 {
+        let beyond_doubt = BEYOND_DOUBT + BEYOND_SHARED * shared_part;
+        let doubt = beyond_doubt * self.noise;
+        // Between two frames a swaying rig is off by its variance twice; one that sways slowly is still near where it was at the keyframe.
+        let sway = SLOWNESS * (0.5 * self.from_keyframe - doubt);
+        let off = self.from_nominal - doubt;
+        sway.min(off).max(off - beyond_doubt * self.of_keyframe).max(0.0)
+    }
+}
+
+/// At most so many times the variance that is seen while a keyframe serves is that over longer times, as far as it speaks for it.
+const SLOWNESS: f64 = 4.0;
+
+/// Squares beyond so many times their own variance are beyond doubt: twice comes by chance, since the average over twenty frames against one keyframe is
+/// that of few. What all tracks share lasts from frame to frame, and the more that is, the fewer they are.
+const BEYOND_DOUBT: f64 = 2.0;
+const BEYOND_SHARED: f64 = 10.0;
 
 /// How much the rig is seen to move: what `auto` decides by.
 ///
@@ -21,7 +67,8 @@ pub struct RigPrior {
 #[derive(Debug, Clone)]
 pub struct RigWander {
     nominal: [f64; 3],
-    variance: [f64; 3],
+    deviations: [Deviation; 3],
+    neighbours: Neighbours,
 }
 
 /// Weight of the newest frame in the average: about the last twenty count.
@@ -34,32 +81,45 @@ const SMALLEST_SIGMA: [f64; 3] = [5e-6, 5e-6, 5e-6];
 impl RigWander {
     /// Nothing seen yet: as steady as the mount says.
     pub fn new(mount: &GroundPose) -> Self {
-        Self { nominal: [mount.height_m, mount.roll_rad, mount.pitch_rad], variance: [0.0; 3] }
+        Self {
+            nominal: [mount.height_m, mount.roll_rad, mount.pitch_rad],
+            deviations: Default::default(),
+            neighbours: Neighbours::default(),
+        }
     }
 
     /// The prior for the next frame; `last` is the pose before it.
     pub fn prior(&self, last: &GroundPose, config: &MotionConfig) -> RigPrior {
+        let shared_part = self.neighbours.shared_part();
         match config.model {
             MotionModel::Auto => {
                 let smallest = [SMALLEST_SIGMA[0] * self.nominal[0], SMALLEST_SIGMA[1], SMALLEST_SIGMA[2]];
-                let sigma = |i: usize| self.variance[i].max(0.0).sqrt().max(smallest[i]);
-                RigPrior { mean: self.nominal, sigma: [0, 1, 2].map(sigma) }
+                let sigma = |i: usize| self.deviations[i].wander(shared_part).sqrt().max(smallest[i]);
+                RigPrior { mean: self.nominal, sigma: [0, 1, 2].map(sigma), shared_part }
             }
             _ => RigPrior {
                 mean: [last.height_m, last.roll_rad, last.pitch_rad],
                 sigma: [config.height_prior * last.height_m, config.tilt_prior_rad, config.tilt_prior_rad],
+                shared_part,
             },
         }
     }
 
-    /// Learns from a measured frame.
-    pub fn learn(&mut self, estimate: &MotionEstimate) {
+    /// Learns from a measured frame: from which pose of its keyframe that was done, and what that one's uncertainty makes of the frame's covariance.
+    pub fn learn(&mut self, estimate: &MotionEstimate, keyframe: &GroundPose, carried: &Matrix6<f64>) {
+        self.neighbours.learn(&estimate.neighbours);
         let Some(evidence) = estimate.rig_evidence else {
             return;
         };
+        let from = [keyframe.height_m, keyframe.roll_rad, keyframe.pitch_rad];
         for (i, (value, variance)) in evidence.into_iter().enumerate() {
-            let beyond_noise = (value - self.nominal[i]).powi(2) - variance;
-            self.variance[i] += LEARNING_RATE * (beyond_noise - self.variance[i]);
+            let now = Deviation {
+                from_nominal: (value - self.nominal[i]).powi(2),
+                from_keyframe: (value - from[i]).powi(2),
+                noise: variance,
+                of_keyframe: carried[(3 + i, 3 + i)],
+            };
+            self.deviations[i].learn(&now);
         }
     }
 }

@@ -148,7 +148,7 @@ fn the_pose_moves_with_that_of_its_keyframe_as_is_said() {
     };
     for model in [MotionModel::Rigid, MotionModel::Similarity, MotionModel::Free] {
         let config = MotionConfig { model, ..Default::default() };
-        let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3] };
+        let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3], shared_part: 0.0 };
         let found = measured(&seen, &to, &prior, &config, 1).unwrap();
         for number in 0..6 {
             let mut off = numbers(&from);
@@ -180,7 +180,7 @@ fn auto_is_rigid_on_a_steady_mount_and_free_where_the_mount_moves() {
         let prior = wander.prior(&mount, &config(MotionModel::Auto));
         let auto = measured(&seen, &mount, &prior, &config(MotionModel::Auto), seed).unwrap();
         let rigid = from(&seen, &mount, &config(MotionModel::Rigid), seed).unwrap();
-        wander.learn(&auto);
+        wander.learn(&auto, &mount, &Matrix6::zeros());
         // What is left of the freedom is worth a fraction of the noise of the rigid model's own position (0.3 mm here).
         assert!((auto.pose.x_m - rigid.pose.x_m).abs() < 2e-4, "{:?} {:?}", auto.pose, rigid.pose);
         assert!(auto.pose.roll_rad.abs() < 5e-4 && (auto.pose.height_m - 1.0).abs() < 5e-4);

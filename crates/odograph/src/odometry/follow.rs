@@ -420,6 +420,7 @@ fn mean(
         by_keyframe: Matrix6::identity(),
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
+        neighbours: Default::default(),
         rig_evidence: None,
     })
 }

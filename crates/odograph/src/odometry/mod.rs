@@ -248,7 +248,9 @@ impl Odometry {
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
-        self.wander.learn(&estimate);
+        if let (Some(keyframe), Some(carried)) = (&self.keyframe, &carried) {
+            self.wander.learn(&estimate, &keyframe.pose, carried);
+        }
         if let Some(presence) = presence {
             self.usual_presence += PRESENCE_RATE * (presence - self.usual_presence);
         }

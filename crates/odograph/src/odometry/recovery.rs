@@ -257,6 +257,7 @@ mod tests {
             by_keyframe: Matrix6::identity(),
             inliers: Buffer::of(true, inliers),
             residual_px: 0.1,
+            neighbours: Default::default(),
             rig_evidence: None,
         };
         Found {

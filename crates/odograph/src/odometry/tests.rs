@@ -4,6 +4,8 @@ use crate::geometry::wrap_angle;
 use crate::motion::Random;
 use crate::simulation::{Ground, Renderer, Texture};
 
+mod lossy;
+
 const HEIGHT_M: f64 = 0.75;
 const FRAME_S: f64 = 1.0 / 30.0;
 
