@@ -55,7 +55,8 @@ impl Neighbours {
             }
             let along = |pixel: f64, cells: usize| ((pixel / CELL_PX).max(0.0) as usize).min(cells - 1);
             let cell = along(observation.pixel.y, rows) * columns + along(observation.pixel.x, columns);
-            let [error_x, error_y] = residual.error;
+            // What is far off counts little here too.
+            let [error_x, error_y] = residual.error.map(|error| weight * error);
             x[cell] += error_x;
             y[cell] += error_y;
             counts[cell] += 1.0;
