@@ -267,15 +267,18 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
             votes.push(Vote { bin: bin(middle, heading_rad), middle, heading_rad });
         }
     }
-    votes.sort_unstable_by(|a, b| {
-        let by_place = a.middle[0].total_cmp(&b.middle[0]).then(a.middle[1].total_cmp(&b.middle[1]));
-        a.bin.cmp(&b.bin).then(by_place).then(a.heading_rad.total_cmp(&b.heading_rad))
-    });
-    let mut groups: Vec<_> = votes.chunk_by(|a, b| a.bin == b.bin).filter(|group| group.len() > 1).collect();
-    groups.sort_by_key(|group| (std::cmp::Reverse(group.len()), group[0].bin));
+    votes.sort_unstable_by_key(|vote| vote.bin);
+    let groups = votes.chunk_by_mut(|a, b| a.bin == b.bin).filter(|group| group.len() > 1);
+    let mut groups: Vec<&mut [Vote]> = groups.collect();
+    groups.sort_unstable_by_key(|group| (std::cmp::Reverse(group.len()), group[0].bin));
     // Votes for the placing itself fall into the bins around it, too; where they are the most, they must not keep the others from being tried.
     let other = |placing: &Placing| placing.differs(&best.placing, middle);
-    let placing = |group: &[Vote]| {
+    let placing = |group: &mut [Vote]| {
+        // The sums are the same whatever the order of the features.
+        group.sort_unstable_by(|a, b| {
+            let by_place = a.middle[0].total_cmp(&b.middle[0]).then(a.middle[1].total_cmp(&b.middle[1]));
+            by_place.then(a.heading_rad.total_cmp(&b.heading_rad))
+        });
         let mean = |value: fn(&Vote) -> f32| group.iter().map(value).sum::<f32>() / group.len() as f32;
         let turn = Placing { shift: [0.0; 2], heading_rad: mean(|vote| vote.heading_rad), scale: 1.0 };
         let [x, y] = turn.apply(middle);
@@ -293,13 +296,15 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
 }
 
 /// Where one match alone would put the middle of the query, and which way.
+#[derive(Clone, Copy)]
 struct Vote {
-    bin: [i16; 3],
+    bin: u64,
     middle: [f32; 2],
     heading_rad: f32,
 }
 
-/// The bin of a vote: 20 spots and 15° wide.
-fn bin([x, y]: [f32; 2], heading_rad: f32) -> [i16; 3] {
-    [(x / 20.0).floor(), (y / 20.0).floor(), ((heading_rad + PI) / TAU * 24.0).floor()].map(|v| v as i16)
+/// The bin of a vote: 20 spots and 15° wide. Ordered by x, then y, then heading.
+fn bin([x, y]: [f32; 2], heading_rad: f32) -> u64 {
+    let bins = [(x / 20.0).floor(), (y / 20.0).floor(), ((heading_rad + PI) / TAU * 24.0).floor()];
+    bins.map(|v| u64::from((v as i16 as u16) ^ 0x8000)).into_iter().fold(0, |all, bin| all << 16 | bin)
 }
