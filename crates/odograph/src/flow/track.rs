@@ -48,7 +48,7 @@ pub fn track(
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
     let mut found = None;
-    let levels = levels_for(off_px).min(template.levels()).min(image.levels().len());
+    let levels = levels_for(off_px, template.levels().min(image.levels().len()));
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
         // A coarse level has only to come near enough for the next.
@@ -108,11 +108,11 @@ const COARSE_STEP_PX: f64 = 0.05;
 /// What a level finds even where the ground's texture is fine, pixels of the level.
 const REACH_PX: f64 = 1.0;
 
-/// How many levels find what may be `off_px` away.
-fn levels_for(off_px: f64) -> usize {
+/// How many levels, of so many that there are, find what may be `off_px` away.
+fn levels_for(off_px: f64, most: usize) -> usize {
     let mut levels = 1;
     let mut reach_px = REACH_PX;
-    while reach_px < off_px && reach_px.is_finite() {
+    while levels < most && reach_px < off_px {
         levels += 1;
         reach_px *= 2.0;
     }
