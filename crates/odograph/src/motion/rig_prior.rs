@@ -61,9 +61,9 @@ const BEYOND_SHARED: f64 = 10.0;
 /// How much the rig is seen to move: what `auto` decides by.
 ///
 /// Height, roll and pitch are taken as scattered about those of the mount with a variance that the recording itself tells (empirical
-/// Bayes; B. Efron and C. Morris, 1973): the squared deviations of what the tracks alone say, less what their own noise explains, averaged
-/// over the last frames. On a cart nothing is left, the prior is tight, and the model is the rigid one; with a shaking mount, a
-/// breathing drone or a hand it opens just as far as it must.
+/// Bayes; B. Efron and C. Morris, 1973): the squared deviations of what the tracks alone say, less what their noise and the keyframe's own error
+/// explain, averaged over the last frames. On a cart nothing is left beyond doubt, the prior is tight, and the model is the rigid one; with a
+/// shaking mount, a breathing drone or a hand it opens just as far as it must.
 #[derive(Debug, Clone)]
 pub struct RigWander {
     nominal: [f64; 3],
