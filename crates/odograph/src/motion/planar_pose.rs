@@ -252,7 +252,8 @@ pub fn refine(
         let moved = (pose.x_m - before.x_m).hypot(pose.y_m - before.y_m) / pose.height_m
             + (pose.heading_rad - before.heading_rad).abs();
         if round >= 2 && config.model == MotionModel::Auto {
-            let shared_px = shared_px(prior.shared_part, scale_px);
+            let held_px = scale_where_held(camera, &pose, &information, &weights, scale_px);
+            let shared_px = shared_px(scale_px, prior.shared_part * held_px);
             let evidence = evidence(camera, &step.tracks_alone, &pose, &pull, scale_px, shared_px)?;
             if widen(&mut prior, &evidence) {
                 continue;
@@ -283,15 +284,30 @@ pub fn refine(
         .covariance(&information, &pull, &unknowns)?
         * (2 * count) as f64
         / spare as f64;
+    let held_px = scale_where_held(camera, &pose, &information, &weights, scale_px);
+    let shared_px = shared_px(scale_px, prior.shared_part * held_px);
     Some(MotionEstimate {
         pose,
-        covariance: own + shared_errors(camera, &pose, &unknowns, shared_px(prior.shared_part, scale_px)),
+        covariance: own + shared_errors(camera, &pose, &unknowns, shared_px),
         by_keyframe: by_keyframe(observations, &residuals, &weights, laid_from, &information, &unknowns)?,
         inliers,
         residual_px: (squares / count as f64).sqrt(),
         neighbours: Neighbours::of(camera, observations, &residuals, &weights),
         rig_evidence,
     })
+}
+
+/// The error of a track in the directions in which it is held, pixels: along the joints between tiles tracks are off by far more, and hold nothing there.
+fn scale_where_held(
+    camera: &Camera,
+    pose: &GroundPose,
+    information: &Matrix6<f64>,
+    weights: &[f64],
+    scale_px: f64,
+) -> f64 {
+    let pixels_per_m = camera.focal_px().0 / pose.height_m;
+    let all_alike = pixels_per_m * pixels_per_m * weights.iter().sum::<f64>();
+    scale_px * (2.0 * all_alike / (information[(0, 0)] + information[(1, 1)])).sqrt()
 }
 
 /// How the pose changes with that from which the ground points were laid: by how much these move, and what pose then fits them best.

@@ -85,11 +85,11 @@ impl Neighbours {
     }
 }
 
-/// What all tracks are off by, pixels, one standard deviation: `part` of the usual error of one, and what rendered drives show without compression.
-/// Moving light leaves tracks worse and all in the same way; the noise of a dim sensor is each one's own.
-pub fn shared_px(part: f64, scale_px: f64) -> f64 {
+/// What all tracks are off by, pixels, one standard deviation: what their neighbours tell, and at least what rendered drives show without compression, of
+/// which the usual error of a track tells something. Moving light leaves tracks worse and all in the same way; the noise of a dim sensor is each one's own.
+pub fn shared_px(scale_px: f64, told_px: f64) -> f64 {
     const USUAL_PART: f64 = 0.05;
-    (USUAL_PART * scale_px).clamp(0.001, 0.003).max(part * scale_px)
+    (USUAL_PART * scale_px).clamp(0.001, 0.003).max(told_px)
 }
 
 /// Covariance of what tracks have in common: light that changes, what the models of lens and ground leave, the bias of interpolation, the blocks of a
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn without_pairs_nothing_is_shared() {
         assert_eq!(Neighbours::default().shared_part(), 0.0);
-        assert_eq!(shared_px(0.0, 1.0), 0.003);
-        assert_eq!(shared_px(0.5, 0.1), 0.05);
+        assert_eq!(shared_px(1.0, 0.0), 0.003);
+        assert_eq!(shared_px(0.1, 0.05), 0.05);
     }
 }
