@@ -50,7 +50,7 @@ impl Neighbours {
         let [mut x, mut y, mut counts] = [0; 3].map(|_| Buffer::of(0.0, columns * rows));
         let (mut squares, mut count) = (0.0, 0.0);
         for ((observation, residual), &weight) in observations.iter().zip(residuals).zip(weights) {
-            if weight <= 0.0 {
+            if weight <= 0.0 || is_on_an_edge(observation) {
                 continue;
             }
             let along = |pixel: f64, cells: usize| ((pixel / CELL_PX).max(0.0) as usize).min(cells - 1);
@@ -83,6 +83,14 @@ impl Neighbours {
         let correlation = self.products / (self.pairs + PAIRS_BEFORE);
         (SHARED_PER_CORRELATION * (correlation - CORRELATED_ANYWAY)).clamp(0.0, 1.0)
     }
+}
+
+/// Whether a track is held four times as well across as along: along it stays where it was expected, which its neighbours do too.
+fn is_on_an_edge(observation: &Observation) -> bool {
+    const MOST_RATIO: f64 = 4.0;
+    let information = observation.whitening.tr_mul(&observation.whitening);
+    let ratio = |largest: f64| (1.0 + largest) * (1.0 + largest) / largest;
+    information.trace().powi(2) > ratio(MOST_RATIO) * information.determinant()
 }
 
 /// What all tracks are off by, pixels, one standard deviation: what their neighbours tell, and at least what rendered drives show without compression, of
