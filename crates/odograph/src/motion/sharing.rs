@@ -139,7 +139,7 @@ mod tests {
     use nalgebra::Matrix2;
 
     /// What fifty frames show whose 300 tracks are off by noise of their own and by that of the block of sixteen pixels in which they lie.
-    fn learned(own: f64, of_block: f64) -> Neighbours {
+    fn learned(own: f64, of_block: f64, whitening: Matrix2<f64>) -> Neighbours {
         let camera = Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), Distortion::None).unwrap();
         let mut random = Random::new(7);
         let mut uniform = move || (random.bits() >> 11) as f64 / (1u64 << 53) as f64;
@@ -153,7 +153,7 @@ mod tests {
                 let ground = GroundPoint { x_m: 0.0, y_m: 0.0 };
                 let mut residual = Residual::NONE;
                 residual.error = error;
-                (Observation { ground, pixel, whitening: Matrix2::identity() }, residual)
+                (Observation { ground, pixel, whitening }, residual)
             });
             let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
             neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 300]));
@@ -163,14 +163,19 @@ mod tests {
 
     #[test]
     fn noise_of_their_own_is_not_shared() {
-        assert_eq!(learned(0.1, 0.0).shared_part(), 0.0);
+        assert_eq!(learned(0.1, 0.0, Matrix2::identity()).shared_part(), 0.0);
     }
 
     #[test]
     fn the_more_of_the_error_is_that_of_blocks_the_more_is_shared() {
         // Of the pairs in a cell of two by two blocks a quarter are in the same.
-        let parts = [1.0, 1.5, 3.0].map(|of_block| learned(1.0, of_block).shared_part());
+        let parts = [1.0, 1.5, 3.0].map(|of_block| learned(1.0, of_block, Matrix2::identity()).shared_part());
         assert!(parts[0] > 0.0 && parts[0] < parts[1] && parts[1] < parts[2] && parts[2] < 1.0, "{parts:?}");
+    }
+
+    #[test]
+    fn tracks_on_edges_tell_nothing() {
+        assert_eq!(learned(1.0, 3.0, Matrix2::new(1.5, 0.0, 0.3, 0.4)), Neighbours::default());
     }
 
     #[test]
