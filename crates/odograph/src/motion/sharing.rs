@@ -5,7 +5,7 @@ use super::planar_pose::{Residual, Unknowns};
 use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector6};
 
 /// How alike the errors of neighbouring tracks are.
 ///
@@ -37,12 +37,13 @@ const CORRELATED_ANYWAY: f64 = 0.09;
 const SHARED_PER_CORRELATION: f64 = 3.0;
 
 impl Neighbours {
-    /// Of the tracks of a frame that count.
+    /// Of the tracks of a frame that count, as they are when the pose of the residuals changes by `step`.
     pub(super) fn of(
         camera: &Camera,
         observations: &[Observation],
         residuals: &[Residual],
         weights: &[f64],
+        step: &Vector6<f64>,
     ) -> Self {
         let columns = (camera.width() as f64 / CELL_PX).ceil() as usize;
         let rows = (camera.height() as f64 / CELL_PX).ceil() as usize;
@@ -56,7 +57,7 @@ impl Neighbours {
             let along = |pixel: f64, cells: usize| ((pixel / CELL_PX).max(0.0) as usize).min(cells - 1);
             let cell = along(observation.pixel.y, rows) * columns + along(observation.pixel.x, columns);
             // What is far off counts little here too.
-            let [error_x, error_y] = residual.error.map(|error| weight * error);
+            let [error_x, error_y] = residual.after(step).map(|error| weight * error);
             x[cell] += error_x;
             y[cell] += error_y;
             counts[cell] += 1.0;
@@ -156,7 +157,13 @@ mod tests {
                 (Observation { ground, pixel, whitening }, residual)
             });
             let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
-            neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 300]));
+            neighbours.learn(&Neighbours::of(
+                &camera,
+                &observations,
+                &residuals,
+                &[1.0; 300],
+                &Vector6::zeros(),
+            ));
         }
         neighbours
     }
@@ -171,6 +178,38 @@ mod tests {
         // Of the pairs in a cell of two by two blocks a quarter are in the same.
         let parts = [1.0, 1.5, 3.0].map(|of_block| learned(1.0, of_block, Matrix2::identity()).shared_part());
         assert!(parts[0] > 0.0 && parts[0] < parts[1] && parts[1] < parts[2] && parts[2] < 1.0, "{parts:?}");
+    }
+
+    #[test]
+    fn a_sway_that_is_not_modelled_yet_is_not_shared_noise() {
+        let camera = Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), Distortion::None).unwrap();
+        let mut random = Random::new(3);
+        let mut uniform = move || (random.bits() >> 11) as f64 / (1u64 << 53) as f64;
+        let roll = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.002, 0.0);
+        let tracks = (0..400).map(|_| {
+            let pixel = Pixel::new(639.0 * uniform(), 479.0 * uniform());
+            let mut residual = Residual::NONE;
+            residual.by_pose[0][4] = 500.0 + (pixel.x - 320.0).powi(2) / 500.0;
+            residual.by_pose[1][4] = (pixel.x - 320.0) * (pixel.y - 240.0) / 500.0;
+            residual.error = residual.after(&-roll).map(|error| error + 0.2 * (uniform() - 0.5));
+            (
+                Observation {
+                    ground: GroundPoint { x_m: 0.0, y_m: 0.0 },
+                    pixel,
+                    whitening: Matrix2::identity(),
+                },
+                residual,
+            )
+        });
+        let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
+        let part = |step: &Vector6<f64>| {
+            let mut neighbours = Neighbours::default();
+            (0..50).for_each(|_| {
+                neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 400], step))
+            });
+            neighbours.shared_part()
+        };
+        assert_eq!((part(&roll), part(&Vector6::zeros())), (0.0, 1.0));
     }
 
     #[test]
