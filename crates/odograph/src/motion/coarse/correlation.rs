@@ -108,7 +108,7 @@ fn turned_pair(view: &GroundView, headings: [f64; 2], zoom: f64) -> Spectrum {
                 // Forward is up and left is left: a turn to the left takes (right, down) = (i, j) from (c i − s j, s i + c j).
                 let x = cos * i as f32 - sin * j as f32 + middle_x;
                 let y = sin * i as f32 + cos * j as f32 + middle_y;
-                if let Some((value, _)) = view.sample(x, y) {
+                if let Some(value) = view.sample(x, y) {
                     let at = &mut field[wrapped(j) * SIDE + wrapped(i)];
                     *(if part == 0 { &mut at.re } else { &mut at.im }) = value;
                 }

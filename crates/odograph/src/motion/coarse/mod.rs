@@ -101,6 +101,10 @@ const PEAKS_JUDGED: usize = 100;
 /// Peaks that are refined, for every hypothesis that is asked for.
 const PEAKS_PER_HYPOTHESIS: usize = 4;
 
+/// Steps of an improvement, in samples, and of how many samples along each side one is looked at: for the first of them a quarter of all is enough.
+const ROUGH: (&[f64], usize) = (&[1.5, 0.75], 2);
+const FINE: (&[f64], usize) = (&[0.75, 0.375, 0.1875], 1);
+
 impl CoarseRegistration {
     /// Made ready for a camera.
     pub fn new(camera: &Camera) -> Self {
@@ -187,7 +191,8 @@ fn refine(
             break;
         }
         if !starts.iter().any(|(_, other)| other.near(&start, 2.0 * ROTATION_STEP_RAD)) {
-            let quality = refinement::agreement(keyframe, now, &start).map_or(0.0, |found| found.quality());
+            let quality =
+                refinement::agreement(keyframe, now, &start, 1).map_or(0.0, |found| found.quality());
             starts.push((quality, start));
         }
     }
@@ -195,10 +200,9 @@ fn refine(
     starts.truncate(PEAKS_PER_HYPOTHESIS * options.hypotheses);
     let mut found: Vec<(Placement, Hypothesis)> = Vec::new();
     for (_, start) in starts {
-        let Some((placement, agreement)) = refinement::improve(keyframe, now, start, options.scale_free)
-        else {
-            continue;
-        };
+        let improve = |from, effort| refinement::improve(keyframe, now, from, options.scale_free, effort);
+        let improved = improve(start, ROUGH).and_then(|(roughly, _)| improve(roughly, FINE));
+        let Some((placement, agreement)) = improved else { continue };
         let score = agreement.quality() / noise;
         let twin = found.iter_mut().find(|(other, _)| other.near(&placement, 0.5 * ROTATION_STEP_RAD));
         let hypothesis = placement.hypothesis(keyframe, now, &agreement, score);

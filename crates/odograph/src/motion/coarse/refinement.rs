@@ -76,32 +76,32 @@ impl Placement {
 /// A turn by 1 / this many radians moves the outer samples of a view by one.
 const REACH: f64 = 35.0;
 
-/// Climbs from a placement to the best correlation near it, to a sixth of a sample. `None` where the views hardly overlap.
+/// Climbs from a placement to the best correlation near it, as near as its last step of `steps`, in samples. Looks at one in `every` samples along each
+/// side. `None` where the views hardly overlap.
 pub(super) fn improve(
     keyframe: &GroundView,
     now: &GroundView,
     start: Placement,
     scale_free: bool,
+    (steps, every): (&[f64], usize),
 ) -> Option<(Placement, Agreement)> {
-    let mut best = (start, agreement(keyframe, now, &start)?);
+    let mut best = (start, agreement(keyframe, now, &start, every)?);
     let axes = if scale_free { 4 } else { 3 };
-    let mut step = 1.5;
-    while step > 0.15 {
-        let mut improved = false;
-        for axis in 0..axes {
-            for by in [step, -step] {
-                let next = best.0.moved(axis, by);
-                if let Some(found) =
-                    agreement(keyframe, now, &next).filter(|f| f.quality() > best.1.quality())
-                {
-                    best = (next, found);
-                    improved = true;
-                    break;
+    for &step in steps {
+        let mut improved = true;
+        while std::mem::take(&mut improved) {
+            for axis in 0..axes {
+                for by in [step, -step] {
+                    let next = best.0.moved(axis, by);
+                    if let Some(found) =
+                        agreement(keyframe, now, &next, every).filter(|f| f.quality() > best.1.quality())
+                    {
+                        best = (next, found);
+                        improved = true;
+                        break;
+                    }
                 }
             }
-        }
-        if !improved {
-            step *= 0.5;
         }
     }
     Some(best)
@@ -116,8 +116,13 @@ impl Agreement {
     }
 }
 
-/// Normalised correlation over what both views show; `None` where that is hardly anything.
-pub(super) fn agreement(keyframe: &GroundView, now: &GroundView, placement: &Placement) -> Option<Agreement> {
+/// Normalised correlation over what both views show, by one in `every` samples along each side; `None` where that is hardly anything.
+pub(super) fn agreement(
+    keyframe: &GroundView,
+    now: &GroundView,
+    placement: &Placement,
+    every: usize,
+) -> Option<Agreement> {
     let (sin, cos) = placement.heading_rad.sin_cos();
     let (sin, cos) = ((sin / placement.zoom) as f32, (cos / placement.zoom) as f32);
     let from = (
@@ -125,58 +130,83 @@ pub(super) fn agreement(keyframe: &GroundView, now: &GroundView, placement: &Pla
         0.5 * (keyframe.height as f64 - 1.0) + placement.shift.1,
     );
     let (middle_x, middle_y) = (0.5 * (now.width as f32 - 1.0), 0.5 * (now.height as f32 - 1.0));
+    let (last_x, last_y) = (now.width as f32 - 1.0, now.height as f32 - 1.0);
     let mut count = 0usize;
     let [mut product, mut energy, mut energy_now, mut sum, mut sum_now] = [0.0f64; 5];
-    for j in 0..keyframe.height {
+    for j in (0..keyframe.height).step_by(every) {
         let down = (j as f64 - from.1) as f32;
-        let mut row = [0.0f32; 5];
-        for i in 0..keyframe.width {
-            let at = j * keyframe.width + i;
-            if keyframe.seen[at] == 0.0 {
+        let right = |i: usize| (i as f64 - from.0) as f32;
+        // Along a row both coordinates change evenly: where they are within the view is one piece.
+        let (x, y) = (middle_x - sin * down, middle_y + cos * down);
+        let (across, along) = (within(x, cos, last_x), within(y, sin, last_y));
+        let column = |right: f32| (f64::from(right) + from.0).clamp(0.0, keyframe.width as f64);
+        let first = column(across.0.max(along.0)).ceil() as usize;
+        let last = column(across.1.min(along.1)).floor() as usize;
+        let row = &keyframe.known[j * keyframe.width..][..keyframe.width];
+        let mut sums = [0.0f32; 5];
+        for i in (first.next_multiple_of(every)..keyframe.width.min(last + 1)).step_by(every) {
+            let (a, right) = (row[i], right(i));
+            let b = now.between(x + cos * right, y + sin * right);
+            if a.is_nan() || b.is_nan() {
                 continue;
             }
-            let right = (i as f64 - from.0) as f32;
-            let (x, y) = (cos * right - sin * down + middle_x, sin * right + cos * down + middle_y);
-            if let Some((b, true)) = now.sample(x, y) {
-                let a = keyframe.samples[at];
-                count += 1;
-                row[0] += a * b;
-                row[1] += a * a;
-                row[2] += b * b;
-                row[3] += a;
-                row[4] += b;
-            }
+            count += 1;
+            sums[0] += a * b;
+            sums[1] += a * a;
+            sums[2] += b * b;
+            sums[3] += a;
+            sums[4] += b;
         }
-        product += f64::from(row[0]);
-        energy += f64::from(row[1]);
-        energy_now += f64::from(row[2]);
-        sum += f64::from(row[3]);
-        sum_now += f64::from(row[4]);
+        product += f64::from(sums[0]);
+        energy += f64::from(sums[1]);
+        energy_now += f64::from(sums[2]);
+        sum += f64::from(sums[3]);
+        sum_now += f64::from(sums[4]);
     }
-    if count < FEWEST_SAMPLES {
+    let samples = count * every * every;
+    if samples < FEWEST_SAMPLES {
         return None;
     }
     let n = count as f64;
     let covariance = product - sum * sum_now / n;
     let variances = (energy - sum * sum / n) * (energy_now - sum_now * sum_now / n);
-    (variances > 1e-9).then(|| Agreement { correlation: covariance / variances.sqrt(), samples: count })
+    (variances > 1e-9).then(|| Agreement { correlation: covariance / variances.sqrt(), samples })
+}
+
+/// From where to where `start` + `slope` t lies between 0 and `last`.
+fn within(start: f32, slope: f32, last: f32) -> (f32, f32) {
+    if slope.abs() < 1e-6 {
+        let inside = start >= 0.0 && start <= last;
+        return if inside { (f32::NEG_INFINITY, f32::INFINITY) } else { (f32::INFINITY, f32::NEG_INFINITY) };
+    }
+    let (a, b) = (-start / slope, (last - start) / slope);
+    (a.min(b), a.max(b))
 }
 
 impl GroundView {
-    /// The view between its samples, and whether all of that is ground that was seen; `None` outside.
-    pub(super) fn sample(&self, x: f32, y: f32) -> Option<(f32, bool)> {
+    /// The view between its samples; not a number outside, and where not all of that is ground that was seen.
+    fn between(&self, x: f32, y: f32) -> f32 {
         if !(x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0) {
-            return None;
+            return f32::NAN;
         }
-        let (column, line) = (x as usize, y as usize);
-        let (fx, fy) = (x - column as f32, y - line as f32);
-        let at = line * self.width + column;
-        let between = |values: &[f32]| {
-            let upper = values[at] + fx * (values[at + 1] - values[at]);
-            let lower =
-                values[at + self.width] + fx * (values[at + self.width + 1] - values[at + self.width]);
-            upper + fy * (lower - upper)
-        };
-        Some((between(&self.samples), between(&self.seen) > 0.99))
+        interpolated(&self.known, self.width, x, y)
     }
+
+    /// The view between its samples, zero where nothing is seen; `None` outside.
+    pub(super) fn sample(&self, x: f32, y: f32) -> Option<f32> {
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0;
+        inside.then(|| interpolated(&self.samples, self.width, x, y))
+    }
+}
+
+/// Between four values of a grid, whose last row and column `x` and `y` do not reach.
+#[inline]
+fn interpolated(values: &[f32], width: usize, x: f32, y: f32) -> f32 {
+    let (column, line) = (x as usize, y as usize);
+    let (fx, fy) = (x - column as f32, y - line as f32);
+    let at = line * width + column;
+    let (upper, lower) = (&values[at..at + 2], &values[at + width..at + width + 2]);
+    let upper = upper[0] + fx * (upper[1] - upper[0]);
+    let lower = lower[0] + fx * (lower[1] - lower[0]);
+    upper + fy * (lower - upper)
 }

@@ -36,8 +36,8 @@ pub struct GroundView {
     pub(super) centre_m: (f64, f64),
     /// In units of the contrast around; zero where nothing is seen.
     pub(super) samples: Vec<f32>,
-    /// 1 where ground is seen, 0 elsewhere.
-    pub(super) seen: Vec<f32>,
+    /// The same, but not a number where nothing is seen.
+    pub(super) known: Vec<f32>,
     /// How many samples are seen.
     pub(super) area: usize,
 }
@@ -112,9 +112,12 @@ impl ViewGeometry {
             return None;
         }
         let samples = even_contrast(&values, &seen, width);
+        let known =
+            samples.iter().zip(&seen).map(|(&sample, &seen)| if seen > 0.0 { sample } else { f32::NAN });
+        let known = known.collect();
         let height_m = pose.height_m;
         let centre_m = (centre.0 * height_m, centre.1 * height_m);
-        Some(GroundView { width, height, pixel_m: step * height_m, centre_m, samples, seen, area })
+        Some(GroundView { width, height, pixel_m: step * height_m, centre_m, samples, known, area })
     }
 }
 
