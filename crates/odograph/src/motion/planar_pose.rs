@@ -53,7 +53,7 @@ pub(super) struct Residual {
     pub error: [f64; 2],
     /// The distance before whitening, pixels.
     distance_px: f64,
-    pub by_pose: [[f64; 6]; 2],
+    by_pose: [[f64; 6]; 2],
 }
 
 stored!(Residual);
@@ -64,12 +64,6 @@ impl Residual {
 
     fn length(&self) -> f64 {
         (self.error[0] * self.error[0] + self.error[1] * self.error[1]).sqrt()
-    }
-
-    /// What is left of the error when the pose changes by a small step.
-    pub fn after(&self, step: &Vector6<f64>) -> [f64; 2] {
-        let change = |row: &[f64; 6]| row.iter().zip(step).map(|(slope, step)| slope * step).sum::<f64>();
-        [0, 1].map(|i| self.error[i] + change(&self.by_pose[i]))
     }
 }
 
@@ -223,7 +217,7 @@ pub fn refine(
     let mut weights: Buffer<f64> = agreeing.iter().map(|&agrees| f64::from(u8::from(agrees))).collect();
     let mut scale_px = config.inlier_px;
     let mut information = Matrix6::identity();
-    let mut told = None;
+    let mut rig_evidence = None;
     let mut residuals = Buffer::of(Residual::NONE, observations.len());
     let mut errors = Buffer::of(0.0, observations.len());
     let mut sorted = Buffer::new();
@@ -261,10 +255,10 @@ pub fn refine(
             let held_px = scale_where_held(camera, &pose, &information, &weights, scale_px);
             let shared_px = shared_px(scale_px, prior.shared_part * held_px);
             let evidence = evidence(camera, &step.tracks_alone, &pose, &pull, scale_px, shared_px)?;
-            if widen(&mut prior, &evidence.rig) {
+            if widen(&mut prior, &evidence) {
                 continue;
             }
-            told = Some(evidence);
+            rig_evidence = Some(evidence);
         }
         // Of the height; less than a ten-thousandth of a pixel, and what is left is less.
         if round >= 3 && moved < 1e-7 {
@@ -292,16 +286,14 @@ pub fn refine(
         / spare as f64;
     let held_px = scale_where_held(camera, &pose, &information, &weights, scale_px);
     let shared_px = shared_px(scale_px, prior.shared_part * held_px);
-    // A sway that the prior does not allow yet moves neighbours alike, too.
-    let unpulled = told.as_ref().map_or_else(Vector6::zeros, |evidence| evidence.step);
     Some(MotionEstimate {
         pose,
         covariance: own + shared_errors(camera, &pose, &unknowns, shared_px),
         by_keyframe: by_keyframe(observations, &residuals, &weights, laid_from, &information, &unknowns)?,
         inliers,
         residual_px: (squares / count as f64).sqrt(),
-        neighbours: Neighbours::of(camera, observations, &residuals, &weights, &unpulled),
-        rig_evidence: told.map(|evidence| evidence.rig),
+        neighbours: Neighbours::of(camera, observations, &residuals, &weights),
+        rig_evidence,
     })
 }
 
@@ -362,15 +354,7 @@ fn moved_ground(observation: &Observation, laid_from: &GroundPose, axes: &Axes) 
     [[1.0, 0.0, -y, x / height_m, roll[0], pitch[0]], [0.0, 1.0, x, y / height_m, roll[1], pitch[1]]]
 }
 
-/// What the tracks alone say.
-struct Evidence {
-    /// Height, roll and pitch with their variances.
-    rig: [(f64, f64); 3],
-    /// How far their pose is from the one that the prior pulls at.
-    step: Vector6<f64>,
-}
-
-/// The pose without the prior's pull. At the end of the iteration the tracks pull with the same force as the
+/// Height, roll and pitch without the prior's pull, and their variances. At the end of the iteration the tracks pull with the same force as the
 /// prior, the other way: from there it is one step to where they alone would be.
 fn evidence(
     camera: &Camera,
@@ -379,7 +363,7 @@ fn evidence(
     pull: &Pull,
     scale_px: f64,
     shared_px: f64,
-) -> Option<Evidence> {
+) -> Option<[(f64, f64); 3]> {
     let covariance = tracks_alone.cholesky()?.inverse();
     let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
     let mut force = Vector6::zeros();
@@ -388,11 +372,10 @@ fn evidence(
     }
     let step = covariance * force;
     let shared = shared_errors_of_rig(camera, pose, shared_px);
-    let rig = [0, 1, 2].map(|i| {
+    Some([0, 1, 2].map(|i| {
         let at = 3 + i;
         (here[i] + step[at], covariance[(at, at)] * scale_px * scale_px + shared[i])
-    });
-    Some(Evidence { rig, step })
+    }))
 }
 
 /// Opens the prior where the evidence lies more than four of its standard deviations off: a kerb, a push, a hand that lifts the camera. Says whether

@@ -4,15 +4,15 @@ use super::Observation;
 use super::planar_pose::{Residual, Unknowns};
 use crate::buffer::Buffer;
 use crate::camera::Camera;
-use crate::geometry::GroundPose;
-use nalgebra::{Matrix6, Vector6};
+use crate::geometry::{GroundPose, Pixel};
+use nalgebra::{Matrix6, Matrix6x2, Vector6};
 
 /// How alike the errors of neighbouring tracks are.
 ///
 /// The noise of a sensor is each track's own. Lossy video copies blocks from where they nearly were a frame before, and leaves what is too little to be
 /// worth its bits: all of a block is off in the same way, and so, less visibly, is the whole image. The one tells the other: where neighbours correlated
-/// by 0.12–0.17 (H.264 at crf 28, three rendered grounds), the whole image was shifted by 0.26–0.31 of a track's error; by 0.25–0.35 (crf 38), 0.6;
-/// by 0.0–0.09 (not compressed), by no more than the mean of as many tracks is.
+/// by 0.10–0.15 (H.264 at crf 28, three rendered grounds), the whole image was shifted by 0.26–0.31 of a track's error; by 0.21–0.33 (crf 38), 0.6;
+/// by 0.03 and less (not compressed), by no more than the mean of as many tracks is.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Neighbours {
     /// Sum of the products of their errors, in units of the variance of one.
@@ -31,33 +31,40 @@ const KEPT: f64 = 0.98;
 const PAIRS_BEFORE: f64 = 1000.0;
 
 /// Neighbours correlate by this much anyway, where their patches overlap.
-const CORRELATED_ANYWAY: f64 = 0.09;
+const CORRELATED_ANYWAY: f64 = 0.05;
 
 /// The part of its error that a track shares with all others, over what its neighbours correlate by beyond that; see [`Neighbours`].
 const SHARED_PER_CORRELATION: f64 = 3.0;
 
 impl Neighbours {
-    /// Of the tracks of a frame that count, as they are when the pose of the residuals changes by `step`.
+    /// Of the tracks of a frame that count, less what of them grows evenly over the image: that is what a pose or a mount that is not known yet
+    /// makes of them, and no block of a video.
     pub(super) fn of(
         camera: &Camera,
         observations: &[Observation],
         residuals: &[Residual],
         weights: &[f64],
-        step: &Vector6<f64>,
     ) -> Self {
+        let told = || {
+            let all = observations.iter().zip(residuals).zip(weights);
+            all.filter(|((observation, _), weight)| **weight > 0.0 && !is_on_an_edge(observation))
+        };
+        // What is far off counts little here too.
+        let mut evenly = Evenly::new(camera);
+        told().for_each(|((observation, residual), &weight)| {
+            evenly.add(observation.pixel, residual.error, weight)
+        });
+        let Some(fit) = evenly.fit() else { return Self::default() };
         let columns = (camera.width() as f64 / CELL_PX).ceil() as usize;
         let rows = (camera.height() as f64 / CELL_PX).ceil() as usize;
         // Of each cell: the sum of the errors along x and y, and how many there are.
         let [mut x, mut y, mut counts] = [0; 3].map(|_| Buffer::of(0.0, columns * rows));
         let (mut squares, mut count) = (0.0, 0.0);
-        for ((observation, residual), &weight) in observations.iter().zip(residuals).zip(weights) {
-            if weight <= 0.0 || is_on_an_edge(observation) {
-                continue;
-            }
+        for ((observation, residual), &weight) in told() {
             let along = |pixel: f64, cells: usize| ((pixel / CELL_PX).max(0.0) as usize).min(cells - 1);
             let cell = along(observation.pixel.y, rows) * columns + along(observation.pixel.x, columns);
-            // What is far off counts little here too.
-            let [error_x, error_y] = residual.after(step).map(|error| weight * error);
+            let even = evenly.at(&fit, observation.pixel);
+            let [error_x, error_y] = [0, 1].map(|i| weight * (residual.error[i] - even[i]));
             x[cell] += error_x;
             y[cell] += error_y;
             counts[cell] += 1.0;
@@ -83,6 +90,50 @@ impl Neighbours {
     pub(super) fn shared_part(&self) -> f64 {
         let correlation = self.products / (self.pairs + PAIRS_BEFORE);
         (SHARED_PER_CORRELATION * (correlation - CORRELATED_ANYWAY)).clamp(0.0, 1.0)
+    }
+}
+
+/// What grows evenly over the image: polynomials of the second order, as a plane that is seen otherwise than thought makes them.
+struct Evenly {
+    middle: [f64; 2],
+    per_px: f64,
+    information: Matrix6<f64>,
+    slopes: Matrix6x2<f64>,
+}
+
+impl Evenly {
+    fn new(camera: &Camera) -> Self {
+        let (width, height) = (camera.width() as f64, camera.height() as f64);
+        let middle = [0.5 * width, 0.5 * height];
+        Self {
+            middle,
+            per_px: 2.0 / width.max(height),
+            information: Matrix6::zeros(),
+            slopes: Matrix6x2::zeros(),
+        }
+    }
+
+    fn terms(&self, pixel: Pixel) -> Vector6<f64> {
+        let (x, y) = (self.per_px * (pixel.x - self.middle[0]), self.per_px * (pixel.y - self.middle[1]));
+        Vector6::new(1.0, x, y, x * x, x * y, y * y)
+    }
+
+    fn add(&mut self, pixel: Pixel, error: [f64; 2], weight: f64) {
+        let terms = self.terms(pixel);
+        self.information.syger(weight, &terms, &terms, 1.0);
+        for (mut slope, error) in self.slopes.column_iter_mut().zip(error) {
+            slope.axpy(weight * error, &terms, 1.0);
+        }
+    }
+
+    /// The polynomials of x and y; `None` from too few errors.
+    fn fit(&self) -> Option<Matrix6x2<f64>> {
+        Some(self.information.cholesky()?.solve(&self.slopes))
+    }
+
+    fn at(&self, fit: &Matrix6x2<f64>, pixel: Pixel) -> [f64; 2] {
+        let terms = self.terms(pixel);
+        [0, 1].map(|i| fit.column(i).dot(&terms))
     }
 }
 
@@ -135,7 +186,7 @@ const LEAST_OF_TILT_PX: f64 = 0.02;
 mod tests {
     use super::*;
     use crate::camera::Distortion;
-    use crate::geometry::{GroundPoint, Pixel};
+    use crate::geometry::GroundPoint;
     use crate::motion::Random;
     use nalgebra::Matrix2;
 
@@ -157,13 +208,7 @@ mod tests {
                 (Observation { ground, pixel, whitening }, residual)
             });
             let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
-            neighbours.learn(&Neighbours::of(
-                &camera,
-                &observations,
-                &residuals,
-                &[1.0; 300],
-                &Vector6::zeros(),
-            ));
+            neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 300]));
         }
         neighbours
     }
@@ -181,35 +226,26 @@ mod tests {
     }
 
     #[test]
-    fn a_sway_that_is_not_modelled_yet_is_not_shared_noise() {
+    fn a_mount_that_is_not_known_yet_is_not_shared_noise() {
         let camera = Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), Distortion::None).unwrap();
         let mut random = Random::new(3);
         let mut uniform = move || (random.bits() >> 11) as f64 / (1u64 << 53) as f64;
-        let roll = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.002, 0.0);
-        let tracks = (0..400).map(|_| {
-            let pixel = Pixel::new(639.0 * uniform(), 479.0 * uniform());
-            let mut residual = Residual::NONE;
-            residual.by_pose[0][4] = 500.0 + (pixel.x - 320.0).powi(2) / 500.0;
-            residual.by_pose[1][4] = (pixel.x - 320.0) * (pixel.y - 240.0) / 500.0;
-            residual.error = residual.after(&-roll).map(|error| error + 0.2 * (uniform() - 0.5));
-            (
-                Observation {
-                    ground: GroundPoint { x_m: 0.0, y_m: 0.0 },
-                    pixel,
-                    whitening: Matrix2::identity(),
-                },
-                residual,
-            )
-        });
-        let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
-        let part = |step: &Vector6<f64>| {
-            let mut neighbours = Neighbours::default();
-            (0..50).for_each(|_| {
-                neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 400], step))
+        let mut neighbours = Neighbours::default();
+        for _ in 0..50 {
+            let tracks = (0..400).map(|_| {
+                let pixel = Pixel::new(639.0 * uniform(), 479.0 * uniform());
+                let (x, y) = (pixel.x - 320.0, pixel.y - 240.0);
+                // A camera that rolls by a thousandth over ground that it takes for level, but slopes by a hundredth.
+                let even = [0.5 + 0.001 * x * x / 500.0 + 0.005 * x, 0.001 * x * y / 500.0];
+                let ground = GroundPoint { x_m: 0.0, y_m: 0.0 };
+                let mut residual = Residual::NONE;
+                residual.error = even.map(|error| error + 0.2 * (uniform() - 0.5));
+                (Observation { ground, pixel, whitening: Matrix2::identity() }, residual)
             });
-            neighbours.shared_part()
-        };
-        assert_eq!((part(&roll), part(&Vector6::zeros())), (0.0, 1.0));
+            let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
+            neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 400]));
+        }
+        assert_eq!(neighbours.shared_part(), 0.0);
     }
 
     #[test]

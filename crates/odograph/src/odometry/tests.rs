@@ -234,6 +234,20 @@ fn a_lens_that_is_not_told_costs_exactness_but_no_frame() {
 }
 
 #[test]
+fn a_steady_tilt_that_is_not_told_is_learned() {
+    let world = World::new("grass");
+    let tilted = |i: usize| {
+        at(0.017 * i as f64, 0.0, 0.0).map(|pose| GroundPose { roll_rad: 0.005, pitch_rad: 0.004, ..pose })
+    };
+    let poses: Vec<_> = (0..90).map(tilted).collect();
+    let frames = world.run(&mut world.odometry(), &poses);
+    let last = frames.last().unwrap().estimate.as_ref().unwrap().pose;
+    // Taken for level all the way, the camera would seem to climb or sink by 6 mm.
+    assert!((last.height_m - HEIGHT_M).abs() < 1.5e-3, "{last:?}");
+    assert!((last.pitch_rad - 0.004).abs() < 1.5e-3, "{last:?}");
+}
+
+#[test]
 fn a_jump_over_tiles_is_right_or_said_to_be_lost() {
     let world = World::new("tiles");
     // Two and a half tiles, one tile, and a quarter turn about a crossing of joints.
