@@ -14,6 +14,7 @@ mod random;
 mod ransac;
 mod rig_prior;
 mod sharing;
+mod steady_tilt;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
@@ -21,11 +22,12 @@ pub use mean::mean_displacement;
 pub use random::Random;
 pub use rig_prior::{RigPrior, RigWander};
 pub use sharing::Neighbours;
+pub use steady_tilt::MountChange;
 
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
-use nalgebra::{Matrix2, Matrix6};
+use nalgebra::{Matrix2, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
 
 /// What may change between frames.
@@ -172,9 +174,19 @@ pub struct MotionEstimate {
     pub residual_px: f64,
     /// How alike the errors of neighbouring tracks are.
     pub neighbours: Neighbours,
-    /// Height, roll and pitch as the tracks alone have them, without the prior, and the variance of each; only where all three were
-    /// unknown.
-    pub rig_evidence: Option<[(f64, f64); 3]>,
+    /// What the tracks alone say of height and tilt; only where all three were unknown.
+    pub rig_evidence: Option<RigEvidence>,
+}
+
+/// What the tracks of a frame alone, without a prior, say of height (metres), roll and pitch (radians).
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigEvidence {
+    /// What they say.
+    pub value: [f64; 3],
+    /// The variance of each.
+    pub variance: [f64; 3],
+    /// How the three change with those of the pose from which the ground points were laid.
+    pub by_keyframe: Matrix3<f64>,
 }
 
 impl MotionEstimate {

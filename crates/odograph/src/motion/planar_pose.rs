@@ -1,7 +1,7 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
 use super::sharing::{Neighbours, shared_errors, shared_errors_of_rig, shared_px};
-use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigPrior};
+use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
@@ -258,7 +258,7 @@ pub fn refine(
             if widen(&mut prior, &evidence) {
                 continue;
             }
-            rig_evidence = Some(evidence);
+            rig_evidence = Some((evidence, step.tracks_alone));
         }
         // Of the height; less than a ten-thousandth of a pixel, and what is left is less.
         if round >= 3 && moved < 1e-7 {
@@ -286,10 +286,19 @@ pub fn refine(
         / spare as f64;
     let held_px = scale_where_held(camera, &pose, &information, &weights, scale_px);
     let shared_px = shared_px(scale_px, prior.shared_part * held_px);
+    let slopes = slopes_by_keyframe(observations, &residuals, &weights, laid_from, &unknowns);
+    let rig_evidence = rig_evidence.and_then(|(evidence, tracks_alone)| {
+        let by_keyframe = tracks_alone.cholesky()?.solve(&slopes);
+        Some(RigEvidence {
+            value: evidence.map(|(value, _)| value),
+            variance: evidence.map(|(_, variance)| variance),
+            by_keyframe: by_keyframe.fixed_view::<3, 3>(3, 3).into_owned(),
+        })
+    });
     Some(MotionEstimate {
         pose,
         covariance: own + shared_errors(camera, &pose, &unknowns, shared_px),
-        by_keyframe: by_keyframe(observations, &residuals, &weights, laid_from, &information, &unknowns)?,
+        by_keyframe: unknowns.of(&information).cholesky()?.solve(&slopes),
         inliers,
         residual_px: (squares / count as f64).sqrt(),
         neighbours: Neighbours::of(camera, observations, &residuals, &weights),
@@ -311,14 +320,13 @@ fn scale_where_held(
 }
 
 /// How the pose changes with that from which the ground points were laid: by how much these move, and what pose then fits them best.
-fn by_keyframe(
+fn slopes_by_keyframe(
     observations: &[Observation],
     residuals: &[Residual],
     weights: &[f64],
     laid_from: &GroundPose,
-    information: &Matrix6<f64>,
     unknowns: &Unknowns,
-) -> Option<Matrix6<f64>> {
+) -> Matrix6<f64> {
     let axes = Axes::new(laid_from);
     let mut slopes = [[0.0; 6]; 6];
     for ((observation, Residual { by_pose, .. }), &weight) in observations.iter().zip(residuals).zip(weights)
@@ -337,8 +345,7 @@ fn by_keyframe(
             }
         }
     }
-    let slopes = Matrix6::from_fn(|i, k| if i < unknowns.count { slopes[i][k] } else { 0.0 });
-    Some(unknowns.of(information).cholesky()?.solve(&slopes))
+    Matrix6::from_fn(|i, k| if i < unknowns.count { slopes[i][k] } else { 0.0 })
 }
 
 /// How a ground point's x and y, metres, change with the six numbers of the pose from which it was laid.

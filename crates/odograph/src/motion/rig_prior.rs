@@ -1,9 +1,10 @@
 //! What is known of height, roll and pitch, and of the tracks' errors, before a frame is measured.
 
 use super::sharing::Neighbours;
+use super::steady_tilt::{MountChange, Off, SteadyTilt};
 use super::{MotionConfig, MotionEstimate, MotionModel};
 use crate::geometry::GroundPose;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector3};
 
 /// A Gaussian over height (metres), roll and pitch (radians).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,8 +20,8 @@ pub struct RigPrior {
 /// How far height, roll or pitch is off: squares, averaged over the last frames.
 #[derive(Debug, Clone, Copy, Default)]
 struct Deviation {
-    /// From what the mount says.
-    from_nominal: f64,
+    /// From the mount.
+    from_mount: f64,
     /// From that of the keyframe, whose own error it does not hold.
     from_keyframe: f64,
     /// The variance of what the tracks say.
@@ -32,7 +33,7 @@ struct Deviation {
 impl Deviation {
     fn learn(&mut self, now: &Self) {
         let average = |mean: &mut f64, now: f64| *mean += LEARNING_RATE * (now - *mean);
-        average(&mut self.from_nominal, now.from_nominal);
+        average(&mut self.from_mount, now.from_mount);
         average(&mut self.from_keyframe, now.from_keyframe);
         average(&mut self.noise, now.noise);
         average(&mut self.of_keyframe, now.of_keyframe);
@@ -45,7 +46,7 @@ impl Deviation {
         let doubt = beyond_doubt * self.noise;
         // Between two frames a swaying rig is off by its variance twice; one that sways slowly is still near where it was at the keyframe.
         let sway = SLOWNESS * (0.5 * self.from_keyframe - doubt);
-        let off = self.from_nominal - doubt;
+        let off = self.from_mount - doubt;
         sway.min(off).max(off - beyond_doubt * self.of_keyframe).max(0.0)
     }
 }
@@ -63,11 +64,13 @@ const BEYOND_SHARED: f64 = 10.0;
 /// Height, roll and pitch are taken as scattered about those of the mount with a variance that the recording itself tells (empirical
 /// Bayes; B. Efron and C. Morris, 1973): the squared deviations of what the tracks alone say, less what their noise and the keyframe's own error
 /// explain, averaged over the last frames. On a cart nothing is left beyond doubt, the prior is tight, and the model is the rigid one; with a
-/// shaking mount, a breathing drone or a hand it opens just as far as it must.
+/// shaking mount, a breathing drone or a hand it opens just as far as it must. What a steady tilt explains that nobody told is no movement: that tilt is
+/// learned beside.
 #[derive(Debug, Clone)]
 pub struct RigWander {
     nominal: [f64; 3],
     deviations: [Deviation; 3],
+    tilt: SteadyTilt,
     neighbours: Neighbours,
 }
 
@@ -84,6 +87,7 @@ impl RigWander {
         Self {
             nominal: [mount.height_m, mount.roll_rad, mount.pitch_rad],
             deviations: Default::default(),
+            tilt: SteadyTilt::default(),
             neighbours: Neighbours::default(),
         }
     }
@@ -94,8 +98,9 @@ impl RigWander {
         match config.model {
             MotionModel::Auto => {
                 let smallest = [SMALLEST_SIGMA[0] * self.nominal[0], SMALLEST_SIGMA[1], SMALLEST_SIGMA[2]];
-                let sigma = |i: usize| self.deviations[i].wander(shared_part).sqrt().max(smallest[i]);
-                RigPrior { mean: self.nominal, sigma: [0, 1, 2].map(sigma), shared_part }
+                let wander = self.wander();
+                let sigma = [0, 1, 2].map(|i| wander[i].sqrt().max(smallest[i]));
+                RigPrior { mean: self.mount(), sigma, shared_part }
             }
             _ => RigPrior {
                 mean: [last.height_m, last.roll_rad, last.pitch_rad],
@@ -105,21 +110,49 @@ impl RigWander {
         }
     }
 
+    /// The variances of the rig's own movement.
+    fn wander(&self) -> [f64; 3] {
+        let shared_part = self.neighbours.shared_part();
+        self.deviations.map(|deviation| deviation.wander(shared_part))
+    }
+
+    /// Height, roll and pitch of the mount, as far as they are known.
+    fn mount(&self) -> [f64; 3] {
+        let (tilt, [height_m, roll_rad, pitch_rad]) = (self.tilt.found(), self.nominal);
+        [height_m, roll_rad + tilt.x, pitch_rad + tilt.y]
+    }
+
     /// Learns from a measured frame: from which pose of its keyframe that was done, and what that one's uncertainty makes of the frame's covariance.
     pub fn learn(&mut self, estimate: &MotionEstimate, keyframe: &GroundPose, carried: &Matrix6<f64>) {
         self.neighbours.learn(&estimate.neighbours);
-        let Some(evidence) = estimate.rig_evidence else {
+        let Some(evidence) = &estimate.rig_evidence else {
             return;
         };
         let from = [keyframe.height_m, keyframe.roll_rad, keyframe.pitch_rad];
-        for (i, (value, variance)) in evidence.into_iter().enumerate() {
+        let (mount, wander) = (self.mount(), self.wander());
+        let of_keyframe = [3, 4, 5].map(|i| carried[(i, i)]);
+        let off = Off {
+            frame: Vector3::from_fn(|i, _| evidence.value[i] - self.nominal[i]),
+            keyframe: Vector3::from_fn(|i, _| from[i] - self.nominal[i]),
+            variances: Vector3::from_fn(|i, _| evidence.variance[i] + of_keyframe[i] + wander[i]),
+        };
+        let explained = self.tilt.learn(evidence, &off);
+        for (i, &value) in evidence.value.iter().enumerate() {
+            let unexplained = explained.map_or(f64::INFINITY, |explained| off.frame[i] - explained[i]);
+            let apart = |from: f64| (value - from).powi(2).min(unexplained.powi(2));
             let now = Deviation {
-                from_nominal: (value - self.nominal[i]).powi(2),
-                from_keyframe: (value - from[i]).powi(2),
-                noise: variance,
-                of_keyframe: carried[(3 + i, 3 + i)],
+                from_mount: apart(mount[i]),
+                from_keyframe: apart(from[i]),
+                noise: evidence.variance[i],
+                of_keyframe: of_keyframe[i],
             };
             self.deviations[i].learn(&now);
         }
+    }
+
+    /// Another keyframe serves from here on. Gives what has to be set right in the poses of keyframes where the mount is now known to be otherwise.
+    pub fn settle(&mut self) -> Option<MountChange> {
+        let (before, steady) = (self.mount(), self.wander().map(|wander| wander == 0.0));
+        self.tilt.settle().then(|| MountChange { before, now: self.mount(), steady })
     }
 }

@@ -178,9 +178,8 @@ pub fn shared_errors_of_rig(camera: &Camera, pose: &GroundPose, shared_px: f64) 
 }
 
 /// Lossy video makes tracks share more of their errors in the modes of tilt than in a common shift, and less in that of height; shadows and light that
-/// move make them share this much, pixels, that rendered drives show. A mount whose steady tilt nobody told seems to climb: the less the height is believed
-/// to change, the sooner the tilt is found instead (0.012 px leave a kilometre 0.33 m off, 0.015 and 0.03 px 0.12 m); beyond that, small sways are missed.
-const LEAST_OF_HEIGHT_PX: f64 = 0.015;
+/// move make them share this much, pixels, that rendered drives show.
+const LEAST_OF_HEIGHT_PX: f64 = 0.005;
 const LEAST_OF_TILT_PX: f64 = 0.02;
 
 #[cfg(test)]

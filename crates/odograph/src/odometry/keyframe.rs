@@ -8,7 +8,7 @@ use crate::geometry::{GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
 use crate::mapping::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
-use crate::motion::{CoarseRegistration, GroundFromRay, GroundPatch, GroundView, ViewingPose};
+use crate::motion::{CoarseRegistration, GroundFromRay, GroundPatch, GroundView, MountChange, ViewingPose};
 use nalgebra::Matrix6;
 use std::collections::VecDeque;
 use std::sync::OnceLock;
@@ -259,6 +259,13 @@ impl KeyframeMemory {
     /// Puts a keyframe back where [`KeyframeMemory::take`] took it from.
     pub fn put_back_at(&mut self, index: usize, keyframe: Keyframe) {
         self.records.insert(index.min(self.records.len()), keyframe.retire());
+    }
+
+    /// The mount is known to be otherwise than was thought when they were made.
+    pub fn set_right(&mut self, change: &MountChange) {
+        for record in &mut self.records {
+            change.set_right(&mut record.pose);
+        }
     }
 
     /// A new segment begins: what is remembered is no longer connected with the present by measurement.

@@ -28,7 +28,13 @@ impl Odometry {
         estimate: &MotionEstimate,
         covariance: Matrix6<f64>,
     ) {
-        let pose = estimate.pose;
+        let mut pose = estimate.pose;
+        if let Some(change) = self.wander.settle() {
+            let serving = self.keyframe.iter_mut().map(|keyframe| &mut keyframe.pose);
+            let last = self.last.iter_mut().map(|last| &mut last.pose);
+            serving.chain(last).chain([&mut pose]).for_each(|pose| change.set_right(pose));
+            self.memory.set_right(&change);
+        }
         let pyramid = match self.revisit(pyramid, estimate, &covariance) {
             Ok(()) => return,
             Err(pyramid) => pyramid,
