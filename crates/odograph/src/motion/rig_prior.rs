@@ -71,6 +71,9 @@ pub struct RigWander {
     nominal: [f64; 3],
     deviations: [Deviation; 3],
     tilt: SteadyTilt,
+    /// From the keyframe that serves to the last frame, and all the way that `tilt` was believed, metres.
+    way_m: f64,
+    driven_m: f64,
     neighbours: Neighbours,
 }
 
@@ -88,6 +91,8 @@ impl RigWander {
             nominal: [mount.height_m, mount.roll_rad, mount.pitch_rad],
             deviations: Default::default(),
             tilt: SteadyTilt::default(),
+            way_m: 0.0,
+            driven_m: 0.0,
             neighbours: Neighbours::default(),
         }
     }
@@ -129,14 +134,16 @@ impl RigWander {
             return;
         };
         let from = [keyframe.height_m, keyframe.roll_rad, keyframe.pitch_rad];
-        let (mount, wander) = (self.mount(), self.wander());
+        let mount = self.mount();
         let of_keyframe = [3, 4, 5].map(|i| carried[(i, i)]);
         let off = Off {
             frame: Vector3::from_fn(|i, _| evidence.value[i] - self.nominal[i]),
             keyframe: Vector3::from_fn(|i, _| from[i] - self.nominal[i]),
-            variances: Vector3::from_fn(|i, _| evidence.variance[i] + of_keyframe[i] + wander[i]),
+            variances: Vector3::from_fn(|i, _| evidence.variance[i] + of_keyframe[i]),
+            sway: self.wander().into(),
         };
         let explained = self.tilt.learn(evidence, &off);
+        self.way_m = (estimate.pose.x_m - keyframe.x_m).hypot(estimate.pose.y_m - keyframe.y_m);
         for (i, &value) in evidence.value.iter().enumerate() {
             let unexplained = explained.map_or(f64::INFINITY, |explained| off.frame[i] - explained[i]);
             let apart = |from: f64| (value - from).powi(2).min(unexplained.powi(2));
@@ -153,6 +160,10 @@ impl RigWander {
     /// Another keyframe serves from here on. Gives what has to be set right in the poses of keyframes where the mount is now known to be otherwise.
     pub fn settle(&mut self) -> Option<MountChange> {
         let (before, steady) = (self.mount(), self.wander().map(|wander| wander == 0.0));
-        self.tilt.settle().then(|| MountChange { before, now: self.mount(), steady })
+        self.driven_m += std::mem::take(&mut self.way_m);
+        self.tilt.settle().then(|| {
+            let driven_m = std::mem::take(&mut self.driven_m);
+            MountChange { before, now: self.mount(), steady, driven_m }
+        })
     }
 }

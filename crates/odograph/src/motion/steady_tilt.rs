@@ -2,7 +2,7 @@
 
 use super::RigEvidence;
 use crate::geometry::GroundPose;
-use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3x2, Matrix6, Vector2, Vector3};
 
 /// Roll and pitch that the mount has beside what it was said to have.
 ///
@@ -27,8 +27,10 @@ pub struct Off {
     pub frame: Vector3<f64>,
     /// The keyframe's, as it was taken to be.
     pub keyframe: Vector3<f64>,
-    /// What else than a steady tilt the frame may be off by: variances.
+    /// What the frame's is not known by: variances.
     pub variances: Vector3<f64>,
+    /// How much the camera sways: variances.
+    pub sway: Vector3<f64>,
 }
 
 impl SteadyTilt {
@@ -42,7 +44,9 @@ impl SteadyTilt {
         let b = &evidence.by_keyframe;
         let by_tilt = Matrix3x2::from_fn(|i, k| f64::from(u8::from(i == k + 1)) - b[(i, k + 1)]);
         let by_keyframe = b * off.keyframe;
-        self.serving = Sums::of_frame(&by_tilt, &(off.frame - by_keyframe), &off.variances);
+        // Both may have swayed from the mount, and a keyframe that did makes others climb as one does that is taken for level.
+        let variances = off.variances + off.sway + b.component_mul(b) * off.sway;
+        self.serving = Sums::of_frame(&by_tilt, &(off.frame - by_keyframe), &variances);
         let all = self.settled.and(&self.serving);
         let tilt = all.tilt();
         (all.significance(&tilt) > LIKELY).then(|| by_keyframe + by_tilt * tilt)
@@ -139,6 +143,8 @@ pub struct MountChange {
     pub now: [f64; 3],
     /// Which of the three do not sway.
     pub steady: [bool; 3],
+    /// How far the camera has gone with the mount as it was thought to be, metres.
+    pub driven_m: f64,
 }
 
 impl MountChange {
@@ -154,6 +160,16 @@ impl MountChange {
                 *value = moved;
             }
         }
+    }
+
+    /// What the way up to here may have become wrong by: covariance of (x, y, heading, height, roll, pitch). Ground that slopes sideways is seen faster on
+    /// one side than on the other, and half of that is taken for a turn; what slopes along the way makes it as much too long or too short.
+    pub fn of_the_way(&self) -> Matrix6<f64> {
+        let tilt_rad = (self.now[1] - self.before[1]).hypot(self.now[2] - self.before[2]);
+        let turn_rad = 0.5 * tilt_rad * self.driven_m / self.now[0];
+        let shift_m = 0.5 * turn_rad * self.driven_m;
+        let sigmas = [shift_m, shift_m, turn_rad, 0.0, 0.0, 0.0];
+        Matrix6::from_diagonal(&sigmas.map(|sigma| sigma * sigma).into())
     }
 }
 
@@ -176,6 +192,7 @@ mod tests {
             frame: tilt - evidence.by_keyframe * tilt + Vector3::from(sway),
             keyframe: Vector3::zeros(),
             variances: Vector3::from(evidence.variance),
+            sway: Vector3::zeros(),
         }
     }
 
@@ -233,8 +250,12 @@ mod tests {
 
     #[test]
     fn keyframes_go_where_the_mount_is() {
-        let change =
-            MountChange { before: [1.0, 0.0, 0.0], now: [1.0, 0.01, -0.02], steady: [true, false, false] };
+        let change = MountChange {
+            before: [1.0, 0.0, 0.0],
+            now: [1.0, 0.01, -0.02],
+            steady: [true, false, false],
+            driven_m: 1.0,
+        };
         let mut pose = GroundPose {
             x_m: 1.0,
             y_m: 2.0,

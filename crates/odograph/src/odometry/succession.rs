@@ -26,7 +26,7 @@ impl Odometry {
         pyramid: Pyramid,
         time_s: f64,
         estimate: &MotionEstimate,
-        covariance: Matrix6<f64>,
+        mut covariance: Matrix6<f64>,
     ) {
         let mut pose = estimate.pose;
         if let Some(change) = self.wander.settle() {
@@ -34,6 +34,7 @@ impl Odometry {
             let last = self.last.iter_mut().map(|last| &mut last.pose);
             serving.chain(last).chain([&mut pose]).for_each(|pose| change.set_right(pose));
             self.memory.set_right(&change);
+            covariance += change.of_the_way();
         }
         let pyramid = match self.revisit(pyramid, estimate, &covariance) {
             Ok(()) => return,
