@@ -50,12 +50,14 @@ impl Candidate {
         random: &mut Random,
     ) -> Option<Measurement> {
         let from = [self.last.extrapolated(time_s), self.last.pose];
-        let measurement = from.iter().find_map(|from| {
-            let keyframe = &self.keyframe;
+        let keyframe = &self.keyframe;
+        let whole = || follow::measure_drowned(keyframe, pyramid, camera, from.each_ref(), config, wander);
+        let by_corners = from.iter().find_map(|from| {
             let found = follow::measure(keyframe, pyramid, camera, from, config, wander, random).ok()?;
             let presence = follow::presence(keyframe, camera, &found);
             (presence >= CHANCE_PRESENCE).then_some(found)
-        })?;
+        });
+        let measurement = by_corners.or_else(whole)?;
         let (pose, covariance) = (measurement.estimate.pose, self.keyframe.covariance);
         self.last = self.last.clone().moved(time_s, pose, covariance + measurement.estimate.covariance);
         self.confirmations += 1;

@@ -1,8 +1,9 @@
 //! What may not be the ground: measurements that are doubted, and looked for again anywhere over known ground.
 
+use super::Odometry;
 use super::follow::{self, Measurement};
 use super::recovery::Lost;
-use super::{Odometry, texture};
+use super::texture::Texture;
 use crate::image::Pyramid;
 use crate::motion::{MotionModel, Random};
 use crate::trajectory::LossReason;
@@ -65,7 +66,7 @@ impl Odometry {
             let Measurement { found, prediction, .. } = &measurement;
             Err(follow::why_not(keyframe, &self.camera, found, prediction))
         });
-        if texture::is_faint(pyramid) {
+        if Texture::of(pyramid) == Texture::Faint {
             return near;
         }
         let reason = near.as_ref().err().copied().unwrap_or(LossReason::NotPlanar);

@@ -3,6 +3,7 @@
 use super::OdometryConfig;
 use super::keyframe::{KeyCorner, Keyframe};
 use super::light_field::LightField;
+use super::texture::Texture;
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
@@ -103,7 +104,7 @@ pub fn measure_near(
     wander: &RigWander,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
-    if config.motion.model != MotionModel::Mean && keyframe.is_faint() {
+    if config.motion.model != MotionModel::Mean && keyframe.texture() == Texture::Faint {
         return measure_whole(keyframe, pyramid, camera, prediction, config, wander);
     }
     let followed = if config.motion.model == MotionModel::Mean {
@@ -138,6 +139,24 @@ fn measure_whole(
         settled: true,
         agreement: Some(found.agreement),
     })
+}
+
+/// Measures the pose of a frame against all of a keyframe whose corners are drowned in noise, near one of two predictions. Nothing where they are not, or where
+/// the ground is not found: then its corners may be.
+pub fn measure_drowned(
+    keyframe: &Keyframe,
+    pyramid: &Pyramid,
+    camera: &Camera,
+    predictions: [&GroundPose; 2],
+    config: &OdometryConfig,
+    wander: &RigWander,
+) -> Option<Measurement> {
+    if config.motion.model == MotionModel::Mean || keyframe.texture() != Texture::Drowned {
+        return None;
+    }
+    predictions
+        .iter()
+        .find_map(|prediction| measure_whole(keyframe, pyramid, camera, prediction, config, wander).ok())
 }
 
 /// Drops what does not come back to its corner when it is followed backward, and measures again: done where others will be built on
@@ -210,7 +229,7 @@ fn in_view<'a>(corners: impl Iterator<Item = &'a KeyCorner>, camera: &Camera, po
 
 /// The part of a keyframe that a camera at `pose` would still see: of its corners, those that were found now.
 pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &GroundPose) -> f64 {
-    if keyframe.is_faint() {
+    if found.is_empty() {
         return keyframe.dense(camera).overlap(camera, pose);
     }
     let pose = ViewingPose::new(*pose);

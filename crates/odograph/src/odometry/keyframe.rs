@@ -1,6 +1,6 @@
 //! Keyframes: images whose corners lie on the ground as metric points.
 
-use super::texture;
+use super::texture::{self, Texture};
 use crate::camera::Camera;
 use crate::detection::{Detection, DetectionConfig};
 use crate::flow::{Template, Warp};
@@ -36,8 +36,8 @@ pub struct Keyframe {
     is_prepared: bool,
     /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
     view: Option<GroundView>,
-    /// Whether it has too few corners that stand out of noise; found out when it is first needed.
-    faint: OnceLock<bool>,
+    /// What can be made of its corners; found out when it is first needed.
+    texture: OnceLock<Texture>,
     /// The whole image, to be compared with others; made when it is first needed.
     dense: OnceLock<DenseReference>,
 }
@@ -101,7 +101,7 @@ impl Keyframe {
     /// A keyframe as it was remembered, without its corners.
     fn recorded(record: KeyframeRecord) -> Self {
         let KeyframeRecord { id, pyramid, pose, covariance, places, view, .. } = record;
-        let (corners, faint, dense) = (Vec::new(), OnceLock::new(), OnceLock::new());
+        let (corners, texture, dense) = (Vec::new(), OnceLock::new(), OnceLock::new());
         Self {
             id,
             corners_at_first: 0,
@@ -113,7 +113,7 @@ impl Keyframe {
             sought: None,
             is_prepared: false,
             view,
-            faint,
+            texture,
             dense,
         }
     }
@@ -138,9 +138,9 @@ impl Keyframe {
         self.corners_at_first = self.corners.len();
     }
 
-    /// Whether it is followed as a whole, because its corners hardly stand out of noise.
-    pub fn is_faint(&self) -> bool {
-        *self.faint.get_or_init(|| texture::is_faint(&self.pyramid))
+    /// What can be made of its corners.
+    pub fn texture(&self) -> Texture {
+        *self.texture.get_or_init(|| Texture::of(&self.pyramid))
     }
 
     /// The whole image, to be compared with others. Half of its resolution: on faint ground the rest is noise.
@@ -153,7 +153,7 @@ impl Keyframe {
 
     /// Whether there is enough to follow: so many corners, or on faint ground texture at all.
     pub fn can_be_followed(&mut self, corners: usize) -> bool {
-        if self.is_faint() {
+        if self.texture() == Texture::Faint {
             return !texture::is_bare(self.pyramid.base());
         }
         if self.is_prepared {

@@ -180,9 +180,13 @@ impl Odometry {
             MotionModel::Mean => last.pose,
             _ => last.extrapolated(time_s),
         };
+        let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
+        let predictions = [&extrapolated, &last.pose];
+        if let Some(whole) = follow::measure_drowned(keyframe, pyramid, camera, predictions, config, wander) {
+            return Ok(whole);
+        }
         if let Some(off_px) = self.prediction_off_px(last, time_s) {
             let mut random = Random::new(self.frames);
-            let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
             let near = follow::measure_near(
                 keyframe,
                 pyramid,
@@ -203,16 +207,8 @@ impl Odometry {
                 return near;
             }
         }
-        for prediction in [extrapolated, last.pose] {
-            outcome = follow::measure(
-                keyframe,
-                pyramid,
-                &self.camera,
-                &prediction,
-                &self.config,
-                &self.wander,
-                &mut random,
-            );
+        for prediction in predictions {
+            outcome = follow::measure(keyframe, pyramid, camera, prediction, config, wander, &mut random);
             if outcome.is_ok() {
                 break;
             }

@@ -265,6 +265,24 @@ fn a_slow_sway_is_not_taken_for_the_mount() {
 }
 
 #[test]
+fn corners_drowned_in_noise_are_followed_as_a_whole() {
+    let world = World::new("concrete");
+    let mut odometry = world.odometry();
+    for (number, pose) in dash(0.4, 40).enumerate() {
+        let mut image = world.renderer.gray_view(&world.ground, &pose.unwrap());
+        let mut random = Random::new(number as u64);
+        for sample in image.samples_mut() {
+            // Of 8 gray levels; concrete varies by less.
+            let noise = random.below(28) as i32 - 14;
+            *sample = (i32::from(*sample) + noise).clamp(0, 255) as u8;
+        }
+        let frame = odometry.process(image, number as f64 * FRAME_S).unwrap();
+        // A pixel is 1.5 mm.
+        assert_right(&frame, &pose, 1.5);
+    }
+}
+
+#[test]
 fn a_jump_over_tiles_is_right_or_said_to_be_lost() {
     let world = World::new("tiles");
     // Two and a half tiles, one tile, and a quarter turn about a crossing of joints.
