@@ -159,9 +159,10 @@ impl RigWander {
 
     /// Another keyframe serves from here on. Gives what has to be set right in the poses of keyframes where the mount is now known to be otherwise.
     pub fn settle(&mut self) -> Option<MountChange> {
-        let (before, steady) = (self.mount(), self.wander().map(|wander| wander == 0.0));
+        let (before, wander) = (self.mount(), self.wander());
+        let steady = wander.map(|wander| wander == 0.0);
         self.driven_m += std::mem::take(&mut self.way_m);
-        self.tilt.settle().then(|| {
+        self.tilt.settle(wander[1] + wander[2]).then(|| {
             let driven_m = std::mem::take(&mut self.driven_m);
             MountChange { before, now: self.mount(), steady, driven_m }
         })

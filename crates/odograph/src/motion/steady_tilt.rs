@@ -52,13 +52,14 @@ impl SteadyTilt {
         (all.significance(&tilt) > LIKELY).then(|| by_keyframe + by_tilt * tilt)
     }
 
-    /// Another keyframe serves from here on. Says whether the tilt is now taken for another.
-    pub fn settle(&mut self) -> bool {
+    /// Another keyframe serves from here on; roll and pitch sway by the root of so much, radians². Says whether the tilt is now taken for another.
+    pub fn settle(&mut self, sway: f64) -> bool {
         let serving = std::mem::take(&mut self.serving);
         self.settled = self.settled.faded().and(&serving);
         let tilt = self.settled.tilt();
-        let is_told =
-            self.settled.keyframes > LEAST_KEYFRAMES && self.settled.significance(&tilt) > BEYOND_DOUBT;
+        let is_told = self.settled.keyframes > LEAST_KEYFRAMES
+            && self.settled.significance(&tilt) > BEYOND_DOUBT
+            && sway < STEADY * STEADY * tilt.norm_squared();
         let is_found = self.found.is_some() || is_told;
         if is_found {
             self.found = Some(tilt);
@@ -133,6 +134,9 @@ const LIKELY: f64 = 9.0;
 /// The same for one that is taken for the mount's, and between how many keyframes it must have held at least: a slow sway looks like it over one.
 const BEYOND_DOUBT: f64 = 36.0;
 const LEAST_KEYFRAMES: f64 = 2.5;
+
+/// A tilt is that of the mount, and not of a hand or of a spring, where it sways by less than this part of itself.
+const STEADY: f64 = 1.0 / 3.0;
 
 /// The mount is known to be otherwise than was thought: (height, roll, pitch), metres and radians.
 #[derive(Debug, Clone, Copy)]
@@ -215,7 +219,7 @@ mod tests {
             let off = off(&evidence, mount, [0.0; 3]);
             let explained = steady.learn(&evidence, &off).expect("a tilt that is seen");
             assert!((explained - off.frame).norm() < 1e-6, "{explained} is not {}", off.frame);
-            assert_eq!(steady.settle(), n >= 2, "after {} keyframes", n + 1);
+            assert_eq!(steady.settle(0.0), n >= 2, "after {} keyframes", n + 1);
         }
         // The tilt that is usual pulls by the square of noise over it.
         assert!((steady.found() - Vector2::from(mount)).norm() < 1e-6, "{}", steady.found());
@@ -230,7 +234,7 @@ mod tests {
             let mut off = off(&evidence, mount, [0.0; 3]);
             (off.keyframe, off.frame) = (keyframe, off.frame + evidence.by_keyframe * keyframe);
             steady.learn(&evidence, &off);
-            steady.settle();
+            steady.settle(0.0);
         }
         assert!((steady.found() - Vector2::from(mount)).norm() < 1e-6, "{}", steady.found());
     }
@@ -244,8 +248,19 @@ mod tests {
             let evidence = evidence(way, turn);
             let sway = [1e-3, 3e-3, 3e-3].map(|most| most * uniform());
             steady.learn(&evidence, &off(&evidence, [0.0; 2], sway));
-            assert!(!steady.settle(), "taken for a tilt after {} keyframes: {:?}", n + 1, steady.found());
+            assert!(!steady.settle(0.0), "taken for a tilt after {} keyframes: {:?}", n + 1, steady.found());
         }
+    }
+
+    #[test]
+    fn a_tilt_that_sways_as_much_is_not_that_of_the_mount() {
+        let mut steady = SteadyTilt::default();
+        for (way, turn) in WAYS.into_iter().cycle().take(60) {
+            let evidence = evidence(way, turn);
+            steady.learn(&evidence, &off(&evidence, [0.004, -0.007], [0.0; 3]));
+            assert!(!steady.settle(0.004 * 0.004));
+        }
+        assert!(steady.settle(0.001 * 0.001), "it came to rest");
     }
 
     #[test]
