@@ -530,6 +530,17 @@ fn a_killed_run_leaves_the_frames_so_far() {
     let done = place.run("drive.y4m --camera camera.yaml --height 1 -o next --map kept.gpkg -q");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert!(!place.path("next/map.gpkg").exists(), "there is one map");
+    // It knows the camera and how it sits.
+    let known = |folder: &str| {
+        let plan = fs::read_to_string(place.path(&format!("{folder}/run.toml"))).unwrap();
+        let table =
+            plan.split("[camera]").nth(1).map(|rest| rest.split("[odometry").next().unwrap().to_owned());
+        table.expect("the camera")
+    };
+    let done = place.run("drive.y4m -o without --map kept.gpkg -q");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(known("without"), known("next"));
+    assert_told(&place.run("drive.y4m -o x --map new.gpkg"), 2, "no camera is given", "a map that is new");
     assert!(place.run_usual("drive.y4m").status.success());
     assert_whole(&place.path("out"));
 }

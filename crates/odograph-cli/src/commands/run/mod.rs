@@ -42,7 +42,7 @@ pub struct RunArguments {
     /// there are cores.
     #[arg(value_name = "MORE")]
     pub more: Vec<String>,
-    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
+    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP). A map that is continued has one, and how the camera sits.
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Height of the camera above the ground, metres; the camera looks straight down.

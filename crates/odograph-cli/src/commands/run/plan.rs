@@ -1,7 +1,7 @@
 //! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
 
 use super::budget::{self, Budget};
-use super::{RunArguments, SensorPlan};
+use super::{FieldOfView, RunArguments, SensorPlan};
 use crate::files;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -92,13 +92,9 @@ impl RunPlan {
         arguments: &RunArguments,
         open: impl FnOnce(&SourcePlan) -> Result<(S, (usize, usize))>,
     ) -> Result<(Self, S)> {
-        if arguments.camera.is_none() && arguments.field_of_view.is_none() {
-            return Err(Error::usage(
-                "no camera is given; give --camera FILE (and --height METRES), or --field-of-view WIDTHxHEIGHT in metres \
-                 as measured on the ground",
-            ));
-        }
-        let rig = rig(arguments)?;
+        // A camera or map that cannot be read is told before a source that may take long to open.
+        let told = ToldCamera::by(arguments)?;
+        let rig = told.rig(arguments)?;
         let source_plan = SourcePlan {
             path: arguments.source.clone(),
             timestamps: arguments.timestamps.clone(),
@@ -108,16 +104,9 @@ impl RunPlan {
             every: arguments.every,
             max_frames: arguments.max_frames,
         };
-        // A camera file that cannot be read is told before a source that may take long to open.
-        let camera_text = arguments.camera.as_deref().map(files::read_text).transpose()?;
         let (source, size) = open(&source_plan)?;
-        let camera = match (&camera_text, &arguments.camera, arguments.field_of_view) {
-            (Some(text), Some(path), _) => {
-                camera_file::parse(text, Some(size)).map_err(|error| error.at(path.display()))?
-            }
-            (_, _, Some(field)) => Camera::from_field_of_view(size, (field.0, field.1), rig.height_m)?,
-            _ => return Err(Error::usage("no camera is given")),
-        };
+        let by_field = matches!(told, ToldCamera::Field(_));
+        let camera = told.camera(size, rig.height_m)?;
         if (camera.width(), camera.height()) != size {
             return Err(Error::input(format!(
                 "the frames of {} are {}x{} but the camera is calibrated for {}x{}; calibrate at the recording's size",
@@ -131,7 +120,7 @@ impl RunPlan {
         let mut odometry = OdometryConfig::default();
         odometry.motion.model = match MotionModel::from(arguments.motion) {
             // How much a lens bends is not known from a tape measure, and what it bends looks like height and tilt that change.
-            MotionModel::Auto if arguments.camera.is_none() => MotionModel::Rigid,
+            MotionModel::Auto if by_field => MotionModel::Rigid,
             model => model,
         };
         let budget = match arguments.budget_ms {
@@ -214,16 +203,53 @@ impl RunPlan {
     }
 }
 
-fn rig(arguments: &RunArguments) -> Result<Rig> {
-    match (&arguments.rig, arguments.height) {
-        (Some(path), _) => {
-            rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))
+/// Where the camera is told.
+enum ToldCamera<'a> {
+    /// The file and what is in it.
+    File(&'a Path, String),
+    /// The ground that it sees.
+    Field(FieldOfView),
+    /// That of the map that is continued.
+    Map(Box<MapFile>),
+}
+
+impl<'a> ToldCamera<'a> {
+    fn by(arguments: &'a RunArguments) -> Result<Self> {
+        let map = arguments.output.map.as_deref().filter(|map| map.exists());
+        match (&arguments.camera, arguments.field_of_view, map) {
+            (Some(file), _, _) => Ok(Self::File(file, files::read_text(file)?)),
+            (None, Some(field), _) => Ok(Self::Field(field)),
+            (None, None, Some(map)) => Ok(Self::Map(Box::new(MapFile::open_read_only(map)?))),
+            (None, None, None) => Err(Error::usage(
+                "no camera is given; give --camera FILE (and --height METRES), or --field-of-view WIDTHxHEIGHT in metres \
+                 as measured on the ground",
+            )),
         }
-        (None, Some(height_m)) => Rig::level(height_m).validated(),
-        // The field of view already gives the scale; any height gives the same path.
-        (None, None) if arguments.field_of_view.is_some() => Ok(Rig::level(1.0)),
-        (None, None) => Err(Error::usage(
-            "the height of the camera above the ground is missing; give --height METRES, or --rig FILE",
-        )),
+    }
+
+    fn rig(&self, arguments: &RunArguments) -> Result<Rig> {
+        match (&arguments.rig, arguments.height, self) {
+            (Some(path), _, _) => {
+                rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))
+            }
+            (None, Some(height_m), _) => Rig::level(height_m).validated(),
+            // The field of view already gives the scale; any height gives the same path.
+            (None, None, Self::Field(_)) => Ok(Rig::level(1.0)),
+            (None, None, Self::Map(map)) => Ok(*map.rig()),
+            (None, None, Self::File(..)) => Err(Error::usage(
+                "the height of the camera above the ground is missing; give --height METRES, or --rig FILE",
+            )),
+        }
+    }
+
+    /// The camera of images of this size, pixels.
+    fn camera(self, size: (usize, usize), height_m: f64) -> Result<Camera> {
+        match self {
+            Self::File(path, text) => {
+                camera_file::parse(&text, Some(size)).map_err(|error| error.at(path.display()))
+            }
+            Self::Field(field) => Camera::from_field_of_view(size, (field.0, field.1), height_m),
+            Self::Map(map) => Ok(map.camera().clone()),
+        }
     }
 }
