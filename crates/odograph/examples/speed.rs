@@ -184,6 +184,7 @@ fn stages(camera: &Camera, frames: &[GrayImage], with_tracks: bool) -> Result<St
         timed(2, &mut || {
             if let Some(image) = spare.take() {
                 spare = Some(next.replace(image));
+                black_box(next.coarser());
             }
         });
         let mut corners: Vec<Corner> = Vec::new();

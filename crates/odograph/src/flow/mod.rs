@@ -18,7 +18,7 @@ mod track;
 pub use affine::dissimilarity;
 pub use response::Response;
 pub use template::Template;
-pub use track::{Track, TrackFailure, forward_backward_px, track};
+pub use track::{REACH_PX, Track, TrackFailure, forward_backward_px, track};
 
 use crate::geometry::Pixel;
 use nalgebra::{Matrix2, Vector2};

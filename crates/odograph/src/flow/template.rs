@@ -44,7 +44,7 @@ impl Template {
     pub fn add_coarser_levels(&self, pyramid: &Pyramid) {
         self.coarser.get_or_init(|| {
             let mut scale = 1.0;
-            let coarser = pyramid.levels()[1..].iter().map_while(|image| {
+            let coarser = pyramid.coarser().iter().map_while(|image| {
                 scale *= 2.0;
                 LevelTemplate::new(image, self.centre.x / scale, self.centre.y / scale)
             });

@@ -48,7 +48,7 @@ pub fn track(
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
     let mut found = None;
-    let levels = levels_for(off_px, template.levels().min(image.levels().len()));
+    let levels = levels_for(off_px, template.levels().min(image.levels()));
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
         // A coarse level has only to come near enough for the next.
@@ -105,8 +105,8 @@ const LEAST_HELD: f64 = 0.05;
 /// Steps that would lead less than this far end a level other than the full image, pixels of the level.
 const COARSE_STEP_PX: f64 = 0.05;
 
-/// What a level finds even where the ground's texture is fine, pixels of the level.
-const REACH_PX: f64 = 1.0;
+/// What a level finds even where the ground's texture is fine, pixels of the level: what is no further off is found in the full image alone.
+pub const REACH_PX: f64 = 1.0;
 
 /// How many levels, of so many that there are, find what may be `off_px` away.
 fn levels_for(off_px: f64, most: usize) -> usize {
@@ -135,7 +135,7 @@ fn search(
     // The patch of this level is centred on samples of its level, a little beside the template's own centre.
     let offset = patch.centre * scale - Vector2::new(centre.x, centre.y);
     let expected = prediction.at(offset);
-    let image = &image.levels()[level];
+    let image = image.level(level);
     let mut samples: Samples = [0.0; AREA];
     let mut last_step = f64::INFINITY;
     let mut product = 0.0;

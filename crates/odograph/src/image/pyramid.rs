@@ -2,13 +2,26 @@
 
 use super::GrayImage;
 use super::simd::{blur_and_halve, blur_rows};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// An image with its smaller copies. Level 0 is the image itself.
+/// An image with its smaller copies, which are made when the first of them is asked for. Level 0 is the image itself.
 ///
 /// Because a level keeps the even samples of the blurred level below, a point at `p` in level 0 is at `p / 2^l` in level l.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Pyramid {
-    levels: Vec<GrayImage>,
+    base: GrayImage,
+    /// No more levels than this are wanted.
+    most: usize,
+    /// How many there are, made or not.
+    levels: usize,
+    coarser: OnceLock<Vec<GrayImage>>,
+    /// The memory of coarser levels made before.
+    spare: Mutex<Spare>,
+}
+
+#[derive(Debug, Default)]
+struct Spare {
+    coarser: Vec<GrayImage>,
     column_sums: Vec<u16>,
 }
 
@@ -18,50 +31,72 @@ const SMALLEST_SIDE: usize = 24;
 impl Pyramid {
     /// The pyramid of an image with at most `levels` levels (at least one).
     pub fn new(image: GrayImage, levels: usize) -> Self {
-        let mut pyramid = Self { levels: vec![image], column_sums: Vec::new() };
-        pyramid.add_levels(levels);
-        pyramid
+        let made = 1 + coarser_sizes(&image, levels).count();
+        Self { base: image, most: levels, levels: made, coarser: OnceLock::new(), spare: Mutex::default() }
     }
 
-    /// Makes this the pyramid of another image and gives the image it was made of before, so that its memory can be used again.
+    /// Makes this the pyramid of another image and gives the image it was made of before. The memory of the coarser levels is used again.
     pub fn replace(&mut self, image: GrayImage) -> GrayImage {
-        let same_size = (image.width(), image.height()) == (self.levels[0].width(), self.levels[0].height());
-        let levels = self.levels.len();
-        let before = std::mem::replace(&mut self.levels[0], image);
-        if same_size {
-            for level in 1..levels {
-                let (below, above) = self.levels.split_at_mut(level);
-                halve(&below[level - 1], &mut above[0], &mut self.column_sums);
-            }
-        } else {
-            self.levels.truncate(1);
-            self.add_levels(levels);
+        if let Some(coarser) = self.coarser.take() {
+            self.spare.get_mut().unwrap_or_else(PoisonError::into_inner).coarser = coarser;
         }
-        before
+        self.levels = 1 + coarser_sizes(&image, self.most).count();
+        std::mem::replace(&mut self.base, image)
     }
 
-    fn add_levels(&mut self, levels: usize) {
-        while self.levels.len() < levels {
-            let below = &self.levels[self.levels.len() - 1];
-            let (width, height) = (below.width().div_ceil(2), below.height().div_ceil(2));
-            if width.min(height) < SMALLEST_SIDE {
-                break;
-            }
-            let mut above = GrayImage::new(width, height);
-            halve(below, &mut above, &mut self.column_sums);
-            self.levels.push(above);
-        }
-    }
-
-    /// The levels, the full image first; at least one.
-    pub fn levels(&self) -> &[GrayImage] {
-        &self.levels
+    /// How many levels there are; at least one.
+    pub fn levels(&self) -> usize {
+        self.levels
     }
 
     /// The full image.
     pub fn base(&self) -> &GrayImage {
-        &self.levels[0]
+        &self.base
     }
+
+    /// A level, 0 being the full image; the coarsest where there are not so many.
+    pub fn level(&self, level: usize) -> &GrayImage {
+        match level {
+            0 => &self.base,
+            level => {
+                let coarser = self.coarser();
+                coarser.get(level - 1).or(coarser.last()).unwrap_or(&self.base)
+            }
+        }
+    }
+
+    /// The levels above the full image.
+    pub fn coarser(&self) -> &[GrayImage] {
+        self.coarser.get_or_init(|| {
+            let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut coarser = std::mem::take(&mut spare.coarser);
+            coarser.truncate(self.levels - 1);
+            for (level, (width, height)) in coarser_sizes(&self.base, self.most).enumerate() {
+                if coarser
+                    .get(level)
+                    .is_none_or(|memory| (memory.width(), memory.height()) != (width, height))
+                {
+                    coarser.truncate(level);
+                    coarser.push(GrayImage::new(width, height));
+                }
+            }
+            let mut below = &self.base;
+            for above in &mut coarser {
+                halve(below, above, &mut spare.column_sums);
+                below = above;
+            }
+            coarser
+        })
+    }
+}
+
+/// Width and height of the levels above an image of which no more than `most` levels are wanted.
+fn coarser_sizes(image: &GrayImage, most: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+    let half = |&(width, height): &(usize, usize)| {
+        let half = (width.div_ceil(2), height.div_ceil(2));
+        (half.0.min(half.1) >= SMALLEST_SIDE).then_some(half)
+    };
+    std::iter::successors(Some((image.width(), image.height())), half).skip(1).take(most.saturating_sub(1))
 }
 
 /// Blurs with the binomial 1 4 6 4 1 in both directions and keeps every second sample (P. Burt and E. Adelson, "The Laplacian pyramid",
@@ -125,8 +160,8 @@ mod tests {
                 (state >> 24) as u8
             }).collect();
             let pyramid = Pyramid::new(GrayImage::from_samples(width, height, samples).unwrap(), 2);
-            prop_assert_eq!(pyramid.levels().len(), 2);
-            let half = &pyramid.levels()[1];
+            prop_assert_eq!(pyramid.levels(), 2);
+            let half = pyramid.level(1);
             for y in 0..half.height() {
                 for x in 0..half.width() {
                     prop_assert_eq!(half.row(y)[x], halve_by_definition(pyramid.base(), x, y));
@@ -141,8 +176,9 @@ mod tests {
             GrayImage::from_samples(64, 64, (0..64 * 64).map(|i| (i * step % 251) as u8).collect()).unwrap()
         };
         let mut pyramid = Pyramid::new(ramp(3), 3);
+        assert_eq!(pyramid.coarser().len(), 1);
         let before = pyramid.replace(ramp(7));
         assert_eq!(before, ramp(3));
-        assert_eq!(pyramid.levels(), Pyramid::new(ramp(7), 3).levels());
+        assert_eq!(pyramid.coarser(), Pyramid::new(ramp(7), 3).coarser());
     }
 }

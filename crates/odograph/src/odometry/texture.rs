@@ -17,8 +17,7 @@ pub enum Texture {
 impl Texture {
     /// Judged two pyramid levels up, where the sensor's noise is averaged away.
     pub fn of(pyramid: &Pyramid) -> Self {
-        let levels = pyramid.levels();
-        let coarse = &levels[2.min(levels.len() - 1)];
+        let coarse = pyramid.level(2);
         let config = DetectionConfig {
             corners: ENOUGH_CORNERS,
             minimum_distance_px: 5.0,
@@ -121,8 +120,7 @@ pub fn is_blurred(image: &Pyramid, beside: &Pyramid) -> bool {
 /// The squared differences along x, along y and along both diagonals over the squared mean, so that light does not count. One level up, where there is
 /// less noise.
 fn fineness(pyramid: &Pyramid) -> [f64; 4] {
-    let levels = pyramid.levels();
-    let image = &levels[1.min(levels.len() - 1)];
+    let image = pyramid.level(1);
     let samples = (image.width() * image.height()) as f64;
     let mean = image.samples().iter().map(|&sample| f64::from(sample)).sum::<f64>() / samples;
     let squares = |(right, down): (usize, isize)| -> f64 {

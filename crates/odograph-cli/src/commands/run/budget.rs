@@ -84,6 +84,7 @@ fn measured(size: (usize, usize), levels: usize) -> Cost {
     let (first, second) = (picture(0), picture(3));
     let image = || {
         let pyramid = Pyramid::new(first.clone(), levels);
+        black_box(pyramid.coarser());
         black_box(detect(pyramid.base(), &DetectionConfig::default(), 9));
     };
     let (from, to) = (Pyramid::new(first.clone(), levels), Pyramid::new(second, levels));

@@ -32,13 +32,12 @@ const LEAST_PART: usize = 6;
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
     let wanted = (board.columns(), board.rows());
     let pyramid = Pyramid::new(image.clone(), 4);
-    let levels = pyramid.levels();
     let large = image.width().max(image.height()) >= LARGE_PX;
     let order: &[usize] = if large { &[1, 0, 2, 3] } else { &[0, 1, 2] };
     let mut best = NotFound::NoCorners;
-    for &level in order.iter().filter(|&&level| level < levels.len()) {
+    for &level in order.iter().filter(|&&level| level < pyramid.levels()) {
         let scale = f64::from(1u32 << level);
-        match find_in_level(&levels[level], wanted, scale) {
+        match find_in_level(pyramid.level(level), wanted, scale) {
             Ok(corners) => {
                 let pixels: Vec<Pixel> = corners
                     .iter()

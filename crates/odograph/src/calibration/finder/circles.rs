@@ -33,12 +33,11 @@ const MOST_BLUR_PX: f64 = 6.0;
 /// Finds a whole grid of discs.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
     let pyramid = Pyramid::new(image.clone(), 2);
-    let levels = pyramid.levels();
     let mut best = NotFound::NoDiscs;
     // The larger image is needed for small discs only.
-    for level in (0..levels.len()).rev() {
+    for level in (0..pyramid.levels()).rev() {
         let scale = f64::from(1u32 << level);
-        let short_side = levels[level].width().min(levels[level].height());
+        let short_side = pyramid.level(level).width().min(pyramid.level(level).height());
         // Around a disc the mean must be of more than the disc, and of no more than one light.
         for part in [5, 12, 30] {
             let window = short_side / part;
@@ -46,7 +45,7 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
                 continue;
             }
             let most = MOST_SPOTS + 4 * board.columns() * board.rows();
-            let spots = Spotted::new(blobs(&levels[level], window, most));
+            let spots = Spotted::new(blobs(pyramid.level(level), window, most));
             match in_spots(&spots, board) {
                 Ok(grid) => {
                     let grid: Vec<Blob> = grid.iter().map(|blob| scaled(blob, scale)).collect();

@@ -113,9 +113,8 @@ impl Mesh {
 
     /// The view, from the level of the pyramid whose pixels cover about a spot.
     fn sampled(&self, pyramid: &Pyramid, spot_px: f64, (width, height): (usize, usize)) -> GrayImage {
-        let levels = pyramid.levels();
-        let level = ((spot_px.log2() + 0.3).max(0.0) as usize).min(levels.len() - 1);
-        let (source, scale) = (&levels[level], 1.0 / (1u32 << level) as f32);
+        let level = ((spot_px.log2() + 0.3).max(0.0) as usize).min(pyramid.levels() - 1);
+        let (source, scale) = (pyramid.level(level), 1.0 / (1u32 << level) as f32);
         let mut view = GrayImage::new(width, height);
         for (row, samples) in view.samples_mut().chunks_exact_mut(width).enumerate() {
             for (block, samples) in samples.chunks_mut(MESH).enumerate() {

@@ -145,9 +145,8 @@ fn footprint(camera: &Camera, pose: &GroundPose) -> Option<((f64, f64), (f64, f6
 
 /// The pyramid level of which two or three pixels make a sample, and how many image pixels one of its pixels is wide.
 fn level_for(pyramid: &Pyramid, image_px: f64) -> (&GrayImage, f64) {
-    let levels = pyramid.levels();
-    let level = ((image_px / 2.0).max(1.0).log2().floor() as usize).min(levels.len() - 1);
-    (&levels[level], (1u32 << level) as f64)
+    let level = ((image_px / 2.0).max(1.0).log2().floor() as usize).min(pyramid.levels() - 1);
+    (pyramid.level(level), (1u32 << level) as f64)
 }
 
 fn bilinear(image: &GrayImage, x: f64, y: f64) -> Option<f32> {
