@@ -39,7 +39,7 @@ impl Default for DetectionConfig {
         Self {
             corners: 400,
             minimum_distance_px: 12.0,
-            quality: 0.005,
+            quality: 0.0005,
             window: Window::Rectangular,
             window_radius_px: 2,
         }

@@ -3,10 +3,11 @@
 use super::doubt::CHANCE_PRESENCE;
 use super::follow::{self, Measurement};
 use super::keyframe::Keyframe;
+use super::learned::Learned;
 use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::image::Pyramid;
-use crate::motion::{Random, RigWander};
+use crate::motion::Random;
 
 /// So many frames in a row must agree with a candidate before it is believed: a hand passes, the floor stays.
 pub const CONFIRMATIONS: usize = 3;
@@ -46,14 +47,14 @@ impl Candidate {
         time_s: f64,
         camera: &Camera,
         config: &OdometryConfig,
-        wander: &RigWander,
+        learned: &Learned,
         random: &mut Random,
     ) -> Option<Measurement> {
         let from = [self.last.extrapolated(time_s), self.last.pose];
         let keyframe = &self.keyframe;
-        let whole = || follow::measure_drowned(keyframe, pyramid, camera, from.each_ref(), config, wander);
+        let whole = || follow::measure_drowned(keyframe, pyramid, camera, from.each_ref(), config, learned);
         let by_corners = from.iter().find_map(|from| {
-            let found = follow::measure(keyframe, pyramid, camera, from, config, wander, random).ok()?;
+            let found = follow::measure(keyframe, pyramid, camera, from, config, learned, random).ok()?;
             let presence = follow::presence(keyframe, camera, &found);
             (presence >= CHANCE_PRESENCE).then_some(found)
         });

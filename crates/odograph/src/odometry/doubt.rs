@@ -30,7 +30,8 @@ impl Odometry {
         let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
         let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);
         let surprising = off_m * self.camera.focal_px().0 > SURPRISE_PX * found.height_m;
-        let wanted = self.usual_presence * if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
+        let wanted =
+            self.learned.usual_presence() * if surprising { SURPRISING_PRESENCE } else { DOUBTFUL_PRESENCE };
         // The support counts corners out of view too: the presence is never below it.
         measurement.support < wanted
             && self
@@ -52,10 +53,10 @@ impl Odometry {
         if self.config.motion.model == MotionModel::Mean {
             return near;
         }
-        let least = CHANCE_PRESENCE * self.usual_presence;
+        let least = CHANCE_PRESENCE * self.learned.usual_presence();
         let near = near.and_then(|measurement| {
             let presence = follow::presence(keyframe, &self.camera, &measurement);
-            if presence < SURPRISING_PRESENCE * self.usual_presence
+            if presence < SURPRISING_PRESENCE * self.learned.usual_presence()
                 && follow::stands_still(keyframe, &self.camera, &measurement)
             {
                 return Err(LossReason::Shadow);
@@ -74,12 +75,12 @@ impl Odometry {
         let lost = Lost { pyramid, last, expected, frames, doubtful: near.ok() };
         let (camera, config, mut random) = (&self.camera, &self.config, Random::new(self.frames));
         let found =
-            self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.wander, &mut random);
+            self.recovery.find(lost, keyframe, &mut self.memory, camera, config, &self.learned, &mut random);
         let found = found.ok_or(reason)?;
         let shadow = self.lost_frames < MOST_SHADOWED
             && found.remembered.is_none()
             && follow::presence(keyframe, camera, &found.measurement)
-                < SURPRISING_PRESENCE * self.usual_presence
+                < SURPRISING_PRESENCE * self.learned.usual_presence()
             && follow::stands_still(keyframe, camera, &found.measurement);
         if shadow {
             return Err(LossReason::Shadow);
@@ -93,7 +94,7 @@ impl Odometry {
     /// Checks the tracks of a frame on which others may be built.
     pub(super) fn confirm(&self, pyramid: &Pyramid, measurement: Measurement) -> Measurement {
         match &self.keyframe {
-            Some(keyframe) if measurement.support < self.config.keyframe.support => {
+            Some(keyframe) if measurement.support < self.enough_support() => {
                 let mut random = Random::new(self.frames);
                 follow::confirm(
                     keyframe,
@@ -101,7 +102,7 @@ impl Odometry {
                     &self.camera,
                     measurement,
                     &self.config,
-                    &self.wander,
+                    &self.learned,
                     &mut random,
                 )
             }

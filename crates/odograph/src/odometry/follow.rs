@@ -2,17 +2,18 @@
 
 use super::OdometryConfig;
 use super::keyframe::{KeyCorner, Keyframe};
+use super::learned::Learned;
 use super::light_field::LightField;
 use super::texture::Texture;
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
-use crate::flow::{Track, Warp, dissimilarity, forward_backward_px, track};
+use crate::flow::{REACH_PX, Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{
-    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RigWander, Sighting,
-    ViewingPose, estimate, mean_displacement, whitened,
+    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, Sighting, ViewingPose,
+    estimate, mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix2, Matrix6, Vector2};
@@ -75,16 +76,16 @@ pub fn measure(
     camera: &Camera,
     prediction: &GroundPose,
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
-    let first = measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, wander, random)?;
+    let first = measure_near(keyframe, pyramid, camera, prediction, f64::INFINITY, config, learned, random)?;
     if config.motion.model == MotionModel::Mean || first.settled {
         return Ok(first);
     }
     // Once more from where it was found: corners that were out of reach are now within.
     let found = first.estimate.pose;
-    Ok(match measure_near(keyframe, pyramid, camera, &found, FOUND_WITHIN_PX, config, wander, random) {
+    Ok(match measure_near(keyframe, pyramid, camera, &found, FOUND_WITHIN_PX, config, learned, random) {
         Ok(again) if again.support >= first.support => Measurement { prediction: first.prediction, ..again },
         _ => first,
     })
@@ -101,18 +102,18 @@ pub fn measure_near(
     prediction: &GroundPose,
     off_px: f64,
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     if config.motion.model != MotionModel::Mean && keyframe.texture() == Texture::Faint {
-        return measure_whole(keyframe, pyramid, camera, prediction, config, wander);
+        return measure_whole(keyframe, pyramid, camera, prediction, config, learned);
     }
     let followed = if config.motion.model == MotionModel::Mean {
         Followed { found: follow_by_eye(keyframe, pyramid, off_px, config), settled: None }
     } else {
-        follow(keyframe, pyramid, camera, prediction, off_px, config, wander, random)
+        follow(keyframe, pyramid, camera, prediction, off_px, config, learned, random)
     };
-    judge(keyframe, followed, camera, prediction, config, wander, random)
+    judge(keyframe, followed, camera, prediction, config, learned, random)
 }
 
 /// Measures the pose of a frame against all of a keyframe: on faint ground no single corner can be believed.
@@ -122,10 +123,10 @@ fn measure_whole(
     camera: &Camera,
     prediction: &GroundPose,
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
 ) -> Result<Measurement, LossReason> {
     let image = DenseImage::new(pyramid.base());
-    let prior = wander.prior(prediction, &config.motion);
+    let prior = learned.wander.prior(prediction, &config.motion);
     let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
     let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
     if found.agreement < config.motion.minimum_inlier_fraction {
@@ -149,14 +150,14 @@ pub fn measure_drowned(
     camera: &Camera,
     predictions: [&GroundPose; 2],
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
 ) -> Option<Measurement> {
     if config.motion.model == MotionModel::Mean || keyframe.texture() != Texture::Drowned {
         return None;
     }
     predictions
         .iter()
-        .find_map(|prediction| measure_whole(keyframe, pyramid, camera, prediction, config, wander).ok())
+        .find_map(|prediction| measure_whole(keyframe, pyramid, camera, prediction, config, learned).ok())
 }
 
 /// Drops what does not come back to its corner when it is followed backward, and measures again: done where others will be built on
@@ -167,7 +168,7 @@ pub fn confirm(
     camera: &Camera,
     measurement: Measurement,
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
     random: &mut Random,
 ) -> Measurement {
     if measurement.agreement.is_some() {
@@ -180,7 +181,7 @@ pub fn confirm(
     };
     let found: Buffer<Found> = measurement.found.iter().filter(comes_back).copied().collect();
     let followed = Followed { found, settled: measurement.settled.then_some(measurement.estimate.pose) };
-    judge(keyframe, followed, camera, &measurement.prediction, config, wander, random).unwrap_or(measurement)
+    judge(keyframe, followed, camera, &measurement.prediction, config, learned, random).unwrap_or(measurement)
 }
 
 /// The part of a keyframe's corners which a camera at the measured pose should see that agrees with it, 0 to 1: low where only something
@@ -255,6 +256,9 @@ const SCOUTS: usize = 64;
 /// They show where all the others are when this part of those in view agrees.
 const SETTLED: f64 = 0.6;
 
+/// Where a prediction may be off by this much, it is mostly off by less than the full image finds, pixels.
+const LIKELY_NEAR_PX: f64 = 2.0;
+
 /// From a pose that the scouts agree on, corners are off by less than this, pixels.
 const SETTLED_PX: f64 = 0.75;
 
@@ -267,11 +271,11 @@ fn follow(
     prediction: &GroundPose,
     off_px: f64,
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
     random: &mut Random,
 ) -> Followed {
     let corners = keyframe.corners.len();
-    let every = corners / SCOUTS;
+    let every = (corners as f64 * learned.findable()) as usize / SCOUTS;
     let mut found = Buffer::new();
     let from = ViewingPose::new(*prediction);
     let find = |index: usize, from: &ViewingPose, off_px: f64| {
@@ -282,8 +286,17 @@ fn follow(
         return Followed { found, settled: None };
     }
     let scouts = (0..corners).step_by(every);
-    found.extend(scouts.clone().filter_map(|index| find(index, &from, off_px)));
-    let settled = agreement(keyframe, scouts, &found, camera, prediction, config, wander, random);
+    let mut settled = None;
+    // Mostly the prediction is better than it need be, and the full image is enough: the coarser levels are not even made.
+    let reaches: &[f64] = if off_px <= LIKELY_NEAR_PX { &[REACH_PX, off_px] } else { &[off_px] };
+    for &off_px in reaches {
+        found.clear();
+        found.extend(scouts.clone().filter_map(|index| find(index, &from, off_px)));
+        settled = agreement(keyframe, scouts.clone(), &found, camera, prediction, config, learned, random);
+        if settled.is_some() {
+            break;
+        }
+    }
     match settled.map(ViewingPose::new) {
         Some(from) => {
             // Scouts that were out of reach are looked for again.
@@ -313,16 +326,17 @@ fn agreement(
     camera: &Camera,
     prediction: &GroundPose,
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
     random: &mut Random,
 ) -> Option<GroundPose> {
     let observations = observations(keyframe, found);
-    let prior = wander.prior(prediction, &config.motion);
+    let prior = learned.wander.prior(prediction, &config.motion);
     let observations = Observations { seen: &observations, laid_from: &keyframe.pose };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let expected = in_view(scouts.map(|index| &keyframe.corners[index]), camera, &estimate.pose);
     let agree = estimate.inlier_count();
-    (agree >= LEAST_SCOUTS && agree as f64 >= SETTLED * expected as f64).then_some(estimate.pose)
+    (agree >= LEAST_SCOUTS && agree as f64 >= SETTLED * learned.findable() * expected as f64)
+        .then_some(estimate.pose)
 }
 
 /// Fewer than this show nothing.
@@ -340,15 +354,15 @@ fn find(
     config: &OdometryConfig,
 ) -> Option<Found> {
     let PatchWarp { warp, curvature, .. } = corner.patch.warp(camera, pose)?;
-    if off_px > SETTLED_PX {
+    if off_px > REACH_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
     let (warp, covariance_px2, light) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
         Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
             (Warp { position: found.position, ..warp }, found.covariance_px2, found.light)
         }
-        // Second judgement: perhaps only the expected shape was wrong.
-        Ok(Track { position, .. }) => {
+        // Second judgement: perhaps only the expected shape was wrong. From a pose that others agree on it is not.
+        Ok(Track { position, .. }) if off_px > SETTLED_PX => {
             let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
             (judged.dissimilarity <= config.flow.dissimilarity).then_some((
                 warp,
@@ -356,7 +370,7 @@ fn find(
                 judged.light,
             ))?
         }
-        Err(_) => return None,
+        Ok(_) | Err(_) => return None,
     };
     let bend = corner.template.response().to_curvature(&warp.linear, &curvature);
     let centre = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
@@ -388,7 +402,7 @@ fn judge(
     camera: &Camera,
     prediction: &GroundPose,
     config: &OdometryConfig,
-    wander: &RigWander,
+    learned: &Learned,
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     let Followed { found, settled } = followed;
@@ -399,7 +413,7 @@ fn judge(
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
         let observations = observations(keyframe, &found);
-        let prior = wander.prior(prediction, &config.motion);
+        let prior = learned.wander.prior(prediction, &config.motion);
         let near = settled.unwrap_or(*prediction);
         let observations = Observations { seen: &observations, laid_from: &keyframe.pose };
         estimate(camera, observations, &near, &prior, &config.motion, random)

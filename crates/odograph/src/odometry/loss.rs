@@ -24,7 +24,7 @@ impl Odometry {
         let reason = self.cause(&pyramid, bare, reason);
         match self.confirm_candidate(&pyramid, time_s) {
             Some(found) if self.candidate_is_believed() => return self.begin_segment(pyramid, time_s, found),
-            Some(found) if found.support < self.config.keyframe.support => {
+            Some(found) if found.support < self.enough_support() => {
                 if let Some(candidate) = &mut self.candidate {
                     candidate.move_on(pyramid, self.frames, &self.camera, &self.config);
                 }
@@ -69,8 +69,8 @@ impl Odometry {
     /// The measurement of a lost frame against the candidate, if there is one.
     pub(super) fn confirm_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
         let mut random = Random::new(self.frames);
-        let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
-        self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, wander, &mut random)
+        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
+        self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, learned, &mut random)
     }
 
     /// Whether enough frames agreed with the candidate. To come back to known ground is better than to begin anew.

@@ -4,6 +4,7 @@
 use super::OdometryConfig;
 use super::follow::{self, Measurement};
 use super::keyframe::{GRID, Keyframe, grid_rays, seen_share};
+use super::learned::Learned;
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
@@ -12,7 +13,7 @@ use crate::mapping::plane_motion::{laid_from, motion_covariance, seen_from};
 use crate::motion::MotionEstimate;
 use crate::motion::ViewingPose;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
-use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random, RigWander};
+use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
 /// A keyframe whose corners are looked for.
@@ -130,7 +131,7 @@ impl Matcher {
         let prediction = self.placed(&keyframe.pose, &pictured.pose, motion);
         let (camera, config) = (&self.camera, &self.config);
         // Height and tilt of both are known; where the recording shows otherwise the prior opens.
-        let wander = RigWander::new(&prediction);
+        let learned = Learned::new(&prediction);
         let mut random = Random::new(0);
         let mut measure = |off_px: f64| {
             follow::measure_near(
@@ -140,12 +141,13 @@ impl Matcher {
                 &prediction,
                 off_px,
                 config,
-                &wander,
+                &learned,
                 &mut random,
             )
         };
         let first = measure(off_px).ok()?;
-        let found = follow::confirm(keyframe, &pictured.pyramid, camera, first, config, &wander, &mut random);
+        let found =
+            follow::confirm(keyframe, &pictured.pyramid, camera, first, config, &learned, &mut random);
         // Where the camera sits still on its carrier, what fits only with another height or tilt is not seen well.
         let still = leans_alike(&keyframe.pose, &pictured.pose, STILL);
         if still && !leans_alike(&prediction, &found.estimate.pose, CONTRADICTING) {
@@ -154,7 +156,7 @@ impl Matcher {
         let presence = follow::presence(keyframe, camera, &found);
         let inliers = found.estimate.inlier_count();
         let whole =
-            if found.agreement.is_none() { self.refined(keyframe, pictured, &found, &wander) } else { None };
+            if found.agreement.is_none() { self.refined(keyframe, pictured, &found, &learned) } else { None };
         let estimate = whole.unwrap_or(found.estimate);
         self.sighting(
             keyframe,
@@ -171,7 +173,7 @@ impl Matcher {
         keyframe: &Keyframe,
         pictured: &Pictured,
         found: &Measurement,
-        wander: &RigWander,
+        learned: &Learned,
     ) -> Option<MotionEstimate> {
         let (camera, motion) = (&self.camera, &self.config.motion);
         let corners = &found.estimate;
@@ -181,7 +183,7 @@ impl Matcher {
             return None;
         }
         let image = DenseImage::new(pictured.pyramid.base());
-        let prior = wander.prior(&found.prediction, motion);
+        let prior = learned.wander.prior(&found.prediction, motion);
         let whole = dense::refine(camera, keyframe.dense(camera), &image, &corners.pose, &prior, motion)?;
         let off_m =
             (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);

@@ -11,6 +11,7 @@ mod follow;
 mod keyframe;
 mod keyframe_event;
 mod last_pose;
+mod learned;
 mod light_field;
 mod limits;
 mod loss;
@@ -24,7 +25,7 @@ use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
-use crate::motion::{MotionEstimate, MotionModel, Random, RigWander};
+use crate::motion::{MotionEstimate, MotionModel, Random};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::Candidate;
 pub use config::{KeyframeConfig, OdometryConfig};
@@ -32,6 +33,7 @@ use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
 pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
+use learned::Learned;
 use nalgebra::Matrix6;
 use recovery::Recovery;
 
@@ -55,16 +57,13 @@ pub struct Odometry {
     keyframe: Option<Keyframe>,
     memory: KeyframeMemory,
     last: Option<LastPose>,
-    /// How much height and tilt are seen to move.
-    wander: RigWander,
+    learned: Learned,
     filter: Option<ConstantAcceleration>,
     /// A start of a new segment that has not proved itself yet.
     candidate: Option<Candidate>,
     recovery: Recovery,
     /// So many frames before this one were lost.
     lost_frames: usize,
-    /// The part of the corners in view that agreed in the last frames: below 1 where not everything in view is ground.
-    usual_presence: f64,
     frames: u64,
     keyframes: u64,
     segment: usize,
@@ -76,11 +75,8 @@ pub struct Odometry {
     reference: Option<FrameReference>,
 }
 
-/// Where this part of the corners in view is found and agrees, what is missing lies out of view: to search again would find nothing.
+/// Where this part of the corners in view that usually agree is found and agrees, what is missing lies out of view: to search again would find nothing.
 const NEARLY_ALL: f64 = 0.95;
-
-/// Weight of the newest frame in the usual presence: about the last five count.
-const PRESENCE_RATE: f64 = 0.2;
 
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
@@ -92,14 +88,13 @@ impl Odometry {
             camera,
             config,
             first_pose,
-            wander: RigWander::new(&first_pose),
+            learned: Learned::new(&first_pose),
             keyframe: None,
             memory: KeyframeMemory::new(config.keyframe.remembered),
             last: None,
             filter: None,
             candidate: None,
             lost_frames: 0,
-            usual_presence: 1.0,
             frames: 0,
             keyframes: 0,
             segment: 0,
@@ -180,9 +175,10 @@ impl Odometry {
             MotionModel::Mean => last.pose,
             _ => last.extrapolated(time_s),
         };
-        let (camera, config, wander) = (&self.camera, &self.config, &self.wander);
+        let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         let predictions = [&extrapolated, &last.pose];
-        if let Some(whole) = follow::measure_drowned(keyframe, pyramid, camera, predictions, config, wander) {
+        if let Some(whole) = follow::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
+        {
             return Ok(whole);
         }
         if let Some(off_px) = self.prediction_off_px(last, time_s) {
@@ -194,21 +190,21 @@ impl Odometry {
                 &extrapolated,
                 off_px,
                 config,
-                wander,
+                learned,
                 &mut random,
             );
             // What others will be built on is searched in full, unless that could not find more.
             let found_enough = |near: &Measurement| {
                 near.settled
-                    || near.support >= config.keyframe.support
-                    || follow::presence(keyframe, camera, near) >= NEARLY_ALL
+                    || near.support >= self.enough_support()
+                    || follow::presence(keyframe, camera, near) >= NEARLY_ALL * learned.usual_presence()
             };
             if near.as_ref().is_ok_and(found_enough) {
                 return near;
             }
         }
         for prediction in predictions {
-            outcome = follow::measure(keyframe, pyramid, camera, prediction, config, wander, &mut random);
+            outcome = follow::measure(keyframe, pyramid, camera, prediction, config, learned, &mut random);
             if outcome.is_ok() {
                 break;
             }
@@ -245,10 +241,10 @@ impl Odometry {
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
         if let (Some(keyframe), Some(carried)) = (&self.keyframe, &carried) {
-            self.wander.learn(&estimate, &keyframe.pose, carried);
+            self.learned.wander.learn(&estimate, &keyframe.pose, carried);
         }
         if let Some(presence) = presence {
-            self.usual_presence += PRESENCE_RATE * (presence - self.usual_presence);
+            self.learned.saw(presence);
         }
         self.candidate = None;
         self.recovery.reset();
@@ -262,7 +258,7 @@ impl Odometry {
         let improved = self.improve(time_s, &estimate);
         let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
-        let keyframe = support < self.config.keyframe.support || self.leaves_the_keyframe(&found, time_s);
+        let keyframe = support < self.enough_support() || self.leaves_the_keyframe(&found, time_s);
         if self.config.motion.model == MotionModel::Mean {
             self.keep_only(&found, covariance); // from here on what was found has other numbers
         }
@@ -315,6 +311,11 @@ impl Odometry {
             keyframe: true,
             segment: self.segment,
         }
+    }
+
+    /// Where a smaller part of a keyframe's corners supports the movement, it is used up.
+    fn enough_support(&self) -> f64 {
+        self.config.keyframe.support * self.learned.findable()
     }
 
     /// Position and heading improved by the filter, with the velocity it knows.

@@ -6,13 +6,12 @@
 
 use super::follow::{self, Measurement};
 use super::keyframe::{Keyframe, KeyframeMemory};
+use super::learned::Learned;
 use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, wrap_angle};
 use crate::image::Pyramid;
-use crate::motion::{
-    CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random, RigWander,
-};
+use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis, MotionModel, Random};
 use std::f64::consts::PI;
 
 /// So many remembered keyframes are compared with a frame, beside the present one.
@@ -85,11 +84,11 @@ impl Recovery {
         memory: &mut KeyframeMemory,
         camera: &Camera,
         config: &OdometryConfig,
-        wander: &RigWander,
+        learned: &Learned,
         random: &mut Random,
     ) -> Option<Found> {
         let now = self.registration.view(lost.pyramid, &lost.last.pose)?;
-        let search = Search { lost: &lost, now, registration: &self.registration, camera, config, wander };
+        let search = Search { lost: &lost, now, registration: &self.registration, camera, config, learned };
         let here = search.look(keyframe, random);
         let mut decided = here.decided;
         let mut confirmed: Vec<Found> = here
@@ -139,7 +138,7 @@ struct Search<'a> {
     registration: &'a CoarseRegistration,
     camera: &'a Camera,
     config: &'a OdometryConfig,
-    wander: &'a RigWander,
+    learned: &'a Learned,
 }
 
 /// What the fine tracker makes of the hypotheses about one keyframe.
@@ -202,7 +201,7 @@ impl Search<'_> {
         let heading_rad = last.heading_rad + wrap_angle(pose.heading_rad - last.heading_rad);
         let from = GroundPose { heading_rad, ..pose };
         let measurement =
-            follow::measure(keyframe, pyramid, self.camera, &from, self.config, self.wander, random).ok()?;
+            follow::measure(keyframe, pyramid, self.camera, &from, self.config, self.learned, random).ok()?;
         let measurement = Measurement { prediction: self.lost.expected, ..measurement };
         let presence = follow::presence(keyframe, self.camera, &measurement);
         Some((measurement, presence))

@@ -17,7 +17,7 @@ impl Odometry {
     pub(super) fn leaves_the_keyframe(&self, found: &[follow::Found], time_s: f64) -> bool {
         let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return false };
         let next = last.extrapolated(time_s + last.step_s);
-        follow::still_seen(keyframe, &self.camera, found, &next) < FORESEEN_SUPPORT
+        follow::still_seen(keyframe, &self.camera, found, &next) < FORESEEN_SUPPORT * self.learned.findable()
     }
 
     /// The next reference: an older keyframe where the camera has come back to one, otherwise this frame.
@@ -29,7 +29,7 @@ impl Odometry {
         mut covariance: Matrix6<f64>,
     ) {
         let mut pose = estimate.pose;
-        if let Some(change) = self.wander.settle() {
+        if let Some(change) = self.learned.wander.settle() {
             let serving = self.keyframe.iter_mut().map(|keyframe| &mut keyframe.pose);
             let last = self.last.iter_mut().map(|last| &mut last.pose);
             serving.chain(last).chain([&mut pose]).for_each(|pose| change.set_right(pose));
@@ -72,13 +72,13 @@ impl Odometry {
         };
         let mut random = Random::new(self.frames);
         let measured =
-            follow::measure(&old, &pyramid, &self.camera, pose, &self.config, &self.wander, &mut random);
+            follow::measure(&old, &pyramid, &self.camera, pose, &self.config, &self.learned, &mut random);
         let agreed = measured.ok().filter(|m| {
             let found = &m.estimate.pose;
             let pixel_m = pose.height_m / self.camera.focal_px().0;
             let position_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt() + 2.0 * pixel_m;
             let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
-            m.support >= self.config.keyframe.support
+            m.support >= self.enough_support()
                 && (found.x_m - pose.x_m).hypot(found.y_m - pose.y_m) < position_m
                 && (found.heading_rad - pose.heading_rad).abs() < heading_rad
         });
