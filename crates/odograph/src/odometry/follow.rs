@@ -257,7 +257,7 @@ const SCOUTS: usize = 64;
 const SETTLED: f64 = 0.6;
 
 /// Where a prediction may be off by this much, it is mostly off by less than the full image finds, pixels.
-const LIKELY_NEAR_PX: f64 = 2.0;
+const LIKELY_NEAR_PX: f64 = 4.0;
 
 /// From a pose that the scouts agree on, corners are off by less than this, pixels.
 const SETTLED_PX: f64 = 0.75;

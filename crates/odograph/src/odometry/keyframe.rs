@@ -32,8 +32,10 @@ pub struct Keyframe {
     places: Vec<(usize, usize)>,
     /// What looks for them, where only a part of the image has been looked at.
     sought: Option<Box<Detection>>,
-    /// Whether the corners are there.
-    is_prepared: bool,
+    /// How many of the places have been prepared.
+    prepared: usize,
+    /// Whether the corners are prepared in two halves, the second one frame later: where there is time for it.
+    pub in_halves: bool,
     /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
     view: Option<GroundView>,
     /// What can be made of its corners; found out when it is first needed.
@@ -66,7 +68,7 @@ impl Keyframe {
         keyframe
     }
 
-    /// The same, but its corners are sought in two thirds of the image only: [`Keyframe::prepare`] must have been called before anything is measured
+    /// The same, but its corners are sought in half of the image only: [`Keyframe::prepare`] must have been called before anything is measured
     /// against them. The frame that becomes a keyframe is among the slowest anyway; the next one, which needs them, does the rest and takes as long.
     pub fn to_be_prepared(
         pyramid: Pyramid,
@@ -76,7 +78,7 @@ impl Keyframe {
     ) -> Self {
         let image = pyramid.base();
         let mut sought = Detection::new((image.width(), image.height()), detection, MARGIN_PX);
-        sought.look(image, 2 * image.height() / 3);
+        sought.look(image, image.height() / 2);
         let record = KeyframeRecord {
             id: None,
             pyramid,
@@ -111,19 +113,23 @@ impl Keyframe {
             covariance,
             places,
             sought: None,
-            is_prepared: false,
+            prepared: 0,
+            in_halves: false,
             view,
             texture,
             dense,
         }
     }
 
-    /// Lays the corners on the ground and prepares them for being found again, where that was not done yet.
+    /// Lays the corners on the ground and prepares them for being found again, where that was not done yet. In two halves, each spread over the image, where
+    /// that is wanted: then this does one of them.
     pub fn prepare(&mut self, camera: &Camera) {
-        if std::mem::replace(&mut self.is_prepared, true) {
+        let places = self.find().len();
+        let first = self.prepared;
+        let until = if self.in_halves && first == 0 { places.div_ceil(2) } else { places };
+        if first == until {
             return;
         }
-        self.find();
         let ground_from_ray = GroundFromRay::new(&self.pose);
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&self.pyramid, place)?;
@@ -134,7 +140,8 @@ impl Keyframe {
                 template,
             })
         };
-        self.corners = self.places.iter().filter_map(corner).collect();
+        self.corners.extend(self.places[first..until].iter().filter_map(corner));
+        self.prepared = until;
         self.corners_at_first = self.corners.len();
     }
 
@@ -156,7 +163,7 @@ impl Keyframe {
         if self.texture() == Texture::Faint {
             return !texture::is_bare(self.pyramid.base());
         }
-        if self.is_prepared {
+        if self.prepared > 0 {
             return self.corners.len() >= corners;
         }
         self.sought.as_ref().is_some_and(|sought| sought.will_find(corners)) || self.find().len() >= corners

@@ -66,6 +66,8 @@ pub struct Odometry {
     lost_frames: usize,
     frames: u64,
     keyframes: u64,
+    /// The frame at which the present keyframe was taken into use.
+    serves_since: u64,
     segment: usize,
     tracks: Vec<TrackView>,
     /// The pyramid of an earlier frame, whose memory the next one takes over.
@@ -97,6 +99,7 @@ impl Odometry {
             lost_frames: 0,
             frames: 0,
             keyframes: 0,
+            serves_since: 0,
             segment: 0,
             tracks: Vec::new(),
             spare: None,

@@ -12,6 +12,10 @@ use nalgebra::Matrix6;
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
 
+/// After a keyframe has served for so many frames there is time to prepare the next one in two of them. A camera that needs a new one all the time needs
+/// all of its corners at once.
+const LEISURE_FRAMES: u64 = 8;
+
 impl Odometry {
     /// Whether the next frame will show too little of the keyframe to be measured against it, if the camera goes on as it went.
     pub(super) fn leaves_the_keyframe(&self, found: &[follow::Found], time_s: f64) -> bool {
@@ -48,6 +52,7 @@ impl Odometry {
             let kind = EdgeKind::Odometry;
             Some(Before { id: before.id?, pose: before.pose, covariance: estimate.covariance, kind })
         });
+        next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
         self.number(&mut next, (self.frames, time_s), before);
         self.serve_from_here(next.id, pose);
         if let Some(before) = self.keyframe.replace(next) {
@@ -71,13 +76,23 @@ impl Odometry {
             return Err(pyramid);
         };
         let mut random = Random::new(self.frames);
-        let measured =
-            follow::measure(&old, &pyramid, &self.camera, pose, &self.config, &self.learned, &mut random);
+        let pixel_m = pose.height_m / self.camera.focal_px().0;
+        let position_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt() + 2.0 * pixel_m;
+        let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
+        // What is further off would not be believed.
+        let off_px = position_m / pixel_m + 0.5 * heading_rad * self.camera.width() as f64;
+        let measured = follow::measure_near(
+            &old,
+            &pyramid,
+            &self.camera,
+            pose,
+            off_px,
+            &self.config,
+            &self.learned,
+            &mut random,
+        );
         let agreed = measured.ok().filter(|m| {
             let found = &m.estimate.pose;
-            let pixel_m = pose.height_m / self.camera.focal_px().0;
-            let position_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt() + 2.0 * pixel_m;
-            let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
             m.support >= self.enough_support()
                 && (found.x_m - pose.x_m).hypot(found.y_m - pose.y_m) < position_m
                 && (found.heading_rad - pose.heading_rad).abs() < heading_rad
@@ -104,6 +119,7 @@ impl Odometry {
 
     /// Another keyframe is the reference of the frames after this one, whose pose that one has at `pose`.
     pub(super) fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
+        self.serves_since = self.frames;
         if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
             reference.next = Some((keyframe, pose));
         }
