@@ -12,6 +12,7 @@
 mod affine;
 mod patch;
 mod response;
+mod sampling_pull;
 mod template;
 mod track;
 

@@ -2,6 +2,8 @@
 
 use super::patch::{AREA, SIDE, TO_CENTRE};
 use super::response::Response;
+use super::sampling_pull::SamplingPull;
+use super::track::MOST_NOISE;
 use crate::geometry::Pixel;
 use crate::image::simd::{Appearance, Orthogonal, moments, patch_sums, write_appearance};
 use crate::image::{GrayImage, Pyramid};
@@ -16,6 +18,7 @@ pub struct Template {
     centre: Pixel,
     finest: LevelTemplate,
     response: Response,
+    pull: SamplingPull,
     /// The other levels, finer ones first; made when they are first needed.
     coarser: OnceLock<Vec<LevelTemplate>>,
 }
@@ -37,7 +40,8 @@ impl Template {
         let finest = LevelTemplate::new(pyramid.base(), centre.x, centre.y)?;
         let moments = moments(finest.appearance(), finest.mean);
         let response = Response::new(&moments, &finest.inverse_hessian);
-        Some(Self { centre, finest, response, coarser: OnceLock::new() })
+        let pull = SamplingPull::new(finest.appearance());
+        Some(Self { centre, finest, response, pull, coarser: OnceLock::new() })
     }
 
     /// Makes the coarser levels, where they are not there yet, from the pyramid that the template was made of.
@@ -60,6 +64,20 @@ impl Template {
     /// How it answers to what is not the same all over it.
     pub fn response(&self) -> &Response {
         &self.response
+    }
+
+    /// How far from its place the template is found in a full image at `position` because that is sampled between its pixels. `dissimilarity` is what it
+    /// was found with.
+    pub fn pulled_by_sampling(
+        &self,
+        position: Pixel,
+        linear: &Matrix2<f64>,
+        dissimilarity: f64,
+    ) -> Vector2<f64> {
+        let part = (dissimilarity * dissimilarity).min(MOST_NOISE);
+        // Half of what is unexplained is the template's own noise.
+        let noise = 0.5 * part / (1.0 - part) * self.finest.contrast_energy / AREA as f64;
+        self.pull.at(Vector2::new(position.x, position.y), linear, &self.finest, noise)
     }
 
     /// How many levels there are; at least one.

@@ -94,7 +94,7 @@ pub(super) fn covariance(patch: &LevelTemplate, linear: &Matrix2<f64>, dissimila
 }
 
 /// What is unexplained counts as noise up to this part of the contrast: beyond, it is something else.
-const MOST_NOISE: f64 = 0.9;
+pub(super) const MOST_NOISE: f64 = 0.9;
 
 /// Variance of a central difference of the template over that of what is left unexplained, which is the noise of two images.
 const GRADIENT_NOISE: f64 = 0.25;

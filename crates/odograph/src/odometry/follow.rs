@@ -357,23 +357,27 @@ fn find(
     if off_px > REACH_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
-    let (warp, covariance_px2, light) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
-        Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
-            (Warp { position: found.position, ..warp }, found.covariance_px2, found.light)
-        }
-        // Second judgement: perhaps only the expected shape was wrong. From a pose that others agree on it is not.
-        Ok(Track { position, .. }) if off_px > SETTLED_PX => {
-            let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
-            (judged.dissimilarity <= config.flow.dissimilarity).then_some((
-                warp,
-                judged.covariance_px2,
-                judged.light,
-            ))?
-        }
-        Ok(_) | Err(_) => return None,
-    };
+    let (warp, covariance_px2, light, pulled) =
+        match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
+            Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
+                let pulled =
+                    corner.template.pulled_by_sampling(found.position, &warp.linear, found.dissimilarity);
+                (Warp { position: found.position, ..warp }, found.covariance_px2, found.light, pulled)
+            }
+            // Second judgement: perhaps only the expected shape was wrong. From a pose that others agree on it is not.
+            Ok(Track { position, .. }) if off_px > SETTLED_PX => {
+                let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
+                (judged.dissimilarity <= config.flow.dissimilarity).then_some((
+                    warp,
+                    judged.covariance_px2,
+                    judged.light,
+                    Vector2::zeros(),
+                ))?
+            }
+            Ok(_) | Err(_) => return None,
+        };
     let bend = corner.template.response().to_curvature(&warp.linear, &curvature);
-    let centre = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
+    let centre = Pixel::new(warp.position.x - bend.x - pulled.x, warp.position.y - bend.y - pulled.y);
     Some(Found { corner: index, warp: Warp { position: centre, ..warp }, covariance_px2, light })
 }
 
