@@ -140,6 +140,7 @@ impl Keyframe {
                 template,
             })
         };
+        self.corners.reserve_exact(places - first);
         self.corners.extend(self.places[first..until].iter().filter_map(corner));
         self.prepared = until;
         self.corners_at_first = self.corners.len();
