@@ -16,7 +16,7 @@ pub struct Pyramid {
     levels: usize,
     coarser: OnceLock<Vec<GrayImage>>,
     /// The memory of coarser levels made before.
-    spare: Mutex<Spare>,
+    spare: Box<Mutex<Spare>>,
 }
 
 #[derive(Debug, Default)]
@@ -32,7 +32,7 @@ impl Pyramid {
     /// The pyramid of an image with at most `levels` levels (at least one).
     pub fn new(image: GrayImage, levels: usize) -> Self {
         let made = 1 + coarser_sizes(&image, levels).count();
-        Self { base: image, most: levels, levels: made, coarser: OnceLock::new(), spare: Mutex::default() }
+        Self { base: image, most: levels, levels: made, coarser: OnceLock::new(), spare: Box::default() }
     }
 
     /// Makes this the pyramid of another image and gives the image it was made of before. The memory of the coarser levels is used again.
