@@ -26,7 +26,8 @@ pub struct DetectionConfig {
     pub corners: usize,
     /// Corners are at least this far apart, pixels.
     pub minimum_distance_px: f64,
-    /// Corners weaker than this part of the strongest are not taken.
+    /// Corners weaker than this part of the strongest are not taken, or, where that leaves less than a quarter of those wanted, weaker than a tenth of it:
+    /// on plain tiles the crossings of joints are strong, and all alike.
     pub quality: f32,
     /// The window of the gradient matrix.
     pub window: Window,
@@ -39,7 +40,7 @@ impl Default for DetectionConfig {
         Self {
             corners: 400,
             minimum_distance_px: 12.0,
-            quality: 0.0005,
+            quality: 0.005,
             window: Window::Rectangular,
             window_radius_px: 2,
         }
@@ -129,7 +130,7 @@ impl Detection {
         }
         let [above, here, below] = &self.last;
         // Ties go to the first in reading order. What is too weak beside the strongest so far is so beside the strongest of all.
-        let least = SMALLEST_STRENGTH.max(self.config.quality * self.strongest);
+        let least = SMALLEST_STRENGTH.max(FAINTER * self.config.quality * self.strongest);
         mark_local_maxima(above, here, below, least, &mut self.marks[..width]);
         for (block, marks) in self.marks.as_chunks::<MARKS>().0.iter().enumerate() {
             let mut bits = bits_of(marks);
@@ -174,10 +175,24 @@ impl Detection {
     /// Looks at the rest of the image, and chooses the corners.
     pub fn corners(mut self, image: &GrayImage) -> Vec<Corner> {
         self.look(image, self.size.1);
-        self.maxima.retain(|candidate| candidate.strength() >= self.config.quality * self.strongest);
-        spread(&self.maxima, self.size, &self.config)
+        let (least, faintest) =
+            (self.config.quality * self.strongest, FAINTER * self.config.quality * self.strongest);
+        self.maxima.retain(|candidate| candidate.strength() >= faintest);
+        let strong: Vec<Ranked> =
+            self.maxima.iter().copied().filter(|candidate| candidate.strength() >= least).collect();
+        let chosen = spread(&strong, self.size, &self.config);
+        let few = FEW * chosen.len() < self.config.corners;
+        if few && strong.len() < self.maxima.len() {
+            spread(&self.maxima, self.size, &self.config)
+        } else {
+            chosen
+        }
     }
 }
+
+/// Where less than one in `FEW` of the corners wanted are strong enough, weaker ones by this factor are taken too.
+const FEW: usize = 4;
+const FAINTER: f32 = 0.1;
 
 /// So many marks are looked through at a time: as many as there are bits in a word.
 const MARKS: usize = 64;
