@@ -94,6 +94,9 @@ fn between_keyframes_a_frame_allocates_nothing() {
         .collect();
     assert!(steady.len() > 60, "{} frames between keyframes", steady.len());
     assert!(steady.iter().all(|&asked| asked == 0), "{steady:?}, all with keyframes: {counts:?}");
+    // The second of those two has next to nothing left to ask for.
+    let second = (5..counts.len()).filter(|&number| counts[number - 2].1).map(|number| counts[number].0);
+    assert!(second.max().is_some_and(|asked| asked <= 3), "{counts:?}");
 }
 
 #[test]

@@ -288,7 +288,8 @@ fn follow(
     let scouts = (0..corners).step_by(every);
     let mut settled = None;
     // Mostly the prediction is better than it need be, and the full image is enough: the coarser levels are not even made.
-    let reaches: &[f64] = if off_px <= LIKELY_NEAR_PX { &[REACH_PX, off_px] } else { &[off_px] };
+    let likely_near = off_px > REACH_PX && off_px <= LIKELY_NEAR_PX;
+    let reaches: &[f64] = if likely_near { &[REACH_PX, off_px] } else { &[off_px] };
     for &off_px in reaches {
         found.clear();
         found.extend(scouts.clone().filter_map(|index| find(index, &from, off_px)));

@@ -239,13 +239,13 @@ fn a_steady_tilt_that_is_not_told_is_learned() {
     let tilted = |i: usize| {
         at(0.017 * i as f64, 0.0, 0.0).map(|pose| GroundPose { roll_rad: 0.005, pitch_rad: 0.004, ..pose })
     };
-    let poses: Vec<_> = (0..90).map(tilted).collect();
+    // Straight on, which tells less of the tilt across: that is known to a quarter after three keyframes and well after ten.
+    let poses: Vec<_> = (0..260).map(tilted).collect();
     let frames = world.run(&mut world.odometry(), &poses);
     let last = frames.last().unwrap().estimate.as_ref().unwrap().pose;
     // Taken for level all the way, the camera would seem to climb or sink by 6 mm, and the tilt to stay.
     assert!((last.height_m - HEIGHT_M).abs() < 1e-4, "{last:?}");
-    // The drive goes straight on, which tells less of the tilt across: from three keyframes it is known to a quarter.
-    assert!((last.roll_rad - 0.005).abs() < 1.5e-3, "{last:?}");
+    assert!((last.roll_rad - 0.005).abs() < 3e-4, "{last:?}");
     assert!((last.pitch_rad - 0.004).abs() < 3e-4, "{last:?}");
 }
 
