@@ -1,8 +1,9 @@
 //! The dissimilarity of Shi and Tomasi: is this still what was first seen, up to an affine change?
 
+use super::noise::Noise;
 use super::patch::{AREA, SIDE, Samples, TO_CENTRE, sample};
 use super::template::{LevelTemplate, Template};
-use super::track::{Likeness, covariance};
+use super::track::Likeness;
 use super::{Track, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
@@ -52,8 +53,10 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
     }
     let Likeness { dissimilarity, light } =
         Likeness::of(patch, dot(&patch.appearance().contrast, &samples), &samples);
-    let covariance_px2 = covariance(patch, &warp.linear, dissimilarity);
-    Some((warp, Track { position: warp.position, dissimilarity, covariance_px2, light }))
+    let position = warp.position;
+    let noise = Noise::new(patch, Vector2::new(position.x, position.y), &warp.linear, dissimilarity);
+    let covariance_px2 = noise.covariance(&warp.linear);
+    Some((warp, Track { position, dissimilarity, covariance_px2, light, noise }))
 }
 
 /// How sample `at` changes with a shift (x, y) and with the four affine terms (xx, xy, yx, yy).

@@ -10,6 +10,7 @@
 //! Z. Kalal et al., "Forward–backward error", 2010; J. Shi and C. Tomasi, "Good features to track", 1994 (dissimilarity).
 
 mod affine;
+mod noise;
 mod patch;
 mod response;
 mod sampling_pull;
@@ -17,6 +18,7 @@ mod template;
 mod track;
 
 pub use affine::dissimilarity;
+pub use noise::Noise;
 pub use response::Response;
 pub use template::Template;
 pub use track::{REACH_PX, Track, TrackFailure, forward_backward_px, track};

@@ -6,43 +6,47 @@
 //! gradient, always the same way, the more the smoother the ground. Both are small, some thousandths of a pixel, and both are the same for all corners, so that
 //! no number of them averages them away.
 
+use super::Noise;
+use super::patch::SIDE;
 use crate::image::simd::Moments;
 use nalgebra::{Matrix2, Vector2};
 
 /// See the [module](self).
 #[derive(Debug, Clone, Copy)]
-pub struct Response {
-    /// To displacements that grow with x x, x y and y y from the middle.
-    to_squares: [Matrix2<f64>; 3],
-    /// To light that grows along x and along y.
-    to_light: Matrix2<f64>,
+pub struct Response<'a> {
+    moments: &'a Moments,
+    noise: Noise,
 }
 
-impl Response {
-    /// Of a patch with these moments and that inverse of the products of its gradients.
-    pub(super) fn new(moments: &Moments, inverse_hessian: &Matrix2<f64>) -> Self {
-        let [xx, xy, yy] = moments.squares;
-        let square = |k: usize| inverse_hessian * Matrix2::new(xx[k], xy[k], xy[k], yy[k]);
-        let [x, y] = moments.light;
-        Self {
-            to_squares: [square(0), square(1), square(2)],
-            to_light: inverse_hessian * Matrix2::new(x[0], x[1], y[0], y[1]),
-        }
+/// The mean square of a sample's place from the middle of a patch, along one axis.
+const MEAN_SQUARE_PX2: f64 = ((SIDE * SIDE - 1) as f64) / 12.0;
+
+impl<'a> Response<'a> {
+    /// Of a patch with these moments. Its noise adds to them as gradients, but what is found answers only to those that are in both images.
+    pub(super) fn new(moments: &'a Moments, noise: Noise) -> Self {
+        Self { moments, noise }
     }
 
     /// How far from its centre the template is found where its warp has this linear part and this curvature (second derivatives by (x, x), (x, y) and
     /// (y, y), pixels by pixels²).
     pub fn to_curvature(&self, linear: &Matrix2<f64>, curvature: &[Vector2<f64>; 3]) -> Vector2<f64> {
         let Some(inverse) = linear.try_inverse() else { return Vector2::zeros() };
-        let [xx, xy, yy] = &self.to_squares;
-        let [by_xx, by_xy, by_yy] = curvature.map(|bent| inverse * bent);
-        linear * (xx * by_xx * 0.5 + xy * by_xy + yy * by_yy * 0.5)
+        let [xx, xy, yy] = self.moments.squares;
+        let of_noise = self.noise.of_gradients() * MEAN_SQUARE_PX2;
+        let square = |k: usize, of_noise: f64, bent: &Vector2<f64>| {
+            Matrix2::new(xx[k] - of_noise, xy[k], xy[k], yy[k] - of_noise) * (inverse * bent)
+        };
+        let [by_xx, by_xy, by_yy] = curvature;
+        let sum = square(0, of_noise, by_xx) * 0.5 + square(1, 0.0, by_xy) + square(2, of_noise, by_yy) * 0.5;
+        linear * (self.noise.inverse_hessian * sum)
     }
 
     /// How far from its centre the template is found, under a warp with this linear part, where the logarithm of the light grows by `slope` a pixel
     /// of the image.
     pub fn to_light(&self, linear: &Matrix2<f64>, slope: Vector2<f64>) -> Vector2<f64> {
-        -(linear * (self.to_light * linear.tr_mul(&slope)))
+        let [x, y] = self.moments.light;
+        -(linear
+            * (self.noise.inverse_hessian * (Matrix2::new(x[0], x[1], y[0], y[1]) * linear.tr_mul(&slope))))
     }
 }
 
@@ -92,9 +96,9 @@ mod tests {
             });
             let template = Template::new(&keyframe, (31, 31)).unwrap();
             let prediction = Warp { position: Pixel::new(there.x, there.y), linear };
-            let found = track(&template, &image, &prediction, 0.5, &FlowConfig::default()).unwrap().position;
-            let off = Vector2::new(found.x, found.y) - there;
-            let response = template.response();
+            let found = track(&template, &image, &prediction, 0.5, &FlowConfig::default()).unwrap();
+            let off = Vector2::new(found.position.x, found.position.y) - there;
+            let response = template.response(found.noise);
             let expected = response.to_curvature(&linear, &curvature) + response.to_light(&linear, slope);
             left += (off - expected).norm_squared() / f64::from(seeds);
             uniform += (off - (xx + yy) * (0.5 * 255.0 / 12.0)).norm_squared() / f64::from(seeds);

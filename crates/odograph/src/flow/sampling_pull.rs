@@ -4,6 +4,7 @@
 //! pixel, by φ (1 − φ) (1 − 2 φ) ω² / 6 to the third order in ω. Fine texture has up to 0.02 px of that. Where all of the image has moved by about the same
 //! fraction it is the same for all corners, so that no number of them averages it away, and where a lens makes the fraction differ across the image it looks like a tilt.
 
+use super::noise::Noise;
 use super::patch::{AREA, SIDE};
 use super::template::LevelTemplate;
 use crate::image::simd::Appearance;
@@ -45,14 +46,13 @@ impl SamplingPull {
         Self { along_x: [xx, xy], along_y: [yy, yx] }
     }
 
-    /// How far from its place a template with these sums is found at `position` under a warp with this linear part, pixels; `noise` is the variance of
-    /// its samples.
+    /// How far from its place a template with these sums is found at `position` under a warp with this linear part, pixels.
     pub(super) fn at(
         &self,
         position: Vector2<f64>,
         linear: &Matrix2<f64>,
         template: &LevelTemplate,
-        noise: f64,
+        noise: &Noise,
     ) -> Vector2<f64> {
         // Only where the grid lies along the image's are all of its samples at about the same fraction.
         let lag = Vector2::new(
@@ -63,7 +63,7 @@ impl SamplingPull {
             return lag;
         }
         // A difference of central differences of noise has its variance.
-        let of_noise = noise * AREA as f64;
+        let of_noise = noise.variance * AREA as f64;
         let along = |[own, other]: [f64; 2], own_gradients: f64| {
             let own = (own - of_noise).max(0.0);
             let more = higher_orders(own / own_gradients);
@@ -71,7 +71,7 @@ impl SamplingPull {
         };
         let [xx, xy] = along(self.along_x, template.hessian[(0, 0)]);
         let [yy, yx] = along(self.along_y, template.hessian[(1, 1)]);
-        template.inverse_hessian * (Matrix2::new(xx, yx, xy, yy) * lag)
+        noise.inverse_hessian * (Matrix2::new(xx, yx, xy, yy) * lag)
     }
 }
 
@@ -90,7 +90,7 @@ fn lag(centre: f64) -> f64 {
 
 /// How alike the fractions of a row or column of samples are when they grow by `step` from one to the next: the mean of the cosines, near enough, and nothing
 /// from where they have gone once around.
-fn alike(step: f64) -> f64 {
+pub(super) fn alike(step: f64) -> f64 {
     let around = (SIDE as f64 * step).powi(2);
     if around < 1.0 { (1.0 - around) * (1.0 - 0.6 * around) } else { 0.0 }
 }
@@ -131,9 +131,11 @@ mod tests {
             let template = Template::new(&keyframe, (31, 31)).unwrap();
             let prediction = Warp { position: Pixel::new(there.x, there.y), linear };
             let found = track(&template, &image, &prediction, 0.5, &FlowConfig::default()).unwrap();
-            let pull = template.pulled_by_sampling(found.position, &linear, found.dissimilarity);
-            found_px += (found.position.x - there.x) / f64::from(seeds);
-            freed_px += (found.position.x - pull.x - there.x) / f64::from(seeds);
+            let place = Vector2::new(found.position.x, found.position.y);
+            let noise = Noise::new(template.finest(), place, &linear, found.dissimilarity);
+            let pull = template.pulled(place, &linear, &noise);
+            found_px += (place.x + pull.x - there.x) / f64::from(seeds);
+            freed_px += (place.x - there.x) / f64::from(seeds);
         }
         (found_px, freed_px)
     }

@@ -1,11 +1,11 @@
 //! The first appearance of a corner, prepared for being found again.
 
+use super::noise::Noise;
 use super::patch::{AREA, SIDE, TO_CENTRE};
 use super::response::Response;
 use super::sampling_pull::SamplingPull;
-use super::track::MOST_NOISE;
 use crate::geometry::Pixel;
-use crate::image::simd::{Appearance, Orthogonal, moments, patch_sums, write_appearance};
+use crate::image::simd::{Appearance, Moments, Orthogonal, moments, patch_sums, write_appearance};
 use crate::image::{GrayImage, Pyramid};
 use nalgebra::{Matrix2, Vector2};
 use std::cell::RefCell;
@@ -17,7 +17,7 @@ use std::sync::OnceLock;
 pub struct Template {
     centre: Pixel,
     finest: LevelTemplate,
-    response: Response,
+    moments: Moments,
     pull: SamplingPull,
     /// The other levels, finer ones first; made when they are first needed.
     coarser: OnceLock<Vec<LevelTemplate>>,
@@ -39,9 +39,8 @@ impl Template {
         let centre = Pixel::new(corner.0 as f64 + 0.5, corner.1 as f64 + 0.5);
         let finest = LevelTemplate::new(pyramid.base(), centre.x, centre.y)?;
         let moments = moments(finest.appearance(), finest.mean);
-        let response = Response::new(&moments, &finest.inverse_hessian);
         let pull = SamplingPull::new(finest.appearance());
-        Some(Self { centre, finest, response, pull, coarser: OnceLock::new() })
+        Some(Self { centre, finest, moments, pull, coarser: OnceLock::new() })
     }
 
     /// Makes the coarser levels, where they are not there yet, from the pyramid that the template was made of.
@@ -61,23 +60,19 @@ impl Template {
         self.centre
     }
 
-    /// How it answers to what is not the same all over it.
-    pub fn response(&self) -> &Response {
-        &self.response
+    /// How it answers, where it was found with that noise, to what is not the same all over it.
+    pub fn response(&self, noise: Noise) -> Response<'_> {
+        Response::new(&self.moments, noise)
     }
 
-    /// How far from its place the template is found in a full image at `position` because that is sampled between its pixels. `dissimilarity` is what it
-    /// was found with.
-    pub fn pulled_by_sampling(
+    /// How far from its place the template is found in a full image at `position` because that is sampled between its pixels, and because of its noise.
+    pub(super) fn pulled(
         &self,
-        position: Pixel,
+        position: Vector2<f64>,
         linear: &Matrix2<f64>,
-        dissimilarity: f64,
+        noise: &Noise,
     ) -> Vector2<f64> {
-        let part = (dissimilarity * dissimilarity).min(MOST_NOISE);
-        // Half of what is unexplained is the template's own noise.
-        let noise = 0.5 * part / (1.0 - part) * self.finest.contrast_energy / AREA as f64;
-        self.pull.at(Vector2::new(position.x, position.y), linear, &self.finest, noise)
+        self.pull.at(position, linear, &self.finest, noise) + linear * noise.pull(&self.finest)
     }
 
     /// How many levels there are; at least one.
@@ -113,6 +108,8 @@ pub(super) struct LevelTemplate {
     pub inverse_hessian: Matrix2<f64>,
     /// Sum of the squared contrast.
     pub contrast_energy: f64,
+    /// The part of the contrast that was taken off the gradients along x and y.
+    pub shares: Vector2<f64>,
     /// Mean gray level.
     pub mean: f32,
 }
@@ -208,6 +205,7 @@ impl LevelTemplate {
             inverse_hessian,
             appearance,
             contrast_energy,
+            shares: Vector2::new(share_x, share_y),
             mean: less.mean,
         })
     }

@@ -1,5 +1,6 @@
 //! Finding a template again: pyramidal Lucas–Kanade, inverse compositional, indifferent to gain and offset.
 
+use super::noise::Noise;
 use super::patch::{AREA, Samples, sample_products};
 use super::template::{LevelTemplate, Template};
 use super::{FlowConfig, Warp};
@@ -11,7 +12,7 @@ use nalgebra::{Matrix2, Vector2};
 /// A template found again.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Track {
-    /// Where its centre is now, in pixels of the full image.
+    /// Where its centre is now, in pixels of the full image; what draws all templates alike, samples between pixels and noise, is taken off.
     pub position: Pixel,
     /// The part of its contrast that is left unexplained after gain and offset, 0 to 1.
     pub dissimilarity: f64,
@@ -19,6 +20,8 @@ pub struct Track {
     pub covariance_px2: Matrix2<f64>,
     /// Logarithm of its mean gray level over the template's.
     pub light: f64,
+    /// The noise that what is left unexplained tells of.
+    pub noise: Noise,
 }
 
 /// Why a template was not found again.
@@ -47,7 +50,7 @@ pub fn track(
     config: &FlowConfig,
 ) -> Result<Track, TrackFailure> {
     let mut shift = Vector2::zeros(); // pixels of the full image
-    let mut found = None;
+    let mut likeness = None;
     let levels = levels_for(off_px, template.levels().min(image.levels()));
     for level in (0..levels).rev() {
         let scale = (1usize << level) as f64;
@@ -57,50 +60,26 @@ pub fn track(
         let result =
             search(patch, level, template.centre(), image, prediction, shift, config.iterations, step_px);
         match result {
-            Ok((level_shift, likeness)) => {
+            Ok((level_shift, there)) => {
                 // A coarse level that found something else must not lead the finer ones astray.
-                if level == 0 || likeness.dissimilarity < config.dissimilarity {
+                if level == 0 || there.dissimilarity < config.dissimilarity {
                     shift = level_shift;
                 }
-                found = Some(likeness);
+                likeness = Some(there);
             }
             Err(failure) if level == 0 => return Err(failure),
             // On a coarse level the patch covers more of the image and may lie partly outside; finer ones may still hold.
             Err(_) => {}
         }
     }
-    let Likeness { dissimilarity, light } = found.ok_or(TrackFailure::Outside)?;
-    let position = Pixel::new(prediction.position.x + shift.x, prediction.position.y + shift.y);
-    let covariance_px2 = covariance(template.finest(), &prediction.linear, dissimilarity);
-    Ok(Track { position, dissimilarity, covariance_px2, light })
+    let Likeness { dissimilarity, light } = likeness.ok_or(TrackFailure::Outside)?;
+    let linear = &prediction.linear;
+    let found = Vector2::new(prediction.position.x, prediction.position.y) + shift;
+    let noise = Noise::new(template.finest(), found, linear, dissimilarity);
+    let place = found - template.pulled(found, linear, &noise);
+    let position = Pixel::new(place.x, place.y);
+    Ok(Track { position, dissimilarity, covariance_px2: noise.covariance(linear), light, noise })
 }
-
-/// The covariance of where a patch is found under a warp of this shape, pixels²: what is left unexplained is noise, and the gradients weigh it.
-/// Half of the noise is the template's own; what it adds to the gradients holds nothing and is taken off.
-pub(super) fn covariance(patch: &LevelTemplate, linear: &Matrix2<f64>, dissimilarity: f64) -> Matrix2<f64> {
-    let part = (dissimilarity * dissimilarity).min(MOST_NOISE);
-    let noise = part / (1.0 - part) * patch.contrast_energy / AREA as f64;
-    let [[xx, xy], [_, yy]] = patch.hessian.data.0;
-    // Eigenvalues. What is left of the matrix without its mean, over half their difference, is the projection onto the direction of the larger one less that onto
-    // the other; the two add up to the identity.
-    let difference = 0.5 * (xx - yy);
-    let (middle, half) = (0.5 * (xx + yy), (difference * difference + xy * xy).sqrt());
-    let part = if half > 0.0 { 1.0 / half } else { 0.0 };
-    let apart = Matrix2::new(difference, xy, xy, -difference) * part;
-    let variance = |held: f64| noise / (held - GRADIENT_NOISE * AREA as f64 * noise).max(LEAST_HELD * held);
-    let (across, along) = (variance(middle + half), variance((middle - half).max(1e-9)));
-    let of_template = Matrix2::identity() * (0.5 * (across + along)) + apart * (0.5 * (across - along));
-    linear * of_template * linear.transpose()
-}
-
-/// What is unexplained counts as noise up to this part of the contrast: beyond, it is something else.
-pub(super) const MOST_NOISE: f64 = 0.9;
-
-/// Variance of a central difference of the template over that of what is left unexplained, which is the noise of two images.
-const GRADIENT_NOISE: f64 = 0.25;
-
-/// The part of the squared gradients in a direction that counts even where noise alone would have made as many.
-const LEAST_HELD: f64 = 0.05;
 
 /// Steps that would lead less than this far end a level other than the full image, pixels of the level.
 const COARSE_STEP_PX: f64 = 0.05;

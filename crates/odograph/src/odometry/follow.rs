@@ -7,7 +7,7 @@ use super::light_field::LightField;
 use super::texture::Texture;
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
-use crate::flow::{REACH_PX, Track, Warp, dissimilarity, forward_backward_px, track};
+use crate::flow::{Noise, REACH_PX, Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
@@ -45,6 +45,7 @@ pub struct Found {
     pub covariance_px2: Matrix2<f64>,
     /// Logarithm of its brightness over that of its first appearance.
     pub light: f64,
+    pub noise: Noise,
 }
 
 /// What was found, weighed by how well each patch holds in each direction.
@@ -54,7 +55,7 @@ fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
         let corner = &keyframe.corners[found.corner];
         let Warp { position, linear } = &found.warp;
         let pulled = light.as_ref().map_or_else(Vector2::zeros, |light| {
-            corner.template.response().to_light(linear, light.slope(*position))
+            corner.template.response(found.noise).to_light(linear, light.slope(*position))
         });
         let pixel = Pixel::new(position.x - pulled.x, position.y - pulled.y);
         Sighting { ground: corner.patch.ground, pixel, covariance_px2: found.covariance_px2 }
@@ -358,28 +359,21 @@ fn find(
     if off_px > REACH_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
-    let (warp, covariance_px2, light, pulled) =
-        match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
-            Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
-                let pulled =
-                    corner.template.pulled_by_sampling(found.position, &warp.linear, found.dissimilarity);
-                (Warp { position: found.position, ..warp }, found.covariance_px2, found.light, pulled)
-            }
-            // Second judgement: perhaps only the expected shape was wrong. From a pose that others agree on it is not.
-            Ok(Track { position, .. }) if off_px > SETTLED_PX => {
-                let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })?;
-                (judged.dissimilarity <= config.flow.dissimilarity).then_some((
-                    warp,
-                    judged.covariance_px2,
-                    judged.light,
-                    Vector2::zeros(),
-                ))?
-            }
-            Ok(_) | Err(_) => return None,
-        };
-    let bend = corner.template.response().to_curvature(&warp.linear, &curvature);
-    let centre = Pixel::new(warp.position.x - bend.x - pulled.x, warp.position.y - bend.y - pulled.y);
-    Some(Found { corner: index, warp: Warp { position: centre, ..warp }, covariance_px2, light })
+    let (warp, found) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
+        Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
+            (Warp { position: found.position, ..warp }, found)
+        }
+        // Second judgement: perhaps only the expected shape was wrong. From a pose that others agree on it is not.
+        Ok(Track { position, .. }) if off_px > SETTLED_PX => {
+            dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })
+                .filter(|(_, found)| found.dissimilarity <= config.flow.dissimilarity)?
+        }
+        Ok(_) | Err(_) => return None,
+    };
+    let bend = corner.template.response(found.noise).to_curvature(&warp.linear, &curvature);
+    let position = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
+    let Track { covariance_px2, light, noise, .. } = found;
+    Some(Found { corner: index, warp: Warp { position, ..warp }, covariance_px2, light, noise })
 }
 
 /// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
@@ -395,8 +389,14 @@ fn follow_by_eye(
         let Track { position, .. } =
             track(&corner.template, pyramid, &corner.seen, off_px, &config.flow).ok()?;
         let (warp, judged) = dissimilarity(&corner.template, pyramid, &Warp { position, ..corner.seen })?;
-        let found = Found { corner: index, warp, covariance_px2: judged.covariance_px2, light: judged.light };
-        (judged.dissimilarity <= config.flow.dissimilarity).then_some(found)
+        let Track { dissimilarity, covariance_px2, light, noise, .. } = judged;
+        (dissimilarity <= config.flow.dissimilarity).then_some(Found {
+            corner: index,
+            warp,
+            covariance_px2,
+            light,
+            noise,
+        })
     };
     keyframe.corners.iter().enumerate().filter_map(search).collect()
 }

@@ -81,7 +81,7 @@ impl LightField {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::Warp;
+    use crate::flow::{Noise, Warp};
     use crate::motion::Random;
     use nalgebra::Matrix2;
 
@@ -101,7 +101,8 @@ mod tests {
                 light += 0.5 * uniform();
             }
             let warp = Warp::translation(Pixel::new(x, y));
-            found.push(Found { corner, warp, covariance_px2: Matrix2::identity(), light });
+            let (covariance_px2, noise) = (Matrix2::identity(), Noise::default());
+            found.push(Found { corner, warp, covariance_px2, light, noise });
         }
         let field = LightField::between(&found).unwrap();
         for (x, y) in [(100.0, 100.0), (320.0, 240.0), (500.0, 400.0)] {
