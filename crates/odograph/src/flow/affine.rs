@@ -54,7 +54,7 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
     let Likeness { dissimilarity, light } =
         Likeness::of(patch, dot(&patch.appearance().contrast, &samples), &samples);
     let position = warp.position;
-    let noise = Noise::new(patch, Vector2::new(position.x, position.y), &warp.linear, dissimilarity);
+    let noise = Noise::new(template, Vector2::new(position.x, position.y), &warp.linear, dissimilarity);
     let covariance_px2 = noise.covariance(&warp.linear);
     Some((warp, Track { position, dissimilarity, covariance_px2, light, noise }))
 }

@@ -5,6 +5,7 @@
 //! with its contrast too little is taken off. That is what the squared contrast has more at one border than at the other, and since a patch has an even side and a
 //! corner is not in its middle, one border has more in most patches: no number of corners averages it away.
 
+use super::Template;
 use super::patch::AREA;
 use super::sampling_pull::alike;
 use super::template::LevelTemplate;
@@ -13,8 +14,10 @@ use nalgebra::{Matrix2, Vector2};
 /// The noise of a template and of what was found, as far as what is left unexplained tells it.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Noise {
-    /// Variance of a sample of the template, gray levels².
+    /// Variance of a sample of the template, gray levels²; no more than the image has.
     pub(super) variance: f64,
+    /// The same for all that is unexplained: also what does not come from noise scatters.
+    unexplained: f64,
     /// The inverse of the products of the template's gradients without those of its noise, which hold nothing.
     pub(super) inverse_hessian: Matrix2<f64>,
 }
@@ -37,7 +40,7 @@ impl Noise {
     /// Both images have the same noise, but samples between pixels are means and have less of it. If that were not counted, what happens to be found nearer to the
     /// middle between pixels would seem better than its neighbours, and would draw a weighted mean there.
     pub(super) fn new(
-        patch: &LevelTemplate,
+        template: &Template,
         position: Vector2<f64>,
         linear: &Matrix2<f64>,
         dissimilarity: f64,
@@ -49,8 +52,10 @@ impl Noise {
             let (sum, product) = (1.0 + left, 4.0 * left * (1.0 / explained - 1.0));
             ((sum * sum + product).sqrt() - sum) / (2.0 * left)
         };
-        let variance = n / (1.0 + n) * patch.contrast_energy / AREA as f64;
-        Self { variance, inverse_hessian: held(&patch.hessian, of_gradients(variance)) }
+        let patch = template.finest();
+        let unexplained = n / (1.0 + n) * patch.contrast_energy / AREA as f64;
+        let variance = unexplained.min(template.most_noise());
+        Self { variance, unexplained, inverse_hessian: held(&patch.hessian, of_gradients(variance)) }
     }
 
     /// What noise makes of the sum of the template's squared gradients, in every direction.
@@ -60,7 +65,7 @@ impl Noise {
 
     /// The covariance of where the template was found, pixels².
     pub(super) fn covariance(&self, linear: &Matrix2<f64>) -> Matrix2<f64> {
-        let both = self.variance * (1.0 + LEFT_BETWEEN * LEFT_BETWEEN);
+        let both = self.unexplained * (1.0 + LEFT_BETWEEN * LEFT_BETWEEN);
         linear * (self.inverse_hessian * both) * linear.transpose()
     }
 

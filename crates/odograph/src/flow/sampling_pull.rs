@@ -132,7 +132,7 @@ mod tests {
             let prediction = Warp { position: Pixel::new(there.x, there.y), linear };
             let found = track(&template, &image, &prediction, 0.5, &FlowConfig::default()).unwrap();
             let place = Vector2::new(found.position.x, found.position.y);
-            let noise = Noise::new(template.finest(), place, &linear, found.dissimilarity);
+            let noise = Noise::new(&template, place, &linear, found.dissimilarity);
             let pull = template.pulled(place, &linear, &noise);
             found_px += (place.x + pull.x - there.x) / f64::from(seeds);
             freed_px += (place.x - there.x) / f64::from(seeds);

@@ -19,6 +19,8 @@ pub struct Template {
     finest: LevelTemplate,
     moments: Moments,
     pull: SamplingPull,
+    /// At most how much noise its samples have, gray levels².
+    most_noise: f64,
     /// The other levels, finer ones first; made when they are first needed.
     coarser: OnceLock<Vec<LevelTemplate>>,
 }
@@ -40,7 +42,14 @@ impl Template {
         let finest = LevelTemplate::new(pyramid.base(), centre.x, centre.y)?;
         let moments = moments(finest.appearance(), finest.mean);
         let pull = SamplingPull::new(finest.appearance());
-        Some(Self { centre, finest, moments, pull, coarser: OnceLock::new() })
+        Some(Self {
+            centre,
+            finest,
+            moments,
+            pull,
+            most_noise: pyramid.noise_variance(),
+            coarser: OnceLock::new(),
+        })
     }
 
     /// Makes the coarser levels, where they are not there yet, from the pyramid that the template was made of.
@@ -73,6 +82,11 @@ impl Template {
         noise: &Noise,
     ) -> Vector2<f64> {
         self.pull.at(position, linear, &self.finest, noise) + linear * noise.pull(&self.finest)
+    }
+
+    /// At most how much noise its samples have, gray levels².
+    pub(super) fn most_noise(&self) -> f64 {
+        self.most_noise
     }
 
     /// How many levels there are; at least one.

@@ -75,7 +75,7 @@ pub fn track(
     let Likeness { dissimilarity, light } = likeness.ok_or(TrackFailure::Outside)?;
     let linear = &prediction.linear;
     let found = Vector2::new(prediction.position.x, prediction.position.y) + shift;
-    let noise = Noise::new(template.finest(), found, linear, dissimilarity);
+    let noise = Noise::new(template, found, linear, dissimilarity);
     let place = found - template.pulled(found, linear, &noise);
     let position = Pixel::new(place.x, place.y);
     Ok(Track { position, dissimilarity, covariance_px2: noise.covariance(linear), light, noise })

@@ -2,9 +2,11 @@
 //!
 //! Pixel centres are at integer coordinates: pixel (0, 0) is the centre of the top-left pixel; `x` runs right, `y` down.
 
+mod noise;
 mod pyramid;
 pub(crate) mod simd;
 
+pub use noise::noise_variance;
 pub use pyramid::Pyramid;
 
 /// An owned gray (luminance) image, 8 bits a pixel, rows packed without padding.

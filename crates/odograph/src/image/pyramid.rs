@@ -1,7 +1,7 @@
 //! The Gaussian pyramid: each level half the size of the one below, sample (x, y) of level l over sample (2x, 2y) of level l − 1.
 
-use super::GrayImage;
 use super::simd::{blur_and_halve, blur_rows};
+use super::{GrayImage, noise_variance};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// An image with its smaller copies, which are made when the first of them is asked for. Level 0 is the image itself.
@@ -15,6 +15,7 @@ pub struct Pyramid {
     /// How many there are, made or not.
     levels: usize,
     coarser: OnceLock<Vec<GrayImage>>,
+    noise_variance: OnceLock<f64>,
     /// The memory of coarser levels made before.
     spare: Box<Mutex<Spare>>,
 }
@@ -32,7 +33,14 @@ impl Pyramid {
     /// The pyramid of an image with at most `levels` levels (at least one).
     pub fn new(image: GrayImage, levels: usize) -> Self {
         let made = 1 + coarser_sizes(&image, levels).count();
-        Self { base: image, most: levels, levels: made, coarser: OnceLock::new(), spare: Box::default() }
+        Self {
+            base: image,
+            most: levels,
+            levels: made,
+            coarser: OnceLock::new(),
+            noise_variance: OnceLock::new(),
+            spare: Box::default(),
+        }
     }
 
     /// Makes this the pyramid of another image and gives the image it was made of before. The memory of the coarser levels is used again.
@@ -41,6 +49,7 @@ impl Pyramid {
             self.spare.get_mut().unwrap_or_else(PoisonError::into_inner).coarser = coarser;
         }
         self.levels = 1 + coarser_sizes(&image, self.most).count();
+        self.noise_variance = OnceLock::new();
         std::mem::replace(&mut self.base, image)
     }
 
@@ -52,6 +61,11 @@ impl Pyramid {
     /// The full image.
     pub fn base(&self) -> &GrayImage {
         &self.base
+    }
+
+    /// At most how much noise the full image has; see [`noise_variance`].
+    pub fn noise_variance(&self) -> f64 {
+        *self.noise_variance.get_or_init(|| noise_variance(&self.base))
     }
 
     /// A level, 0 being the full image; the coarsest where there are not so many.
