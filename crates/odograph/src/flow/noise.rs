@@ -25,6 +25,9 @@ pub struct Noise {
 /// What is unexplained counts as noise up to this part of the contrast: beyond, it is something else.
 const MOST_UNEXPLAINED: f64 = 0.9;
 
+/// A patch tells its noise to a tenth; what is more than so many times the noise of its image is something else.
+const CERTAINLY_MORE: f64 = 1.25;
+
 /// Variance of a central difference over that of the samples.
 const OF_DIFFERENCE: f64 = 0.5;
 
@@ -54,7 +57,7 @@ impl Noise {
         };
         let patch = template.finest();
         let unexplained = n / (1.0 + n) * patch.contrast_energy / AREA as f64;
-        let variance = unexplained.min(template.most_noise());
+        let variance = unexplained.min(CERTAINLY_MORE * template.most_noise());
         Self { variance, unexplained, inverse_hessian: held(&patch.hessian, of_gradients(variance)) }
     }
 
