@@ -103,8 +103,8 @@ fn left_in_samples(position: Vector2<f64>, linear: &Matrix2<f64>) -> f64 {
         let fraction = (centre - 0.5).rem_euclid(1.0);
         LEFT_BETWEEN + (1.0 - LEFT_BETWEEN - 2.0 * fraction * (1.0 - fraction)) * alike
     };
-    along(position.x, alike(linear[(0, 0)] - 1.0) * alike(linear[(0, 1)]))
-        * along(position.y, alike(linear[(1, 0)]) * alike(linear[(1, 1)] - 1.0))
+    let [x, y] = alike(linear);
+    along(position.x, x) * along(position.y, y)
 }
 
 #[cfg(test)]

@@ -54,14 +54,13 @@ impl SamplingPull {
         template: &LevelTemplate,
         noise: &Noise,
     ) -> Vector2<f64> {
-        // Only where the grid lies along the image's are all of its samples at about the same fraction.
-        let lag = Vector2::new(
-            lag(position.x) * alike(linear[(0, 0)] - 1.0) * alike(linear[(0, 1)]),
-            lag(position.y) * alike(linear[(1, 0)]) * alike(linear[(1, 1)] - 1.0),
-        );
+        let [x, y] = alike(linear);
+        let lag = Vector2::new(lag(position.x) * x, lag(position.y) * y);
         if lag == Vector2::zeros() {
             return lag;
         }
+        // The grid lies along the image's, turned by any number of right angles.
+        let turned = linear.map(f64::round);
         // A difference of central differences of noise has its variance.
         let of_noise = noise.variance * AREA as f64;
         let along = |[own, other]: [f64; 2], own_gradients: f64| {
@@ -71,7 +70,7 @@ impl SamplingPull {
         };
         let [xx, xy] = along(self.along_x, template.hessian[(0, 0)]);
         let [yy, yx] = along(self.along_y, template.hessian[(1, 1)]);
-        noise.inverse_hessian * (Matrix2::new(xx, yx, xy, yy) * lag)
+        turned * (noise.inverse_hessian * (Matrix2::new(xx, yx, xy, yy) * turned.tr_mul(&lag)))
     }
 }
 
@@ -88,10 +87,20 @@ fn lag(centre: f64) -> f64 {
     fraction * (1.0 - fraction) * (1.0 - 2.0 * fraction) / 6.0
 }
 
-/// How alike the fractions of a row or column of samples are when they grow by `step` from one to the next: the mean of the cosines, near enough, and nothing
+/// How alike the fractions of a pixel are at which all samples of a patch lie, along x and along y of the image: 1 where they are the same, as they are
+/// where the grid lies along the image's, also when it is turned by right angles.
+pub(super) fn alike(linear: &Matrix2<f64>) -> [f64; 2] {
+    [0, 1].map(|axis| {
+        let (along_row, along_column) = (linear[(axis, 0)], linear[(axis, 1)]);
+        let straight = along_row.round().abs() + along_column.round().abs() == 1.0;
+        if straight { alike_with_steps(along_row) * alike_with_steps(along_column) } else { 0.0 }
+    })
+}
+
+/// How alike the fractions of a row or column of samples are when they are `step` apart: the mean of the cosines, near enough, and nothing
 /// from where they have gone once around.
-pub(super) fn alike(step: f64) -> f64 {
-    let around = (SIDE as f64 * step).powi(2);
+fn alike_with_steps(step: f64) -> f64 {
+    let around = (SIDE as f64 * (step - step.round())).powi(2);
     if around < 1.0 { (1.0 - around) * (1.0 - 0.6 * around) } else { 0.0 }
 }
 
@@ -143,7 +152,8 @@ mod tests {
     #[test]
     fn no_fraction_of_a_pixel_draws_what_is_found_to_one_side() {
         let scaled = Matrix2::new(1.008, -0.006, 0.006, 1.008);
-        for linear in [Matrix2::identity(), scaled] {
+        let quarter = Matrix2::new(0.0, -1.0, 1.0, 0.0);
+        for linear in [Matrix2::identity(), scaled, quarter, -Matrix2::identity()] {
             for fraction in [0.0, 0.1, 0.25, 0.4, 0.5, 0.75, 0.9] {
                 let (found_px, freed_px) = mean_off_px(fraction, linear);
                 println!("{fraction}: {found_px:.4} px, {freed_px:.4} px when the pull is taken off");
