@@ -109,7 +109,7 @@ fn left_in_samples(position: Vector2<f64>, linear: &Matrix2<f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{FlowConfig, Template, Track, Warp, track};
+    use super::super::{FlowConfig, Template, Warp, track};
     use super::*;
     use crate::geometry::Pixel;
     use crate::image::{GrayImage, Pyramid};
@@ -139,7 +139,7 @@ mod tests {
             let template = Template::new(&keyframe, (31, 31)).unwrap();
             let there = template.centre().x + fraction;
             let prediction = Warp { position: Pixel::new(there, template.centre().y), linear };
-            let found: Track = track(&template, &image, &prediction, 0.5, &FlowConfig::default()).unwrap();
+            let found = track(&template, &image, &prediction, 0.5, &FlowConfig::default()).unwrap();
             let (is_off, variance) = (found.position.x - there, found.covariance_px2[(0, 0)]);
             off += is_off / f64::from(count);
             taken -= found.noise.pull(template.finest()).x / f64::from(count);

@@ -54,7 +54,7 @@ const OVER_NOISE: f64 = 0.1;
 const WELL_OVER_NOISE: f64 = 0.3;
 
 /// The variance of a sensor's noise, (gray levels)²: what is left of squares of four pixels where one diagonal is subtracted from the other. Some of it
-/// is texture where that is fine.
+/// is texture where that is fine: a mean, in whose units the thresholds above are, and not the median of `crate::image::noise_variance`.
 fn noise_variance(image: &GrayImage) -> f64 {
     const EVERY: usize = 8;
     let (mut squares, mut count) = (0u64, 0usize);
