@@ -31,10 +31,10 @@ impl<'a> Response<'a> {
     /// (y, y), pixels by pixels²).
     pub fn to_curvature(&self, linear: &Matrix2<f64>, curvature: &[Vector2<f64>; 3]) -> Vector2<f64> {
         let Some(inverse) = linear.try_inverse() else { return Vector2::zeros() };
-        let [xx, xy, yy] = self.moments.squares;
+        let [xx, xy, yx, yy] = self.moments.squares;
         let of_noise = self.noise.of_gradients() * MEAN_SQUARE_PX2;
         let square = |k: usize, of_noise: f64, bent: &Vector2<f64>| {
-            Matrix2::new(xx[k] - of_noise, xy[k], xy[k], yy[k] - of_noise) * (inverse * bent)
+            Matrix2::new(xx[k] - of_noise, xy[k], yx[k], yy[k] - of_noise) * (inverse * bent)
         };
         let [by_xx, by_xy, by_yy] = curvature;
         let sum = square(0, of_noise, by_xx) * 0.5 + square(1, 0.0, by_xy) + square(2, of_noise, by_yy) * 0.5;

@@ -40,8 +40,8 @@ impl Template {
     pub fn of_finest_level(pyramid: &Pyramid, corner: (usize, usize)) -> Option<Self> {
         let centre = Pixel::new(corner.0 as f64 + 0.5, corner.1 as f64 + 0.5);
         let finest = LevelTemplate::new(pyramid.base(), centre.x, centre.y)?;
-        let moments = moments(finest.appearance(), finest.mean);
-        let pull = SamplingPull::new(finest.appearance());
+        let moments = moments(finest.appearance(), &finest.less);
+        let pull = SamplingPull::new(pyramid.base(), &finest);
         Some(Self {
             centre,
             finest,
@@ -124,8 +124,8 @@ pub(super) struct LevelTemplate {
     pub contrast_energy: f64,
     /// The part of the contrast that was taken off the gradients along x and y.
     pub shares: Vector2<f64>,
-    /// Mean gray level.
-    pub mean: f32,
+    /// What was taken off samples and gradients; [`LevelTemplate::shares`] too.
+    pub less: Orthogonal,
 }
 
 /// Room for one appearance. A keyframe has hundreds of them, 3 KiB each, and the next one has as many again: they are kept for it, because
@@ -220,7 +220,7 @@ impl LevelTemplate {
             appearance,
             contrast_energy,
             shares: Vector2::new(share_x, share_y),
-            mean: less.mean,
+            less,
         })
     }
 }

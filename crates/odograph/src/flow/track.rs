@@ -174,7 +174,7 @@ impl Likeness {
     /// `product` is that of the samples with the template's contrast.
     pub fn of(patch: &LevelTemplate, product: f64, samples: &Samples) -> Self {
         let (mean, energy) = mean_and_energy(samples);
-        let light = (mean.max(DARKEST) / f64::from(patch.mean).max(DARKEST)).ln();
+        let light = (mean.max(DARKEST) / f64::from(patch.less.mean).max(DARKEST)).ln();
         if energy < 1e-6 || product <= 0.0 {
             return Self { dissimilarity: 1.0, light };
         }

@@ -275,25 +275,45 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     scalar::patch_sums(image, left, top)
 }
 
+/// Sums over a patch of its second differences along x and along y (one of each pair), and of their products with samples and with central differences along x and y
+/// in half gray levels per pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BendSums {
+    pub bend: [i32; 2],
+    pub sample_bend: [i32; 2],
+    pub x_bend: [i32; 2],
+    pub y_bend: [i32; 2],
+}
+
+/// The sums over the patch whose first sample is (`left`, `top`). One sample around the patch is read; panics where that is outside.
+pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { avx2::bend_sums(image, left, top) };
+    }
+    scalar::bend_sums(image, left, top)
+}
+
 widened! {
     /// Contrast and central differences (gray levels per pixel) of the patch whose first sample is (`left`, `top`), less `less`. One sample
     /// around the patch is read; panics where that is outside.
     write_appearance(image: &GrayImage, left: usize, top: usize, less: &Orthogonal, appearance: &mut Appearance)
 }
 
-/// Sums over a patch, (x, y) being a sample's place from the middle and (g, h) its gradients: how the patch answers to what is not the same all
-/// over it.
+/// Sums over a patch, (x, y) being a sample's place from the middle, (g, h) its gradients as they are matched and (p, q) as they are: how the patch answers to
+/// what is not the same all over it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Moments {
-    /// Of g g, g h and h h, each times x x, x y and y y.
-    pub squares: [[f64; 3]; 3],
+    /// Of g p, g q, h p and h q, each times x x, x y and y y.
+    pub squares: [[f64; 3]; 4],
     /// Of g and h times the gray level, each times x and y.
     pub light: [[f64; 2]; 2],
 }
 
 widened! {
-    /// The moments of a patch with that mean gray level.
-    moments(appearance: &Appearance, mean: f32) -> Moments
+    /// The moments of a patch that was written with `less`.
+    moments(appearance: &Appearance, less: &Orthogonal) -> Moments
 }
 
 widened! {

@@ -2,7 +2,7 @@
 //!
 //! `inline(always)`, so that the copies for wider registers are compiled with these bodies inside.
 
-use super::{Appearance, Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Shift};
+use super::{Appearance, BendSums, Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Shift};
 use crate::image::GrayImage;
 
 /// Running sums of a product. Their number is part of the meaning: it fixes the order of additions.
@@ -193,6 +193,45 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
 }
 
 #[inline(always)]
+pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
+    // Running sums, one a column: whole numbers, so that their order means nothing.
+    let mut singles = [[0i16; PATCH_SIDE]; 2];
+    let mut products = [[0i32; PATCH_SIDE]; 6];
+    for j in 0..PATCH_SIDE {
+        let [above, here, below] = rows_about(image, left, top, j);
+        let [mut sample, mut x, mut y, mut along, mut down] = [[0i16; PATCH_SIDE]; 5];
+        for i in 0..PATCH_SIDE {
+            let [before, after] = [i16::from(here[i]), i16::from(here[i + 2])];
+            let [higher, lower] = [i16::from(above[i + 1]), i16::from(below[i + 1])];
+            sample[i] = i16::from(here[i + 1]);
+            (x[i], y[i]) = (after - before, lower - higher);
+            (along[i], down[i]) = (before + after - 2 * sample[i], higher + lower - 2 * sample[i]);
+        }
+        for (sums, terms) in singles.iter_mut().zip([&along, &down]) {
+            for i in 0..PATCH_SIDE {
+                sums[i] += terms[i];
+            }
+        }
+        let pairs =
+            [(&sample, &along), (&sample, &down), (&x, &along), (&x, &down), (&y, &along), (&y, &down)];
+        for (sums, (a, b)) in products.iter_mut().zip(pairs) {
+            for i in 0..PATCH_SIDE {
+                sums[i] += i32::from(a[i]) * i32::from(b[i]);
+            }
+        }
+    }
+    let bend = singles.map(|sums| sums.iter().map(|&sum| i32::from(sum)).sum());
+    let [sample_along, sample_down, x_along, x_down, y_along, y_down] =
+        products.map(|sums| sums.iter().sum());
+    BendSums {
+        bend,
+        sample_bend: [sample_along, sample_down],
+        x_bend: [x_along, x_down],
+        y_bend: [y_along, y_down],
+    }
+}
+
+#[inline(always)]
 pub fn write_appearance(
     image: &GrayImage,
     left: usize,
@@ -218,17 +257,27 @@ pub fn write_appearance(
 }
 
 #[inline(always)]
-pub fn moments(appearance: &Appearance, mean: f32) -> Moments {
+pub fn moments(appearance: &Appearance, less: &Orthogonal) -> Moments {
     let Appearance { contrast, gradient_x, gradient_y } = appearance;
+    let whole = |gradient: &Patch, share: f32, mean: f32| -> Patch {
+        let mut whole = *gradient;
+        for (whole, contrast) in whole.iter_mut().zip(contrast) {
+            *whole += share * contrast + mean;
+        }
+        whole
+    };
+    let whole_x = whole(gradient_x, less.share_x, less.mean_x);
+    let whole_y = whole(gradient_y, less.share_y, less.mean_y);
     Moments {
         squares: [
-            second_moments(sums_down(gradient_x, gradient_x, 0.0)),
-            second_moments(sums_down(gradient_x, gradient_y, 0.0)),
-            second_moments(sums_down(gradient_y, gradient_y, 0.0)),
+            second_moments(sums_down(gradient_x, &whole_x, 0.0)),
+            second_moments(sums_down(gradient_x, &whole_y, 0.0)),
+            second_moments(sums_down(gradient_y, &whole_x, 0.0)),
+            second_moments(sums_down(gradient_y, &whole_y, 0.0)),
         ],
         light: [
-            first_moments(sums_down(gradient_x, contrast, mean)),
-            first_moments(sums_down(gradient_y, contrast, mean)),
+            first_moments(sums_down(gradient_x, contrast, less.mean)),
+            first_moments(sums_down(gradient_y, contrast, less.mean)),
         ],
     }
 }
