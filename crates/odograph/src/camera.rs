@@ -233,6 +233,7 @@ pub struct Camera {
     cy: f64,
     distortion: Distortion,
     tangent_limit: f64,
+    readout_s: Option<f64>,
 }
 
 /// A camera as plain numbers, unchecked: the form in which it is stored.
@@ -245,20 +246,22 @@ struct CameraParameters {
     cx: f64,
     cy: f64,
     distortion: Distortion,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    readout_s: Option<f64>,
 }
 
 impl TryFrom<CameraParameters> for Camera {
     type Error = Error;
 
     fn try_from(p: CameraParameters) -> Result<Self> {
-        Self::new((p.width, p.height), (p.fx, p.fy), (p.cx, p.cy), p.distortion)
+        Self::new((p.width, p.height), (p.fx, p.fy), (p.cx, p.cy), p.distortion)?.with_readout_s(p.readout_s)
     }
 }
 
 impl From<Camera> for CameraParameters {
     fn from(c: Camera) -> Self {
-        let Camera { width, height, fx, fy, cx, cy, distortion, .. } = c;
-        Self { width, height, fx, fy, cx, cy, distortion }
+        let Camera { width, height, fx, fy, cx, cy, distortion, readout_s, .. } = c;
+        Self { width, height, fx, fy, cx, cy, distortion, readout_s }
     }
 }
 
@@ -312,7 +315,32 @@ impl Camera {
             cy: principal_px.1,
             distortion,
             tangent_limit,
+            readout_s: None,
         })
+    }
+
+    /// The same camera with the readout time of its image, seconds: from the exposure of the first row
+    /// to that of the last. 0 is a global shutter, a negative one reads from the bottom row up, and
+    /// `None` is not known.
+    ///
+    /// Fails where it is not finite or longer than [`Camera::LONGEST_READOUT_S`].
+    pub fn with_readout_s(self, readout_s: Option<f64>) -> Result<Self> {
+        match readout_s {
+            Some(readout) if !(readout.abs() <= Self::LONGEST_READOUT_S) => Err(Error::input(format!(
+                "the readout time is {} ms; it must lie within {} ms, and is shorter than a frame lasts",
+                1e3 * readout,
+                1e3 * Self::LONGEST_READOUT_S
+            ))),
+            _ => Ok(Self { readout_s, ..self }),
+        }
+    }
+
+    /// No rolling shutter takes longer: ten frames a second, read without a pause.
+    pub const LONGEST_READOUT_S: f64 = 0.1;
+
+    /// Readout time of the image, seconds; `None` where it is not known.
+    pub fn readout_s(&self) -> Option<f64> {
+        self.readout_s
     }
 
     /// A pinhole whose image covers `field_of_view_m` (width, height) on level ground seen from `height_m`: the paper's

@@ -7,7 +7,7 @@
 //!
 //! A transform is named `target_from_source`.
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// A point in the (distorted) image as the camera delivers it, in pixels.
@@ -109,6 +109,17 @@ impl GroundPose {
     /// A level camera at `height_m` over the world's origin.
     pub fn level(height_m: f64) -> Self {
         Self { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, height_m, roll_rad: 0.0, pitch_rad: 0.0 }
+    }
+
+    /// The six numbers in the order (x, y, heading, height, roll, pitch), metres and radians.
+    pub fn to_vector(&self) -> Vector6<f64> {
+        Vector6::new(self.x_m, self.y_m, self.heading_rad, self.height_m, self.roll_rad, self.pitch_rad)
+    }
+
+    /// From the six numbers of [`GroundPose::to_vector`].
+    pub fn from_vector(numbers: &Vector6<f64>) -> Self {
+        let [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad] = (*numbers).into();
+        Self { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad }
     }
 
     /// The rotation that takes camera vectors to world vectors.

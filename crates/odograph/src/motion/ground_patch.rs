@@ -2,6 +2,8 @@
 
 use crate::camera::Camera;
 use crate::flow::Warp;
+use super::planar_pose::{Axes, ground_by_pose};
+use super::rolling_shutter::RollingShutter;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -31,6 +33,9 @@ pub struct GroundPatch {
     ring: [GroundPoint; POINTS],
     /// Pixels from one sample to the next.
     pixels_per_sample: f64,
+    /// How the place of its centre changes with the readout time of the image it was taken from,
+    /// metres per second.
+    pub by_readout: [f64; 2],
 }
 
 /// How a patch is expected in an image.
@@ -56,7 +61,33 @@ impl GroundPatch {
         let (ray, around) = rays_about(camera, centre, RING * pixels_per_sample)?;
         let [a, b, c, d, e] = around.map(|ray| from.of(ray));
         let ring = [a?, b?, c?, d?, e?];
-        Some(Self { ground: from.of(ray)?, ring, pixels_per_sample })
+        Some(Self { ground: from.of(ray)?, ring, pixels_per_sample, by_readout: [0.0; 2] })
+    }
+
+    /// The patch about `centre` of an image that a rolling shutter exposed while the middle row was at
+    /// `pose`; `axes` are those of that pose.
+    pub fn behind_shutter(
+        camera: &Camera,
+        (pose, axes): (&GroundPose, &Axes),
+        shutter: &RollingShutter,
+        centre: Pixel,
+    ) -> Option<Self> {
+        let at_row = shutter.pose_at(pose, centre.y);
+        let mut patch = Self::new(camera, &GroundFromRay::new(&at_row), centre, 1.0)?;
+        // Above and below the centre the camera was elsewhere; over a patch that is linear.
+        let rate = |ground: &GroundPoint| {
+            let by_pose = ground_by_pose(ground, pose, axes);
+            by_pose.map(|row| row.iter().zip(&shutter.rates).map(|(by, rate)| by * rate).sum::<f64>())
+        };
+        let seconds_per_row = shutter.readout_s / shutter.rows as f64;
+        for (point, (_, down)) in patch.ring.iter_mut().zip(AROUND) {
+            let [x_m_s, y_m_s] = rate(point);
+            let later_s = seconds_per_row * RING * down;
+            *point = GroundPoint::new(point.x_m + later_s * x_m_s, point.y_m + later_s * y_m_s);
+        }
+        let row_fraction = shutter.row_fraction(centre.y);
+        patch.by_readout = rate(&patch.ground).map(|rate| row_fraction * rate);
+        Some(patch)
     }
 
     /// Where and in which shape a camera at `pose` sees the patch; `None` where it would be out of sight.
@@ -111,12 +142,56 @@ fn rays_about(camera: &Camera, pixel: Pixel, radius_px: f64) -> Option<(Ray, [Ra
 pub struct ViewingPose {
     pose: GroundPose,
     camera_from_world: Matrix3<f64>,
+    shutter: Option<MovingCamera>,
+}
+
+/// How points move past a camera while its shutter rolls, in the camera's axes.
+#[derive(Debug, Clone, Copy)]
+struct MovingCamera {
+    /// Velocity of the camera, metres per second.
+    velocity: Vector3<f64>,
+    /// Angular velocity of the camera, radians per second.
+    angular_velocity: Vector3<f64>,
+    seconds_per_row: f64,
+    middle_row: f64,
+}
+
+impl MovingCamera {
+    /// Where a point at `p` of the camera at the middle row is when its own row is exposed, from the
+    /// row and the derivative of its pixel at the middle row's time.
+    fn point_at_its_row(&self, p: &Vector3<f64>, (pixel, by_ray): (Pixel, Matrix2<f64>)) -> Vector3<f64> {
+        let rate = -self.velocity - self.angular_velocity.cross(p);
+        let (x, y) = (rate.x - p.x / p.z * rate.z, rate.y - p.y / p.z * rate.z);
+        let rows_per_s = (by_ray[(1, 0)] * x + by_ray[(1, 1)] * y) / p.z;
+        // The point moves on while rows are read: later by τ it is τ · rows_per_s rows further down.
+        let per_row = self.seconds_per_row / (1.0 - self.seconds_per_row * rows_per_s).max(0.1);
+        p + rate * (per_row * (pixel.y - self.middle_row))
+    }
 }
 
 impl ViewingPose {
     /// Ready to see points.
     pub fn new(pose: GroundPose) -> Self {
-        Self { pose, camera_from_world: pose.world_from_camera_rotation().transpose() }
+        Self { pose, camera_from_world: pose.world_from_camera_rotation().transpose(), shutter: None }
+    }
+
+    /// Ready to see points through a rolling shutter; `pose` is that of the middle row.
+    pub fn behind_shutter(pose: GroundPose, shutter: &RollingShutter) -> Self {
+        let still = Self::new(pose);
+        if shutter.is_global() {
+            return still;
+        }
+        let axes = Axes::new(&pose);
+        let rates = &shutter.rates;
+        let turning = Vector3::z() * rates[2] + axes.roll * rates[4] + axes.pitch * rates[5];
+        let velocity = Vector3::new(rates[0], rates[1], rates[3]);
+        let moving = MovingCamera {
+            velocity: still.camera_from_world * velocity,
+            angular_velocity: still.camera_from_world * turning,
+            seconds_per_row: shutter.readout_s / shutter.rows as f64,
+            middle_row: 0.5 * shutter.rows as f64 - 0.5,
+        };
+        Self { shutter: Some(moving), ..still }
     }
 
     /// Where a ground point is seen; may lie outside the image. `None` where it is not in front of the lens.
@@ -124,7 +199,14 @@ impl ViewingPose {
         let from_camera =
             Vector3::new(point.x_m - self.pose.x_m, point.y_m - self.pose.y_m, -self.pose.height_m);
         let p = self.camera_from_world * from_camera;
-        (p.z > 1e-9).then(|| camera.pixel_from_ray(Ray::new(p.x / p.z, p.y / p.z)))?
+        let seen = |p: &Vector3<f64>| {
+            (p.z > 1e-9).then(|| camera.pixel_and_derivative(Ray::new(p.x / p.z, p.y / p.z)))?
+        };
+        let at_middle = seen(&p)?;
+        match &self.shutter {
+            None => Some(at_middle.0),
+            Some(moving) => seen(&moving.point_at_its_row(&p, at_middle)).map(|(pixel, _)| pixel),
+        }
     }
 }
 

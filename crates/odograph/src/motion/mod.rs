@@ -9,10 +9,12 @@ mod coarse;
 pub mod dense;
 mod ground_patch;
 mod mean;
+mod nuisance;
 mod planar_pose;
 mod random;
 mod ransac;
 mod rig_prior;
+mod rolling_shutter;
 mod sharing;
 mod steady_tilt;
 
@@ -20,7 +22,9 @@ pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use mean::mean_displacement;
 pub use random::Random;
+pub use planar_pose::Axes;
 pub use rig_prior::{RigPrior, RigWander};
+pub use rolling_shutter::{PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
 pub use sharing::Neighbours;
 pub use steady_tilt::MountChange;
 
@@ -112,6 +116,10 @@ pub struct Observation {
     /// What a distance from there is multiplied with to be as uncertain in every direction as that of a usual track: the identity weighs both
     /// coordinates alike, a track on a straight edge counts across it only.
     pub whitening: Matrix2<f64>,
+    /// Where its row lies in the image, −1/2 to 1/2: when it was exposed, in units of the readout time.
+    pub row_fraction: f64,
+    /// How the ground point changes with the readout time, metres per second.
+    pub ground_by_readout: [f64; 2],
 }
 
 stored!(Observation);
@@ -123,6 +131,9 @@ pub struct Observations<'a> {
     pub seen: &'a [Observation],
     /// The pose from which the keyframe laid them on the ground.
     pub laid_from: &'a GroundPose,
+    /// What is known of a rolling shutter, and the rates of the pose with which the pixels were brought
+    /// to a global one; `None` where the shutter is global.
+    pub shutter: Option<(&'a ShutterPrior, PoseRates)>,
 }
 
 /// Where a ground point was found, and how exactly.
@@ -134,6 +145,10 @@ pub struct Sighting {
     pub pixel: Pixel,
     /// Covariance of that, pixels².
     pub covariance_px2: Matrix2<f64>,
+    /// As [`Observation::row_fraction`].
+    pub row_fraction: f64,
+    /// As [`Observation::ground_by_readout`].
+    pub ground_by_readout: [f64; 2],
 }
 
 stored!(Sighting);
@@ -153,7 +168,13 @@ pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Obser
         let information = covariance(seen).try_inverse().map(|inverse| usual_px2 * inverse);
         let root = information.and_then(|information| information.cholesky());
         let whitening = root.map_or(Matrix2::identity(), |root| root.l().transpose());
-        Observation { ground: seen.ground, pixel: seen.pixel, whitening }
+        Observation {
+            ground: seen.ground,
+            pixel: seen.pixel,
+            whitening,
+            row_fraction: seen.row_fraction,
+            ground_by_readout: seen.ground_by_readout,
+        }
     };
     Some((sightings.iter().map(observation).collect(), usual_px2.sqrt()))
 }
@@ -176,6 +197,8 @@ pub struct MotionEstimate {
     pub neighbours: Neighbours,
     /// What the tracks alone say of height and tilt; only where all three were unknown.
     pub rig_evidence: Option<RigEvidence>,
+    /// What the tracks say of the shutter, where it may roll.
+    pub shutter: Option<ShutterEstimate>,
 }
 
 /// What the tracks of a frame alone, without a prior, say of height (metres), roll and pitch (radians).

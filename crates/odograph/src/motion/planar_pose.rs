@@ -1,10 +1,11 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
+use super::nuisance::{Elimination, ShutterFit};
 use super::sharing::{Neighbours, shared_errors, shared_errors_of_rig, shared_px};
 use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
-use crate::geometry::{GroundPose, wrap_angle};
+use crate::geometry::{GroundPoint, GroundPose, wrap_angle};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Which of (x, y, heading, height, roll, pitch) are solved for: the first `count` of them.
@@ -53,7 +54,7 @@ pub(super) struct Residual {
     pub error: [f64; 2],
     /// The distance before whitening, pixels.
     distance_px: f64,
-    by_pose: [[f64; 6]; 2],
+    pub by_pose: [[f64; 6]; 2],
 }
 
 stored!(Residual);
@@ -100,14 +101,18 @@ fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes:
 }
 
 /// The rotation of a pose and the world axes about which its angles turn; heading turns about z.
-struct Axes {
+#[derive(Debug, Clone, Copy)]
+pub struct Axes {
     camera_from_world: Matrix3<f64>,
-    roll: Vector3<f64>,
-    pitch: Vector3<f64>,
+    /// About which roll turns.
+    pub roll: Vector3<f64>,
+    /// About which pitch turns.
+    pub pitch: Vector3<f64>,
 }
 
 impl Axes {
-    fn new(pose: &GroundPose) -> Self {
+    /// Those of a pose.
+    pub fn new(pose: &GroundPose) -> Self {
         let (sin_heading, cos_heading) = pose.heading_rad.sin_cos();
         let (sin_pitch, cos_pitch) = pose.pitch_rad.sin_cos();
         Self {
@@ -139,7 +144,7 @@ pub fn gauss_newton_step(
     let residuals: [Option<Residual>; 4] =
         std::array::from_fn(|i| observations.get(i).and_then(|seen| residual(camera, seen, pose, &axes)));
     let residuals = residuals.each_ref().map(|residual| residual.unwrap_or(Residual::NONE));
-    step(&residuals, &[1.0; 4], pose, unknowns, None).map(|step| step.pose)
+    step(&residuals, &[1.0; 4], pose, unknowns, None, None).map(|step| step.pose)
 }
 
 /// One step of Gauss–Newton from residuals with their weights. `None` where they do not determine the unknowns.
@@ -149,6 +154,7 @@ fn step(
     pose: &GroundPose,
     unknowns: &Unknowns,
     pull: Option<&Pull>,
+    eliminated: Option<&Elimination>,
 ) -> Option<Step> {
     // The upper triangle, row by row.
     let mut sums = [[0.0; 6]; 6];
@@ -167,7 +173,11 @@ fn step(
             }
         }
     }
-    let tracks_alone = Matrix6::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
+    let mut tracks_alone = Matrix6::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
+    if let Some(eliminated) = eliminated {
+        tracks_alone += eliminated.information;
+        slope.iter_mut().zip(&eliminated.slope).for_each(|(slope, more)| *slope += more);
+    }
     let mut information = tracks_alone;
     if let Some(prior) = pull {
         let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
@@ -206,7 +216,8 @@ pub fn refine(
     prior: &RigPrior,
     config: &MotionConfig,
 ) -> Option<MotionEstimate> {
-    let Observations { seen: observations, laid_from } = observations;
+    let Observations { seen: observations, laid_from, shutter } = observations;
+    let mut shutter = shutter.map(|(prior, assumed)| ShutterFit::new(prior, assumed));
     let unknowns = Unknowns::new(config.model);
     let mut prior = *prior;
     let mut pose = GroundPose {
@@ -222,11 +233,18 @@ pub fn refine(
     let mut errors = Buffer::of(0.0, observations.len());
     let mut sorted = Buffer::new();
     // Each pose is looked at once: what is left of the observations there weighs them and leads to the next.
-    let mut look = |pose: &GroundPose, residuals: &mut [Residual], errors: &mut [f64]| -> f64 {
+    let mut look = |pose: &GroundPose,
+                    shutter: Option<&ShutterFit<'_>>,
+                    residuals: &mut [Residual],
+                    errors: &mut [f64]|
+     -> f64 {
         let axes = Axes::new(pose);
         for ((observation, kept), error) in observations.iter().zip(residuals).zip(&mut *errors) {
             *error = match residual(camera, observation, pose, &axes) {
-                Some(residual) => {
+                Some(mut residual) => {
+                    if let Some(shutter) = shutter {
+                        shutter.correct(observation, &mut residual);
+                    }
                     *kept = residual;
                     residual.length()
                 }
@@ -238,14 +256,21 @@ pub fn refine(
         }
         robust_scale(errors, config.inlier_px, &mut sorted)
     };
-    look(&pose, &mut residuals, &mut errors);
+    look(&pose, shutter.as_ref(), &mut residuals, &mut errors);
     let mut reach_px = config.inlier_px;
     for round in 0..ROUNDS {
         let pull = Pull::new(&prior, scale_px);
         let before = pose;
-        let step = step(&residuals, &weights, &pose, &unknowns, Some(&pull))?;
+        let eliminated = match &shutter {
+            Some(shutter) => Some(shutter.eliminate(observations, &mut residuals, &weights, scale_px)?),
+            None => None,
+        };
+        let step = step(&residuals, &weights, &pose, &unknowns, Some(&pull), eliminated.as_ref())?;
         (pose, information) = (step.pose, step.information);
-        scale_px = look(&pose, &mut residuals, &mut errors);
+        if let (Some(shutter), Some(eliminated)) = (&mut shutter, &eliminated) {
+            shutter.advance(eliminated, &before, &pose);
+        }
+        scale_px = look(&pose, shutter.as_ref(), &mut residuals, &mut errors);
         reach_px = (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
         let per_reach = 1.0 / reach_px;
         weights.iter_mut().zip(&errors).for_each(|(weight, &error)| *weight = biweight(error * per_reach));
@@ -276,6 +301,14 @@ pub fn refine(
         .map(|(error, _)| error * error)
         .sum();
     let spare = 2 * count - unknowns.count;
+    let shutter = match &shutter {
+        Some(shutter) => {
+            let eliminated = shutter.eliminate(observations, &mut residuals, &weights, scale_px)?;
+            let pose_covariance = unknowns.of(&information).cholesky()?.inverse();
+            Some(shutter.estimate(&eliminated, &pose_covariance, scale_px))
+        }
+        None => None,
+    };
     // To agree is to be near, not only to be uncertain: of what is unlike the ground all is uncertain.
     let near = |(residual, &weight): (&Residual, &f64)| weight > 0.0 && residual.distance_px < reach_px;
     let inliers: Buffer<bool> = residuals.iter().zip(&weights).map(near).collect();
@@ -303,6 +336,7 @@ pub fn refine(
         residual_px: (squares / count as f64).sqrt(),
         neighbours: Neighbours::of(camera, observations, &residuals, &weights),
         rig_evidence,
+        shutter,
     })
 }
 
@@ -334,7 +368,7 @@ fn slopes_by_keyframe(
         if weight <= 0.0 {
             continue;
         }
-        let [along_x, along_y] = moved_ground(observation, laid_from, &axes);
+        let [along_x, along_y] = ground_by_pose(&observation.ground, laid_from, &axes);
         for row in by_pose {
             // The point moves as the camera would move the other way.
             let change: [f64; 6] = std::array::from_fn(|k| row[0] * along_x[k] + row[1] * along_y[k]);
@@ -348,10 +382,11 @@ fn slopes_by_keyframe(
     Matrix6::from_fn(|i, k| if i < unknowns.count { slopes[i][k] } else { 0.0 })
 }
 
-/// How a ground point's x and y, metres, change with the six numbers of the pose from which it was laid.
-fn moved_ground(observation: &Observation, laid_from: &GroundPose, axes: &Axes) -> [[f64; 6]; 2] {
+/// How x and y of the ground point that a ray meets, metres, change with the six numbers of the pose
+/// of the camera whose ray it is.
+pub fn ground_by_pose(ground: &GroundPoint, laid_from: &GroundPose, axes: &Axes) -> [[f64; 6]; 2] {
     let height_m = laid_from.height_m;
-    let (x, y) = (observation.ground.x_m - laid_from.x_m, observation.ground.y_m - laid_from.y_m);
+    let (x, y) = (ground.x_m - laid_from.x_m, ground.y_m - laid_from.y_m);
     // A turn about an axis swings the ray, which then meets the ground elsewhere.
     let swung = |axis: &Vector3<f64>| {
         let by = axis.cross(&Vector3::new(x, y, -height_m));

@@ -190,6 +190,10 @@ mod tests {
     use crate::motion::Random;
     use nalgebra::Matrix2;
 
+    fn observation(ground: GroundPoint, pixel: Pixel, whitening: Matrix2<f64>) -> Observation {
+        Observation { ground, pixel, whitening, row_fraction: 0.0, ground_by_readout: [0.0; 2] }
+    }
+
     /// What fifty frames show whose 300 tracks are off by noise of their own and by that of the block of sixteen pixels in which they lie.
     fn learned(own: f64, of_block: f64, whitening: Matrix2<f64>) -> Neighbours {
         let camera = Camera::new((640, 480), (500.0, 500.0), (320.0, 240.0), Distortion::None).unwrap();
@@ -205,7 +209,7 @@ mod tests {
                 let ground = GroundPoint { x_m: 0.0, y_m: 0.0 };
                 let mut residual = Residual::NONE;
                 residual.error = error;
-                (Observation { ground, pixel, whitening }, residual)
+                (observation(ground, pixel, whitening), residual)
             });
             let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
             neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 300]));
@@ -240,7 +244,7 @@ mod tests {
                 let ground = GroundPoint { x_m: 0.0, y_m: 0.0 };
                 let mut residual = Residual::NONE;
                 residual.error = even.map(|error| error + 0.2 * (uniform() - 0.5));
-                (Observation { ground, pixel, whitening: Matrix2::identity() }, residual)
+                (observation(ground, pixel, Matrix2::identity()), residual)
             });
             let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
             neighbours.learn(&Neighbours::of(&camera, &observations, &residuals, &[1.0; 400]));

@@ -29,7 +29,13 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
                     pixel.y + noise_px * gaussian * angle.sin(),
                 )
             };
-            seen.push(Observation { ground, pixel, whitening: nalgebra::Matrix2::identity() });
+            seen.push(Observation {
+                ground,
+                pixel,
+                whitening: nalgebra::Matrix2::identity(),
+                row_fraction: 0.0,
+                ground_by_readout: [0.0; 2],
+            });
         }
     }
     seen
@@ -43,7 +49,7 @@ fn measured(
     config: &MotionConfig,
     seed: u64,
 ) -> Option<MotionEstimate> {
-    let observations = Observations { seen, laid_from: &GroundPose::level(1.0) };
+    let observations = Observations { seen, laid_from: &GroundPose::level(1.0), shutter: None };
     estimate(&camera(), observations, prediction, prior, config, &mut Random::new(seed))
 }
 

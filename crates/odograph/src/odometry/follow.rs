@@ -12,8 +12,8 @@ use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{
-    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, Sighting, ViewingPose,
-    estimate, mean_displacement, whitened,
+    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RollingShutter,
+    ShutterPrior, Sighting, ViewingPose, estimate, mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix2, Matrix6, Vector2};
@@ -49,7 +49,14 @@ pub struct Found {
 }
 
 /// What was found, weighed by how well each patch holds in each direction.
-fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
+/// Pixels of a rolling shutter are brought to where a global one would have seen them from `pose`.
+fn observations(
+    keyframe: &Keyframe,
+    found: &[Found],
+    camera: &Camera,
+    pose: &GroundPose,
+    shutter: Option<(&ShutterPrior, &RollingShutter)>,
+) -> Buffer<Observation> {
     let light = LightField::between(found);
     let sighting = |found: &Found| {
         let corner = &keyframe.corners[found.corner];
@@ -58,7 +65,17 @@ fn observations(keyframe: &Keyframe, found: &[Found]) -> Buffer<Observation> {
             corner.template.response(found.noise).to_light(linear, light.slope(*position))
         });
         let pixel = Pixel::new(position.x - pulled.x, position.y - pulled.y);
-        Sighting { ground: corner.patch.ground, pixel, covariance_px2: found.covariance_px2 }
+        let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, pixel, 0.0);
+        let ground_by_readout = corner.patch.by_readout;
+        if let Some((prior, shutter)) = shutter {
+            let later_s = prior.readout.mean_s - keyframe.shutter.readout_s;
+            ground.x_m += later_s * ground_by_readout[0];
+            ground.y_m += later_s * ground_by_readout[1];
+            row_fraction = shutter.row_fraction(pixel.y);
+            pixel = shutter.global_pixel(camera, pose, pixel).unwrap_or(pixel);
+        }
+        let covariance_px2 = found.covariance_px2;
+        Sighting { ground, pixel, covariance_px2, row_fraction, ground_by_readout }
     };
     let sightings: Buffer<Sighting> = found.iter().map(sighting).collect();
     whitened(&sightings, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
@@ -278,7 +295,7 @@ fn follow(
     let corners = keyframe.corners.len();
     let every = (corners as f64 * learned.findable()) as usize / SCOUTS;
     let mut found = Buffer::new();
-    let from = ViewingPose::new(*prediction);
+    let from = learned.viewing(camera, prediction);
     let find = |index: usize, from: &ViewingPose, off_px: f64| {
         find(index, &keyframe.corners[index], keyframe, pyramid, camera, from, off_px, config)
     };
@@ -299,7 +316,7 @@ fn follow(
             break;
         }
     }
-    match settled.map(ViewingPose::new) {
+    match settled.map(|pose| learned.viewing(camera, &pose)) {
         Some(from) => {
             // Scouts that were out of reach are looked for again.
             let scouts = found.len();
@@ -331,9 +348,12 @@ fn agreement(
     learned: &Learned,
     random: &mut Random,
 ) -> Option<GroundPose> {
-    let observations = observations(keyframe, found);
+    let shutter = learned.shutter_at(camera, prediction);
+    let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
+    let observations = observations(keyframe, found, camera, prediction, shutter);
     let prior = learned.wander.prior(prediction, &config.motion);
-    let observations = Observations { seen: &observations, laid_from: &keyframe.pose };
+    let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
+    let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let expected = in_view(scouts.map(|index| &keyframe.corners[index]), camera, &estimate.pose);
     let agree = estimate.inlier_count();
@@ -417,11 +437,21 @@ fn judge(
     let estimate = if config.motion.model == MotionModel::Mean {
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
-        let observations = observations(keyframe, &found);
         let prior = learned.wander.prior(prediction, &config.motion);
-        let near = settled.unwrap_or(*prediction);
-        let observations = Observations { seen: &observations, laid_from: &keyframe.pose };
-        estimate(camera, observations, &near, &prior, &config.motion, random)
+        let mut measure = |near: &GroundPose| {
+            let shutter = learned.shutter_at(camera, near);
+            let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
+            let observations = observations(keyframe, &found, camera, near, shutter);
+            let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
+            let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
+            estimate(camera, observations, near, &prior, &config.motion, random)
+        };
+        let first = measure(&settled.unwrap_or(*prediction));
+        match &first {
+            // The rates were those of a pose that was foretold; once more with those of the one found.
+            Some(found) if learned.frame_shutter.is_some() => measure(&found.pose).or(first),
+            _ => first,
+        }
     };
     let estimate = estimate.ok_or_else(|| why_not(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
@@ -460,5 +490,6 @@ fn mean(
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
         neighbours: Default::default(),
         rig_evidence: None,
+        shutter: None,
     })
 }

@@ -8,7 +8,10 @@ use crate::geometry::{GroundPose, Pixel, Ray};
 use crate::image::Pyramid;
 use crate::mapping::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
-use crate::motion::{CoarseRegistration, GroundFromRay, GroundPatch, GroundView, MountChange, ViewingPose};
+use crate::motion::{
+    Axes, CoarseRegistration, GroundFromRay, GroundPatch, GroundView, MountChange, PoseRates, RollingShutter,
+    ViewingPose,
+};
 use nalgebra::Matrix6;
 use std::collections::VecDeque;
 use std::sync::OnceLock;
@@ -25,6 +28,8 @@ pub struct Keyframe {
     pub pose: GroundPose,
     /// Of the pose against the start of the run, (x, y, heading, height, roll, pitch).
     pub covariance: Matrix6<f64>,
+    /// How its image was exposed.
+    pub shutter: RollingShutter,
     pub corners: Vec<KeyCorner>,
     /// How many corners it began with.
     pub corners_at_first: usize,
@@ -42,6 +47,28 @@ pub struct Keyframe {
     texture: OnceLock<Texture>,
     /// The whole image, to be compared with others; made when it is first needed.
     dense: OnceLock<DenseReference>,
+}
+
+/// Where the patches of an image lie on the ground.
+struct GroundOf<'a> {
+    camera: &'a Camera,
+    pose: &'a GroundPose,
+    shutter: &'a RollingShutter,
+    from_ray: GroundFromRay<'a>,
+    axes: Axes,
+}
+
+impl<'a> GroundOf<'a> {
+    fn new(camera: &'a Camera, pose: &'a GroundPose, shutter: &'a RollingShutter) -> Self {
+        Self { camera, pose, shutter, from_ray: GroundFromRay::new(pose), axes: Axes::new(pose) }
+    }
+
+    fn patch(&self, centre: Pixel) -> Option<GroundPatch> {
+        if self.shutter.is_static() {
+            return GroundPatch::new(self.camera, &self.from_ray, centre, 1.0);
+        }
+        GroundPatch::behind_shutter(self.camera, (self.pose, &self.axes), self.shutter, centre)
+    }
 }
 
 /// A corner of a keyframe.
@@ -79,11 +106,13 @@ impl Keyframe {
         let image = pyramid.base();
         let mut sought = Detection::new((image.width(), image.height()), detection, MARGIN_PX);
         sought.look(image, image.height() / 2);
+        let rows = image.height();
         let record = KeyframeRecord {
             id: None,
             pyramid,
             pose,
             covariance,
+            shutter: RollingShutter { readout_s: 0.0, rows, rates: PoseRates::zeros() },
             places: Vec::new(),
             view: None,
             reachable: true,
@@ -102,7 +131,7 @@ impl Keyframe {
 
     /// A keyframe as it was remembered, without its corners.
     fn recorded(record: KeyframeRecord) -> Self {
-        let KeyframeRecord { id, pyramid, pose, covariance, places, view, .. } = record;
+        let KeyframeRecord { id, pyramid, pose, covariance, shutter, places, view, .. } = record;
         let (corners, texture, dense) = (Vec::new(), OnceLock::new(), OnceLock::new());
         Self {
             id,
@@ -111,6 +140,7 @@ impl Keyframe {
             pyramid,
             pose,
             covariance,
+            shutter,
             places,
             sought: None,
             prepared: 0,
@@ -130,12 +160,12 @@ impl Keyframe {
         if first == until {
             return;
         }
-        let ground_from_ray = GroundFromRay::new(&self.pose);
+        let ground = GroundOf::new(camera, &self.pose, &self.shutter);
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&self.pyramid, place)?;
             let centre = template.centre();
             Some(KeyCorner {
-                patch: GroundPatch::new(camera, &ground_from_ray, centre, 1.0)?,
+                patch: ground.patch(centre)?,
                 seen: Warp::translation(centre),
                 template,
             })
@@ -144,6 +174,17 @@ impl Keyframe {
         self.corners.extend(self.places[first..until].iter().filter_map(corner));
         self.prepared = until;
         self.corners_at_first = self.corners.len();
+    }
+
+    /// Sets right how its image was exposed, and with it where its corners lie.
+    pub fn expose(&mut self, camera: &Camera, shutter: RollingShutter) {
+        self.shutter = shutter;
+        let ground = GroundOf::new(camera, &self.pose, &self.shutter);
+        for corner in &mut self.corners {
+            if let Some(patch) = ground.patch(corner.template.centre()) {
+                corner.patch = patch;
+            }
+        }
     }
 
     /// What can be made of its corners.
@@ -200,8 +241,8 @@ impl Keyframe {
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(mut self) -> KeyframeRecord {
         self.find();
-        let Self { id, pyramid, pose, covariance, places, view, .. } = self;
-        KeyframeRecord { id, pyramid, pose, covariance, places, view, reachable: true }
+        let Self { id, pyramid, pose, covariance, shutter, places, view, .. } = self;
+        KeyframeRecord { id, pyramid, pose, covariance, shutter, places, view, reachable: true }
     }
 }
 
@@ -212,6 +253,7 @@ pub struct KeyframeRecord {
     pyramid: Pyramid,
     pose: GroundPose,
     covariance: Matrix6<f64>,
+    shutter: RollingShutter,
     places: Vec<(usize, usize)>,
     view: Option<GroundView>,
     /// Whether its pose is connected with the present one by measurement.

@@ -1,6 +1,7 @@
 //! Where the camera was last, and so where it should be next.
 
 use crate::geometry::GroundPose;
+use crate::motion::PoseRates;
 use nalgebra::Matrix6;
 
 /// The last measured pose, from which the next is predicted.
@@ -11,6 +12,8 @@ pub struct LastPose {
     pub covariance: Matrix6<f64>,
     /// Change per second of x, y and heading.
     pub rates: [f64; 3],
+    /// Mean rates of all six numbers since the measured pose before; `None` where there is none.
+    pub pose_rates: Option<PoseRates>,
     /// Change per second of the rates.
     accelerations: [f64; 3],
     /// The time from the measured pose before.
@@ -30,6 +33,7 @@ impl LastPose {
             pose,
             covariance,
             rates: [0.0; 3],
+            pose_rates: None,
             accelerations: [0.0; 3],
             step_s: 0.0,
             off_by: [f64::INFINITY; 2],
@@ -57,7 +61,8 @@ impl LastPose {
                 _ => off_by,
             }
         });
-        Self { time_s, pose, covariance, rates, accelerations, step_s, off_by }
+        let pose_rates = Some((pose.to_vector() - before.to_vector()) / step_s);
+        Self { time_s, pose, covariance, rates, pose_rates, accelerations, step_s, off_by }
     }
 
     /// The pose at `time_s` had the camera gone on as it went, with its acceleration where that has foretold the last poses better; height and
@@ -92,7 +97,7 @@ impl LastPose {
     /// Where the camera would be at `time_s` had it gone on as it went all the while, and still went on so.
     pub fn carried_over_gap(&self, time_s: f64) -> Self {
         let covariance = self.covariance + self.gap_covariance(time_s);
-        Self { time_s, pose: self.extrapolated(time_s), covariance, ..self.clone() }
+        Self { time_s, pose: self.extrapolated(time_s), covariance, pose_rates: None, ..self.clone() }
     }
 
     /// How far off [`LastPose::extrapolated`] may be over a gap: the camera may have stopped or doubled its speed (two standard deviations), and

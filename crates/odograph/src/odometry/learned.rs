@@ -1,7 +1,10 @@
 //! What the frames so far taught about those to come.
 
+use super::last_pose::LastPose;
+use super::shutter::ShutterState;
+use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use crate::motion::RigWander;
+use crate::motion::{MotionConfig, MotionEstimate, MotionModel, RigWander, RollingShutter, ShutterPrior, ViewingPose};
 
 /// What is learned on the way.
 #[derive(Debug, Clone)]
@@ -10,6 +13,10 @@ pub struct Learned {
     pub wander: RigWander,
     /// The part of the corners in view that agreed in the last frames: below 1 where not everything in view is ground, or where corners are noise.
     presence: Option<f64>,
+    /// The shutter; `None` where it is taken to be global.
+    shutter: Option<ShutterState>,
+    /// What is expected of the shutter in the present frame; `None` where it is global.
+    pub frame_shutter: Option<ShutterPrior>,
 }
 
 /// Weight of the newest frame in the usual presence: about the last five count.
@@ -24,7 +31,46 @@ const ALL_PRESENT: f64 = 0.75;
 impl Learned {
     /// Nothing yet, of a camera that begins here.
     pub fn new(first: &GroundPose) -> Self {
-        Self { wander: RigWander::new(first), presence: None }
+        Self { wander: RigWander::new(first), presence: None, shutter: None, frame_shutter: None }
+    }
+
+    /// The same with a shutter that may roll.
+    pub fn behind_shutter(first: &GroundPose, camera: &Camera, model: MotionModel) -> Self {
+        let may_roll = model != MotionModel::Mean;
+        let shutter = may_roll.then(|| ShutterState::new(camera, first.height_m));
+        Self { shutter, ..Self::new(first) }
+    }
+
+    /// The shutter; `None` where it is taken to be global.
+    pub fn shutter(&self) -> Option<&ShutterState> {
+        self.shutter.as_ref()
+    }
+
+    /// Foretells how the image at `time_s` is exposed.
+    pub fn foretell_shutter(&mut self, last: Option<&LastPose>, time_s: f64, config: &MotionConfig) {
+        self.frame_shutter = last.zip(self.shutter.as_ref()).and_then(|(last, shutter)| {
+            shutter.prior(last, time_s, &self.wander.prior(&last.pose, config))
+        });
+    }
+
+    /// Learns of the shutter from a measured frame.
+    pub fn saw_shutter(&mut self, estimate: &MotionEstimate) {
+        if let (Some(shutter), Some(seen)) = (&mut self.shutter, &estimate.shutter) {
+            shutter.learn(seen, estimate.pose.height_m);
+        }
+    }
+
+    /// How the present frame is exposed where it was taken at `pose`; `None` for a global shutter.
+    pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> Option<RollingShutter> {
+        self.frame_shutter.as_ref().map(|prior| prior.shutter_at(camera, pose))
+    }
+
+    /// The present frame's view from `pose`.
+    pub fn viewing(&self, camera: &Camera, pose: &GroundPose) -> ViewingPose {
+        match self.shutter_at(camera, pose) {
+            Some(shutter) => ViewingPose::behind_shutter(*pose, &shutter),
+            None => ViewingPose::new(*pose),
+        }
     }
 
     /// A frame was measured, and this part of the corners in view agreed.

@@ -7,6 +7,7 @@
 mod candidate;
 mod config;
 mod doubt;
+mod exposure;
 mod follow;
 mod keyframe;
 mod keyframe_event;
@@ -17,6 +18,7 @@ mod limits;
 mod loss;
 pub(crate) mod matching;
 mod recovery;
+mod shutter;
 mod succession;
 mod texture;
 
@@ -28,6 +30,7 @@ use crate::image::{GrayImage, Pyramid};
 use crate::motion::{MotionEstimate, MotionModel, Random};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::Candidate;
+use exposure::Exposure;
 pub use config::{KeyframeConfig, OdometryConfig};
 use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
@@ -75,6 +78,8 @@ pub struct Odometry {
     /// What happened to the keyframes and was not asked for yet, where it is asked for.
     events: Option<Vec<KeyframeEvent>>,
     reference: Option<FrameReference>,
+    /// How the present keyframe was exposed, as far as the frame after it can tell it better.
+    exposure: Option<Exposure>,
 }
 
 /// Where this part of the corners in view that usually agree is found and agrees, what is missing lies out of view: to search again would find nothing.
@@ -87,10 +92,10 @@ impl Odometry {
         let config = config.validated()?.for_camera(&camera);
         Ok(Self {
             recovery: Recovery::new(&camera),
-            camera,
             config,
             first_pose,
-            learned: Learned::new(&first_pose),
+            learned: Learned::behind_shutter(&first_pose, &camera, config.motion.model),
+            camera,
             keyframe: None,
             memory: KeyframeMemory::new(config.keyframe.remembered),
             last: None,
@@ -105,6 +110,7 @@ impl Odometry {
             spare: None,
             events: None,
             reference: None,
+            exposure: None,
         })
     }
 
@@ -122,6 +128,7 @@ impl Odometry {
             }
             None => Pyramid::new(image, self.config.flow.levels),
         };
+        self.learned.foretell_shutter(self.last.as_ref(), time_s, &self.config.motion);
         let frame = match self.measure(&pyramid, time_s) {
             Ok(measurement) => self.accept(pyramid, time_s, measurement),
             Err(reason) => self.lose(pyramid, time_s, reason),
@@ -249,6 +256,8 @@ impl Odometry {
         if let Some(presence) = presence {
             self.learned.saw(presence);
         }
+        self.learned.saw_shutter(&estimate);
+        self.expose_keyframe(time_s, &estimate);
         self.candidate = None;
         self.recovery.reset();
         if std::mem::take(&mut self.lost_frames) > 0 {
@@ -298,6 +307,7 @@ impl Odometry {
             .collect();
         self.keyframe = Some(keyframe);
         self.last = Some(LastPose::still(time_s, pose, covariance));
+        self.exposure = Some(Exposure::first(time_s, pose));
         FrameEstimate {
             frame: self.frames,
             time_s,

@@ -258,6 +258,7 @@ mod tests {
             residual_px: 0.1,
             neighbours: Default::default(),
             rig_evidence: None,
+            shutter: None,
         };
         Found {
             measurement: Measurement {

@@ -53,6 +53,7 @@ impl Odometry {
             Some(Before { id: before.id?, pose: before.pose, covariance: estimate.covariance, kind })
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
+        self.expose(&mut next, time_s, estimate);
         self.number(&mut next, (self.frames, time_s), before);
         self.serve_from_here(next.id, pose);
         if let Some(before) = self.keyframe.replace(next) {

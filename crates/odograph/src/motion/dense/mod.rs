@@ -184,7 +184,7 @@ impl Level<'_> {
         let reach_px = (REACH * usual_px).max(self.plane.pixels_per_sample);
         let config = MotionConfig { inlier_px: reach_px, ..*self.config };
         let agreeing = vec![true; observations.len()];
-        let observations = Observations { seen: &observations, laid_from: self.laid_from };
+        let observations = Observations { seen: &observations, laid_from: self.laid_from, shutter: None };
         let estimate =
             planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;
         let agreement = estimate.inlier_count() as f64 / looks.len() as f64;
@@ -216,6 +216,8 @@ impl Level<'_> {
             ground: tile.patch.ground,
             pixel: Pixel::new(position.x - bend.x - step.x, position.y - bend.y - step.y),
             covariance_px2,
+            row_fraction: 0.0,
+            ground_by_readout: [0.0; 2],
         })
     }
 }

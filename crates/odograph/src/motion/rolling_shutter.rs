@@ -1,0 +1,137 @@
+//! Rolling shutters: each row of an image is exposed at its own time, while the camera moves.
+//!
+//! The time of an image is that of its middle row, and so is its pose. Within the image the pose
+//! changes at constant rates. A pixel is brought to where a global shutter would have seen the same
+//! ground ([`RollingShutter::global_pixel`]); rates and readout time that differ from what was
+//! assumed are unknowns beside the pose ([`super::nuisance`]).
+
+use crate::camera::Camera;
+use crate::geometry::{GroundPose, Pixel};
+use nalgebra::Vector6;
+
+/// Rates of (x, y, heading, height, roll, pitch), metres and radians per second.
+pub type PoseRates = Vector6<f64>;
+
+/// The time at which each row of an image is exposed, and how the camera moves meanwhile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RollingShutter {
+    /// From the exposure of the first row to that of the last, seconds.
+    pub readout_s: f64,
+    /// Rows of the image.
+    pub rows: usize,
+    /// Rates of the pose within the image.
+    pub rates: PoseRates,
+}
+
+impl RollingShutter {
+    /// A camera with a readout time, moving at `rates`.
+    pub fn new(camera: &Camera, readout_s: f64, rates: PoseRates) -> Self {
+        Self { readout_s, rows: camera.height(), rates }
+    }
+
+    /// Where a row lies in the image: −1/2 at its upper edge, 1/2 at its lower edge.
+    pub fn row_fraction(&self, y: f64) -> f64 {
+        (y + 0.5) / self.rows as f64 - 0.5
+    }
+
+    /// How much later than the middle row a row is exposed, seconds.
+    pub fn row_time_s(&self, y: f64) -> f64 {
+        self.readout_s * self.row_fraction(y)
+    }
+
+    /// The pose at the time of a row; `pose` is that of the middle row.
+    pub fn pose_at(&self, pose: &GroundPose, y: f64) -> GroundPose {
+        GroundPose::from_vector(&(pose.to_vector() + self.row_time_s(y) * self.rates))
+    }
+
+    /// Whether all rows see the same pose.
+    pub fn is_global(&self) -> bool {
+        self.readout_s == 0.0 || self.rates == PoseRates::zeros()
+    }
+
+    /// Whether the camera stands, so that it does not matter when a row is exposed.
+    pub fn is_static(&self) -> bool {
+        self.rates == PoseRates::zeros()
+    }
+
+    /// Where a global shutter at `pose` would have seen the ground that a pixel shows. `None` where
+    /// it shows no ground.
+    pub fn global_pixel(&self, camera: &Camera, pose: &GroundPose, pixel: Pixel) -> Option<Pixel> {
+        if self.is_global() {
+            return Some(pixel);
+        }
+        let ground = self.pose_at(pose, pixel.y).ground_from_ray(camera.ray_from_pixel(pixel)?)?;
+        camera.pixel_from_ray(pose.ray_from_ground(ground)?)
+    }
+}
+
+/// A normal distribution of the readout time, seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Readout {
+    /// Its mean.
+    pub mean_s: f64,
+    /// Its variance, seconds²; 0 where the readout time is known.
+    pub variance_s2: f64,
+}
+
+/// What is known of how an image is exposed before its pose is measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShutterPrior {
+    /// The readout time.
+    pub readout: Readout,
+    /// The rates of the pose are expected at `rate_by_pose_hz` times the pose plus `rate_offset`.
+    pub rate_by_pose_hz: f64,
+    /// See `rate_by_pose_hz`.
+    pub rate_offset: PoseRates,
+    /// Standard deviations of the rates.
+    pub rate_sigma: PoseRates,
+}
+
+impl ShutterPrior {
+    /// The shutter of an image at `pose`, as it is expected.
+    pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> RollingShutter {
+        let rates = self.rate_by_pose_hz * pose.to_vector() + self.rate_offset;
+        RollingShutter::new(camera, self.readout.mean_s, rates)
+    }
+}
+
+/// What a frame tells of its shutter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShutterEstimate {
+    /// The rates of the pose, with the prior.
+    pub rates: PoseRates,
+    /// What was expected of them.
+    pub expected: PoseRates,
+    /// The rates as the tracks alone have them, and their variances; infinite where they tell nothing.
+    pub evidence: PoseRates,
+    /// See `evidence`.
+    pub evidence_variance: PoseRates,
+    /// The readout time that the tracks alone tell, and the inverse of its variance, seconds⁻².
+    pub readout_s: f64,
+    /// See `readout_s`.
+    pub readout_information: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Distortion;
+
+    #[test]
+    fn a_global_pixel_sees_the_ground_of_its_row() {
+        let lens = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
+        let camera = Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), lens).unwrap();
+        let rates = PoseRates::new(0.5, -0.2, 0.7, 0.1, 0.2, -0.3);
+        let shutter = RollingShutter::new(&camera, 0.02, rates);
+        let pose = GroundPose { x_m: 1.0, heading_rad: 0.4, ..GroundPose::level(0.75) };
+        let pixel = Pixel::new(100.0, 50.0);
+        let at_row = shutter.pose_at(&pose, pixel.y);
+        let ground = at_row.ground_from_ray(camera.ray_from_pixel(pixel).unwrap()).unwrap();
+        let global = shutter.global_pixel(&camera, &pose, pixel).unwrap();
+        let again = pose.ground_from_ray(camera.ray_from_pixel(global).unwrap()).unwrap();
+        assert!(ground.distance(again) < 1e-12);
+        assert!(global.distance(pixel) > 3.0);
+        let middle = Pixel::new(100.0, 239.5);
+        assert!(shutter.global_pixel(&camera, &pose, middle).unwrap().distance(middle) < 1e-9);
+    }
+}
