@@ -348,9 +348,8 @@ impl Exposure {
         if let Some(dirt) = effects.dirt {
             dirt.darken(&mut shade, width, seed);
         }
-        let highlight = |lamp: Lamp| {
-            (0..width * height).map(|i| lamp.highlight_gray(place(i), (w, h)) as f32).collect()
-        };
+        let highlight =
+            |lamp: Lamp| (0..width * height).map(|i| lamp.highlight_gray(place(i), (w, h)) as f32).collect();
         let lighting = effects.lighting.map(|light| {
             (light, Wobble::new(mix(seed ^ 0x11), 1.0 / 7.0), Wobble::new(mix(seed ^ 0x12), 1.0 / 5.0))
         });

@@ -42,8 +42,7 @@ impl Default for Lamp {
 impl Lamp {
     /// How much light falls on what a pixel sees, 1 where all of it came from everywhere.
     pub(super) fn light(&self, (x, y): (f64, f64), (width, height): (f64, f64)) -> f64 {
-        let distance =
-            length(x - self.center.0 * width, y - self.center.1 * height) / (self.radius * height);
+        let distance = length(x - self.center.0 * width, y - self.center.1 * height) / (self.radius * height);
         1.0 - 0.85 * self.strength + 2.0 * self.strength * (-distance * distance).exp()
     }
 

@@ -368,9 +368,8 @@ impl Block {
         // Grows until the surface above all places that rays pass between the bounds lies between them.
         for _ in 0..12 {
             let (area_x, area_y) = (over(bounds, &x, &rows_x), over(bounds, &y, &rows_y));
-            let world = |span: Span, origin: f64| {
-                (origin + f64::from(span.least), origin + f64::from(span.most))
-            };
+            let world =
+                |span: Span, origin: f64| (origin + f64::from(span.least), origin + f64::from(span.most));
             let (low, high) =
                 surface.bounds(world(area_x, scene.origin.x_m), world(area_y, scene.origin.y_m));
             if bounds.0 <= low && high <= bounds.1 {

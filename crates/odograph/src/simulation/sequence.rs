@@ -262,8 +262,7 @@ impl Simulation {
             .into_iter()
             .flat_map(|row| [0, self.renderer.width() - 1].map(|column| (column, row)))
             .filter_map(|(column, row)| {
-                let ray =
-                    self.config.camera.ray_from_pixel(Pixel::new(column as f64, row as f64))?;
+                let ray = self.config.camera.ray_from_pixel(Pixel::new(column as f64, row as f64))?;
                 let met = |share: f64| {
                     self.over_ground(self.truth(self.row_time_s(at(share), row))).ground_from_ray(ray)
                 };
