@@ -53,6 +53,36 @@ pub struct SimulateArguments {
     /// Distance between lanes, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.6, help_heading = "Ground and way")]
     spacing: f64,
+    /// Stones of this height above and depth below the ground's level, millimetres, 3 cm apart where no other distance is given
+    #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
+    relief: Option<scene::Pair>,
+    /// Slow ups and downs by so many centimetres, 2 m from top to top where no other distance is given
+    #[arg(long, value_name = "CM[:WAVELENGTH_M]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
+    undulation: Option<scene::Pair>,
+    /// A step of so many centimetres (negative: down) across the way, at x = 1 m where no other place is given
+    #[arg(
+        long,
+        value_name = "CM[:AT_M]",
+        value_parser = scene::parse_pair,
+        allow_hyphen_values = true,
+        help_heading = "Ground and way"
+    )]
+    kerb: Option<scene::Pair>,
+    /// An incline of so many percent (negative: down), from x = 1 m where no other place is given
+    #[arg(
+        long,
+        value_name = "PERCENT[:AT_M]",
+        value_parser = scene::parse_pair,
+        allow_hyphen_values = true,
+        help_heading = "Ground and way"
+    )]
+    ramp: Option<scene::Pair>,
+    /// The camera follows undulation, kerb and ramp on wheels 0.5 m apart, instead of keeping its height and staying upright
+    #[arg(long, help_heading = "Ground and way")]
+    ride: bool,
+    /// Grass in the wind: a share of the ground (0.3 where it is left out) swings by so many pixels to either side
+    #[arg(long, value_name = "PX[:SHARE]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
+    sway: Option<scene::Pair>,
     /// Record this long, seconds, instead of to the end of the path; before and after, the camera stands
     #[arg(long, value_name = "SECONDS", help_heading = "Ground and way")]
     duration: Option<f64>,
@@ -166,6 +196,30 @@ pub struct SimulateArguments {
     /// The lens is covered from one time to another, seconds; may be given more than once
     #[arg(long, value_name = "FROM:TO", value_parser = scene::parse_blackout, help_heading = "Effects")]
     blackout: Vec<odograph::simulation::Blackout>,
+    /// Rolling shutter: time from the first row to the last, milliseconds; a timestamp is that of the middle row
+    #[arg(
+        long,
+        value_name = "MS",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        help_heading = "Effects"
+    )]
+    readout_ms: f64,
+    /// Write the readout time into camera.yaml; otherwise nobody is told
+    #[arg(long, help_heading = "Effects")]
+    tell_readout: bool,
+    /// The focal length goes to and fro by so many percent, every 5 seconds where no other time is given
+    #[arg(long, value_name = "PERCENT[:SECONDS]", value_parser = scene::parse_pair, help_heading = "Effects")]
+    breathing: Option<scene::Pair>,
+    /// A bumper covers this share of the image from its bottom edge and stands still in it
+    #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.15", help_heading = "Effects")]
+    bumper: Option<f64>,
+    /// So many dark specks lie on the lens
+    #[arg(long, value_name = "COUNT", num_args = 0..=1, default_missing_value = "6", help_heading = "Effects")]
+    dirt: Option<u32>,
+    /// The carrier's own lamp gives this share of the light, 0 to 1: a bright spot with a highlight, dark around it
+    #[arg(long, value_name = "STRENGTH", num_args = 0..=1, default_missing_value = "0.7", help_heading = "Effects")]
+    lamp: Option<f64>,
     /// Share of frames that are missing
     #[arg(
         long,

@@ -1,6 +1,10 @@
 //! What makes a recording hard: each effect off by default, each repeatable by seed.
 
+use super::fixtures::{Bumper, Cover, Dirt, Lamp};
 use super::noise::{GaussianStream, Wobble, mix, uniform, value_noise};
+use super::sway::Sway;
+use super::terrain::Terrain;
+use super::texture::luminance;
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPoint, GroundPose};
 use serde::{Deserialize, Serialize};
@@ -11,6 +15,9 @@ use serde::{Deserialize, Serialize};
 pub struct Effects {
     /// Exposure time, seconds; 0 is a perfectly sharp image. The truth is the pose in the middle of the exposure.
     pub exposure_s: f64,
+    /// How long the sensor takes from the first row to the last, seconds; 0 is a global shutter. Row `r` of `H` is exposed
+    /// `readout_s · ((r + 0.5) / H − 0.5)` after the time of the frame, to which the truth belongs. At most the time between frames.
+    pub readout_s: f64,
     /// Standard deviation of the sensor's noise, gray levels.
     pub noise_gray: f64,
     /// How much darker the corner of the image is than its centre, 0 to 1 (falls with the square of the distance).
@@ -21,12 +28,24 @@ pub struct Effects {
     pub height_change: Option<Wander>,
     /// Slow change of roll and pitch; amplitude in radians.
     pub tilt_change: Option<Wander>,
+    /// A focal length that changes.
+    pub breathing: Option<Breathing>,
+    /// Ground that is not flat.
+    pub terrain: Terrain,
+    /// Ground that moves by itself.
+    pub sway: Option<Sway>,
     /// Light that changes.
     pub lighting: Option<Lighting>,
     /// Sudden changes of the camera's exposure.
     pub exposure_jumps: Option<ExposureJumps>,
     /// The carrier's own shadow, which stands still in the image.
     pub carrier_shadow: Option<Shadow>,
+    /// A part of the carrier, which stands still in the image.
+    pub bumper: Option<Bumper>,
+    /// Specks on the lens, which stand still in the image.
+    pub dirt: Option<Dirt>,
+    /// A lamp on the carrier, whose spot stands still in the image.
+    pub lamp: Option<Lamp>,
     /// Darkness (0 to 1) of shadows that lie on the ground; 0 is none.
     pub ground_shadow: f64,
     /// Things that cross the ground below the camera.
@@ -57,6 +76,23 @@ pub struct Wander {
     pub amplitude: f64,
     /// About how long it takes there and back, seconds.
     pub period_s: f64,
+}
+
+/// A focus that goes back and forth and with it the focal length, in a sine that begins at the camera's own.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Breathing {
+    /// Largest change of the focal length to either side, a fraction.
+    pub share: f64,
+    /// Time there and back, seconds.
+    pub period_s: f64,
+}
+
+impl Breathing {
+    /// By which share the focal length is longer at a time, in seconds.
+    pub fn share_at(&self, time_s: f64) -> f64 {
+        self.share * (std::f64::consts::TAU * time_s / self.period_s).sin()
+    }
 }
 
 /// Light that drifts and flickers.
@@ -138,6 +174,7 @@ impl Effects {
     pub fn validated(self) -> Result<Self> {
         let mut checks = vec![
             ("exposure time", self.exposure_s, 0.0..10.0),
+            ("readout time", self.readout_s, 0.0..10.0),
             ("noise", self.noise_gray, 0.0..128.0),
             ("vignetting", self.vignetting, 0.0..1.000_001),
             ("darkness of the ground's shadows", self.ground_shadow, 0.0..1.000_001),
@@ -174,6 +211,27 @@ impl Effects {
             checks.push(("shadow's place", shadow.center.0, -10.0..10.0));
             checks.push(("shadow's place", shadow.center.1, -10.0..10.0));
         }
+        if let Some(breathing) = self.breathing {
+            checks.push(("change of the focal length", breathing.share, 0.0..0.2));
+            checks.push(("period of the focal length's change", breathing.period_s, tiny..1e6));
+        }
+        if let Some(sway) = self.sway {
+            checks.push(("sway", sway.amplitude_m, 0.0..1.0));
+            checks.push(("share of the ground that sways", sway.share, tiny..1.000_001));
+            checks.push(("sway's period", sway.period_s, tiny..1e6));
+        }
+        if let Some(bumper) = self.bumper {
+            checks.push(("bumper's share of the image", bumper.share, tiny..0.9));
+        }
+        if let Some(dirt) = self.dirt {
+            checks.push(("number of specks on the lens", f64::from(dirt.count), 0.0..10_001.0));
+        }
+        if let Some(lamp) = self.lamp {
+            checks.push(("lamp's strength", lamp.strength, 0.0..1.000_001));
+            checks.push(("radius of the lamp's spot", lamp.radius, tiny..10.0));
+            checks.push(("place of the lamp's spot", lamp.center.0, -10.0..10.0));
+            checks.push(("place of the lamp's spot", lamp.center.1, -10.0..10.0));
+        }
         if let Some(object) = self.object {
             checks.push(("object's radius", object.radius_m, tiny..1e4));
             checks.push(("object's speed", object.speed_m_s, 0.0..1e4));
@@ -184,7 +242,7 @@ impl Effects {
             checks.push(("blackout's length", blackout.to_s - blackout.from_s, 0.0..1e6));
         }
         match checks.into_iter().find(|(_, value, range)| !range.contains(value)) {
-            None => Ok(self),
+            None => Ok(Self { terrain: self.terrain.validated()?, ..self }),
             Some((name, value, range)) => Err(Error::usage(format!(
                 "the {name} is {value}; it must be between {} and {}",
                 if range.start == tiny { 0.0 } else { range.start },
@@ -241,11 +299,22 @@ impl Disturbance {
     }
 }
 
+/// How long after the time of its frame a row of so many is exposed, seconds: 0 for the middle of the image.
+pub(super) fn row_offset_s(readout_s: f64, row: usize, rows: usize) -> f64 {
+    readout_s * ((row as f64 + 0.5) / rows as f64 - 0.5)
+}
+
 /// The effects between the ground's light and the delivered image.
 #[derive(Debug, Clone)]
 pub(super) struct Exposure {
-    /// Per pixel: what vignetting and the carrier's shadow leave of the light.
+    width: usize,
+    readout_s: f64,
+    /// Per pixel: what vignetting, the carrier's shadow, its lamp and dirt make of the light.
     shade: Vec<f32>,
+    /// Per pixel: what hides the ground; empty where nothing does.
+    covers: Vec<Cover>,
+    /// Per pixel: what a lamp's highlight adds, gray levels; empty where there is no lamp.
+    highlight: Vec<f32>,
     lighting: Option<(Lighting, Wobble, Wobble)>,
     jumps: Option<ExposureJumps>,
     blackouts: Vec<Blackout>,
@@ -259,9 +328,10 @@ const COVERED_GRAY: f32 = 6.0;
 impl Exposure {
     pub(super) fn new(effects: &Effects, width: usize, height: usize, seed: u64) -> Self {
         let (w, h) = (width as f64, height as f64);
-        let shade = (0..width * height)
+        let place = |i: usize| ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let mut shade: Vec<f32> = (0..width * height)
             .map(|i| {
-                let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+                let (x, y) = place(i);
                 let corner = (x - 0.5 * w).hypot(y - 0.5 * h) / (0.5 * w.hypot(h));
                 let mut left = 1.0 - effects.vignetting * corner * corner;
                 if let Some(shadow) = effects.carrier_shadow {
@@ -269,14 +339,26 @@ impl Exposure {
                         (x - shadow.center.0 * w).hypot(y - shadow.center.1 * h) / (shadow.radius * h);
                     left *= 1.0 - shadow.darkness * (-distance.powi(4)).exp();
                 }
+                if let Some(lamp) = effects.lamp {
+                    left *= lamp.light((x, y), (w, h));
+                }
                 left as f32
             })
             .collect();
+        if let Some(dirt) = effects.dirt {
+            dirt.darken(&mut shade, width, seed);
+        }
+        let highlight =
+            |lamp: Lamp| (0..width * height).map(|i| lamp.highlight_gray(place(i), (w, h)) as f32).collect();
         let lighting = effects.lighting.map(|light| {
             (light, Wobble::new(mix(seed ^ 0x11), 1.0 / 7.0), Wobble::new(mix(seed ^ 0x12), 1.0 / 5.0))
         });
         Self {
+            width,
+            readout_s: effects.readout_s,
             shade,
+            covers: effects.bumper.map_or(vec![], |bumper| bumper.covers(width, height, seed)),
+            highlight: effects.lamp.map_or(vec![], highlight),
             lighting,
             jumps: effects.exposure_jumps,
             blackouts: effects.blackouts.clone(),
@@ -292,16 +374,28 @@ impl Exposure {
 
     /// Turns light (planes of gray levels, one a channel) into the 8-bit samples of frame `number`, interleaved.
     pub(super) fn develop(&self, planes: &[f32], number: u64, time_s: f64) -> Vec<u8> {
-        let (gain, offset) = self.gain_and_offset(time_s);
-        let covered = self.covered(time_s);
         let pixels = self.shade.len();
+        let (width, rows) = (self.width, pixels / self.width);
+        let (mut gain, mut offset) = (1.0, 0.0);
+        let covered = self.covered(time_s);
         let channels = planes.len() / pixels;
         let mut samples = vec![0u8; planes.len()];
         let mut noise = GaussianStream::new(mix(self.seed ^ 0x4015E) ^ mix(number));
         for (i, shade) in self.shade.iter().enumerate() {
+            if i % width == 0 {
+                let row_s = time_s + row_offset_s(self.readout_s, i / width, rows);
+                (gain, offset) = self.gain_and_offset(row_s, time_s);
+            }
+            let cover = self.covers.get(i).filter(|(share, _)| *share > 0.0);
+            let highlight = self.highlight.get(i).copied().unwrap_or(0.0);
             for channel in 0..channels {
-                let light = planes[channel * pixels + i];
-                let mut gray = if covered { COVERED_GRAY } else { light * shade * gain + offset };
+                let mut light = planes[channel * pixels + i];
+                if let Some((share, color)) = cover {
+                    let own = if channels == 1 { luminance(*color) } else { color[channel] };
+                    light += share * (own - light);
+                }
+                let mut gray =
+                    if covered { COVERED_GRAY } else { (light * shade + highlight) * gain + offset };
                 if self.noise_gray > 0.0 {
                     gray += self.noise_gray * noise.sample();
                 }
@@ -312,15 +406,16 @@ impl Exposure {
         samples
     }
 
-    fn gain_and_offset(&self, time_s: f64) -> (f32, f32) {
+    /// What the light at a row's time and the exposure of its frame make of gray levels.
+    fn gain_and_offset(&self, row_s: f64, frame_s: f64) -> (f32, f32) {
         let (mut gain, mut offset) = (1.0, 0.0);
         if let Some((light, drift, black)) = &self.lighting {
-            let flicker = (std::f64::consts::TAU * light.flicker_hz * time_s).sin();
-            gain *= (1.0 + light.drift * drift.at(time_s)) * (1.0 + light.flicker * flicker);
-            offset += light.offset_gray * black.at(time_s);
+            let flicker = (std::f64::consts::TAU * light.flicker_hz * row_s).sin();
+            gain *= (1.0 + light.drift * drift.at(row_s)) * (1.0 + light.flicker * flicker);
+            offset += light.offset_gray * black.at(row_s);
         }
         if let Some(jumps) = self.jumps {
-            let number = (time_s / jumps.every_s).floor() as i64 as u64;
+            let number = (frame_s / jumps.every_s).floor() as i64 as u64;
             gain *= 1.0 + jumps.amount * (2.0 * uniform(self.seed ^ 0x30B, number) - 1.0);
         }
         (gain as f32, offset as f32)

@@ -4,7 +4,7 @@ use super::noise::{GaussianStream, mix, uniform};
 use super::sequence::Simulation;
 use crate::error::Result;
 use crate::filter::fusion::{Quantity, SensorRecord, Sensors};
-use crate::geometry::GroundPose;
+use crate::geometry::{GroundPoint, GroundPose};
 use serde::Serialize;
 
 /// The errors of one sensor.
@@ -58,6 +58,10 @@ impl Simulation {
         const HALF_S: f64 = 0.001;
         let rate = |of: &dyn Fn(f64) -> f64, t: f64| (of(t + HALF_S) - of(t - HALF_S)) / (2.0 * HALF_S);
         let truth = |of: fn(&GroundPose) -> f64| move |t: f64| of(&self.truth(t));
+        let over_ground = |t: f64| {
+            let pose = self.truth(t);
+            pose.height_m - self.ground_level_m(GroundPoint::new(pose.x_m, pose.y_m))
+        };
         let speed = |t: f64| {
             let (path, rig) = (&self.config().path, &self.config().rig);
             let along = |of: fn(&GroundPose) -> f64| rate(&|t| of(&path.pose(t, rig)), t);
@@ -82,7 +86,7 @@ impl Simulation {
             gyro: Some(record(Quantity::TurnRate, 100.0, &gyro, 1, &|t| rate(&heading_of, t))?),
             heading: Some(record(Quantity::Heading, 20.0, &heading, 2, &heading_of)?),
             wheel: Some(record(Quantity::Speed, 50.0, &wheel, 3, &speed)?),
-            range: Some(record(Quantity::Height, 25.0, &range, 4, &truth(|pose| pose.height_m))?),
+            range: Some(record(Quantity::Height, 25.0, &range, 4, &over_ground)?),
         };
         Ok(SimulatedSensors { records, gyro, heading, wheel, range })
     }

@@ -1,14 +1,16 @@
 //! A whole simulated recording.
 
-use super::effects::{Discs, Disturbance, Effects, Exposure};
+use super::effects::{Breathing, Disc, Discs, Disturbance, Effects, Exposure, row_offset_s};
 use super::ground::Ground;
 use super::noise::{GaussianStream, mix, uniform};
 use super::path::Path;
-use super::renderer::Renderer;
+use super::renderer::{Renderer, Scene};
+use super::sway::Swaying;
+use super::terrain::Surface;
 use super::texture::{Texture, luminance};
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
-use crate::geometry::{GroundPose, Pixel};
+use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::{GrayImage, RgbImage};
 
 /// Everything a simulated recording is made from.
@@ -39,7 +41,11 @@ pub struct SimulationConfig {
 pub struct Simulation {
     config: SimulationConfig,
     renderer: Renderer,
+    /// Where the focus breathes: with the shortest and with the longest focal length.
+    refocused: Option<[Renderer; 2]>,
     ground: Ground,
+    surface: Option<Surface>,
+    sway: Option<Swaying>,
     disturbance: Disturbance,
     exposure: Exposure,
     discs: Option<Discs>,
@@ -74,7 +80,21 @@ impl Simulation {
         let rig = config.rig.validated()?;
         let effects = config.effects.clone().validated()?;
         let config = SimulationConfig { rig, effects, ..config };
+        if config.effects.readout_s * config.fps > 1.0 {
+            return Err(Error::usage(format!(
+                "a readout time of {} s is longer than the time between frames, {} s",
+                config.effects.readout_s,
+                1.0 / config.fps
+            )));
+        }
         let renderer = Renderer::new(&config.camera);
+        let refocused = match config.effects.breathing {
+            Some(Breathing { share, .. }) if share > 0.0 => {
+                let other = |share: f64| refocused(&config.camera, share).map(|lens| Renderer::new(&lens));
+                Some([other(-share)?, other(share)?])
+            }
+            _ => None,
+        };
         let ground = Ground::new(
             config.texture.clone(),
             renderer.footprint_m(config.rig.height_m),
@@ -85,9 +105,12 @@ impl Simulation {
             0.0 => ground,
             darkness => ground.with_shadows(darkness),
         };
-        Ok(Self {
+        let simulation = Self {
             renderer,
+            refocused,
             ground,
+            surface: Surface::new(&config.effects.terrain, config.seed),
+            sway: config.effects.sway.map(|sway| Swaying::new(sway, config.seed)),
             disturbance: Disturbance::new(&config.effects, config.seed),
             exposure: Exposure::new(
                 &config.effects,
@@ -98,7 +121,21 @@ impl Simulation {
             discs: config.effects.object.map(|object| Discs::new(object, config.seed)),
             times_s: times_s(&config)?,
             config,
-        })
+        };
+        simulation.above_ground()?;
+        Ok(simulation)
+    }
+
+    /// Fails where ground that rises reaches the camera.
+    fn above_ground(&self) -> Result<()> {
+        let least_m = 0.1 * self.config.rig.height_m;
+        let too_low = |time_s: &&f64| self.over_ground(self.truth(**time_s)).height_m < least_m;
+        match self.times_s.iter().find(too_low).filter(|_| self.surface.is_some()) {
+            None => Ok(()),
+            Some(time_s) => Err(Error::usage(format!(
+                "at {time_s:.2} s the camera is less than {least_m} m above the ground; let it ride, or lower the terrain"
+            ))),
+        }
     }
 
     /// What it is made from.
@@ -117,9 +154,40 @@ impl Simulation {
         &self.times_s
     }
 
-    /// Where the camera is at a time, seconds.
+    /// Where the camera is in the world at a time, seconds; its `height_m` counts from z = 0, wherever the ground is.
     pub fn truth(&self, time_s: f64) -> GroundPose {
-        self.disturbance.applied(self.config.path.pose(time_s, &self.config.rig), time_s)
+        let carrier = self.config.path.pose(time_s, &self.config.rig);
+        let pose = self.disturbance.applied(carrier, time_s);
+        self.surface.as_ref().map_or(pose, |surface| surface.ridden(&carrier, pose))
+    }
+
+    /// When a row of the frame of a time is exposed, in the middle of its exposure, seconds.
+    pub fn row_time_s(&self, time_s: f64, row: usize) -> f64 {
+        time_s + row_offset_s(self.config.effects.readout_s, row, self.renderer.height())
+    }
+
+    /// The height of the ground at a place, metres above z = 0, relief included.
+    pub fn ground_height_m(&self, point: GroundPoint) -> f64 {
+        self.surface.as_ref().map_or(0.0, |surface| surface.height_m(point.x_m, point.y_m))
+    }
+
+    /// The level of the ground at a place, metres above z = 0: undulation, kerb and ramp without the relief that lies on them.
+    pub fn ground_level_m(&self, point: GroundPoint) -> f64 {
+        self.surface.as_ref().map_or(0.0, |surface| surface.level_m(point.x_m, point.y_m))
+    }
+
+    /// The pose with its height above the level of the ground below the camera.
+    fn over_ground(&self, pose: GroundPose) -> GroundPose {
+        let level_m = self.ground_level_m(GroundPoint::new(pose.x_m, pose.y_m));
+        GroundPose { height_m: pose.height_m - level_m, ..pose }
+    }
+
+    /// The camera of the frame of a time, seconds: another than the simulation's own where its focus breathes.
+    pub fn camera(&self, time_s: f64) -> Result<Camera> {
+        match self.config.effects.breathing {
+            Some(breathing) => refocused(&self.config.camera, breathing.share_at(time_s)),
+            None => Ok(self.config.camera.clone()),
+        }
     }
 
     /// Renders a frame by its number; `None` beyond the last.
@@ -129,21 +197,15 @@ impl Simulation {
         let (width, height) = (self.renderer.width(), self.renderer.height());
         let mut planes = vec![0.0f32; width * height * self.ground.channels()];
         if !self.exposure.covered(time_s) {
+            let renderer = self.refocused.as_ref().zip(self.config.effects.breathing);
+            let renderer = renderer.map(|(ends, breathing)| {
+                self.renderer.refocused(ends, breathing.share_at(time_s), breathing.share)
+            });
+            let renderer = renderer.as_ref().unwrap_or(&self.renderer);
             let moments = self.moments_s(time_s);
             let weight = 1.0 / moments.len() as f32;
             for moment_s in moments {
-                let pose = self.truth(moment_s);
-                let Some(discs) = &self.discs else {
-                    self.renderer.add_view(&self.ground, &pose, weight, &mut planes);
-                    continue;
-                };
-                let mut view = vec![0.0; planes.len()];
-                self.renderer.add_view(&self.ground, &pose, weight, &mut view);
-                let discs = discs.at(moment_s, |t| self.config.path.pose(t, &self.config.rig));
-                self.renderer.cover(&self.ground, &pose, weight, &mut view, |point, footprint_m| {
-                    discs.iter().find_map(|disc| disc.color(point, footprint_m))
-                });
-                planes.iter_mut().zip(view).for_each(|(sum, sample)| *sum += sample);
+                self.add_moment(renderer, moment_s, weight, &mut planes);
             }
         }
         let samples = self.exposure.develop(&planes, number as u64, time_s);
@@ -164,26 +226,51 @@ impl Simulation {
         (0..self.len()).filter_map(|number| self.frame(number))
     }
 
-    /// The moments within the exposure of a frame, evenly spread around its time.
+    /// Adds what the camera sees at a moment of the exposure, each row at its own time.
+    fn add_moment(&self, renderer: &Renderer, moment_s: f64, weight: f32, planes: &mut [f32]) {
+        let rows = if self.config.effects.readout_s > 0.0 { renderer.height() } else { 1 };
+        let times_s: Vec<f64> = match rows {
+            1 => vec![moment_s],
+            _ => (0..rows).map(|row| self.row_time_s(moment_s, row)).collect(),
+        };
+        let poses: Vec<GroundPose> = times_s.iter().map(|time_s| self.truth(*time_s)).collect();
+        let scene = Scene::new(&poses, &times_s, self.surface.as_ref(), self.sway.as_ref());
+        let Some(discs) = &self.discs else {
+            renderer.add_scene(&self.ground, &scene, weight, planes);
+            return;
+        };
+        let mut view = vec![0.0; planes.len()];
+        renderer.add_scene(&self.ground, &scene, weight, &mut view);
+        let carrier = |time_s: f64| self.config.path.pose(time_s, &self.config.rig);
+        let discs: Vec<Vec<Disc>> = times_s.iter().map(|time_s| discs.at(*time_s, carrier)).collect();
+        let pose_of_row = |row: usize| self.over_ground(poses[row.min(rows - 1)]);
+        renderer.cover(&self.ground, pose_of_row, weight, &mut view, |row, point, footprint_m| {
+            discs[row.min(rows - 1)].iter().find_map(|disc| disc.color(point, footprint_m))
+        });
+        planes.iter_mut().zip(view).for_each(|(sum, sample)| *sum += sample);
+    }
+
+    /// The moments within the exposure of a frame, evenly spread around its time; those of a row are as far from its own.
     fn moments_s(&self, time_s: f64) -> Vec<f64> {
         let exposure_s = self.config.effects.exposure_s;
         if exposure_s <= 0.0 {
             return vec![time_s];
         }
-        // Vibration may turn around within an exposure: the way is measured in eight steps.
         let at = |share: f64| time_s + exposure_s * (share - 0.5);
-        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| {
-            let (w, h) = (self.renderer.width() - 1, self.renderer.height() - 1);
-            Pixel::new((x * w) as f64, (y * h) as f64)
-        });
-        let way_px = corners
+        let last_row = self.renderer.height() - 1;
+        let way_px = [0, last_row]
             .into_iter()
-            .filter_map(|corner| {
-                let ray = self.config.camera.ray_from_pixel(corner)?;
+            .flat_map(|row| [0, self.renderer.width() - 1].map(|column| (column, row)))
+            .filter_map(|(column, row)| {
+                let ray = self.config.camera.ray_from_pixel(Pixel::new(column as f64, row as f64))?;
+                let met = |share: f64| {
+                    self.over_ground(self.truth(self.row_time_s(at(share), row))).ground_from_ray(ray)
+                };
+                // Vibration may turn around within an exposure: the way is measured in eight steps.
                 let mut way_m = 0.0;
-                let mut before = self.truth(at(0.0)).ground_from_ray(ray)?;
+                let mut before = met(0.0)?;
                 for step in 1..=8 {
-                    let next = self.truth(at(f64::from(step) / 8.0)).ground_from_ray(ray)?;
+                    let next = met(f64::from(step) / 8.0)?;
                     way_m += next.distance(before);
                     before = next;
                 }
@@ -193,6 +280,13 @@ impl Simulation {
         let count = (way_px / BLUR_STEP_PX).ceil().clamp(1.0, 64.0) as usize;
         (0..count).map(|i| at((i as f64 + 0.5) / count as f64)).collect()
     }
+}
+
+/// The camera with a focal length that is `share` longer.
+fn refocused(camera: &Camera, share: f64) -> Result<Camera> {
+    let (size, (fx, fy)) = ((camera.width(), camera.height()), camera.focal_px());
+    let focal_px = (fx * (1.0 + share), fy * (1.0 + share));
+    Camera::new(size, focal_px, camera.principal_px(), *camera.distortion())
 }
 
 /// The times at which frames are taken and delivered.

@@ -42,6 +42,7 @@ pub struct Output {
     folder: PathBuf,
     format: FormatName,
     sensors: bool,
+    tell_readout: bool,
     threads: usize,
     bar: ProgressBar,
 }
@@ -78,7 +79,14 @@ impl Output {
         if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left") {
             bar.set_style(style);
         }
-        Ok(Self { folder, format: arguments.format, sensors: arguments.sensors, threads, bar })
+        Ok(Self {
+            folder,
+            format: arguments.format,
+            sensors: arguments.sensors,
+            tell_readout: arguments.tell_readout,
+            threads,
+            bar,
+        })
     }
 
     /// Renders and writes everything; the frames come last into their place, so that a folder with frames is a whole one.
@@ -98,9 +106,13 @@ impl Output {
             world_from_camera: simulation.truth(time_s).world_from_camera(),
         });
         let truth = Trajectory { poses: poses.collect() };
+        let mut camera = camera_file::write(&config.camera);
+        if self.tell_readout {
+            let _ = writeln!(camera, "readout_time_s: {}", config.effects.readout_s);
+        }
         for (name, text) in [
             ("truth.tum", write_tum(&truth)),
-            ("camera.yaml", camera_file::write(&config.camera)),
+            ("camera.yaml", camera),
             ("rig.toml", rig_file::write(&config.rig)),
             ("simulation.toml", parameters),
         ] {

@@ -6,8 +6,9 @@ use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
 use odograph::geometry::Pixel;
 use odograph::simulation::{
-    Blackout, Effects, ExposureJumps, Lighting, MovingObject, Path, PathKind, SensorErrors, Shadow,
-    SimulatedSensors, SimulationConfig, Texture, Tiling, Timing, Vibration, Wander,
+    Blackout, Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Lighting, MovingObject, Path,
+    PathKind, Ramp, Relief, SensorErrors, Shadow, SimulatedSensors, SimulationConfig, Sway, Terrain, Texture,
+    Tiling, Timing, Undulation, Vibration, Wander,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -50,6 +51,10 @@ impl Parameters {
 #[derive(Debug, Clone, Copy)]
 pub struct VibrationOption(Vibration);
 
+/// A number and a second one that may be left out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair(f64, Option<f64>);
+
 /// Builds the scene that the options describe, and tells it back as parameters.
 pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig, Parameters)> {
     let camera = camera(arguments)?;
@@ -63,7 +68,7 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
     let kind = path_kind(arguments, &camera, &rig)?;
     let turn_rate_rad_s = arguments.turn_rate.to_radians();
     let path = Path::new(kind, arguments.speed, turn_rate_rad_s, !arguments.rolling)?;
-    let effects = effects(arguments, &rig).validated()?;
+    let effects = effects(arguments, &rig, &camera).validated()?;
     let config = SimulationConfig {
         texture: texture(arguments)?,
         effects: effects.clone(),
@@ -160,9 +165,10 @@ fn path_kind(arguments: &SimulateArguments, camera: &Camera, rig: &Rig) -> Resul
     })
 }
 
-fn effects(arguments: &SimulateArguments, rig: &Rig) -> Effects {
+fn effects(arguments: &SimulateArguments, rig: &Rig, camera: &Camera) -> Effects {
     Effects {
         exposure_s: arguments.blur,
+        readout_s: arguments.readout_ms / 1000.0,
         noise_gray: arguments.noise,
         vignetting: arguments.vignetting,
         vibration: arguments.vibration.map(|vibration| vibration.0),
@@ -172,6 +178,19 @@ fn effects(arguments: &SimulateArguments, rig: &Rig) -> Effects {
         tilt_change: arguments
             .tilt_change
             .map(|degrees| Wander { amplitude: degrees.to_radians(), period_s: 4.0 }),
+        breathing: arguments.breathing.map(|Pair(percent, seconds)| Breathing {
+            share: percent / 100.0,
+            period_s: seconds.unwrap_or(5.0),
+        }),
+        terrain: terrain(arguments),
+        sway: arguments.sway.map(|Pair(px, share)| {
+            let (fx, fy) = camera.focal_px();
+            let footprint_m = rig.height_m / (fx * fy).sqrt();
+            Sway { amplitude_m: px * footprint_m, share: share.unwrap_or(0.3), period_s: 1.6 }
+        }),
+        bumper: arguments.bumper.map(|share| Bumper { share }),
+        dirt: arguments.dirt.map(|count| Dirt { count }),
+        lamp: arguments.lamp.map(|strength| Lamp { strength, ..Lamp::default() }),
         // Lamps on 50 Hz mains flicker at 100 Hz.
         lighting: arguments.lighting.map(|share| Lighting {
             drift: share,
@@ -190,6 +209,24 @@ fn effects(arguments: &SimulateArguments, rig: &Rig) -> Effects {
         }),
         blackouts: arguments.blackout.clone(),
         timing: Timing { dropped: arguments.dropped, jitter_s: arguments.jitter / 1000.0 },
+    }
+}
+
+fn terrain(arguments: &SimulateArguments) -> Terrain {
+    Terrain {
+        relief: arguments.relief.map(|Pair(mm, scale_cm)| Relief {
+            amplitude_m: mm / 1000.0,
+            scale_m: scale_cm.unwrap_or(3.0) / 100.0,
+        }),
+        undulation: arguments.undulation.map(|Pair(cm, wavelength_m)| Undulation {
+            amplitude_m: cm / 100.0,
+            wavelength_m: wavelength_m.unwrap_or(2.0),
+        }),
+        kerb: arguments.kerb.map(|Pair(cm, at_m)| Kerb { height_m: cm / 100.0, at_m: at_m.unwrap_or(1.0) }),
+        ramp: arguments
+            .ramp
+            .map(|Pair(percent, at_m)| Ramp { slope: percent / 100.0, at_m: at_m.unwrap_or(1.0) }),
+        ride: arguments.ride,
     }
 }
 
@@ -249,6 +286,16 @@ pub fn parse_vibration(text: &str) -> std::result::Result<VibrationOption, Strin
     Ok(VibrationOption(Vibration { shift_m: mm / 1000.0, turn_rad: degrees.to_radians(), frequency_hz }))
 }
 
+/// `5` or `5:1.5`.
+pub fn parse_pair(text: &str) -> std::result::Result<Pair, String> {
+    let number = |part: &str| part.trim().parse::<f64>().ok();
+    let pair = match text.split_once(':') {
+        Some((first, second)) => number(first).zip(number(second)).map(|(a, b)| Pair(a, Some(b))),
+        None => number(text).map(|first| Pair(first, None)),
+    };
+    pair.ok_or("it is written as one number, or as two with a colon between, for example 5:1.5".to_string())
+}
+
 /// `2.5:4`: covered from 2.5 to 4 seconds.
 pub fn parse_blackout(text: &str) -> std::result::Result<Blackout, String> {
     let times =
@@ -277,6 +324,9 @@ mod tests {
         assert_eq!((vibration.shift_m, vibration.frequency_hz), (0.002, 12.0));
         assert!(parse_vibration("a lot").is_err() && parse_vibration("1:2:3:4").is_err());
         assert_eq!(parse_blackout("2.5:4"), Ok(Blackout { from_s: 2.5, to_s: 4.0 }));
+        assert_eq!(parse_pair("-5"), Ok(Pair(-5.0, None)));
+        assert_eq!(parse_pair("5:1.5"), Ok(Pair(5.0, Some(1.5))));
+        assert!(parse_pair("5:").is_err() && parse_pair("high").is_err() && parse_pair("1:2:3").is_err());
         assert!(parse_blackout("4:2.5").is_err() && parse_blackout("4").is_err());
     }
 }
