@@ -118,8 +118,8 @@ pub struct Observation {
     pub whitening: Matrix2<f64>,
     /// Where its row lies in the image, −1/2 to 1/2: when it was exposed, in units of the readout time.
     pub row_fraction: f64,
-    /// How the ground point changes with the readout time, metres per second.
-    pub ground_by_readout: [f64; 2],
+    /// The same of its corner in the keyframe.
+    pub keyframe_row_fraction: f64,
 }
 
 stored!(Observation);
@@ -147,8 +147,8 @@ pub struct Sighting {
     pub covariance_px2: Matrix2<f64>,
     /// As [`Observation::row_fraction`].
     pub row_fraction: f64,
-    /// As [`Observation::ground_by_readout`].
-    pub ground_by_readout: [f64; 2],
+    /// As [`Observation::keyframe_row_fraction`].
+    pub keyframe_row_fraction: f64,
 }
 
 stored!(Sighting);
@@ -173,7 +173,7 @@ pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Obser
             pixel: seen.pixel,
             whitening,
             row_fraction: seen.row_fraction,
-            ground_by_readout: seen.ground_by_readout,
+            keyframe_row_fraction: seen.keyframe_row_fraction,
         }
     };
     Some((sightings.iter().map(observation).collect(), usual_px2.sqrt()))

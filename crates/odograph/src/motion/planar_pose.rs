@@ -2,7 +2,7 @@
 
 use super::nuisance::{Elimination, ShutterFit};
 use super::sharing::{Neighbours, shared_errors, shared_errors_of_rig, shared_px};
-use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior};
+use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior, ShutterEstimate};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, wrap_angle};
@@ -53,7 +53,7 @@ impl Pull {
 pub(super) struct Residual {
     pub error: [f64; 2],
     /// The distance before whitening, pixels.
-    distance_px: f64,
+    pub distance_px: f64,
     pub by_pose: [[f64; 6]; 2],
 }
 
@@ -305,7 +305,12 @@ pub fn refine(
         Some(shutter) => {
             let eliminated = shutter.eliminate(observations, &mut residuals, &weights, scale_px)?;
             let pose_covariance = unknowns.of(&information).cholesky()?.inverse();
-            Some(shutter.estimate(&eliminated, &pose_covariance, scale_px))
+            let by_keyframe_skew = pose_covariance
+                * slopes_by_keyframe(observations, &residuals, &weights, laid_from, &unknowns, |observation| {
+                    observation.keyframe_row_fraction
+                });
+            let estimate = shutter.estimate(&eliminated, &pose_covariance, scale_px);
+            Some(ShutterEstimate { pose_by_keyframe_skew: by_keyframe_skew, ..estimate })
         }
         None => None,
     };
@@ -319,7 +324,7 @@ pub fn refine(
         / spare as f64;
     let held_px = scale_where_held(camera, &pose, &information, &weights, scale_px);
     let shared_px = shared_px(scale_px, prior.shared_part * held_px);
-    let slopes = slopes_by_keyframe(observations, &residuals, &weights, laid_from, &unknowns);
+    let slopes = slopes_by_keyframe(observations, &residuals, &weights, laid_from, &unknowns, |_| 1.0);
     let rig_evidence = rig_evidence.and_then(|(evidence, tracks_alone)| {
         let by_keyframe = tracks_alone.cholesky()?.solve(&slopes);
         Some(RigEvidence {
@@ -353,13 +358,15 @@ fn scale_where_held(
     scale_px * (2.0 * all_alike / (information[(0, 0)] + information[(1, 1)])).sqrt()
 }
 
-/// How the pose changes with that from which the ground points were laid: by how much these move, and what pose then fits them best.
+/// How the slope of the fit changes with the pose from which the ground points were laid, of which each moves
+/// by a share.
 fn slopes_by_keyframe(
     observations: &[Observation],
     residuals: &[Residual],
     weights: &[f64],
     laid_from: &GroundPose,
     unknowns: &Unknowns,
+    share: impl Fn(&Observation) -> f64,
 ) -> Matrix6<f64> {
     let axes = Axes::new(laid_from);
     let mut slopes = [[0.0; 6]; 6];
@@ -369,6 +376,7 @@ fn slopes_by_keyframe(
             continue;
         }
         let [along_x, along_y] = ground_by_pose(&observation.ground, laid_from, &axes);
+        let weight = weight * share(observation);
         for row in by_pose {
             // The point moves as the camera would move the other way.
             let change: [f64; 6] = std::array::from_fn(|k| row[0] * along_x[k] + row[1] * along_y[k]);

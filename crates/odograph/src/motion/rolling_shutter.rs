@@ -3,11 +3,11 @@
 //! The time of an image is that of its middle row, and so is its pose. Within the image the pose
 //! changes at constant rates. A pixel is brought to where a global shutter would have seen the same
 //! ground ([`RollingShutter::global_pixel`]); rates and readout time that differ from what was
-//! assumed are unknowns beside the pose ([`super::nuisance`]).
+//! assumed are unknowns beside the pose (`super::nuisance`).
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
-use nalgebra::Vector6;
+use nalgebra::{Matrix6, Vector6};
 
 /// Rates of (x, y, heading, height, roll, pitch), metres and radians per second.
 pub type PoseRates = Vector6<f64>;
@@ -83,8 +83,8 @@ pub struct ShutterPrior {
     pub rate_by_pose_hz: f64,
     /// See `rate_by_pose_hz`.
     pub rate_offset: PoseRates,
-    /// Standard deviations of the rates.
-    pub rate_sigma: PoseRates,
+    /// Variances of the rates.
+    pub rate_variance: PoseRates,
 }
 
 impl ShutterPrior {
@@ -93,23 +93,34 @@ impl ShutterPrior {
         let rates = self.rate_by_pose_hz * pose.to_vector() + self.rate_offset;
         RollingShutter::new(camera, self.readout.mean_s, rates)
     }
+
+    /// Standard deviations of the skew of an image that is expected to move at `rates`.
+    pub fn skew_sigma(&self, rates: &PoseRates) -> PoseRates {
+        let Readout { mean_s, variance_s2 } = self.readout;
+        rates.zip_map(&self.rate_variance, |rate, variance| {
+            (mean_s * mean_s * variance + variance_s2 * (rate * rate + variance)).sqrt()
+        })
+    }
 }
 
-/// What a frame tells of its shutter.
+/// What a frame tells of its shutter. The skew is how far the pose moves from the first row to the last,
+/// metres and radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShutterEstimate {
-    /// The rates of the pose, with the prior.
-    pub rates: PoseRates,
-    /// What was expected of them.
-    pub expected: PoseRates,
-    /// The rates as the tracks alone have them, and their variances; infinite where they tell nothing.
+    /// The rates of the pose that were expected.
+    pub expected_rates: PoseRates,
+    /// The skew, with the prior.
+    pub skew: PoseRates,
+    /// Its variances.
+    pub skew_variance: PoseRates,
+    /// The skew as the tracks alone have it.
     pub evidence: PoseRates,
-    /// See `evidence`.
+    /// Its variances; infinite where the tracks tell nothing.
     pub evidence_variance: PoseRates,
-    /// The readout time that the tracks alone tell, and the inverse of its variance, seconds⁻².
-    pub readout_s: f64,
-    /// See `readout_s`.
-    pub readout_information: f64,
+    /// How the pose changes with the skew that was expected.
+    pub pose_by_expected_skew: Matrix6<f64>,
+    /// How the pose changes with the skew of the keyframe.
+    pub pose_by_keyframe_skew: Matrix6<f64>,
 }
 
 #[cfg(test)]

@@ -191,7 +191,7 @@ mod tests {
     use nalgebra::Matrix2;
 
     fn observation(ground: GroundPoint, pixel: Pixel, whitening: Matrix2<f64>) -> Observation {
-        Observation { ground, pixel, whitening, row_fraction: 0.0, ground_by_readout: [0.0; 2] }
+        Observation { ground, pixel, whitening, row_fraction: 0.0, keyframe_row_fraction: 0.0 }
     }
 
     /// What fifty frames show whose 300 tracks are off by noise of their own and by that of the block of sixteen pixels in which they lie.

@@ -34,7 +34,7 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
                 pixel,
                 whitening: nalgebra::Matrix2::identity(),
                 row_fraction: 0.0,
-                ground_by_readout: [0.0; 2],
+                keyframe_row_fraction: 0.0,
             });
         }
     }

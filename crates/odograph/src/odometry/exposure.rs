@@ -1,97 +1,87 @@
-//! How a keyframe was exposed: the rates of its pose, refined by the frames after it.
+//! How a keyframe was exposed: the rates of its pose, a state that every frame measured against it
+//! refines.
+//!
+//! Rows tell the skew of a frame only against that of its keyframe; the motion from frame to frame tells
+//! it by itself, but roughly. The difference of the two, frame after frame, is the error of the
+//! keyframe's skew (a scalar Kalman filter for each of the rates).
 
 use super::Odometry;
 use super::keyframe::Keyframe;
+use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{MotionEstimate, PoseRates, RollingShutter};
 
-/// What tells the rates of the present keyframe's pose.
-#[derive(Debug, Clone)]
-pub struct Exposure {
-    /// Times and poses of the frame before the keyframe, of the keyframe, and of the frame after it.
-    before: Option<(f64, GroundPose)>,
-    keyframe: (f64, GroundPose),
-    after: Option<(f64, GroundPose)>,
-    /// The rates that the keyframe's own tracks tell, their variances, and those of what was foretold.
-    evidence: Option<(PoseRates, PoseRates, PoseRates)>,
-}
+/// Rates within the first keyframe may be anything up to this: parts of the height, and radians, per
+/// second.
+const FIRST_RATE: f64 = 1.0;
 
-impl Exposure {
-    /// Of the first keyframe of all.
-    pub fn first(time_s: f64, pose: GroundPose) -> Self {
-        Self { before: None, keyframe: (time_s, pose), after: None, evidence: None }
-    }
-
-    /// The rates as the next measured pose tells them, and whether no later one tells them better.
-    fn refined(&mut self, time_s: f64, pose: &GroundPose) -> Option<(PoseRates, bool)> {
-        let rate = |from: &(f64, GroundPose), to: &(f64, GroundPose)| {
-            (to.1.to_vector() - from.1.to_vector()) / (to.0 - from.0)
-        };
-        let now = (time_s, *pose);
-        if now.0 <= self.after.map_or(self.keyframe.0, |after| after.0) {
-            return None;
-        }
-        // The slope at the keyframe of the parabola through three poses.
-        let (foretold, is_last) = match (&self.before, &self.after) {
-            (Some(before), _) => {
-                let (first, second) = (rate(before, &self.keyframe), rate(&self.keyframe, &now));
-                let (first_s, second_s) = (self.keyframe.0 - before.0, now.0 - self.keyframe.0);
-                ((first * second_s + second * first_s) / (first_s + second_s), true)
-            }
-            (None, None) => (rate(&self.keyframe, &now), false),
-            (None, Some(after)) => {
-                let (first, second) = (rate(&self.keyframe, after), rate(after, &now));
-                let share = (after.0 - self.keyframe.0) / (now.0 - self.keyframe.0);
-                (first - (second - first) * share, true)
-            }
-        };
-        self.after = Some(now);
-        let rates = match &self.evidence {
-            // A parabola through the frame after is twice as close as one through those before.
-            Some((own, variance, foretold_variance)) => PoseRates::from_fn(|i, _| {
-                let (a, b) = (1.0 / variance[i], 4.0 / foretold_variance[i].max(1e-12));
-                (a * own[i] + b * foretold[i]) / (a + b)
-            }),
-            None => foretold,
-        };
-        Some((rates, is_last))
-    }
-}
+/// What a keyframe's corners may be off by, pixels, before they are laid on the ground again.
+const NEGLIGIBLE_PX: f64 = 0.003;
 
 impl Odometry {
-    /// Tells a new keyframe how it was exposed, as far as it is known by now. `self.last` is this frame.
-    pub(super) fn expose(&mut self, next: &mut Keyframe, time_s: f64, estimate: &MotionEstimate) {
-        let (Some(shutter), Some(prior)) = (&estimate.shutter, &self.learned.frame_shutter) else {
-            self.exposure = None;
-            return;
-        };
-        let readout_s = self.learned.shutter().map_or(0.0, |state| state.readout().mean_s);
-        next.shutter = RollingShutter::new(&self.camera, readout_s, shutter.rates);
-        let before = self.last.as_ref().and_then(|last| {
-            let moved = last.pose_rates? * last.step_s;
-            Some((time_s - last.step_s, GroundPose::from_vector(&(last.pose.to_vector() - moved))))
-        });
-        let variance = prior.rate_sigma.map(|sigma| sigma * sigma);
-        self.exposure = Some(Exposure {
-            before,
-            keyframe: (time_s, estimate.pose),
-            after: None,
-            evidence: Some((shutter.evidence, shutter.evidence_variance, variance)),
-        });
+    /// The first keyframe of all: nothing is known of its rates.
+    pub(super) fn expose_first(&self, keyframe: &mut Keyframe) {
+        let Some(state) = self.learned.shutter().filter(|state| !state.is_global()) else { return };
+        keyframe.shutter.readout_s = state.readout().mean_s;
+        let (shift, turn) = ((FIRST_RATE * keyframe.pose.height_m).powi(2), FIRST_RATE * FIRST_RATE);
+        keyframe.rate_variance = PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0);
     }
 
-    /// Refines how the present keyframe was exposed by a frame measured after it.
-    pub(super) fn expose_keyframe(&mut self, time_s: f64, estimate: &MotionEstimate) {
-        let (Some(exposure), Some(keyframe)) = (&mut self.exposure, &mut self.keyframe) else { return };
-        let Some(state) = self.learned.shutter().filter(|state| !state.is_global()) else {
-            self.exposure = None;
-            return;
-        };
-        let Some((rates, is_last)) = exposure.refined(time_s, &estimate.pose) else { return };
-        let shutter = RollingShutter::new(&self.camera, state.readout().mean_s, rates);
-        keyframe.expose(&self.camera, shutter);
-        if is_last {
-            self.exposure = None;
+    /// Tells a new keyframe how it was exposed, as far as it is known by now.
+    pub(super) fn expose(&mut self, next: &mut Keyframe, estimate: &MotionEstimate) {
+        let (Some(seen), Some(prior)) = (&estimate.shutter, &self.learned.frame_shutter) else { return };
+        let readout_s = prior.readout.mean_s;
+        next.shutter = RollingShutter::new(&self.camera, readout_s, seen.expected_rates);
+        next.rate_variance = prior.rate_variance;
+        let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_tell_rates(readout_s)) else { return };
+        for i in 0..6 {
+            // What the rows tell has the error of the keyframe, too.
+            let by_rows = seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i];
+            let foretold = prior.rate_variance[i];
+            if by_rows.is_finite() && by_rows + foretold > 0.0 {
+                let gain = foretold / (foretold + by_rows);
+                next.shutter.rates[i] += gain * (seen.evidence[i] / readout_s - seen.expected_rates[i]);
+                next.rate_variance[i] = (1.0 - gain) * foretold;
+            }
         }
     }
+
+    /// Refines how the present keyframe was exposed by a frame measured against it.
+    pub(super) fn refine_exposure(&mut self, estimate: &MotionEstimate) {
+        let (Some(seen), Some(prior)) = (&estimate.shutter, &self.learned.frame_shutter) else { return };
+        let readout_s = prior.readout.mean_s;
+        if !self.rows_tell_rates(readout_s) {
+            return;
+        }
+        let Some(keyframe) = &mut self.keyframe else { return };
+        let mut rates = keyframe.shutter.rates;
+        for i in 0..6 {
+            let noise = seen.evidence_variance[i] / readout_s.powi(2) + prior.rate_variance[i];
+            let own = &mut keyframe.rate_variance[i];
+            if noise.is_finite() && *own + noise > 0.0 {
+                let gain = *own / (*own + noise);
+                rates[i] += gain * (seen.expected_rates[i] - seen.evidence[i] / readout_s);
+                *own *= 1.0 - gain;
+            }
+        }
+        let moved = RollingShutter { rates: rates - keyframe.shutter.rates, readout_s, ..keyframe.shutter };
+        if largest_shift_px(&self.camera, &keyframe.pose, &moved) > NEGLIGIBLE_PX {
+            keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
+        } else {
+            keyframe.shutter.rates = rates;
+        }
+    }
+
+    /// Whether the readout time is known well enough for rows to tell rates.
+    fn rows_tell_rates(&self, readout_s: f64) -> bool {
+        readout_s != 0.0 && self.learned.shutter().is_some_and(|state| state.is_known())
+    }
+}
+
+/// How far the first and the last row of an image are shifted at most, roughly.
+fn largest_shift_px(camera: &Camera, pose: &GroundPose, shutter: &RollingShutter) -> f64 {
+    let (focal_px, rates) = (camera.focal_px().0, &shutter.rates);
+    let shift = rates[0].hypot(rates[1]) + rates[3].abs();
+    let turn = rates[2].abs() + rates[4].abs() + rates[5].abs();
+    0.5 * shutter.readout_s.abs() * focal_px * (shift / pose.height_m + turn)
 }

@@ -66,16 +66,17 @@ fn observations(
         });
         let pixel = Pixel::new(position.x - pulled.x, position.y - pulled.y);
         let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, pixel, 0.0);
-        let ground_by_readout = corner.patch.by_readout;
+        let [x_by_readout, y_by_readout] = corner.patch.by_readout;
         if let Some((prior, shutter)) = shutter {
             let later_s = prior.readout.mean_s - keyframe.shutter.readout_s;
-            ground.x_m += later_s * ground_by_readout[0];
-            ground.y_m += later_s * ground_by_readout[1];
+            ground.x_m += later_s * x_by_readout;
+            ground.y_m += later_s * y_by_readout;
             row_fraction = shutter.row_fraction(pixel.y);
             pixel = shutter.global_pixel(camera, pose, pixel).unwrap_or(pixel);
         }
         let covariance_px2 = found.covariance_px2;
-        Sighting { ground, pixel, covariance_px2, row_fraction, ground_by_readout }
+        let keyframe_row_fraction = keyframe.shutter.row_fraction(corner.template.centre().y);
+        Sighting { ground, pixel, covariance_px2, row_fraction, keyframe_row_fraction }
     };
     let sightings: Buffer<Sighting> = found.iter().map(sighting).collect();
     whitened(&sightings, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)

@@ -30,6 +30,11 @@ pub struct Keyframe {
     pub covariance: Matrix6<f64>,
     /// How its image was exposed.
     pub shutter: RollingShutter,
+    /// Variances of the rates of the pose meanwhile.
+    pub rate_variance: PoseRates,
+    /// How the pose changes with the readout time, metres and radians per second: what a readout time
+    /// that is off has done to it since the start.
+    pub by_readout: PoseRates,
     pub corners: Vec<KeyCorner>,
     /// How many corners it began with.
     pub corners_at_first: usize,
@@ -113,6 +118,8 @@ impl Keyframe {
             pose,
             covariance,
             shutter: RollingShutter { readout_s: 0.0, rows, rates: PoseRates::zeros() },
+            rate_variance: PoseRates::zeros(),
+            by_readout: PoseRates::zeros(),
             places: Vec::new(),
             view: None,
             reachable: true,
@@ -131,7 +138,8 @@ impl Keyframe {
 
     /// A keyframe as it was remembered, without its corners.
     fn recorded(record: KeyframeRecord) -> Self {
-        let KeyframeRecord { id, pyramid, pose, covariance, shutter, places, view, .. } = record;
+        let KeyframeRecord { id, pyramid, pose, covariance, shutter, rate_variance, by_readout, places, view, .. } =
+            record;
         let (corners, texture, dense) = (Vec::new(), OnceLock::new(), OnceLock::new());
         Self {
             id,
@@ -141,6 +149,8 @@ impl Keyframe {
             pose,
             covariance,
             shutter,
+            rate_variance,
+            by_readout,
             places,
             sought: None,
             prepared: 0,
@@ -241,8 +251,20 @@ impl Keyframe {
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(mut self) -> KeyframeRecord {
         self.find();
-        let Self { id, pyramid, pose, covariance, shutter, places, view, .. } = self;
-        KeyframeRecord { id, pyramid, pose, covariance, shutter, places, view, reachable: true }
+        let Self { id, pyramid, pose, covariance, shutter, rate_variance, by_readout, places, view, .. } = self;
+        let reachable = true;
+        KeyframeRecord {
+            id,
+            pyramid,
+            pose,
+            covariance,
+            shutter,
+            rate_variance,
+            by_readout,
+            places,
+            view,
+            reachable,
+        }
     }
 }
 
@@ -254,6 +276,8 @@ pub struct KeyframeRecord {
     pose: GroundPose,
     covariance: Matrix6<f64>,
     shutter: RollingShutter,
+    rate_variance: PoseRates,
+    by_readout: PoseRates,
     places: Vec<(usize, usize)>,
     view: Option<GroundView>,
     /// Whether its pose is connected with the present one by measurement.

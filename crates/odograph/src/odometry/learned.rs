@@ -4,7 +4,8 @@ use super::last_pose::LastPose;
 use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
-use crate::motion::{MotionConfig, MotionEstimate, MotionModel, RigWander, RollingShutter, ShutterPrior, ViewingPose};
+use nalgebra::Matrix6;
+use crate::motion::{MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, ShutterPrior, ViewingPose};
 
 /// What is learned on the way.
 #[derive(Debug, Clone)]
@@ -47,16 +48,36 @@ impl Learned {
     }
 
     /// Foretells how the image at `time_s` is exposed.
-    pub fn foretell_shutter(&mut self, last: Option<&LastPose>, time_s: f64, config: &MotionConfig) {
-        self.frame_shutter = last.zip(self.shutter.as_ref()).and_then(|(last, shutter)| {
-            shutter.prior(last, time_s, &self.wander.prior(&last.pose, config))
-        });
+    pub fn foretell_shutter(&mut self, last: Option<&LastPose>, time_s: f64) {
+        let both = last.zip(self.shutter.as_ref());
+        self.frame_shutter = both.and_then(|(last, shutter)| shutter.prior(last, time_s));
     }
 
     /// Learns of the shutter from a measured frame.
-    pub fn saw_shutter(&mut self, estimate: &MotionEstimate) {
-        if let (Some(shutter), Some(seen)) = (&mut self.shutter, &estimate.shutter) {
-            shutter.learn(seen, estimate.pose.height_m);
+    pub fn saw_shutter(
+        &mut self,
+        estimate: &MotionEstimate,
+        last: Option<&LastPose>,
+        keyframe: Option<&RollingShutter>,
+    ) {
+        let Some(shutter) = &mut self.shutter else { return };
+        shutter.saw_step(last.and_then(|last| last.pose_rates), estimate.pose.height_m);
+        if let (Some(seen), Some(prior), Some(keyframe)) = (&estimate.shutter, &self.frame_shutter, keyframe) {
+            shutter.saw(seen, &prior.rate_variance, keyframe);
+        }
+    }
+
+    /// What the uncertainty of the readout time adds to the covariance of a pose that changes with it by
+    /// `by_readout`.
+    pub fn readout_covariance(&self, by_readout: &PoseRates) -> Matrix6<f64> {
+        let variance_s2 = self.shutter.as_ref().map_or(0.0, |shutter| shutter.readout().variance_s2);
+        by_readout * by_readout.transpose() * variance_s2
+    }
+
+    /// Another keyframe serves from here on.
+    pub fn settle_shutter(&mut self) {
+        if let Some(shutter) = &mut self.shutter {
+            shutter.settle();
         }
     }
 

@@ -27,10 +27,9 @@ use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
-use crate::motion::{MotionEstimate, MotionModel, Random};
+use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::Candidate;
-use exposure::Exposure;
 pub use config::{KeyframeConfig, OdometryConfig};
 use follow::Measurement;
 use keyframe::{Keyframe, KeyframeMemory};
@@ -78,8 +77,6 @@ pub struct Odometry {
     /// What happened to the keyframes and was not asked for yet, where it is asked for.
     events: Option<Vec<KeyframeEvent>>,
     reference: Option<FrameReference>,
-    /// How the present keyframe was exposed, as far as the frame after it can tell it better.
-    exposure: Option<Exposure>,
 }
 
 /// Where this part of the corners in view that usually agree is found and agrees, what is missing lies out of view: to search again would find nothing.
@@ -110,7 +107,6 @@ impl Odometry {
             spare: None,
             events: None,
             reference: None,
-            exposure: None,
         })
     }
 
@@ -128,7 +124,7 @@ impl Odometry {
             }
             None => Pyramid::new(image, self.config.flow.levels),
         };
-        self.learned.foretell_shutter(self.last.as_ref(), time_s, &self.config.motion);
+        self.learned.foretell_shutter(self.last.as_ref(), time_s);
         let frame = match self.measure(&pyramid, time_s) {
             Ok(measurement) => self.accept(pyramid, time_s, measurement),
             Err(reason) => self.lose(pyramid, time_s, reason),
@@ -140,6 +136,16 @@ impl Odometry {
     /// The tracks of the last frame.
     pub fn tracks(&self) -> &[TrackView] {
         &self.tracks
+    }
+
+    /// The readout time of the image as it is known now.
+    pub fn readout(&self) -> Option<crate::motion::Readout> {
+        self.learned.shutter().map(|state| state.readout())
+    }
+
+    /// For experiments.
+    pub fn describe(&self) -> String {
+        self.learned.shutter().map_or(String::new(), |s| s.describe())
     }
 
     /// How many keyframes were made.
@@ -241,7 +247,9 @@ impl Odometry {
             .keyframe
             .as_ref()
             .map(|keyframe| by_keyframe * keyframe.covariance * by_keyframe.transpose());
-        let covariance = carried.unwrap_or_default() + estimate.covariance;
+        let (by_skew, by_readout) = self.shutter_errors(&estimate);
+        let covariance = carried.unwrap_or_default() + estimate.covariance + by_skew;
+        let known_covariance = covariance + self.learned.readout_covariance(&by_readout);
         let inliers = estimate.inlier_count();
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
         let view = |(found, &inlier): (&follow::Found, &bool)| {
@@ -256,8 +264,6 @@ impl Odometry {
         if let Some(presence) = presence {
             self.learned.saw(presence);
         }
-        self.learned.saw_shutter(&estimate);
-        self.expose_keyframe(time_s, &estimate);
         self.candidate = None;
         self.recovery.reset();
         if std::mem::take(&mut self.lost_frames) > 0 {
@@ -267,6 +273,9 @@ impl Odometry {
             Some(last) => last.moved(time_s, estimate.pose, covariance),
             None => LastPose::still(time_s, estimate.pose, covariance),
         });
+        let exposed = self.keyframe.as_ref().map(|keyframe| &keyframe.shutter);
+        self.learned.saw_shutter(&estimate, self.last.as_ref(), exposed);
+        self.refine_exposure(&estimate);
         let improved = self.improve(time_s, &estimate);
         let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });
@@ -275,7 +284,7 @@ impl Odometry {
             self.keep_only(&found, covariance); // from here on what was found has other numbers
         }
         if keyframe {
-            self.change_keyframe(pyramid, time_s, &estimate, covariance);
+            self.change_keyframe(pyramid, time_s, &estimate, covariance, by_readout);
         } else {
             self.spare = Some(pyramid);
         }
@@ -283,7 +292,7 @@ impl Odometry {
             frame: self.frames,
             time_s,
             status: TrackStatus::Tracked,
-            estimate: Some(PoseEstimate { covariance, ..improved }),
+            estimate: Some(PoseEstimate { covariance: known_covariance, ..improved }),
             tracks: estimate.inliers.len(),
             inliers,
             residual_px: estimate.residual_px,
@@ -292,10 +301,26 @@ impl Odometry {
         }
     }
 
+    /// What the skew of the keyframe adds to the covariance of a frame, and how the frame's pose changes
+    /// with the readout time.
+    fn shutter_errors(&self, estimate: &MotionEstimate) -> (Matrix6<f64>, PoseRates) {
+        let (Some(keyframe), Some(seen)) = (&self.keyframe, &estimate.shutter) else {
+            let by_readout = self.keyframe.as_ref().map(|keyframe| estimate.by_keyframe * keyframe.by_readout);
+            return (Matrix6::zeros(), by_readout.unwrap_or_default());
+        };
+        let by_skew = &seen.pose_by_keyframe_skew;
+        let variance = keyframe.rate_variance * keyframe.shutter.readout_s.powi(2);
+        let by_readout = estimate.by_keyframe * keyframe.by_readout
+            + by_skew * keyframe.shutter.rates
+            + seen.pose_by_expected_skew * seen.expected_rates;
+        (by_skew * Matrix6::from_diagonal(&variance) * by_skew.transpose(), by_readout)
+    }
+
     /// The first frame that shows ground is where the world begins.
     fn begin(&mut self, pyramid: Pyramid, time_s: f64) -> FrameEstimate {
         let (pose, covariance) = (self.first_pose, Matrix6::zeros());
         let mut keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        self.expose_first(&mut keyframe);
         self.number(&mut keyframe, (self.frames, time_s), None);
         self.reference = keyframe.id.map(|keyframe| FrameReference { keyframe, next: None });
         let corners = keyframe.corners.len();
@@ -307,7 +332,6 @@ impl Odometry {
             .collect();
         self.keyframe = Some(keyframe);
         self.last = Some(LastPose::still(time_s, pose, covariance));
-        self.exposure = Some(Exposure::first(time_s, pose));
         FrameEstimate {
             frame: self.frames,
             time_s,

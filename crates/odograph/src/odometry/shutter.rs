@@ -3,7 +3,8 @@
 
 use super::last_pose::LastPose;
 use crate::camera::Camera;
-use crate::motion::{PoseRates, Readout, RigPrior, ShutterEstimate, ShutterPrior};
+use crate::motion::{PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
+use std::collections::VecDeque;
 
 /// What is known of the shutter so far.
 #[derive(Debug, Clone)]
@@ -11,34 +12,37 @@ pub struct ShutterState {
     readout: Readout,
     /// Whether the readout time was given, or found to be that of a global shutter.
     is_settled: bool,
-    /// Mean squared errors of the foretold rates of x and y (m²/s², each) and of heading (rad²/s²).
-    rate_errors: [f64; 2],
+    /// Mean squared errors of the foretold rates.
+    rate_variance: PoseRates,
+    /// Mean rates between the last poses, the newest first.
+    history: VecDeque<PoseRates>,
+    /// Skew over rates of x, y and heading, of the frames measured against the present keyframe.
+    serving: [Line; 3],
+    /// Of those before.
+    past: Sums,
+    /// Skew against the keyframe's, and its variances, of the last frame.
+    waiting: Option<(PoseRates, PoseRates)>,
 }
 
 /// Standard deviation of a readout time of which nothing is known: half of a frame at 30 a second.
 const UNKNOWN_READOUT_S: f64 = 0.015;
 
-/// Rates of the first frames are foretold no better than this: parts of the height, and radians per second.
+/// Rates of position and heading in the first frames are foretold to this: parts of the height, and
+/// radians, per second. A third of what a hand does.
 const FIRST_RATE_ERROR: f64 = 0.1;
 
-/// Rates are never taken to be foretold better than this.
+/// Rates are never taken to be foretold better than this: parts of the height, and radians, per second.
 const LEAST_RATE_ERROR: f64 = 1e-4;
 
-/// Weight of the newest frame in the mean squared errors.
-const LEARNING_RATE: f64 = 0.05;
-
-/// Frames against one keyframe share the errors of its patches: each counts as this part of one.
-const INDEPENDENT: f64 = 0.2;
+/// Weights of the newest frame in the mean squared errors where it raises and where it lowers them.
+const RAISING: f64 = 0.3;
+const LOWERING: f64 = 0.05;
 
 /// A readout time is known no better than this, seconds: a thousandth of the image at usual speeds.
 const LEAST_READOUT_S: f64 = 2e-5;
 
 /// A shutter is global where its readout time is known to this, seconds, and is zero within three times that.
 const GLOBAL_WITHIN_S: f64 = 1e-4;
-
-/// Rates of height and tilt within an image, per second, over the standard deviation of height and tilt:
-/// a sway of one and a half hertz.
-const SWAY_HZ: f64 = 10.0;
 
 impl ShutterState {
     /// What the camera's file says, or nothing.
@@ -47,14 +51,38 @@ impl ShutterState {
             Some(readout_s) => Readout { mean_s: readout_s, variance_s2: 0.0 },
             None => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
         };
-        let first = FIRST_RATE_ERROR.powi(2);
-        let is_settled = camera.readout_s().is_some();
-        Self { readout, is_settled, rate_errors: [first * height_m * height_m, first] }
+        let (turn, shift) = (FIRST_RATE_ERROR.powi(2), (FIRST_RATE_ERROR * height_m).powi(2));
+        Self {
+            readout,
+            is_settled: camera.readout_s().is_some(),
+            rate_variance: PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0),
+            history: VecDeque::with_capacity(MOST_STEPS + 1),
+            serving: Default::default(),
+            past: Sums::default(),
+            waiting: None,
+        }
     }
 
     /// The readout time as it is known now.
     pub fn readout(&self) -> Readout {
         self.readout
+    }
+
+    /// Whether the readout time is known to a tenth, so that rates can be told from rows.
+    pub fn is_known(&self) -> bool {
+        self.is_settled || self.readout.variance_s2 < (0.1 * self.readout.mean_s).powi(2)
+    }
+
+    /// For experiments.
+    pub fn describe(&self) -> String {
+        format!(
+            "readout {:.3} ± {:.3} ms{} rates ± {:.4} m/s {:.4} rad/s",
+            1e3 * self.readout.mean_s,
+            1e3 * self.readout.variance_s2.sqrt(),
+            if self.is_settled { " settled" } else { "" },
+            self.rate_variance[0].sqrt(),
+            self.rate_variance[2].sqrt()
+        )
     }
 
     /// Whether all rows are exposed at once.
@@ -63,12 +91,9 @@ impl ShutterState {
     }
 
     /// What is expected of the image at `time_s`; `None` where the shutter is global.
-    pub fn prior(&self, last: &LastPose, time_s: f64, rig: &RigPrior) -> Option<ShutterPrior> {
-        if self.is_global() {
-            return None;
-        }
+    pub fn prior(&self, last: &LastPose, time_s: f64) -> Option<ShutterPrior> {
         let step_s = time_s - last.time_s;
-        if step_s <= 0.0 {
+        if self.is_global() || step_s <= 0.0 {
             return None;
         }
         // The slope at the end of the parabola through the last two poses and this one.
@@ -76,46 +101,190 @@ impl ShutterState {
         let rate_by_pose_hz = (1.0 + share) / step_s;
         let rate_offset =
             -rate_by_pose_hz * last.pose.to_vector() - share * last.pose_rates.unwrap_or_default();
-        let [shift, turn] = self.rate_errors.map(f64::sqrt);
-        // A rate that no earlier step confirms may be off by half of what the camera may gain in a step.
+        // Without an earlier step the rate may have changed by as much as it is.
         let more = if last.pose_rates.is_some() { 1.0 } else { 3.0 };
-        let [height, roll, pitch] = rig.sigma.map(|sigma| SWAY_HZ * sigma);
-        let rate_sigma = PoseRates::new(more * shift, more * shift, more * turn, height, roll, pitch);
-        Some(ShutterPrior { readout: self.readout, rate_by_pose_hz, rate_offset, rate_sigma })
+        let rate_variance = self.rate_variance * (more * more);
+        Some(ShutterPrior { readout: self.readout, rate_by_pose_hz, rate_offset, rate_variance })
     }
 
-    /// Learns from a measured frame.
-    pub fn learn(&mut self, seen: &ShutterEstimate, height_m: f64) {
-        let off = seen.evidence - seen.expected;
-        let both = [
-            (0.5 * (off[0] * off[0] + off[1] * off[1]), seen.evidence_variance[0].max(seen.evidence_variance[1])),
-            (off[2] * off[2], seen.evidence_variance[2]),
-        ];
-        let least = LEAST_RATE_ERROR.powi(2);
-        for ((error, (square, variance)), unit) in
-            self.rate_errors.iter_mut().zip(both).zip([height_m * height_m, 1.0])
-        {
-            if variance.is_finite() && square.is_finite() {
-                let rate = LEARNING_RATE * *error / (*error + variance);
-                // A surprise counts at once: what is foretold too well spoils the pose.
-                let now = (square - variance).max(0.0);
-                *error += if now > *error { 0.5 * (*error / (*error + variance)) } else { rate } * (now - *error);
-                *error = error.max(least * unit);
+    /// Learns from the mean rates since the last pose how well they can be foretold; `None` where there
+    /// was no last pose.
+    pub fn saw_step(&mut self, step: Option<PoseRates>, height_m: f64) {
+        let Some(step) = step else {
+            self.history.clear();
+            self.waiting = None;
+            return;
+        };
+        if let Some(last) = self.history.front() {
+            self.learn(&(0.5 * (step + *last)));
+        }
+        if let (Some(last), Some(before)) = (self.history.front(), self.history.get(1)) {
+            // The foretold rate at the last pose less the slope there of the parabola through this one.
+            let off = 0.5 * (step - 2.0 * *last + *before);
+            for i in 0..6 {
+                let (variance, square) = (&mut self.rate_variance[i], off[i] * off[i]);
+                let rate = if square > *variance { RAISING } else { LOWERING };
+                let unit = if matches!(i, 0 | 1 | 3) { height_m } else { 1.0 };
+                *variance += rate * (square - *variance);
+                if i < 3 {
+                    *variance = variance.max((LEAST_RATE_ERROR * unit).powi(2));
+                }
             }
         }
-        if !self.is_settled && seen.readout_information > 0.0 {
-            let before = 1.0 / self.readout.variance_s2;
-            let information = INDEPENDENT * seen.readout_information;
-            let all = before + information;
-            self.readout.mean_s = (before * self.readout.mean_s + information * seen.readout_s) / all;
-            self.readout.mean_s =
-                self.readout.mean_s.clamp(-Camera::LONGEST_READOUT_S, Camera::LONGEST_READOUT_S);
-            self.readout.variance_s2 = (1.0 / all).max(LEAST_READOUT_S.powi(2));
-            let deviation_s = self.readout.variance_s2.sqrt();
-            if deviation_s < GLOBAL_WITHIN_S && self.readout.mean_s.abs() < 3.0 * GLOBAL_WITHIN_S {
-                self.readout = Readout { mean_s: 0.0, variance_s2: 0.0 };
-                self.is_settled = true;
+        self.history.push_front(step);
+        self.history.truncate(MOST_STEPS);
+    }
+
+    /// Learns the readout time from a measured frame, once the next one tells its rates. `rate_variance`
+    /// are those with which the rates were foretold, `keyframe` is how the one it was measured against
+    /// was exposed.
+    pub fn saw(&mut self, seen: &ShutterEstimate, rate_variance: &PoseRates, keyframe: &RollingShutter) {
+        if self.is_settled {
+            return;
+        }
+        let skew = seen.evidence - keyframe.readout_s * keyframe.rates;
+        let readout_s = self.readout.mean_s.abs().max(UNKNOWN_READOUT_S);
+        self.waiting = Some((skew, seen.evidence_variance + readout_s.powi(2) * rate_variance));
+    }
+
+    /// Learns from the frame before with its rates from the poses on both sides of it.
+    fn learn(&mut self, rates: &PoseRates) {
+        let Some((skew, variance)) = self.waiting.take() else { return };
+        let Some(instrument) = self.slow_rates() else { return };
+        for i in 0..3 {
+            if variance[i].is_finite() && variance[i] > 0.0 {
+                self.serving[i].add(1.0 / variance[i], skew[i], rates[i], instrument[i]);
             }
+        }
+        self.estimate();
+    }
+
+    /// Another keyframe serves from here on.
+    pub fn settle(&mut self) {
+        self.waiting = None;
+        let serving = std::mem::take(&mut self.serving);
+        self.past = serving.iter().fold(self.past, |sum, line| sum.and(&line.sums()));
+    }
+
+    /// Mean rates over some steps before the last two, with which the errors of the rates that are
+    /// foretold now have nothing to do.
+    fn slow_rates(&self) -> Option<PoseRates> {
+        let steps: Vec<&PoseRates> = self.history.iter().skip(1).collect();
+        (steps.len() >= SLOW_STEPS).then(|| steps.iter().copied().sum::<PoseRates>() / steps.len() as f64)
+    }
+
+    /// The slope of the skew over the rates: the readout time.
+    fn estimate(&mut self) {
+        let all = self.serving.iter().fold(self.past, |sum, line| sum.and(&line.sums()));
+        let Some((readout_s, variance_s2)) = all.slope() else { return };
+        let (before, now) = (UNKNOWN_READOUT_S.powi(-2), 1.0 / variance_s2);
+        let mean_s = now * readout_s / (before + now);
+        self.readout.mean_s = mean_s.clamp(-Camera::LONGEST_READOUT_S, Camera::LONGEST_READOUT_S);
+        self.readout.variance_s2 = (1.0 / (before + now)).max(LEAST_READOUT_S.powi(2));
+        let deviation_s = self.readout.variance_s2.sqrt();
+        if deviation_s < GLOBAL_WITHIN_S && self.readout.mean_s.abs() < 3.0 * GLOBAL_WITHIN_S {
+            self.readout = Readout { mean_s: 0.0, variance_s2: 0.0 };
+            self.is_settled = true;
         }
     }
 }
+
+/// A weighted line through (rates, skew), with an instrument: frames against one keyframe share what
+/// its own skew is off by, so that each keyframe has a line of its own with the same slope.
+///
+/// Foretold rates have errors, which would flatten the slope; an instrumental variable that follows the
+/// rates but not their errors does not (P. Wright, 1928; J. Sargan, 1958).
+#[derive(Debug, Clone, Copy, Default)]
+struct Line {
+    weight: f64,
+    /// Weighted sums of skew, rates and instrument.
+    first: [f64; 3],
+    /// Weighted sums of their products: with the instrument, then of skew and rates.
+    skew_instrument: f64,
+    rates_instrument: f64,
+    instrument_square: f64,
+    skew_square: f64,
+    skew_rates: f64,
+    rates_square: f64,
+    count: f64,
+}
+
+impl Line {
+    fn add(&mut self, weight: f64, skew: f64, rates: f64, instrument: f64) {
+        self.weight += weight;
+        for (sum, value) in self.first.iter_mut().zip([skew, rates, instrument]) {
+            *sum += weight * value;
+        }
+        self.skew_instrument += weight * skew * instrument;
+        self.rates_instrument += weight * rates * instrument;
+        self.instrument_square += weight * instrument * instrument;
+        self.skew_square += weight * skew * skew;
+        self.skew_rates += weight * skew * rates;
+        self.rates_square += weight * rates * rates;
+        self.count += 1.0;
+    }
+
+    /// The sums about the means.
+    fn sums(&self) -> Sums {
+        if self.count < 2.0 {
+            return Sums::default();
+        }
+        let [skew, rates, instrument] = self.first;
+        let about = |product: f64, a: f64, b: f64| product - a * b / self.weight;
+        Sums {
+            skew_instrument: about(self.skew_instrument, skew, instrument),
+            rates_instrument: about(self.rates_instrument, rates, instrument),
+            instrument_square: about(self.instrument_square, instrument, instrument),
+            skew_square: about(self.skew_square, skew, skew),
+            skew_rates: about(self.skew_rates, skew, rates),
+            rates_square: about(self.rates_square, rates, rates),
+            degrees: self.count - 1.0,
+        }
+    }
+}
+
+/// Sums over the lines of several keyframes.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    skew_instrument: f64,
+    rates_instrument: f64,
+    instrument_square: f64,
+    skew_square: f64,
+    skew_rates: f64,
+    rates_square: f64,
+    degrees: f64,
+}
+
+impl Sums {
+    fn and(&self, other: &Self) -> Self {
+        Self {
+            skew_instrument: self.skew_instrument + other.skew_instrument,
+            rates_instrument: self.rates_instrument + other.rates_instrument,
+            instrument_square: self.instrument_square + other.instrument_square,
+            skew_square: self.skew_square + other.skew_square,
+            skew_rates: self.skew_rates + other.skew_rates,
+            rates_square: self.rates_square + other.rates_square,
+            degrees: self.degrees + other.degrees,
+        }
+    }
+
+    /// The slope and its variance; `None` where nothing tells it.
+    fn slope(&self) -> Option<(f64, f64)> {
+        if self.rates_instrument.abs() < 1e-12 || self.degrees < 3.0 {
+            return None;
+        }
+        let slope = self.skew_instrument / self.rates_instrument;
+        let left = self.skew_square - 2.0 * slope * self.skew_rates + slope * slope * self.rates_square;
+        // At least what the weights say; neighbouring frames share their errors.
+        let scatter = (left / (self.degrees - 1.0)).max(1.0) * SHARED;
+        let variance = scatter * self.instrument_square / (self.rates_instrument * self.rates_instrument);
+        variance.is_finite().then_some((slope, variance))
+    }
+}
+
+/// Frames against one keyframe share the errors of its patches: so many of them tell what one alone would.
+const SHARED: f64 = 5.0;
+
+/// Over so many steps rates are averaged for the instrument: a vibration passes, a turn does not.
+const SLOW_STEPS: usize = 4;
+const MOST_STEPS: usize = 8;

@@ -6,7 +6,7 @@ use super::{Odometry, follow};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use crate::mapping::{EdgeKind, KeyframeId};
-use crate::motion::{MotionEstimate, MotionModel, Random};
+use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
 use nalgebra::Matrix6;
 
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
@@ -31,6 +31,7 @@ impl Odometry {
         time_s: f64,
         estimate: &MotionEstimate,
         mut covariance: Matrix6<f64>,
+        by_readout: PoseRates,
     ) {
         let mut pose = estimate.pose;
         if let Some(change) = self.learned.wander.settle() {
@@ -53,7 +54,8 @@ impl Odometry {
             Some(Before { id: before.id?, pose: before.pose, covariance: estimate.covariance, kind })
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
-        self.expose(&mut next, time_s, estimate);
+        next.by_readout = by_readout;
+        self.expose(&mut next, estimate);
         self.number(&mut next, (self.frames, time_s), before);
         self.serve_from_here(next.id, pose);
         if let Some(before) = self.keyframe.replace(next) {
@@ -121,6 +123,7 @@ impl Odometry {
     /// Another keyframe is the reference of the frames after this one, whose pose that one has at `pose`.
     pub(super) fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
         self.serves_since = self.frames;
+        self.learned.settle_shutter();
         if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
             reference.next = Some((keyframe, pose));
         }

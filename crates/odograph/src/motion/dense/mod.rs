@@ -217,7 +217,7 @@ impl Level<'_> {
             pixel: Pixel::new(position.x - bend.x - step.x, position.y - bend.y - step.y),
             covariance_px2,
             row_fraction: 0.0,
-            ground_by_readout: [0.0; 2],
+            keyframe_row_fraction: 0.0,
         })
     }
 }
