@@ -34,9 +34,11 @@ impl Odometry {
         next.shutter = RollingShutter::new(&self.camera, readout_s, seen.expected_rates);
         next.rate_variance = prior.rate_variance;
         let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_tell_rates(readout_s)) else { return };
+        let doubt = prior.readout.variance_s2 / readout_s.powi(2);
         for i in 0..6 {
             // What the rows tell has the error of the keyframe, too.
-            let by_rows = seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i];
+            let of_readout = doubt * (seen.expected_rates[i] - keyframe.shutter.rates[i]).powi(2);
+            let by_rows = seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i] + of_readout;
             let foretold = prior.rate_variance[i];
             if by_rows.is_finite() && by_rows + foretold > 0.0 {
                 let gain = foretold / (foretold + by_rows);
@@ -48,15 +50,20 @@ impl Odometry {
 
     /// Refines how the present keyframe was exposed by a frame measured against it.
     pub(super) fn refine_exposure(&mut self, estimate: &MotionEstimate) {
-        let (Some(seen), Some(prior)) = (&estimate.shutter, &self.learned.frame_shutter) else { return };
+        let (Some(seen), Some(prior)) = (&estimate.shutter, self.learned.frame_shutter) else { return };
         let readout_s = prior.readout.mean_s;
+        if self.frames == self.serves_since + 1 && self.keyframes == 1 {
+            self.expose_by_first_step(seen.expected_rates);
+        }
         if !self.rows_tell_rates(readout_s) {
             return;
         }
+        let doubt = prior.readout.variance_s2 / readout_s.powi(2);
         let Some(keyframe) = &mut self.keyframe else { return };
         let mut rates = keyframe.shutter.rates;
         for i in 0..6 {
-            let noise = seen.evidence_variance[i] / readout_s.powi(2) + prior.rate_variance[i];
+            let of_readout = doubt * (seen.expected_rates[i] - rates[i]).powi(2);
+            let noise = seen.evidence_variance[i] / readout_s.powi(2) + prior.rate_variance[i] + of_readout;
             let own = &mut keyframe.rate_variance[i];
             if noise.is_finite() && *own + noise > 0.0 {
                 let gain = *own / (*own + noise);
@@ -70,6 +77,12 @@ impl Odometry {
         } else {
             keyframe.shutter.rates = rates;
         }
+    }
+
+    /// The first keyframe moved as the camera did until the first frame after it, give or take as much.
+    fn expose_by_first_step(&mut self, rates: PoseRates) {
+        let Some(keyframe) = &mut self.keyframe else { return };
+        keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });
     }
 
     /// Whether the readout time is known well enough for rows to tell rates.

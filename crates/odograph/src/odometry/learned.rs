@@ -63,7 +63,7 @@ impl Learned {
         let Some(shutter) = &mut self.shutter else { return };
         shutter.saw_step(last.and_then(|last| last.pose_rates), estimate.pose.height_m);
         if let (Some(seen), Some(prior), Some(keyframe)) = (&estimate.shutter, &self.frame_shutter, keyframe) {
-            shutter.saw(seen, &prior.rate_variance, keyframe);
+            shutter.saw(seen, prior, &keyframe.rates);
         }
     }
 

@@ -3,7 +3,7 @@
 
 use super::last_pose::LastPose;
 use crate::camera::Camera;
-use crate::motion::{PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
+use crate::motion::{PoseRates, Readout, ShutterEstimate, ShutterPrior};
 use std::collections::VecDeque;
 
 /// What is known of the shutter so far.
@@ -68,9 +68,9 @@ impl ShutterState {
         self.readout
     }
 
-    /// Whether the readout time is known to a tenth, so that rates can be told from rows.
+    /// Whether the readout time is known to a third, so that rates can be told from rows.
     pub fn is_known(&self) -> bool {
-        self.is_settled || self.readout.variance_s2 < (0.1 * self.readout.mean_s).powi(2)
+        self.is_settled || self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2)
     }
 
     /// For experiments.
@@ -135,16 +135,14 @@ impl ShutterState {
         self.history.truncate(MOST_STEPS);
     }
 
-    /// Learns the readout time from a measured frame, once the next one tells its rates. `rate_variance`
-    /// are those with which the rates were foretold, `keyframe` is how the one it was measured against
-    /// was exposed.
-    pub fn saw(&mut self, seen: &ShutterEstimate, rate_variance: &PoseRates, keyframe: &RollingShutter) {
+    /// Learns the readout time from a measured frame, once the next one tells its rates.
+    pub fn saw(&mut self, seen: &ShutterEstimate, prior: &ShutterPrior, keyframe_rates: &PoseRates) {
         if self.is_settled {
             return;
         }
-        let skew = seen.evidence - keyframe.readout_s * keyframe.rates;
+        let skew = seen.evidence - prior.readout.mean_s * keyframe_rates;
         let readout_s = self.readout.mean_s.abs().max(UNKNOWN_READOUT_S);
-        self.waiting = Some((skew, seen.evidence_variance + readout_s.powi(2) * rate_variance));
+        self.waiting = Some((skew, seen.evidence_variance + readout_s.powi(2) * prior.rate_variance));
     }
 
     /// Learns from the frame before with its rates from the poses on both sides of it.
