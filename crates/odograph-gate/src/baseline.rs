@@ -245,8 +245,7 @@ mod tests {
     fn rows_of_other_seeds_are_not_compared() {
         let baseline = Baseline { rows: vec![row("asphalt", &[("lost", 0.0)])], ..Baseline::default() };
         let other = RowFigures { seeds: 5, ..row("asphalt", &[("lost", 9.0)]) };
-        let comparison =
-            Comparison::new(&baseline, &Measured { rows: vec![other], ..Measured::default() });
+        let comparison = Comparison::new(&baseline, &Measured { rows: vec![other], ..Measured::default() });
         assert!(comparison.is_passed() && comparison.not_compared == 1);
     }
 }

@@ -77,7 +77,10 @@ pub fn measure(arguments: &Arguments) -> Measured {
 }
 
 /// Each job's figures, or what it failed with, in the order of the jobs.
-fn in_parallel(jobs: &[(String, Job)], threads: usize) -> Vec<(String, std::result::Result<Figures, String>)> {
+fn in_parallel(
+    jobs: &[(String, Job)],
+    threads: usize,
+) -> Vec<(String, std::result::Result<Figures, String>)> {
     let results = Mutex::new(vec![None; jobs.len()]);
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {

@@ -28,7 +28,8 @@ pub fn reference_ms() -> f64 {
     for _ in 0..9 {
         let begun = busy_ms();
         for _ in 0..8 {
-            for (rows, out) in black_box(&image).chunks_exact(2 * width).zip(half.chunks_exact_mut(width / 2)) {
+            for (rows, out) in black_box(&image).chunks_exact(2 * width).zip(half.chunks_exact_mut(width / 2))
+            {
                 let (upper, lower) = rows.split_at(width);
                 for (x, out) in out.iter_mut().enumerate() {
                     let four = [upper[2 * x], upper[2 * x + 1], lower[2 * x], lower[2 * x + 1]];

@@ -134,11 +134,8 @@ fn nadir_caliterra(folder: &Path) -> Result<Clip> {
         let fields: Vec<&str> = line.split(',').collect();
         let [name, _, _, up, east, north, ..] = fields[..] else { continue };
         let number_of = |field: &str| field.trim().parse::<f64>().unwrap_or(f64::NAN);
-        let pose = GroundPose {
-            x_m: number_of(east),
-            y_m: number_of(north),
-            ..GroundPose::level(number_of(up))
-        };
+        let pose =
+            GroundPose { x_m: number_of(east), y_m: number_of(north), ..GroundPose::level(number_of(up)) };
         list += &format!("{number} {name}\n");
         truth.poses.push(StampedPose { time_s: number as f64, world_from_camera: pose.world_from_camera() });
     }
