@@ -31,7 +31,11 @@ pub fn rows_table(first_column: &str, rows: &[RowFigures], columns: &[&Measure])
 }
 
 fn cell(measure: &Measure, figures: &Figures) -> String {
-    figures.get(measure.key).map_or("–".to_owned(), |value| format!("{value:.*}", measure.decimals))
+    let shown = |value: f64| {
+        let decimals = if value.abs() < 1000.0 { measure.decimals } else { 0 };
+        format!("{value:.decimals$}")
+    };
+    figures.get(measure.key).map_or("–".to_owned(), shown)
 }
 
 /// What became worse, what became better, and the closing line.
