@@ -12,8 +12,8 @@ pub struct Arguments {
     /// Clips rendered and followed at once; all available cores by default.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// Seeds of every rendered row; by default as many as the row says. Other seeds than the baseline's are
-    /// shown, not compared.
+    /// Seeds of every rendered row; by default as many as the row says. Other seeds than the
+    /// baseline's are shown, not compared.
     #[arg(long)]
     pub seeds: Option<u64>,
     /// First seed.
@@ -28,12 +28,12 @@ pub struct Arguments {
     /// Stores what was measured instead of comparing; rows that were not measured stay as they are.
     #[arg(long)]
     pub update_baseline: bool,
-    /// Writes each clip of the chosen rendered rows into a folder of its own there (Y4M, camera, rig, truth)
-    /// and measures nothing.
+    /// Writes each clip of the chosen rendered rows into a folder of its own there (Y4M, camera,
+    /// rig, truth) and measures nothing.
     #[arg(long)]
     pub export: Option<PathBuf>,
-    /// Rewrites the tables between `gate:begin` and `gate:end` in README.md from the baseline and measures
-    /// nothing.
+    /// Rewrites the tables between `gate:begin` and `gate:end` in README.md from the baseline and
+    /// measures nothing.
     #[arg(long)]
     pub tables: bool,
 }

@@ -162,7 +162,8 @@ impl Comparison {
     }
 }
 
-/// The figures of a row that are better or worse. One that the baseline has and the run has not is worse.
+/// The figures of a row that are better or worse. One that the baseline has and the run has not is
+/// worse.
 fn changes(row: &str, old: &Figures, new: &Figures) -> Vec<Change> {
     let mut changes = Vec::new();
     for measure in old.0.keys().filter_map(|key| measure(key)) {
@@ -188,7 +189,8 @@ pub fn verdict(measure: &Measure, old: f64, new: f64) -> Verdict {
     };
     let target = if let Better::Near(target) = measure.better { target } else { 0.0 };
     let grown = cost(new, target) - cost(old, target);
-    // Worse by a factor of 2.5 is allowed for some; better by the same factor is less than the whole of it.
+    // Worse by a factor of 2.5 is allowed for some; better by the same factor is less than the
+    // whole of it.
     let shrunk = match measure.better {
         Better::Lower => (measure.relative / (1.0 + measure.relative)) * old.abs() + measure.absolute,
         _ => allowed,

@@ -15,8 +15,8 @@ pub struct Clip {
     pub camera: Camera,
     /// Its mount as the program is told.
     pub rig: Rig,
-    /// Time in seconds and luminance of every frame. Rendered before anything is timed, so that rendering is
-    /// not in the times, and following it twice costs no second rendering.
+    /// Time in seconds and luminance of every frame. Rendered before anything is timed, so that
+    /// rendering is not in the times, and following it twice costs no second rendering.
     pub frames: Vec<(f64, GrayImage)>,
     /// Where the camera was.
     pub truth: Trajectory,

@@ -6,8 +6,8 @@ use odograph_video::SourceOptions;
 use rusty_h264::{Encoder, EncoderConfig, YuvFrame};
 use std::io::Write;
 
-/// Replaces the frames by what a player would show of them: encoded with a fixed quantiser, and decoded by the
-/// program's own reader.
+/// Replaces the frames by what a player would show of them: encoded with a fixed quantiser, and
+/// decoded by the program's own reader.
 pub fn compress(clip: &mut Clip, qp: u8) -> Result<()> {
     let (width, height) = (clip.camera.width(), clip.camera.height());
     // The baseline profile: no frame waits for a later one, as in most cameras.

@@ -29,7 +29,8 @@ pub struct Measure {
     pub better: Better,
     /// What it may become worse by: this share of the baseline …
     pub relative: f64,
-    /// … and this much more, in its own unit. With [`Better::Near`] this is a difference of logarithms.
+    /// … and this much more, in its own unit. With [`Better::Near`] this is a difference of
+    /// logarithms.
     pub absolute: f64,
 }
 
@@ -45,9 +46,10 @@ impl Measure {
 
 /// All figures, in the order of the tables, with their tolerances.
 ///
-/// The same program gives the same figures, but for times. Any change of it, and the C library's last bits on another
-/// platform, draw the noise of a path anew; a tolerance is what that draw may change. The mean over all metres
-/// of a path changes by some per cent, the one error at its end by a factor.
+/// The same program gives the same figures, but for times. Any change of it, and the C library's
+/// last bits on another platform, draw the noise of a path anew; a tolerance is what that draw may
+/// change. The mean over all metres of a path changes by some per cent, the one error at its end by
+/// a factor.
 pub const MEASURES: [Measure; 14] = [
     // A mean over a hundred or more overlapping metres; below 0.001 % are thousandths of a pixel.
     Measure::new("drift_percent", "error over each metre, %", 4, Better::Lower).within(0.20, 0.0008),
@@ -61,11 +63,13 @@ pub const MEASURES: [Measure; 14] = [
     // A fifth of a frame in a hundred: a frame more is lost where some are.
     Measure::new("posed_percent", "posed, %", 1, Better::Higher).within(0.0, 0.5),
     Measure::new("lost", "times lost", 0, Better::Lower).within(0.0, 0.5),
-    // Three degrees of freedom of one piece: a new draw changes its logarithm by about 0.8; 3 is true.
+    // Three degrees of freedom of one piece: a new draw changes its logarithm by about 0.8; 3 is
+    // true.
     Measure::new("nees", "NEES", 2, Better::Near(3.0)).within(0.0, 1.2),
     Measure::new("restarts", "begun again", 0, Better::Shown),
     Measure::new("frame_ms", "a frame, ms", 2, Better::Shown),
-    // Shared machines: the reference is measured beside it, but caches and clocks change between the two.
+    // Shared machines: the reference is measured beside it, but caches and clocks change between
+    // the two.
     Measure::new("frame_ratio", "a frame, × reference", 2, Better::Lower).within(0.5, 0.1),
     // The slowest of a hundred frames are keyframes, and whatever the machine did meanwhile.
     Measure::new("p99_ratio", "p99 / mean", 1, Better::Lower).within(0.8, 1.0),

@@ -1,8 +1,9 @@
 //! The gate: measures a fixed set of recordings and compares the figures with a stored baseline.
 //!
-//! `cargo run --release -p odograph-gate [-- WORD…]` renders drives with exact truth, follows them and the
-//! real recordings as `odograph run` would, and exits with 1 where a figure is worse than in
-//! `bench/baseline.json` by more than its tolerance (`figures.rs`). The recordings are in `rows.rs`.
+//! `cargo run --release -p odograph-gate [-- WORD…]` renders drives with exact truth, follows them
+//! and the real recordings as `odograph run` would, and exits with 1 where a figure is worse than
+//! in `bench/baseline.json` by more than its tolerance (`figures.rs`). The recordings are in
+//! `rows.rs`.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // a program that reports
 

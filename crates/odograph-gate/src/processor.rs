@@ -2,7 +2,8 @@
 
 use std::hint::black_box;
 
-/// Processor time of this thread, milliseconds: what else the machine does counts only through the caches.
+/// Processor time of this thread, milliseconds: what else the machine does counts only through the
+/// caches.
 #[cfg(unix)]
 pub fn busy_ms() -> f64 {
     let busy = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
@@ -16,9 +17,10 @@ pub fn busy_ms() -> f64 {
     1e3 * BEGUN.elapsed().as_secs_f64()
 }
 
-/// Milliseconds that a fixed piece of work takes now, on this thread: halving an image and scalar arithmetic, which
-/// is what a frame consists of. Times are compared as multiples of it, so that a slower machine is no regression.
-/// Nothing of the library is used, so that no change of it changes the unit.
+/// Milliseconds that a fixed piece of work takes now, on this thread: halving an image and scalar
+/// arithmetic, which is what a frame consists of. Times are compared as multiples of it, so that a
+/// slower machine is no regression. Nothing of the library is used, so that no change of it changes
+/// the unit.
 pub fn reference_ms() -> f64 {
     let (width, height) = (640, 480);
     let sample = |i: u32| i.wrapping_mul(2_654_435_761).to_be_bytes()[0];

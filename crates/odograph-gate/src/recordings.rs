@@ -1,5 +1,5 @@
-//! The real recordings with known truth. They are no part of the project: they lie in the folder that `ODOGRAPH_DATA`
-//! names, or in `../shared/data` beside the checkout.
+//! The real recordings with known truth. They are no part of the project: they lie in the folder
+//! that `ODOGRAPH_DATA` names, or in `../shared/data` beside the checkout.
 
 use crate::clip::Clip;
 use crate::rows::Follow;
@@ -74,7 +74,8 @@ fn floor_flight(folder: &Path) -> Result<Clip> {
     clip(&folder.join("frames"), &options, camera, rig, truth)
 }
 
-/// A hand-held camera over a checkerboard: `X_camera = R X_world + t`, the world's z into the board.
+/// A hand-held camera over a checkerboard: `X_camera = R X_world + t`, the world's z into the
+/// board.
 fn planar_checker(folder: &Path) -> Result<Clip> {
     let flip = Isometry3::rotation(Vector3::x() * PI);
     let mut truth = Trajectory::default();
@@ -124,8 +125,8 @@ fn kylehart(folder: &Path) -> Result<Clip> {
     clip(folder, &SourceOptions { timestamps, ..Default::default() }, camera, Rig::level(0.25), truth)
 }
 
-/// Drone stills of a field against the drone's GPS. Neither lens nor height is known: a pinhole and 1 m stand for both, so
-/// only the shape of the path is compared.
+/// Drone stills of a field against the drone's GPS. Neither lens nor height is known: a pinhole and
+/// 1 m stand for both, so only the shape of the path is compared.
 fn nadir_caliterra(folder: &Path) -> Result<Clip> {
     let camera = Camera::new((1000, 750), (729.3, 729.3), (499.5, 374.5), Distortion::None)?;
     let mut truth = Trajectory::default();

@@ -13,7 +13,8 @@ use std::f64::consts::TAU;
 pub enum Follow {
     /// Frame by frame, as a camera delivers them.
     Live,
-    /// Followed again where the mount or the lens is found not to be as told, as `odograph run` does.
+    /// Followed again where the mount or the lens is found not to be as told, as `odograph run`
+    /// does.
     Recorded,
     /// The same with the map, and its loops brought into every pose.
     Mapped,
