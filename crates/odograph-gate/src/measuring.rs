@@ -22,7 +22,7 @@ const SETTLED_FRAMES: usize = 30;
 
 /// A clip to be measured.
 enum Job {
-    Rendered { row: Row, seed: u64 },
+    Rendered { row: Box<Row>, seed: u64 },
     Real(Recording),
 }
 
@@ -46,7 +46,7 @@ pub fn measure(arguments: &Arguments) -> Measured {
     for row in rows().into_iter().filter(|row| arguments.asks_for(row.name)) {
         let seeds = arguments.seeds.unwrap_or(row.seeds);
         for seed in arguments.first_seed..arguments.first_seed + seeds {
-            jobs.push((row.name.to_owned(), Job::Rendered { row: row.clone(), seed }));
+            jobs.push((row.name.to_owned(), Job::Rendered { row: Box::new(row.clone()), seed }));
         }
     }
     let results = in_parallel(&jobs, arguments.thread_count());
