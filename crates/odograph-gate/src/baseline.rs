@@ -1,6 +1,6 @@
 //! The stored figures, and how new ones compare with them.
 
-use crate::figures::{Better, Figures, Measure, measure};
+use crate::figures::{Better, DRAWS_ALLOWED, Figures, Measure, looseness, measure};
 use odograph::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -166,7 +166,15 @@ impl Comparison {
 /// worse.
 fn changes(row: &str, old: &Figures, new: &Figures) -> Vec<Change> {
     let mut changes = Vec::new();
+    let factor = looseness(row);
+    let sigma_mm = old.get("end_sigma_mm").unwrap_or(0.0);
     for measure in old.0.keys().filter_map(|key| measure(key)) {
+        let draws = if measure.key == "end_mm" { DRAWS_ALLOWED * sigma_mm } else { 0.0 };
+        let measure = &Measure {
+            relative: factor * measure.relative,
+            absolute: factor * measure.absolute + draws,
+            ..*measure
+        };
         let (old, new) = (old.get(measure.key), new.get(measure.key));
         let verdict = match (old, new) {
             (Some(old), Some(new)) => verdict(measure, old, new),
@@ -222,7 +230,7 @@ mod tests {
     fn a_figure_beyond_its_tolerance_fails_the_gate() {
         let same = compared(&[("drift_percent", 0.1)], &[("drift_percent", 0.11)]);
         assert!(same.is_passed() && same.changes.is_empty() && same.passed == 1);
-        let worse = compared(&[("drift_percent", 0.1)], &[("drift_percent", 0.13)]);
+        let worse = compared(&[("drift_percent", 0.1)], &[("drift_percent", 0.17)]);
         assert!(!worse.is_passed() && worse.worse == 1);
         assert!(!compared(&[("posed_percent", 100.0)], &[("posed_percent", 99.0)]).is_passed());
         assert!(!compared(&[("lost", 0.0)], &[("lost", 1.0)]).is_passed());

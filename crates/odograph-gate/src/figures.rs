@@ -46,19 +46,18 @@ impl Measure {
 
 /// All figures, in the order of the tables, with their tolerances.
 ///
-/// The same program gives the same figures, but for times. Any change of it, and the C library's
-/// last bits on another platform, draw the noise of a path anew; a tolerance is what that draw may
-/// change. The mean over all metres of a path changes by some per cent, the one error at its end by
-/// a factor.
+/// The same program gives the same figures, but for times. Any change of it, and the C library's last
+/// bits on another platform, draw the noise of a path anew; a tolerance is what that draw may change.
+/// Measured with 396 corners instead of 400, which is no other program: what is said of each below.
 pub const MEASURES: [Measure; 14] = [
-    // A mean over a hundred or more overlapping metres; below 0.001 % are thousandths of a pixel.
-    Measure::new("drift_percent", "error over each metre, %", 4, Better::Lower).within(0.20, 0.0008),
-    Measure::new("heading_deg_per_m", "heading, °/m", 4, Better::Lower).within(0.25, 0.0008),
-    // One draw: twice as much is usual, the stated deviation below is what holds it.
-    Measure::new("end_mm", "at the end, mm", 2, Better::Lower).within(1.5, 0.15),
-    // What the program says of that; NEES says whether it is true.
+    // One seed of four metres: mostly within 20 %, up to twice as much on concrete and `tilt-untold`.
+    Measure::new("drift_percent", "error over each metre, %", 4, Better::Lower).within(0.6, 0.001),
+    Measure::new("heading_deg_per_m", "heading, °/m", 4, Better::Lower).within(0.7, 0.001),
+    // One draw: up to eleven times as much, but within its stated deviation; see `DRAWS_ALLOWED`.
+    Measure::new("end_mm", "at the end, mm", 2, Better::Lower).within(1.0, 0.15),
+    // What the program says of that, within 11 %; NEES says whether it is true.
     Measure::new("end_sigma_mm", "stated σ, mm", 2, Better::Lower).within(0.25, 0.03),
-    // Absolute trajectory error of a real recording: one path, but hundreds of poses.
+    // Absolute trajectory error of a real recording, within 9 %; see `LOOSE` for the exception.
     Measure::new("ate_mm", "ATE, mm", 2, Better::Lower).within(0.15, 0.05),
     // A fifth of a frame in a hundred: a frame more is lost where some are.
     Measure::new("posed_percent", "posed, %", 1, Better::Higher).within(0.0, 0.5),
@@ -77,6 +76,20 @@ pub const MEASURES: [Measure; 14] = [
     Measure::new("peak_memory_mb", "most memory, MB", 0, Better::Lower).within(0.4, 30.0),
     Measure::new("reference_ms", "reference, ms", 2, Better::Shown),
 ];
+
+/// So many stated standard deviations the error at the end may grow by beyond its tolerance.
+pub const DRAWS_ALLOWED: f64 = 1.5;
+
+/// Rows whose figures hang on single frames, and by what their tolerances are multiplied.
+///
+/// `floor_flight`: blurred frames near the floor decide what follows; 58 mm and five losses became 129 mm
+/// and three with 396 corners, and a frame cost twice as much.
+const LOOSE: [(&str, f64); 1] = [("floor_flight", 10.0)];
+
+/// What the tolerances of a row are multiplied by.
+pub fn looseness(row: &str) -> f64 {
+    LOOSE.iter().find(|(name, _)| *name == row).map_or(1.0, |(_, factor)| *factor)
+}
 
 /// The measure of that key.
 pub fn measure(key: &str) -> Option<&'static Measure> {
