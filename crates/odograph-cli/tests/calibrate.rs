@@ -273,7 +273,7 @@ fn usage_that_cannot_be() {
 #[cfg(unix)]
 fn a_full_disk_leaves_nothing_half_written() {
     if !Path::new("/dev/full").exists() {
-        println!("skipped: there is no /dev/full");
+        println!("skipped: dev-full: there is no /dev/full");
         return;
     }
     let place = Place::new();
@@ -333,7 +333,7 @@ fn data() -> Option<PathBuf> {
 #[test]
 fn the_boards_of_opencv() {
     let Some(folder) = data().map(|data| data.join("calib_opencv")).filter(|folder| folder.is_dir()) else {
-        println!("skipped: no folder calib_opencv in ODOGRAPH_DATA");
+        println!("skipped: data: no folder calib_opencv in ODOGRAPH_DATA");
         return;
     };
     let place = Place::new();
@@ -375,7 +375,9 @@ fn through_a_camera_it_is_said_what_is_missing_until_it_is_good() {
     let mut told = camera.guided(&pictures[6]);
     let missing = |told: &serde_json::Value| told["missing"].as_array().unwrap().len();
     assert!(missing(&told) > 0 && told["views"].as_u64().unwrap() > 2, "{told}");
-    let mut browser = browser::Browser::start().map_err(|why| println!("no look at the page: {why}")).ok();
+    let mut browser = browser::Browser::start()
+        .map_err(|why| println!("skipped: chromium: no look at the page: {why}"))
+        .ok();
     let page = browser.as_mut().map(|browser| browser.open(&camera.url, (1280, 800), false));
     if let (Some(browser), Some(page)) = (&mut browser, &page) {
         browser.wait(page, "document.body.dataset.views > 2");

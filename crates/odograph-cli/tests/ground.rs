@@ -356,7 +356,7 @@ fn recordings() -> Option<PathBuf> {
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
     let there = folder.join("calib_overhead_table/images").is_dir();
     if !there {
-        println!("skipped: {} does not hold the recordings", folder.display());
+        println!("skipped: data: {} does not hold the recordings", folder.display());
     }
     there.then_some(folder)
 }

@@ -302,7 +302,7 @@ fn outputs_that_cannot_be() {
 #[cfg(unix)]
 fn a_full_disk() {
     if !Path::new("/dev/full").exists() {
-        println!("skipped: there is no /dev/full");
+        println!("skipped: dev-full: there is no /dev/full");
         return;
     }
     let place = Place::new();
@@ -353,7 +353,7 @@ fn a_full_file_system() {
         .stderr(Stdio::null())
         .status();
     if !mount.is_ok_and(|status| status.success()) {
-        println!("skipped: a small file system cannot be mounted here");
+        println!("skipped: mount: a small file system cannot be mounted here");
         return;
     }
     let done = place.run("drive.y4m --camera camera.yaml --height 1 -o small/out");

@@ -167,7 +167,7 @@ fn an_rtsp_camera_that_goes_away_and_comes_back_is_followed_to_its_end() {
     let clip = match rtsp::clip(&place.path("clip.h264")) {
         Ok(clip) => clip,
         Err(why) => {
-            println!("skipped: {why}");
+            println!("skipped: ffmpeg: {why}");
             return;
         }
     };
@@ -297,7 +297,7 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     let mut browser = match Browser::start() {
         Ok(browser) => browser,
         Err(why) => {
-            println!("skipped: {why}");
+            println!("skipped: chromium: {why}");
             return;
         }
     };

@@ -16,7 +16,7 @@ fn recording(name: &str) -> Option<PathBuf> {
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
     let folder = data.join(name);
     if !folder.is_dir() {
-        println!("skipped: the recording {} is not here", folder.display());
+        println!("skipped: data: the recording {} is not here", folder.display());
         return None;
     }
     Some(folder)

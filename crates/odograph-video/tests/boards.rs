@@ -11,7 +11,7 @@ fn pictures(folder: &str, starting: &str) -> Option<Vec<PathBuf>> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let folder = std::env::var_os("ODOGRAPH_DATA").map_or_else(beside, PathBuf::from).join(folder);
     let Ok(entries) = std::fs::read_dir(&folder) else {
-        println!("skipped: there is no {}", folder.display());
+        println!("skipped: data: there is no {}", folder.display());
         return None;
     };
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();

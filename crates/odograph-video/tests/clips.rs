@@ -14,12 +14,12 @@ fn recordings() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let folder = std::env::var_os("ODOGRAPH_DATA").map_or_else(beside, PathBuf::from).join("video");
     if !folder.is_dir() {
-        println!("skipped: there are no recordings in {}", folder.display());
+        println!("skipped: data: there are no recordings in {}", folder.display());
         return None;
     }
     let there = |program: &str| Command::new(program).arg("-version").output().is_ok();
     if !(there("ffmpeg") && there("ffprobe")) {
-        println!("skipped: there is no ffmpeg with ffprobe to compare with");
+        println!("skipped: ffmpeg: there is no ffmpeg with ffprobe to compare with");
         return None;
     }
     Some(folder)

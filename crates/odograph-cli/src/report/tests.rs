@@ -213,7 +213,7 @@ fn odd_paths() -> Vec<(&'static str, Vec<FrameSummary>)> {
 #[test]
 fn a_look() {
     let Some(folder) = std::env::var_os("ODOGRAPH_LOOK").map(std::path::PathBuf::from) else {
-        println!("skipped: ODOGRAPH_LOOK names no folder");
+        println!("skipped: look: ODOGRAPH_LOOK names no folder");
         return;
     };
     let (frames, camera) = (figure_eight(900), camera());

@@ -48,7 +48,7 @@ fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_i
     let disk = match SmallDisk::mount(&place.path("disk"), 32 << 20) {
         Ok(disk) => disk,
         Err(why) => {
-            println!("skipped: {why}");
+            println!("skipped: mount: {why}");
             return;
         }
     };
@@ -98,7 +98,7 @@ fn a_map_that_does_not_fit_on_its_disk_costs_no_trajectory() {
     let _disk = match SmallDisk::mount(&place.path("disk"), 300 << 10) {
         Ok(disk) => disk,
         Err(why) => {
-            println!("skipped: {why}");
+            println!("skipped: mount: {why}");
             return;
         }
     };

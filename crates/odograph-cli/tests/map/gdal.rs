@@ -11,7 +11,7 @@ fn gdal(program: &str, arguments: &[&str], folder: &Path) -> Option<String> {
     let output = match Command::new(program).args(arguments).current_dir(folder).output() {
         Ok(output) => output,
         Err(error) => {
-            println!("skipped: {program} cannot be run here ({error}); apt-get install gdal-bin");
+            println!("skipped: gdal: {program} cannot be run here ({error}); apt-get install gdal-bin");
             return None;
         }
     };

@@ -205,7 +205,7 @@ fn real_files_are_read() {
     let folder = std::env::var_os("ODOGRAPH_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), Into::into);
     let Ok(text) = std::fs::read_to_string(folder.join("calib_opencv/left_intrinsics.yml")) else {
-        println!("skipped: {} does not hold the recordings", folder.display());
+        println!("skipped: data: {} does not hold the recordings", folder.display());
         return;
     };
     let left = parse(&text, None).unwrap();

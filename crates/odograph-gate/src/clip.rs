@@ -1,0 +1,58 @@
+//! A recording in memory: frames, what the program is told, and the truth.
+
+use crate::compression;
+use crate::rows::{Row, camera};
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::image::GrayImage;
+use odograph::simulation::{Path, Simulation, SimulationConfig, Texture};
+use odograph::trajectory::{StampedPose, Trajectory};
+
+/// A recording with its truth.
+#[derive(Debug)]
+pub struct Clip {
+    /// The camera as the program is told.
+    pub camera: Camera,
+    /// Its mount as the program is told.
+    pub rig: Rig,
+    /// Time in seconds and luminance of every frame. Rendered before anything is timed, so that
+    /// rendering is not in the times, and following it twice costs no second rendering.
+    pub frames: Vec<(f64, GrayImage)>,
+    /// Where the camera was.
+    pub truth: Trajectory,
+    /// Frames per second.
+    pub fps: f64,
+}
+
+/// Renders a row with a seed.
+pub fn render(row: &Row, seed: u64) -> Result<Clip> {
+    let texture = Texture::named(row.texture)
+        .ok_or_else(|| Error::usage(format!("{}: no texture is called {}", row.name, row.texture)))?;
+    let simulation = Simulation::new(SimulationConfig {
+        camera: camera(row.size_px)?,
+        rig: row.rig,
+        texture,
+        path: Path::new((row.path)(seed), row.speed_m_s, row.turn_rate_rad_s, true)?,
+        effects: row.effects.clone(),
+        fps: row.fps,
+        duration_s: None,
+        colored: false,
+        seed: 1000 + seed,
+    })?;
+    let mut clip = Clip {
+        camera: camera(row.size_px)?,
+        rig: row.rig_told,
+        frames: Vec::with_capacity(simulation.len()),
+        truth: Trajectory::default(),
+        fps: row.fps,
+    };
+    for frame in simulation.frames() {
+        let world_from_camera = frame.truth.world_from_camera();
+        clip.truth.poses.push(StampedPose { time_s: frame.time_s, world_from_camera });
+        clip.frames.push((frame.time_s, frame.image));
+    }
+    if let Some(qp) = row.h264_qp {
+        compression::compress(&mut clip, qp)?;
+    }
+    Ok(clip)
+}

@@ -1,0 +1,42 @@
+//! Clips as files, for other programs: what `odograph simulate --format y4m` writes.
+
+use crate::arguments::Arguments;
+use crate::clip::{Clip, render};
+use crate::rows::rows;
+use odograph::error::{Error, Result};
+use odograph::formats::{camera_file, rig_file, trajectory_file};
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+/// Writes the clips of the rows that are asked for, each into `folder/ROW-SEED`.
+pub fn export(arguments: &Arguments, folder: &Path) -> Result<()> {
+    for row in rows().into_iter().filter(|row| arguments.asks_for(row.name)) {
+        let seeds = arguments.seeds.unwrap_or(row.seeds);
+        for seed in arguments.first_seed..arguments.first_seed + seeds {
+            let to = folder.join(format!("{}-{seed}", row.name));
+            let clip = render(&row, seed)?;
+            write(&clip, &to).map_err(|error| Error::output(format!("{}: {error}", to.display())))?;
+            println!("{}", to.display());
+        }
+    }
+    Ok(())
+}
+
+fn write(clip: &Clip, folder: &Path) -> std::io::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    std::fs::write(folder.join("camera.yaml"), camera_file::write(&clip.camera))?;
+    std::fs::write(folder.join("rig.toml"), rig_file::write(&clip.rig))?;
+    std::fs::write(folder.join("truth.tum"), trajectory_file::write_tum(&clip.truth))?;
+    let (width, height, fps) = (clip.camera.width(), clip.camera.height(), clip.fps.round());
+    let mut file = BufWriter::new(std::fs::File::create(folder.join("sim.y4m"))?);
+    writeln!(file, "YUV4MPEG2 W{width} H{height} F{fps}:1 Ip A1:1 Cmono XCOLORRANGE=FULL")?;
+    // Y4M has one rate for all frames; the times of dropped and late ones stand beside it.
+    let mut times = String::new();
+    for (time_s, image) in &clip.frames {
+        file.write_all(b"FRAME\n")?;
+        file.write_all(image.samples())?;
+        times += &format!("{time_s:.9}\n");
+    }
+    file.flush()?;
+    std::fs::write(folder.join("times.txt"), times)
+}

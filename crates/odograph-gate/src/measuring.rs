@@ -1,0 +1,189 @@
+//! Measures rows, as many at once as there are threads.
+
+use crate::arguments::Arguments;
+use crate::baseline::{Measured, RowFigures, Skipped};
+use crate::clip::{Clip, render};
+use crate::figures::Figures;
+use crate::following::{Followed, follow};
+use crate::processor::{peak_memory_mb, reference_ms};
+use crate::recordings::{self, Recording};
+use crate::rows::{Row, rows};
+use nalgebra::Vector3;
+use odograph::error::Result;
+use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
+use odograph::geometry::{GroundPose, wrap_angle};
+use odograph::motion::MotionModel;
+use odograph::trajectory::{FrameEstimate, TrackStatus, Trajectory};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// The first poses are exact by definition; what they state is not compared with their error.
+const SETTLED_FRAMES: usize = 30;
+
+/// A clip to be measured.
+enum Job {
+    Rendered { row: Box<Row>, seed: u64 },
+    Real(Recording),
+}
+
+/// Measures all rows that are asked for, real recordings where their data is there.
+pub fn measure(arguments: &Arguments) -> Measured {
+    let mut measured = Measured::default();
+    let mut jobs: Vec<(String, Job)> = Vec::new();
+    let data = recordings::folder();
+    for recording in recordings::all() {
+        if !arguments.asks_for(recording.name) {
+            continue;
+        }
+        let there = data.join(recording.name).is_dir();
+        if there {
+            jobs.push((recording.name.to_owned(), Job::Real(recording)));
+        } else {
+            let reason = format!("no {}", data.display());
+            measured.skipped.push(Skipped { name: recording.name.to_owned(), reason });
+        }
+    }
+    for row in rows().into_iter().filter(|row| arguments.asks_for(row.name)) {
+        let seeds = arguments.seeds.unwrap_or(row.seeds);
+        for seed in arguments.first_seed..arguments.first_seed + seeds {
+            jobs.push((row.name.to_owned(), Job::Rendered { row: Box::new(row.clone()), seed }));
+        }
+    }
+    let results = in_parallel(&jobs, arguments.thread_count());
+    let mut names: Vec<&str> = jobs.iter().map(|(name, _)| name.as_str()).collect();
+    names.dedup();
+    for name in names {
+        let of_row = || results.iter().filter(|(row, _)| row == name).map(|(_, result)| result);
+        if let Some(error) = of_row().find_map(|result| result.as_ref().err()) {
+            measured.failed.push(Skipped { name: name.to_owned(), reason: error.clone() });
+            continue;
+        }
+        let figures: Vec<Figures> = of_row().flatten().cloned().collect();
+        measured.rows.push(RowFigures {
+            name: name.to_owned(),
+            first_seed: arguments.first_seed,
+            seeds: figures.len() as u64,
+            figures: Figures::over_seeds(&figures),
+        });
+    }
+    let mut process = Figures::default();
+    process.set("reference_ms", reference_ms());
+    // With fewer rows or other threads the clips in memory are others, and nothing can be compared.
+    if arguments.words.is_empty() && arguments.threads.is_none() && arguments.seeds.is_none() {
+        peak_memory_mb().into_iter().for_each(|megabytes| process.set("peak_memory_mb", megabytes));
+    }
+    measured.process = Figures::over_seeds(&[process]);
+    measured
+}
+
+/// Each job's figures, or what it failed with, in the order of the jobs.
+fn in_parallel(
+    jobs: &[(String, Job)],
+    threads: usize,
+) -> Vec<(String, std::result::Result<Figures, String>)> {
+    let results = Mutex::new(vec![None; jobs.len()]);
+    let next = AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some((name, job)) = jobs.get(index) else { break };
+                    let figures = figures_of(job).map_err(|error| error.to_string());
+                    if let Ok(mut results) = results.lock() {
+                        results[index] = Some((name.clone(), figures));
+                    }
+                }
+            });
+        }
+    });
+    results.into_inner().unwrap_or_default().into_iter().flatten().collect()
+}
+
+fn figures_of(job: &Job) -> Result<Figures> {
+    let reference_ms = reference_ms();
+    let (clip, followed, mut figures) = match job {
+        Job::Rendered { row, seed } => {
+            let clip = render(row, *seed)?;
+            let followed = follow(&clip, row.follow, MotionModel::Auto)?;
+            let figures = against_exact_truth(&clip, &followed)?;
+            (clip, followed, figures)
+        }
+        Job::Real(recording) => {
+            let clip = recording.open(&recordings::folder())?;
+            let followed = follow(&clip, recording.follow, recording.model)?;
+            let mut figures = Figures::default();
+            figures.set("ate_mm", ate_mm(&clip, &followed, recording.alignment)?);
+            (clip, followed, figures)
+        }
+    };
+    let posed = followed.frames.iter().filter(|frame| frame.estimate.is_some()).count();
+    figures.set("posed_percent", 100.0 * posed as f64 / clip.frames.len().max(1) as f64);
+    figures.set("lost", times_lost(&followed.frames) as f64);
+    figures.set("restarts", followed.restarts as f64);
+    let mut times_ms = followed.times_ms;
+    times_ms.sort_by(f64::total_cmp);
+    let mean_ms = times_ms.iter().sum::<f64>() / times_ms.len().max(1) as f64;
+    let p99_ms = times_ms.get(times_ms.len() * 99 / 100).copied().unwrap_or(f64::NAN);
+    figures.set("frame_ms", mean_ms);
+    // The mean of before and after: the machine may have become busier meanwhile.
+    figures.set("frame_ratio", mean_ms / (0.5 * (reference_ms + crate::processor::reference_ms())));
+    figures.set("p99_ratio", p99_ms / mean_ms);
+    Ok(figures)
+}
+
+/// How often tracking was lost: gaps, not frames.
+fn times_lost(frames: &[FrameEstimate]) -> usize {
+    let is_lost = |frame: &FrameEstimate| matches!(frame.status, TrackStatus::Lost { .. });
+    let begins = frames.windows(2).filter(|pair| !is_lost(&pair[0]) && is_lost(&pair[1])).count();
+    begins + usize::from(frames.first().is_some_and(is_lost))
+}
+
+/// Absolute trajectory error, root mean square, millimetres.
+fn ate_mm(clip: &Clip, followed: &Followed, alignment: Alignment) -> Result<f64> {
+    let options = EvaluationOptions { alignment, ..EvaluationOptions::default() };
+    let found = evaluate(&Trajectory::from_frames(&followed.frames), &clip.truth, &options)?;
+    Ok(1e3 * found.absolute.translation.rmse)
+}
+
+/// What exact truth in the same world tells.
+fn against_exact_truth(clip: &Clip, followed: &Followed) -> Result<Figures> {
+    let options = EvaluationOptions {
+        alignment: Alignment::Origin,
+        segment_lengths_m: vec![1.0],
+        ..EvaluationOptions::default()
+    };
+    let found = evaluate(&Trajectory::from_frames(&followed.frames), &clip.truth, &options)?;
+    let mut figures = Figures::default();
+    if let Some(drift) = found.drift.first() {
+        figures.set("drift_percent", drift.translation_percent);
+        figures.set("heading_deg_per_m", drift.heading_deg_per_m);
+    }
+    figures.set("end_mm", 1e3 * found.final_position_error_m);
+    if let Some(last) = followed.frames.iter().rev().find_map(|frame| frame.estimate.as_ref()) {
+        let variance_m2 = last.covariance[(0, 0)] + last.covariance[(1, 1)];
+        figures.set("end_sigma_mm", 1e3 * variance_m2.sqrt());
+    }
+    figures.set("nees", nees(clip, &followed.frames));
+    Ok(figures)
+}
+
+/// Mean normalised squared error of x, y and heading; 3 where the stated covariance is true.
+fn nees(clip: &Clip, frames: &[FrameEstimate]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (frame, truth) in frames.iter().zip(&clip.truth.poses).skip(SETTLED_FRAMES) {
+        let Some(known) = &frame.estimate else { continue };
+        let truth = GroundPose::from_world_from_camera(&truth.world_from_camera);
+        let error = Vector3::new(
+            known.pose.x_m - truth.x_m,
+            known.pose.y_m - truth.y_m,
+            wrap_angle(known.pose.heading_rad - truth.heading_rad),
+        );
+        let covariance = known.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        if let Some(information) = covariance.try_inverse() {
+            sum += error.dot(&(information * error));
+            count += 1;
+        }
+    }
+    sum / count as f64
+}

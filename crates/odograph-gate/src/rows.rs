@@ -1,0 +1,202 @@
+//! The rendered rows. A new one is one `Row { … }` in [`rows`].
+
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::error::Result;
+use odograph::geometry::Pixel;
+use odograph::simulation::{
+    Blackout, Effects, Lighting, MovingObject, PathKind, Shadow, Timing, Vibration, Wander,
+};
+use std::f64::consts::TAU;
+
+/// How a clip is followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Follow {
+    /// Frame by frame, as a camera delivers them.
+    Live,
+    /// Followed again where the mount or the lens is found not to be as told, as `odograph run`
+    /// does.
+    Recorded,
+    /// The same with the map, and its loops brought into every pose.
+    Mapped,
+}
+
+/// A kind of recording, of which every seed makes another.
+#[derive(Debug, Clone)]
+pub struct Row {
+    /// Short, in kebab case, unique.
+    pub name: &'static str,
+    /// A name that `Texture::named` knows.
+    pub texture: &'static str,
+    /// Where it goes, by seed.
+    pub path: fn(u64) -> PathKind,
+    /// Speed over ground, metres per second.
+    pub speed_m_s: f64,
+    /// Where it turns on the spot or about a point, radians per second.
+    pub turn_rate_rad_s: f64,
+    /// What makes it hard.
+    pub effects: Effects,
+    /// Width and height of the image, pixels.
+    pub size_px: (usize, usize),
+    /// Frames per second.
+    pub fps: f64,
+    /// How the camera really sits.
+    pub rig: Rig,
+    /// How the program is told that it sits.
+    pub rig_told: Rig,
+    /// Quantiser of H.264, 0 to 51, where the recording is compressed with it.
+    pub h264_qp: Option<u8>,
+    /// How it is followed.
+    pub follow: Follow,
+    /// Seeds measured by default; figures are medians over them.
+    pub seeds: u64,
+}
+
+/// Height of the camera above the ground, metres.
+const HEIGHT_M: f64 = 0.75;
+const FULL_PX: (usize, usize) = (640, 480);
+/// A quarter of the pixels, for rows that take long to render.
+const SMALL_PX: (usize, usize) = (320, 240);
+
+/// The camera of all rendered rows: a mild barrel lens.
+pub fn camera((width, height): (usize, usize)) -> Result<Camera> {
+    let share = width as f64 / 640.0;
+    let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap_or(Distortion::None);
+    let centre = (321.0 * share, 238.5 * share);
+    Camera::new((width, height), (500.0 * share, 500.0 * share), centre, distortion)
+}
+
+/// Turns all the time, another way for every seed.
+fn wandering(seed: u64) -> PathKind {
+    PathKind::RandomWalk { length_m: 4.0, seed: 100 + seed }
+}
+
+/// A turn and a half about a corner of the image, another corner for every seed.
+fn corner_turn(seed: u64) -> PathKind {
+    let corner = [(0.0, 0.0), (639.0, 0.0), (0.0, 479.0), (639.0, 479.0)][seed as usize % 4];
+    let ray = camera(FULL_PX).ok().and_then(|camera| camera.ray_from_pixel(Pixel::new(corner.0, corner.1)));
+    let about = ray.and_then(|ray| Rig::level(HEIGHT_M).first_pose().ground_from_ray(ray));
+    about.map_or(PathKind::Still { duration_s: 1.0 }, |about| PathKind::Pivot { about, turn_rad: 1.5 * TAU })
+}
+
+fn straight(_: u64) -> PathKind {
+    PathKind::Straight { length_m: 40.0 }
+}
+
+/// Lanes that overlap by half, so that each closes loops with the one before.
+fn lanes(_: u64) -> PathKind {
+    PathKind::Lanes { length_m: 2.5, spacing_m: 0.4, count: 4 }
+}
+
+/// Two gray levels of noise and nothing else.
+fn noise() -> Effects {
+    Effects { noise_gray: 2.0, ..Effects::default() }
+}
+
+/// An easy drive over asphalt; what every other row starts from.
+fn clean() -> Row {
+    Row {
+        name: "asphalt",
+        texture: "asphalt",
+        path: wandering,
+        speed_m_s: 0.6,
+        turn_rate_rad_s: TAU / 2.0,
+        effects: noise(),
+        size_px: FULL_PX,
+        fps: 30.0,
+        rig: Rig::level(HEIGHT_M),
+        rig_told: Rig::level(HEIGHT_M),
+        h264_qp: None,
+        follow: Follow::Recorded,
+        seeds: 1,
+    }
+}
+
+/// The clean drive with other effects.
+fn with(name: &'static str, effects: Effects) -> Row {
+    Row { name, effects, ..clean() }
+}
+
+/// The same at 320x240, over three seeds: a quarter of the time each.
+fn small(name: &'static str, effects: Effects) -> Row {
+    Row { size_px: SMALL_PX, seeds: 3, ..with(name, effects) }
+}
+
+/// All rendered rows, in the order of the table.
+pub fn rows() -> Vec<Row> {
+    let degree = 1f64.to_radians();
+    let vibration = Vibration { shift_m: 0.004, turn_rad: 0.01, frequency_hz: 7.0 };
+    let lit = Effects {
+        lighting: Some(Lighting { drift: 0.25, offset_gray: 8.0, flicker: 0.08, flicker_hz: 97.0 }),
+        ground_shadow: 0.35,
+        carrier_shadow: Some(Shadow::default()),
+        ..noise()
+    };
+    let object = MovingObject { radius_m: 0.09, speed_m_s: 0.3, every_s: 2.5 };
+    let height = |amplitude| Some(Wander { amplitude, period_s: 5.0 });
+    let tilt = |degrees: f64| Some(Wander { amplitude: degrees.to_radians(), period_s: 4.0 });
+    let hand_held = Effects {
+        vibration: Some(Vibration { shift_m: 0.006, turn_rad: 0.012, frequency_hz: 4.0 }),
+        height_change: height(0.1),
+        tilt_change: tilt(3.0),
+        exposure_s: 0.004,
+        object: Some(object),
+        noise_gray: 3.0,
+        ..lit.clone()
+    };
+    let tilted = Rig { roll_rad: 1.0 * degree, pitch_rad: -0.7 * degree, ..Rig::level(HEIGHT_M) };
+    let dark = vec![Blackout { from_s: 3.0, to_s: 5.0 }];
+    vec![
+        clean(),
+        Row { name: "carpet", texture: "carpet", ..clean() },
+        Row { name: "grass", texture: "grass", ..clean() },
+        Row { name: "concrete", texture: "concrete", ..clean() },
+        Row { name: "corner-turn", path: corner_turn, ..clean() },
+        Row { name: "tiles", texture: "tiles", ..clean() },
+        Row { name: "bricks", texture: "bricks", ..clean() },
+        Row { texture: "bare", ..with("faint", Effects { noise_gray: 1.0, ..noise() }) },
+        Row { texture: "bare", ..small("faint-noise", noise()) },
+        with("noise-6-gray", Effects { noise_gray: 6.0, ..noise() }),
+        with("vibration", Effects { vibration: Some(vibration), ..noise() }),
+        with("blur-10ms", Effects { exposure_s: 0.010, ..noise() }),
+        small("blur-33ms", Effects { exposure_s: 0.033, ..noise() }),
+        with("light-shadow", lit),
+        with("moving-object", Effects { object: Some(object), ..noise() }),
+        with("dropped", Effects { timing: Timing { dropped: 0.33, jitter_s: 0.003 }, ..noise() }),
+        with("height-10pct", Effects { height_change: height(0.1), ..noise() }),
+        with("tilt-3deg", Effects { tilt_change: tilt(3.0), ..noise() }),
+        Row { name: "tilt-untold", rig: tilted, ..clean() },
+        Row { name: "tilt-untold-live", rig: tilted, follow: Follow::Live, ..clean() },
+        Row { name: "height-told-2pct-low", rig_told: Rig::level(0.98 * HEIGHT_M), ..clean() },
+        Row { texture: "grass", ..with("hand-held", hand_held.clone()) },
+        Row { texture: "grass", ..small("hand-held-small", hand_held) },
+        Row {
+            path: straight,
+            // 0.58 m a frame is 60 % of what the image is wide.
+            speed_m_s: 17.3,
+            ..with("fast", Effects { exposure_s: 0.0009, ..noise() })
+        },
+        small("blackout-2s", Effects { blackouts: dark, ..noise() }),
+        Row { name: "h264-qp28", h264_qp: Some(28), ..clean() },
+        Row {
+            path: lanes,
+            fps: 15.0,
+            rig: Rig { roll_rad: 0.3 * degree, pitch_rad: -0.2 * degree, ..Rig::level(HEIGHT_M) },
+            follow: Follow::Mapped,
+            ..small("loop", Effects { noise_gray: 10.0, ..noise() })
+        },
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn names_are_unique_and_in_kebab_case() {
+        let names: BTreeSet<&str> = rows().iter().map(|row| row.name).collect();
+        assert_eq!(names.len(), rows().len());
+        let kebab = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+        assert!(names.iter().all(|name| name.chars().all(kebab)), "{names:?}");
+    }
+}

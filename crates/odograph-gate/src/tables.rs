@@ -1,0 +1,75 @@
+//! Tables in documents that are generated from the baseline, between `<!-- gate:begin NAME -->` and
+//! `<!-- gate:end -->`.
+
+use crate::baseline::{Baseline, RowFigures};
+use crate::figures::{Measure, measure};
+use crate::recordings;
+use crate::report::rows_table;
+use odograph::error::{Error, Result};
+use std::path::Path;
+
+/// Documents with such tables, from the root of the checkout.
+const DOCUMENTS: [&str; 1] = ["README.md"];
+
+/// Rewrites the tables of all documents from the baseline.
+pub fn rewrite(baseline: &Path) -> Result<()> {
+    let baseline = Baseline::read_or_empty(baseline)?;
+    for document in DOCUMENTS {
+        let failed = |error: std::io::Error| Error::output(format!("{document}: {error}"));
+        let text = std::fs::read_to_string(document).map_err(failed)?;
+        let new = with_tables(&text, &baseline)?;
+        if new != text {
+            std::fs::write(document, new).map_err(failed)?;
+            println!("{document} rewritten");
+        }
+    }
+    Ok(())
+}
+
+/// A document with its tables as the baseline gives them.
+fn with_tables(document: &str, baseline: &Baseline) -> Result<String> {
+    let mut text = String::new();
+    let mut rest = document;
+    while let Some((before, after)) = rest.split_once("<!-- gate:begin ") {
+        let unended = || Error::input("a gate:begin has no gate:end");
+        let (name, after) = after.split_once(" -->").ok_or_else(unended)?;
+        let (_, after) = after.split_once("<!-- gate:end -->").ok_or_else(unended)?;
+        let table = table(name, baseline)?;
+        text += &format!("{before}<!-- gate:begin {name} -->\n{table}<!-- gate:end -->");
+        rest = after;
+    }
+    Ok(text + rest)
+}
+
+/// The table of that name.
+fn table(name: &str, baseline: &Baseline) -> Result<String> {
+    let is_real = |row: &&RowFigures| recordings::all().iter().any(|real| real.name == row.name);
+    let (rows, keys): (Vec<&RowFigures>, &[&str]) = match name {
+        "rendered" => (
+            baseline.rows.iter().filter(|row| !is_real(row)).collect(),
+            &["posed_percent", "drift_percent", "heading_deg_per_m", "end_mm", "end_sigma_mm", "nees"],
+        ),
+        "real" => (baseline.rows.iter().filter(is_real).collect(), &["posed_percent", "lost", "ate_mm"]),
+        _ => return Err(Error::usage(format!("no table is called {name}"))),
+    };
+    let columns: Vec<&Measure> = keys.iter().filter_map(|key| measure(key)).collect();
+    let rows: Vec<RowFigures> = rows.into_iter().cloned().collect();
+    Ok(rows_table("row", &rows, &columns))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn documents_hold_the_tables_that_the_baseline_gives() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let baseline = Baseline::read_or_empty(&root.join("bench/baseline.json")).unwrap();
+        for document in DOCUMENTS {
+            let text = std::fs::read_to_string(root.join(document)).unwrap();
+            assert!(text.contains("<!-- gate:begin "), "{document} has no generated table");
+            let wanted = with_tables(&text, &baseline).unwrap();
+            assert!(text == wanted, "{document}: run `cargo run --release -p odograph-gate -- --tables`");
+        }
+    }
+}
