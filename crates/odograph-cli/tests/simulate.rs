@@ -72,6 +72,41 @@ fn a_recording_has_frames_times_truth_camera_and_rig() {
 }
 
 #[test]
+fn the_world_as_it_is_writes_the_same_bytes_for_any_number_of_threads() {
+    let scratch = tempfile::tempdir().unwrap();
+    let options = "--readout-ms 20 --bumper --dirt --lamp --relief 8 --undulation 4:1.5 --kerb -5:0.2 --ramp 5 --ride \
+                   --sway 2 --breathing 1 --vibration 1 --blur 0.005 --object --color";
+    let options: Vec<&str> = options.split_whitespace().collect();
+    for (name, threads) in [("one", "1"), ("many", "5")] {
+        wrote(&scratch.path().join(name), &[options.as_slice(), &["--threads", threads]].concat());
+    }
+    assert!(contents(&scratch.path().join("one")) == contents(&scratch.path().join("many")));
+    let parameters = fs::read_to_string(scratch.path().join("one/simulation.toml")).unwrap();
+    for told in
+        ["readout_s = 0.02", "[effects.terrain.kerb]", "[effects.bumper]", "[effects.sway]", "ride = true"]
+    {
+        assert!(parameters.contains(told), "{told} is not in {parameters}");
+    }
+}
+
+#[test]
+fn the_readout_time_is_told_only_when_asked_for() {
+    let scratch = tempfile::tempdir().unwrap();
+    let camera = |name: &str, options: &[&str]| {
+        let folder = scratch.path().join(name);
+        wrote(&folder, options);
+        fs::read_to_string(folder.join("camera.yaml")).unwrap()
+    };
+    assert!(!camera("silent", &["--readout-ms", "20"]).contains("readout"));
+    let told = camera("told", &["--readout-ms", "20", "--tell-readout"]);
+    assert!(told.ends_with("readout_time_s: 0.02\n"), "{told}");
+    assert!(odograph::formats::camera_file::parse(&told, None).is_ok());
+    let output = simulate(&scratch.path().join("slow"), &["--readout-ms", "40"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("longer than the time between frames"));
+}
+
+#[test]
 fn the_same_options_write_the_same_bytes_for_any_number_of_threads() {
     let scratch = tempfile::tempdir().unwrap();
     let options =

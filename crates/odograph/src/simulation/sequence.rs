@@ -319,3 +319,5 @@ fn times_s(config: &SimulationConfig) -> Result<Vec<f64>> {
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod world_tests;

@@ -11,7 +11,7 @@ fn camera() -> Camera {
     Camera::new((160, 120), (125.0, 125.0), (80.5, 59.0), distortion).unwrap()
 }
 
-fn config(kind: PathKind) -> SimulationConfig {
+pub(super) fn config(kind: PathKind) -> SimulationConfig {
     SimulationConfig {
         camera: camera(),
         rig: Rig::level(0.5),
@@ -25,7 +25,7 @@ fn config(kind: PathKind) -> SimulationConfig {
     }
 }
 
-fn standing(effects: Effects) -> Simulation {
+pub(super) fn standing(effects: Effects) -> Simulation {
     Simulation::new(SimulationConfig { effects, ..config(PathKind::Still { duration_s: 10.0 }) }).unwrap()
 }
 
