@@ -128,6 +128,34 @@ fn sources_that_are_none() {
 }
 
 #[test]
+fn recordings_of_robots_are_told_by_their_content() {
+    let place = Place::new();
+    let bag = b"SQLite format 3\0 ... CREATE TABLE topics(id) CREATE TABLE messages(id)";
+    for (name, bytes, words) in [
+        ("drive.mcap", &b"\x89MCAP0\r\n\xff\xd8\xff\xe0"[..], "an MCAP recording"),
+        ("named.mp4", b"\x89MCAP0\r\n", "an MCAP recording"),
+        ("drive.bag", b"#ROSBAG V2.0\n\xff\xd8\xff\xe0", "a ROS 1 bag"),
+        ("drive.db3", bag, "a rosbag2 recording"),
+        (
+            "map.gpkg",
+            b"SQLite format 3\0 CREATE TABLE keyframes(id)",
+            "an SQLite database and not a recording",
+        ),
+    ] {
+        fs::write(place.path(name), bytes).unwrap();
+        place.refused_usual(name, 3, words);
+    }
+    for (folder, name, bytes) in [
+        ("described", "metadata.yaml", &b"rosbag2_bagfile_information:\n  version: 5\n"[..]),
+        ("bare", "bare_0.db3", bag),
+    ] {
+        fs::create_dir(place.path(folder)).unwrap();
+        fs::write(place.path(folder).join(name), bytes).unwrap();
+        place.refused_usual(folder, 3, "a rosbag2 recording");
+    }
+}
+
+#[test]
 fn too_few_frames() {
     let place = Place::new();
     picture_folder(&place.path("one"), 1, Picture::gray8);
