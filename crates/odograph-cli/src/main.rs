@@ -4,6 +4,7 @@ mod commands;
 mod console;
 mod files;
 mod interrupt;
+mod lengths;
 mod report;
 
 use clap::{Parser, Subcommand};

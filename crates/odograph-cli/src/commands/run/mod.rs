@@ -18,6 +18,7 @@ mod tilt;
 pub(super) mod timings;
 pub(super) mod views;
 
+use crate::lengths::{self, Height};
 use crate::{Outcome, console};
 use camera_watch::CameraWatch;
 pub(super) use finish::finish;
@@ -45,13 +46,13 @@ pub struct RunArguments {
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP). A map that is continued has one, and how the camera sits.
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, metres; the camera looks straight down.
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with = "rig")]
-    pub height: Option<f64>,
+    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft; the camera looks straight down.
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
+    pub height: Option<Height>,
     /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Ground seen by the whole image, metres, e.g. 1.20x0.90: stands in for a camera file.
+    /// Ground seen by the whole image, as 1.20x0.90 (metres) or 120cmx90cm: stands in for a camera file.
     #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
     /// What may change between frames.
@@ -141,10 +142,10 @@ pub struct FieldOfView(pub f64, pub f64);
 pub(super) fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
     let sides = text
         .split_once(['x', 'X', '×'])
-        .and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?)));
+        .and_then(|(w, h)| Some((lengths::metres(w).ok()?, lengths::metres(h).ok()?)));
     match sides {
         Some((w, h)) if [w, h].iter().all(|v: &f64| v.is_finite() && *v > 0.0) => Ok(FieldOfView(w, h)),
-        _ => Err("give width and height in metres, as 1.20x0.90".to_owned()),
+        _ => Err("give width and height, as 1.20x0.90 (metres) or 120cmx90cm".to_owned()),
     }
 }
 

@@ -232,7 +232,12 @@ impl<'a> ToldCamera<'a> {
             (Some(path), _, _) => {
                 rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))
             }
-            (None, Some(height_m), _) => Rig::level(height_m).validated(),
+            (None, Some(height), _) => {
+                if !arguments.output.quiet {
+                    height.tell_doubt();
+                }
+                Rig::level(height.metres).validated()
+            }
             // The field of view already gives the scale; any height gives the same path.
             (None, None, Self::Field(_)) => Ok(Rig::level(1.0)),
             (None, None, Self::Map(map)) => Ok(*map.rig()),
