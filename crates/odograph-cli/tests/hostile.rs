@@ -528,11 +528,14 @@ fn an_interrupt_ends_the_run_and_writes_everything() {
         while child.try_wait().unwrap().is_none() && stream.write_all(frames).is_ok() {}
         drop(stream);
         let done = child.wait_with_output().unwrap();
-        assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+        assert_eq!(done.status.code(), Some(130), "{}", String::from_utf8_lossy(&done.stderr));
         assert_whole(&place.path("out"));
-        assert!(
-            String::from_utf8(place.result("out", "stats.json")).unwrap().contains("\"interrupted\": true")
-        );
+        let text = |name: &str| String::from_utf8(place.result("out", name)).unwrap();
+        assert!(text("stats.json").contains("\"interrupted\": true"));
+        let frames = text("trajectory.csv").lines().count() - 1;
+        let interruption = format!("interrupted after {frames} frames");
+        assert!(String::from_utf8_lossy(&done.stderr).contains(&interruption));
+        assert!(text("report.html").contains(&interruption));
     }
 }
 

@@ -235,7 +235,9 @@ impl Finishing<'_> {
             Ok(warning) => warning.clone(),
             Err(error) => Some(format!("the map has no new picture of the ground: {error}")),
         });
-        map::write_page(self.plan, &shown, &drawn, &tracked.warnings, self.folder)?;
+        let interruption = (tracked.interrupted && tracked.live.is_none())
+            .then(|| interruption(frames.len() as u64, tracked.announced));
+        map::write_page(self.plan, &shown, &drawn, &tracked.warnings, interruption.as_deref(), self.folder)?;
         if let Err(error) = drawn.ground {
             self.failure.get_or_insert(error);
         }

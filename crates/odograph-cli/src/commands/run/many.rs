@@ -238,6 +238,9 @@ fn worst(ends: &[End]) -> Result<Outcome> {
         (0, _) => return Err(Error::usage(sentence())),
         _ => return Err(Error::input(sentence())),
     }
+    if interrupt::asked() {
+        return Ok(Outcome::Interrupted);
+    }
     let done = |end: &End| matches!(end, End::Followed(report) if report.outcome() == Outcome::Done);
     Ok(if ends.iter().all(done) { Outcome::Done } else { Outcome::TrackingFailed })
 }

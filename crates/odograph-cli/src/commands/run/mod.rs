@@ -133,7 +133,7 @@ Examples:
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
 
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the
-recording (what there is has been written).";
+recording, 130 when interrupted by Ctrl-C (what there is has been written in both cases).";
 
 /// A field of view on the ground: width and height in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -275,6 +275,9 @@ fn track(
 impl RunReport {
     /// How the run ended.
     pub fn outcome(&self) -> Outcome {
+        if self.statistics.interruption().is_some() {
+            return Outcome::Interrupted;
+        }
         // With less than half of the frames posed the path is not the recording's path.
         if 2 * self.statistics.frames_with_pose < self.statistics.frames {
             Outcome::TrackingFailed
@@ -295,6 +298,9 @@ impl RunReport {
             for warning in &self.warnings {
                 console::warn(warning);
             }
+        }
+        if let Some(interruption) = self.statistics.interruption().filter(|_| !arguments.quiet) {
+            console::complain(&format!("{interruption}; what there is up to there has been written"));
         }
         if self.outcome() == Outcome::TrackingFailed && !arguments.quiet {
             console::complain(&format!(
