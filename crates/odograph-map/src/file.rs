@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 const LARGEST_VALUE: i32 = 256 << 20;
 /// A map's camera has at most so many pixels: an image is decoded to as many bytes.
 const MOST_PIXELS: usize = 256 << 20;
+/// No camera over ground is higher, metres.
+const GREATEST_HEIGHT_M: f64 = 1e6;
 /// The log beside the file is written into it whenever it has grown to so many pages of 4 KiB.
 const PAGES_IN_LOG: i64 = 2000;
 
@@ -117,7 +119,13 @@ impl MapFile {
             .while_reading(&complaint)?
             .validated()
             .map_err(|error| complaint.input(error))?;
-        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, writable })
+        if rig.height_m > GREATEST_HEIGHT_M {
+            return Err(complaint.input(format!(
+                "the camera is {:e} m above the ground; no camera over ground is that high",
+                rig.height_m
+            )));
+        }
+        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim })
     }
 
     /// Takes a map away, with the log that may lie beside it. Nothing to take away is no failure.
