@@ -74,7 +74,6 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         Some(path) => rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?,
         None => mounted,
     };
-    let folder = OutputFolder::new(&arguments.output, arguments.force)?;
     let source_plan = SourcePlan {
         path: arguments.source.clone(),
         timestamps: arguments.timestamps.clone(),
@@ -119,6 +118,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         quiet: arguments.quiet,
         json: arguments.json,
     };
+    let folder = OutputFolder::new(&output)?;
     let report = run::follow(&plan, source, folder, &output)?;
     report.tell(&output)?;
     if report.recognised {

@@ -130,7 +130,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let run_arguments = arguments.as_run();
     let outputs = Outputs::new(&arguments)?;
     arguments.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, arguments.force))?;
-    let folder = run::folder::OutputFolder::new(&run_arguments.output.output, arguments.force)?;
+    let folder = run::folder::OutputFolder::new(&run_arguments.output)?;
     let watch = Watch::default();
     let (mut plan, source) = RunPlan::over(&run_arguments, |plan| {
         // A calibration holds for one size only: that is the one to ask a camera for.
@@ -164,7 +164,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     {
         console::complain(&format!("look at {url}"));
     }
-    let mapping = run::mapping::Mapping::new(&plan, folder.path(), &run_arguments.output)?;
+    let mapping = run::mapping::Mapping::new(&plan, &folder, &run_arguments.output)?;
     let recorder = Recorder::new(folder, &plan)?;
     let log = McapLog::new(&arguments, &info.description, source.policy)?;
     let result = pipeline::follow(

@@ -154,7 +154,7 @@ fn one(recording: &Recording, arguments: &RunArguments, threads: u16) -> Result<
     let alone =
         RunArguments { source: recording.source.clone(), more: Vec::new(), output, ..arguments.clone() };
     let run = || {
-        let folder = OutputFolder::new(&alone.output.output, alone.output.force)?;
+        let folder = OutputFolder::new(&alone.output)?;
         let (plan, source) = RunPlan::new(&alone)?;
         follow(&plan, source, folder, &alone.output)
     };

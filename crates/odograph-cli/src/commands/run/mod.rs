@@ -214,7 +214,7 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     if let Some(recordings) = many::recordings(&arguments)? {
         return many::run(&recordings, &arguments);
     }
-    let folder = OutputFolder::new(&arguments.output.output, arguments.output.force)?;
+    let folder = OutputFolder::new(&arguments.output)?;
     let (plan, source) = RunPlan::new(&arguments)?;
     let report = follow(&plan, source, folder, &arguments.output)?;
     report.tell(&arguments.output)?;

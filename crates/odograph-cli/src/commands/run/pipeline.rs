@@ -84,7 +84,7 @@ pub fn track(
 ) -> Result<Ended> {
     let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
     odometry.tell_keyframes();
-    let mapping = Mapping::new(plan, folder.path(), arguments)?;
+    let mapping = Mapping::new(plan, folder, arguments)?;
     let views = Views::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,

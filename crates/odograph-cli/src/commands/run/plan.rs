@@ -186,7 +186,7 @@ impl RunPlan {
     /// Takes the camera of a map that is continued where it is the plan's with a lens that an earlier run has found. A run that finds a lens leaves the focal length
     /// as it is, to the bit, and no two calibrations agree in that.
     pub fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
-        let Some(map) = map.filter(|map| map.exists()) else { return Ok(()) };
+        let Some(map) = map.filter(|map| MapFile::is_there(map)) else { return Ok(()) };
         let found = MapFile::open_read_only(map)?.camera().clone();
         let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
         if key(&found) == key(&self.camera) {
@@ -215,7 +215,7 @@ enum ToldCamera<'a> {
 
 impl<'a> ToldCamera<'a> {
     fn by(arguments: &'a RunArguments) -> Result<Self> {
-        let map = arguments.output.map.as_deref().filter(|map| map.exists());
+        let map = arguments.output.map.as_deref().filter(|map| MapFile::is_there(map));
         match (&arguments.camera, arguments.field_of_view, map) {
             (Some(file), _, _) => Ok(Self::File(file, files::read_text(file)?)),
             (None, Some(field), _) => Ok(Self::Field(field)),
