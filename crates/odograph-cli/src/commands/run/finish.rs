@@ -5,7 +5,8 @@ use super::found::FoundLens;
 use super::kept_frames::KeptFrames;
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
-use super::{OutputArguments, OutputFolder, RunPlan, RunReport, Statistics};
+use super::statistics::interruption;
+use super::{OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, Statistics};
 use super::{map, reference, tilt};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
@@ -260,7 +261,7 @@ impl Finishing<'_> {
             Some(error) => Err(error),
             None => Ok(RunReport {
                 statistics,
-                recognised: self.tracked.mapping.warning().is_none(),
+                place: PlaceInMap::last(frames, self.tracked.mapping.mapper()),
                 warnings: self.tracked.warnings,
                 folder: self.folder.path().to_owned(),
             }),

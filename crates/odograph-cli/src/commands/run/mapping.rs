@@ -172,9 +172,9 @@ impl Mapping {
         self.write_path(frames)
     }
 
-    /// A sentence where the run could not be tied to the map that it continues.
+    /// A sentence where the run could not be tied to the map that it continues; whoever only looks into a map asked that, and is told otherwise.
     pub fn warning(&self) -> Option<String> {
-        (!self.mapper.is_recognised()).then(|| {
+        (self.file.kept.is_none() && !self.mapper.is_recognised()).then(|| {
             format!(
                 "nothing of {} was recognised: the path is in a frame of its own, which begins at its first frame",
                 self.file.path.display()

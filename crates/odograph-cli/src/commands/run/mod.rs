@@ -10,6 +10,7 @@ mod many;
 mod map;
 pub(super) mod mapping;
 pub(super) mod pipeline;
+mod place;
 mod plan;
 mod reference;
 mod sensors;
@@ -26,6 +27,7 @@ pub use folder::OutputFolder;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 use pipeline::{Ended, Tracked};
+pub use place::PlaceInMap;
 pub use plan::{RunPlan, SourcePlan};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
@@ -226,8 +228,8 @@ pub struct RunReport {
     pub statistics: Statistics,
     pub warnings: Vec<String>,
     pub folder: PathBuf,
-    /// Whether the path is in the frame of the map that was continued; always where none was.
-    pub recognised: bool,
+    /// Where the camera was last in the map that was continued; `None` where none was, or nothing of it was recognised.
+    pub place: Option<PlaceInMap>,
 }
 
 /// Follows a source by a plan and writes everything into the folder. What ends the recording early is an error only after all that was
