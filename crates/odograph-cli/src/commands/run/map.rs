@@ -125,7 +125,7 @@ pub fn write_page(
             placement: *placement,
             file_name: "mosaic.png",
         }),
-        run_toml: &plan.text()?,
+        run_toml: &plan.text(folder.path())?,
         warnings,
         sensors: shown.sensors,
         reference: shown.reference,

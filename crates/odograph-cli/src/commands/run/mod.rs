@@ -12,6 +12,7 @@ pub(super) mod mapping;
 pub(super) mod pipeline;
 mod place;
 mod plan;
+mod plan_paths;
 mod reference;
 mod sensors;
 pub(super) mod statistics;

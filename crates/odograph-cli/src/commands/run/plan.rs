@@ -180,7 +180,7 @@ impl RunPlan {
         plan.rig.validated().map_err(at_fault)?;
         plan.odometry.validated().map_err(at_fault)?;
         plan.slam.validated().map_err(at_fault)?;
-        Ok(plan)
+        Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
     }
 
     /// Takes the camera of a map that is continued where it is the plan's with a lens that an earlier run has found. A run that finds a lens leaves the focal length
@@ -195,9 +195,9 @@ impl RunPlan {
         Ok(())
     }
 
-    /// The plan as the text of `run.toml`.
-    pub fn text(&self) -> Result<String> {
-        let body = toml::to_string(self)
+    /// The plan as the text of a `run.toml` in this folder.
+    pub fn text(&self, folder: &Path) -> Result<String> {
+        let body = toml::to_string(&self.seen_from(folder))
             .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
         Ok(format!("{HEADER}{body}"))
     }
