@@ -32,7 +32,7 @@ impl Recorder {
     /// Records into a folder. The plan is in it from the first frame on.
     pub fn new(folder: OutputFolder, plan: &RunPlan) -> Result<Self> {
         Ok(Self {
-            plan: Some(plan.text(folder.path())?),
+            plan: Some(plan.text_in(folder.path())?),
             folder,
             flushed: Instant::now(),
             space_looked: None,

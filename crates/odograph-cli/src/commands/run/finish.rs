@@ -148,7 +148,7 @@ impl Finishing<'_> {
     /// The trajectories, the map's keyframes, and the paths that are made of the frames.
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
         let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
-        let text = self.plan.text(self.folder.path())?;
+        let text = self.plan.text_in(self.folder.path())?;
         self.folder.write_trajectories(frames, &text)?;
         let camera = camera_file::write(&self.plan.camera);
         // The camera file of an earlier run may be the one that this run was given: that stays.

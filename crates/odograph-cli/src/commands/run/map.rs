@@ -125,7 +125,7 @@ pub fn write_page(
             placement: *placement,
             file_name: "mosaic.png",
         }),
-        run_toml: &plan.text(folder.path())?,
+        run_toml: &plan.text()?,
         warnings,
         sensors: shown.sensors,
         reference: shown.reference,

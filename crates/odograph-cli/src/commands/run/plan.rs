@@ -196,8 +196,13 @@ impl RunPlan {
     }
 
     /// The plan as the text of a `run.toml` in this folder.
-    pub fn text(&self, folder: &Path) -> Result<String> {
-        let body = toml::to_string(&self.seen_from(folder))
+    pub fn text_in(&self, folder: &Path) -> Result<String> {
+        self.seen_from(folder).text()
+    }
+
+    /// The same with paths as they were typed: for the report, which is the same wherever it lies.
+    pub fn text(&self) -> Result<String> {
+        let body = toml::to_string(self)
             .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
         Ok(format!("{HEADER}{body}"))
     }
