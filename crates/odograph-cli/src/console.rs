@@ -4,7 +4,8 @@ use odograph::error::{Error, Result};
 use std::borrow::Cow;
 use std::io::{self, Write};
 
-/// The text without what a terminal would act upon: names and keys come from files that anybody may have made.
+/// The text without what a terminal would act upon: names and keys come from files that anybody may
+/// have made.
 fn harmless(text: &str) -> Cow<'_, str> {
     let acts = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     if !text.contains(acts) {

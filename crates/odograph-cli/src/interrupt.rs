@@ -3,7 +3,8 @@
 use odograph::error::{Error, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What the program ends with when it was interrupted: 128 and the number of SIGINT, as shells have it.
+/// What the program ends with when it was interrupted: 128 and the number of SIGINT, as shells have
+/// it.
 pub const EXIT_CODE: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
@@ -17,7 +18,8 @@ pub fn listen() {
     });
 }
 
-/// Fails once the program was asked to end: for commands that have nothing to show before their end.
+/// Fails once the program was asked to end: for commands that have nothing to show before their
+/// end.
 pub fn check() -> Result<()> {
     if asked() { Err(Error::output("interrupted; nothing was written")) } else { Ok(()) }
 }

@@ -5,7 +5,8 @@ use crate::console;
 /// Units and how many metres they are; of two that end alike the longer comes first.
 const UNITS: [(&str, f64); 5] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("ft", 0.3048), ("in", 0.0254)];
 
-/// A camera on a vehicle is not higher: above this a number without a unit may have been meant as centimetres.
+/// A camera on a vehicle is not higher: above this a number without a unit may have been meant as
+/// centimetres.
 const DOUBTFUL_HEIGHT_M: f64 = 30.0;
 
 /// No camera looks at the ground from higher.

@@ -13,8 +13,9 @@ const BESIDE: [&str; 3] = ["-wal", "-shm", "-journal"];
 
 /// The right to write one map, which nobody else has while any clone of this lives.
 ///
-/// It is a lock of the operating system on a file `.lock` beside the map, so that it ends with the program, however that
-/// ends. The database itself cannot carry it: closing a second descriptor of it would drop SQLite's own locks.
+/// It is a lock of the operating system on a file `.lock` beside the map, so that it ends with the
+/// program, however that ends. The database itself cannot carry it: closing a second descriptor of
+/// it would drop SQLite's own locks.
 #[derive(Debug, Clone)]
 pub struct MapClaim(Arc<Held>);
 
@@ -27,8 +28,8 @@ struct Held {
 }
 
 impl MapClaim {
-    /// Claims a map that is there, or a name under which one is to be made. Fails at once where another program, or
-    /// another part of this one, writes it.
+    /// Claims a map that is there, or a name under which one is to be made. Fails at once where
+    /// another program, or another part of this one, writes it.
     pub fn on(map: &Path) -> Result<Self> {
         let lock = with_ending(&resolved(map), ".lock");
         let cannot =
@@ -48,7 +49,8 @@ impl MapClaim {
                 Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
                 Err(TryLockError::Error(error)) => return Err(cannot(error)),
             }
-            // The holder before may have removed the file after it was opened here: that lock is on nothing.
+            // The holder before may have removed the file after it was opened here: that lock is on
+            // nothing.
             if is_at(&file, &lock) {
                 // Who holds it is a courtesy; a disk that is full does not stop the claim.
                 let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
@@ -75,8 +77,8 @@ impl MapClaim {
 
 impl Drop for Held {
     fn drop(&mut self) {
-        // Removed while it is still locked, so that no other claim can be on it. Where a file cannot be told from its
-        // successor under the same name, it stays.
+        // Removed while it is still locked, so that no other claim can be on it. Where a file
+        // cannot be told from its successor under the same name, it stays.
         if cfg!(unix) {
             let _ = std::fs::remove_file(&self.lock);
         }
@@ -112,7 +114,8 @@ fn taken(map: &Path, lock: &mut File) -> Error {
         .input(format!("the map is being written by {holder}; wait until that has ended, or use another map"))
 }
 
-/// One name for a map that has several: links are followed, of a map that is not there as far as its folder.
+/// One name for a map that has several: links are followed, of a map that is not there as far as
+/// its folder.
 fn resolved(map: &Path) -> PathBuf {
     map.canonicalize().unwrap_or_else(|_| {
         let folder = map.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -32,8 +32,9 @@ pub struct Session {
 
 /// A map on disk.
 ///
-/// While it is open for writing, a log (`-wal`), an index of it (`-shm`) and a lock (`.lock`) lie beside it; [`MapFile::close`] folds them in. What is in the log
-/// survives the program's death: the next one that opens the file finds it.
+/// While it is open for writing, a log (`-wal`), an index of it (`-shm`) and a lock (`.lock`) lie
+/// beside it; [`MapFile::close`] folds them in. What is in the log survives the program's death:
+/// the next one that opens the file finds it.
 #[derive(Debug)]
 pub struct MapFile {
     pub(crate) connection: Connection,
@@ -48,13 +49,15 @@ pub struct MapFile {
 impl MapFile {
     /// A new map of the ground as this camera, mounted like this, sees it.
     ///
-    /// Fails where there is a map already ([`MapFile::remove`] takes one away), where another program makes one, and where none can be written.
+    /// Fails where there is a map already ([`MapFile::remove`] takes one away), where another
+    /// program makes one, and where none can be written.
     pub fn create(path: &Path, camera: &Camera, rig: &Rig) -> Result<Self> {
         check_free(path)?;
         Self::create_claimed(MapClaim::on(path)?, camera, rig)
     }
 
-    /// The same by who claimed its place before. What a program left that was killed while it began a map is no map, and is replaced.
+    /// The same by who claimed its place before. What a program left that was killed while it began
+    /// a map is no map, and is replaced.
     pub fn create_claimed(claim: MapClaim, camera: &Camera, rig: &Rig) -> Result<Self> {
         let path = claim.path().to_owned();
         check_free(&path)?;
@@ -86,8 +89,8 @@ impl MapFile {
         Ok(Self { connection, complaint, path, camera, rig: *rig, claim: Some(claim) })
     }
 
-    /// Opens a map to continue it. Fails, with one sentence, on everything that is not a whole map of this version, and where another program
-    /// writes it.
+    /// Opens a map to continue it. Fails, with one sentence, on everything that is not a whole map
+    /// of this version, and where another program writes it.
     pub fn open(path: &Path) -> Result<Self> {
         schema::check_bytes(path)?;
         Self::open_claimed(MapClaim::on(path)?)
@@ -104,8 +107,9 @@ impl MapFile {
         Self::opened(path, None)
     }
 
-    /// Whether there is a map to continue, or anything else that is not to be written over. What a program left that was killed while it began a map
-    /// is neither: an empty file, or a database without a table.
+    /// Whether there is a map to continue, or anything else that is not to be written over. What a
+    /// program left that was killed while it began a map is neither: an empty file, or a database
+    /// without a table.
     pub fn is_there(path: &Path) -> bool {
         path.exists() && !schema::is_unfinished(path)
     }
@@ -150,7 +154,8 @@ impl MapFile {
         Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim })
     }
 
-    /// Takes a map away, with the log that may lie beside it. Nothing to take away is no failure; a map that another program writes is one.
+    /// Takes a map away, with the log that may lie beside it. Nothing to take away is no failure; a
+    /// map that another program writes is one.
     pub fn remove(path: &Path) -> Result<()> {
         if claim::leaves_anything(path) { MapClaim::on(path)?.remove_map() } else { Ok(()) }
     }
@@ -267,7 +272,8 @@ impl MapFile {
         self.connection.flush_prepared_statement_cache();
         // Leaving the log for good folds it in and removes it.
         match self.connection.query_row("PRAGMA journal_mode = DELETE", [], |_| Ok(())) {
-            // Somebody is looking at the map: the log stays beside it, and the next one that opens the map reads it.
+            // Somebody is looking at the map: the log stays beside it, and the next one that opens
+            // the map reads it.
             Err(failure) if failure.sqlite_error_code() == Some(ErrorCode::DatabaseBusy) => Ok(()),
             folded => folded,
         }

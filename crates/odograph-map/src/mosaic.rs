@@ -208,7 +208,8 @@ impl MapFile {
         .transpose()
     }
 
-    /// The tiles of a level that show ground, column and row each, row by row: on ground that lies far apart they are few among all that the picture has.
+    /// The tiles of a level that show ground, column and row each, row by row: on ground that lies
+    /// far apart they are few among all that the picture has.
     pub fn mosaic_tiles(&self, level: u32) -> Result<Vec<(u64, u64)>> {
         pyramid::tiles(&self.connection, level).while_reading(&self.complaint)
     }

@@ -164,7 +164,8 @@ pub(crate) fn check_bytes(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether this is what a program leaves that is killed while it begins a map: a file without a byte, or a database without a table.
+/// Whether this is what a program leaves that is killed while it begins a map: a file without a
+/// byte, or a database without a table.
 pub(crate) fn is_unfinished(path: &Path) -> bool {
     let Ok(metadata) = path.metadata() else { return false };
     if !metadata.is_file() || metadata.len() == 0 {

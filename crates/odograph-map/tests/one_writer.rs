@@ -1,4 +1,5 @@
-//! One program writes a map at a time; what a program left that died while it began one is no hindrance.
+//! One program writes a map at a time; what a program left that died while it began one is no
+//! hindrance.
 
 #![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
 

@@ -27,8 +27,9 @@ const MEMORY_KIB: u32 = 6 << 20;
 /// Formats whose luminance plane is taken as it is.
 const FORMATS: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p|yuv411p|gray";
 
-/// Containers in which ffmpeg may look for a video that is of no kind known here, and streams that say their own rate, by the names of its demuxers.
-/// Others, such as `mjpeg`, take any file in which something like a picture occurs for a video, and make up its times.
+/// Containers in which ffmpeg may look for a video that is of no kind known here, and streams that
+/// say their own rate, by the names of its demuxers. Others, such as `mjpeg`, take any file in
+/// which something like a picture occurs for a video, and make up its times.
 const CONTAINERS: &str = "mov,matroska,avi,mpeg,mpegts,flv,asf,ogg,mxf,gxf,ivf,nut,rm,dv,wtv,swf,nsv,gif,apng,webp_anim,jpegxl_anim,\
                           mpegvideo,m4v,vc1,obu,av1,dirac,h264,hevc,vvc,bmp_pipe,webp_pipe,jpegxl_pipe,j2k_pipe,exr_pipe,dpx_pipe,\
                           sgi_pipe,pam_pipe,qoi_pipe";
@@ -37,7 +38,8 @@ const CONTAINERS: &str = "mov,matroska,avi,mpeg,mpegts,flv,asf,ogg,mxf,gxf,ivf,n
 pub(crate) enum Content<'a> {
     /// A codec and its container, by name, and the number of frames where the container says it.
     Video { codec: &'a str, container: &'a str, frame_count: Option<u64> },
-    /// JPEG pictures one after the other, as the file's name and its first bytes say: nothing tells when they were taken.
+    /// JPEG pictures one after the other, as the file's name and its first bytes say: nothing tells
+    /// when they were taken.
     JpegStream,
     /// A stream from the network, that comes at its own pace.
     Stream,

@@ -1,15 +1,18 @@
-//! Recordings of robots (ROS bags, MCAP), told by their content: nothing else may take one for a video. A bag of JPEG pictures looks like a Motion-JPEG
-//! stream, of whatever cameras it has together and without their times.
+//! Recordings of robots (ROS bags, MCAP), told by their content: nothing else may take one for a
+//! video. A bag of JPEG pictures looks like a Motion-JPEG stream, of whatever cameras it has
+//! together and without their times.
 
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// Bytes of a database that are looked through for its tables; they stand on its first page, of at most 64 KiB.
+/// Bytes of a database that are looked through for its tables; they stand on its first page, of at
+/// most 64 KiB.
 const DATABASE_HEAD: u64 = 1 << 16;
 
-/// What a file that begins like this is, where it is a recording of a robot, or a database, which is no recording at all.
+/// What a file that begins like this is, where it is a recording of a robot, or a database, which
+/// is no recording at all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Mcap,
@@ -67,7 +70,8 @@ pub(crate) fn refuse_file(path: &Path, magic: &[u8]) -> Result<()> {
     Err(read.ok().and_then(|_| Kind::of(&head)).unwrap_or(kind).refusal())
 }
 
-/// Fails where a folder is a rosbag2 recording: one that describes itself as one, or that has a file of one.
+/// Fails where a folder is a rosbag2 recording: one that describes itself as one, or that has a
+/// file of one.
 pub(crate) fn refuse_folder(folder: &Path) -> Result<()> {
     let mut description = Vec::new();
     if let Ok(file) = File::open(folder.join("metadata.yaml")) {

@@ -41,7 +41,8 @@ pub struct GroundArguments {
     /// Without --board: the height of the camera above the floor, as 0.9 (metres) or 90cm.
     #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "board")]
     height: Option<Height>,
-    /// Without --board: how far the camera was driven in the recording, metres along its path or with a unit; tells the height.
+    /// Without --board: how far the camera was driven in the recording, metres along its path or
+    /// with a unit; tells the height.
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
     distance: Option<f64>,
     /// Without --board: a rig file to begin with, where the camera is tilted by more than ten degrees.

@@ -15,8 +15,9 @@ use std::path::PathBuf;
 
 /// Find a recording, or a single picture, in a map that was made before, and follow it there.
 ///
-/// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known of where it is. Tells where it was last, in the
-/// frame of the map, with one standard deviation. The map is not changed.
+/// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known
+/// of where it is. Tells where it was last, in the frame of the map, with one standard deviation.
+/// The map is not changed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct LocalizeArguments {

@@ -22,7 +22,8 @@ pub struct ReportInput<'a> {
     pub source: &'a str,
     /// Every frame of the run, in order of time.
     pub frames: &'a [FrameSummary],
-    /// Where the run was interrupted, as "interrupted after 3 of 5 frames"; `None` where it has all of its source.
+    /// Where the run was interrupted, as "interrupted after 3 of 5 frames"; `None` where it has all
+    /// of its source.
     pub interruption: Option<&'a str>,
     /// The camera as used.
     pub camera: &'a Camera,

@@ -17,7 +17,8 @@ pub struct MosaicArguments {
     /// Write the picture too: .tif (GeoTIFF) or .png (with a world file).
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Side of a ground pixel, as 0.002 (metres) or 2mm. [default: what a pixel in the middle of an image sees]
+    /// Side of a ground pixel, as 0.002 (metres) or 2mm. [default: what a pixel in the middle of an
+    /// image sees]
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true)]
     resolution: Option<f64>,
     /// Overwrite the picture where it is there.

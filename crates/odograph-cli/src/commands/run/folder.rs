@@ -43,7 +43,8 @@ pub struct OutputFolder {
     had_map: bool,
     /// Folders that were made for this run, the innermost first.
     made: Vec<PathBuf>,
-    /// On the folder's own map, which keeps other runs out of the folder, and on the one that is continued.
+    /// On the folder's own map, which keeps other runs out of the folder, and on the one that is
+    /// continued.
     claims: Vec<MapClaim>,
 }
 
@@ -72,8 +73,9 @@ fn remove_folders(folders: &[PathBuf]) {
 const GROUP: usize = 30;
 
 impl OutputFolder {
-    /// Makes the folder ready, and claims the map that is to be written. Fails where results are already there that may not be replaced, where another program
-    /// writes there, or where nothing can be written.
+    /// Makes the folder ready, and claims the map that is to be written. Fails where results are
+    /// already there that may not be replaced, where another program writes there, or where nothing
+    /// can be written.
     pub fn new(arguments: &OutputArguments) -> Result<Self> {
         let (path, force) = (arguments.output.as_path(), arguments.force);
         if path.exists() && !path.is_dir() {

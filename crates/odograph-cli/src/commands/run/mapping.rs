@@ -172,7 +172,8 @@ impl Mapping {
         self.write_path(frames)
     }
 
-    /// A sentence where the run could not be tied to the map that it continues; whoever only looks into a map asked that, and is told otherwise.
+    /// A sentence where the run could not be tied to the map that it continues; whoever only looks
+    /// into a map asked that, and is told otherwise.
     pub fn warning(&self) -> Option<String> {
         (self.file.kept.is_none() && !self.mapper.is_recognised()).then(|| {
             format!(
@@ -332,7 +333,8 @@ impl LoopStatistics {
 /// A map file that is made with its first keyframe: a run that shows nothing leaves none.
 struct GrowingFile {
     file: Option<MapFile>,
-    /// Whether a map of an earlier run may be in its place: that it may be overwritten was asked for when the folder was made ready.
+    /// Whether a map of an earlier run may be in its place: that it may be overwritten was asked
+    /// for when the folder was made ready.
     replaces: bool,
     /// `None` where the file is not to be written.
     claim: Option<MapClaim>,

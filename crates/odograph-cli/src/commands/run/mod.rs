@@ -49,13 +49,15 @@ pub struct RunArguments {
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP). A map that is continued has one, and how the camera sits.
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft; the camera looks straight down.
+    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft; the camera looks
+    /// straight down.
     #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
     pub height: Option<Height>,
     /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Ground seen by the whole image, as 1.20x0.90 (metres) or 120cmx90cm: stands in for a camera file.
+    /// Ground seen by the whole image, as 1.20x0.90 (metres) or 120cmx90cm: stands in for a camera
+    /// file.
     #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
     /// What may change between frames.
@@ -229,7 +231,8 @@ pub struct RunReport {
     pub statistics: Statistics,
     pub warnings: Vec<String>,
     pub folder: PathBuf,
-    /// Where the camera was last in the map that was continued; `None` where none was, or nothing of it was recognised.
+    /// Where the camera was last in the map that was continued; `None` where none was, or nothing
+    /// of it was recognised.
     pub place: Option<PlaceInMap>,
 }
 

@@ -7,7 +7,8 @@ use odograph::trajectory::FrameSummary;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Where a camera was at a frame, in the frame of a map that was made before, with one standard deviation of each.
+/// Where a camera was at a frame, in the frame of a map that was made before, with one standard
+/// deviation of each.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PlaceInMap {
     /// Number of the frame in its source.

@@ -1,5 +1,5 @@
-//! The files that a plan names, in `run.toml` as seen from that file's folder: so it can be repeated from any working directory, and moved together with
-//! its recording.
+//! The files that a plan names, in `run.toml` as seen from that file's folder: so it can be
+//! repeated from any working directory, and moved together with its recording.
 
 use super::RunPlan;
 use std::path::{Component, Path, PathBuf};
@@ -48,8 +48,8 @@ impl RunPlan {
     }
 }
 
-/// A path as seen from a folder; `None` where it is whole already, where nothing is there (a stream's address, standard input), and where no way leads from
-/// one to the other.
+/// A path as seen from a folder; `None` where it is whole already, where nothing is there (a
+/// stream's address, standard input), and where no way leads from one to the other.
 fn relative(path: &Path, folder: &Path) -> Option<PathBuf> {
     if path.is_absolute() || !path.exists() {
         return None;

@@ -48,7 +48,8 @@ pub struct Statistics {
     pub lens: Option<FoundLens>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
-    /// How many frames an interrupted run would have had; left out where the source does not say, and of whole runs.
+    /// How many frames an interrupted run would have had; left out where the source does not say,
+    /// and of whole runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames_announced: Option<u64>,
     /// How the run kept up with its source; left out of runs over recordings.
@@ -206,7 +207,8 @@ impl Statistics {
             .map_err(|error| Error::output(format!("the statistics cannot be written as JSON: {error}")))
     }
 
-    /// Where an interrupted run ended, for people; `None` where it was not interrupted, or ended as live runs do.
+    /// Where an interrupted run ended, for people; `None` where it was not interrupted, or ended as
+    /// live runs do.
     pub fn interruption(&self) -> Option<String> {
         let interrupted = self.interrupted && self.live.is_none();
         interrupted.then(|| interruption(self.frames, self.frames_announced))

@@ -16,10 +16,12 @@ use tiff::tags::Tag;
 /// Red, green, blue and opacity.
 const CHANNELS: usize = 4;
 
-/// A picture has at most so many tiles, most of which may show nothing: each is 16 bytes in its directory.
+/// A picture has at most so many tiles, most of which may show nothing: each is 16 bytes in its
+/// directory.
 const MOST_TILES: u64 = 1 << 22;
 
-/// Writes the whole picture, at its finest where it has not too many tiles, and says what was written.
+/// Writes the whole picture, at its finest where it has not too many tiles, and says what was
+/// written.
 pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path, anchor: Option<&Anchor>) -> Result<String> {
     let side = MOSAIC_TILE_PX as u64;
     let tiles_at = |level: u32| {

@@ -66,7 +66,8 @@ fn vertex(position: [f64; 3], color: &[u8]) -> Vec<u8> {
     position.iter().flat_map(|value| value.to_le_bytes()).chain(color.iter().copied()).collect()
 }
 
-/// Gives every tile of a level that is there: its column, its row, and its pixels. Fails once the program was asked to end.
+/// Gives every tile of a level that is there: its column, its row, and its pixels. Fails once the
+/// program was asked to end.
 fn each_tile(file: &MapFile, level: u32, take: &mut dyn FnMut(u64, u64, &[u8]) -> Result<()>) -> Result<()> {
     for (column, row) in file.mosaic_tiles(level)? {
         interrupt::check()?;
