@@ -4,6 +4,7 @@ mod commands;
 mod console;
 mod files;
 mod interrupt;
+mod lengths;
 mod report;
 
 use clap::{Parser, Subcommand};
@@ -45,6 +46,8 @@ pub enum Outcome {
     /// The camera's movement could not be measured for so much of the recording that the result is not what was asked for;
     /// what there is has been written.
     TrackingFailed,
+    /// Ctrl-C or SIGTERM ended it before its end; what there is has been written.
+    Interrupted,
     /// The camera was calibrated, but had better not be used; what there is has been written.
     NotToBeTrusted,
 }
@@ -71,9 +74,11 @@ fn main() -> ExitCode {
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::TrackingFailed | Outcome::NotToBeTrusted) => ExitCode::from(4),
+        Ok(Outcome::Interrupted) => ExitCode::from(interrupt::EXIT_CODE),
         Err(error) => {
             console::complain(&error.to_string());
             ExitCode::from(match error.kind() {
+                _ if interrupt::asked() => interrupt::EXIT_CODE,
                 ErrorKind::Usage => 2,
                 _ => 3,
             })

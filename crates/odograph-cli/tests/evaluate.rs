@@ -190,3 +190,21 @@ fn what_cannot_be_compared_is_refused_in_one_sentence() {
         assert!(code != 3 || told.lines().count() == 1, "{told}");
     }
 }
+
+#[test]
+fn absurd_numbers_give_no_nan() {
+    let (_keep, folder) = folder();
+    let ends = |far: &str| {
+        format!(
+            "-1{far} 0 0 1 0 0 0 1\n0 1 0 1 0 0 0 1\n1 2 0 1 0 0 0 1\n2 3 1 1 0 0 0 1\n1{far} 9 0 1 0 0 0 1\n"
+        )
+    };
+    fs::write(folder.join("long.tum"), ends("e308")).unwrap();
+    let output = odograph(&["long.tum", "long.tum"], &folder);
+    let table = stdout(&output);
+    assert!(!table.contains("NaN") && table.contains("over 100.0 % of its time"), "{table} {output:?}");
+    let far = "0 1e200 0 1 0 0 0 1\n1 -1e200 5e199 1 0 0 0 1\n2 3e200 0 1 0 0 0 1\n3 0 0 1 0 0 0 1\n";
+    fs::write(folder.join("far.tum"), far).unwrap();
+    let output = odograph(&["far.tum", "far.tum"], &folder);
+    assert!(!stdout(&output).contains("NaN"), "{output:?}");
+}

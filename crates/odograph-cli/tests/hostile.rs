@@ -128,6 +128,34 @@ fn sources_that_are_none() {
 }
 
 #[test]
+fn recordings_of_robots_are_told_by_their_content() {
+    let place = Place::new();
+    let bag = b"SQLite format 3\0 ... CREATE TABLE topics(id) CREATE TABLE messages(id)";
+    for (name, bytes, words) in [
+        ("drive.mcap", &b"\x89MCAP0\r\n\xff\xd8\xff\xe0"[..], "an MCAP recording"),
+        ("named.mp4", b"\x89MCAP0\r\n", "an MCAP recording"),
+        ("drive.bag", b"#ROSBAG V2.0\n\xff\xd8\xff\xe0", "a ROS 1 bag"),
+        ("drive.db3", bag, "a rosbag2 recording"),
+        (
+            "map.gpkg",
+            b"SQLite format 3\0 CREATE TABLE keyframes(id)",
+            "an SQLite database and not a recording",
+        ),
+    ] {
+        fs::write(place.path(name), bytes).unwrap();
+        place.refused_usual(name, 3, words);
+    }
+    for (folder, name, bytes) in [
+        ("described", "metadata.yaml", &b"rosbag2_bagfile_information:\n  version: 5\n"[..]),
+        ("bare", "bare_0.db3", bag),
+    ] {
+        fs::create_dir(place.path(folder)).unwrap();
+        fs::write(place.path(folder).join(name), bytes).unwrap();
+        place.refused_usual(folder, 3, "a rosbag2 recording");
+    }
+}
+
+#[test]
 fn too_few_frames() {
     let place = Place::new();
     picture_folder(&place.path("one"), 1, Picture::gray8);
@@ -348,7 +376,7 @@ fn a_full_file_system() {
     let mounted = place.path("small");
     fs::create_dir(&mounted).unwrap();
     let mount = Command::new("mount")
-        .args(["-t", "tmpfs", "-o", "size=16k", "tmpfs"])
+        .args(["-t", "tmpfs", "-o", "size=20k", "tmpfs"])
         .arg(&mounted)
         .stderr(Stdio::null())
         .status();
@@ -359,7 +387,7 @@ fn a_full_file_system() {
     let done = place.run("drive.y4m --camera camera.yaml --height 1 -o small/out");
     let left = if mounted.join("out").exists() { names(&mounted.join("out")) } else { Vec::new() };
     assert!(Command::new("umount").arg(&mounted).status().unwrap().success());
-    assert_told(&done, 3, "cannot be written", "a file system of 16 KiB");
+    assert_told(&done, 3, "cannot be written", "a file system of 20 KiB");
     assert!(left.iter().all(|name| !name.ends_with(".part")), "{left:?}");
 }
 
@@ -500,11 +528,14 @@ fn an_interrupt_ends_the_run_and_writes_everything() {
         while child.try_wait().unwrap().is_none() && stream.write_all(frames).is_ok() {}
         drop(stream);
         let done = child.wait_with_output().unwrap();
-        assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+        assert_eq!(done.status.code(), Some(130), "{}", String::from_utf8_lossy(&done.stderr));
         assert_whole(&place.path("out"));
-        assert!(
-            String::from_utf8(place.result("out", "stats.json")).unwrap().contains("\"interrupted\": true")
-        );
+        let text = |name: &str| String::from_utf8(place.result("out", name)).unwrap();
+        assert!(text("stats.json").contains("\"interrupted\": true"));
+        let frames = text("trajectory.csv").lines().count() - 1;
+        let interruption = format!("interrupted after {frames} frames");
+        assert!(String::from_utf8_lossy(&done.stderr).contains(&interruption));
+        assert!(text("report.html").contains(&interruption));
     }
 }
 
@@ -515,7 +546,7 @@ fn a_killed_run_leaves_the_frames_so_far() {
     child.kill().unwrap();
     child.wait().unwrap();
     // The map as far as it went, with the log that SQLite folds into it when it is next opened.
-    let left = ["map.gpkg", "map.gpkg-shm", "map.gpkg-wal", "trajectory.csv.part"];
+    let left = ["map.gpkg", "map.gpkg-shm", "map.gpkg-wal", "map.gpkg.lock", "trajectory.csv.part"];
     assert_eq!(names(&place.path("out")), left);
     let text = fs::read_to_string(place.path("out/trajectory.csv.part")).unwrap();
     assert!(text.lines().count() > 30 && text.ends_with('\n'), "{text}");
@@ -541,6 +572,100 @@ fn a_killed_run_leaves_the_frames_so_far() {
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert_eq!(known("without"), known("next"));
     assert_told(&place.run("drive.y4m -o x --map new.gpkg"), 2, "no camera is given", "a map that is new");
+    assert!(place.run_usual("drive.y4m").status.success());
+    assert_whole(&place.path("out"));
+}
+
+#[test]
+fn a_plan_is_repeated_from_any_folder() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    assert!(place.run_usual("drive.y4m").status.success());
+    let mut there = place.command("run.toml -o ../again");
+    let done = there.current_dir(place.path("out")).output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(place.result("again", "trajectory.csv") == place.result("out", "trajectory.csv"));
+    // Moved together with its recording it is still repeated.
+    fs::create_dir(place.path("elsewhere")).unwrap();
+    for name in ["drive.y4m", "out"] {
+        fs::rename(place.path(name), place.path("elsewhere").join(name)).unwrap();
+    }
+    let done = place.run("elsewhere/out/run.toml -o third");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+}
+
+#[test]
+fn a_demo_writes_over_nothing_of_others() {
+    let place = Place::new();
+    fs::create_dir(place.path("mine")).unwrap();
+    fs::write(place.path("mine/trajectory.tum"), "mine").unwrap();
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    let done = demo.current_dir(place.path("")).args(["demo", "-o", "mine"]).output().unwrap();
+    assert_told(&done, 2, "mine/trajectory.tum is already there and not from a demo", "demo -o mine");
+    assert_eq!(names(&place.path("mine")), ["trajectory.tum"]);
+}
+
+#[test]
+fn lengths_have_units_and_doubtful_heights_are_told() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    assert!(place.run_usual("drive.y4m").status.success());
+    let done = place.run("drive.y4m --camera camera.yaml --height 100cm -o centimetres");
+    assert!(done.status.success() && done.stderr.is_empty(), "{done:?}");
+    assert!(place.result("centimetres", "trajectory.tum") == place.result("out", "trajectory.tum"));
+    for (height, doubted) in [("90", true), ("90m", false)] {
+        let done = place.run(&format!("drive.y4m --camera camera.yaml --height {height} -o {height}"));
+        let told = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.success(), "{told}");
+        assert_eq!(
+            told.contains("height of 90 m: taken as metres; if centimetres were meant write 90cm"),
+            doubted
+        );
+    }
+    fs::write(place.path("rig.toml"), "height_m = 1\nroll_dg = 2").unwrap();
+    let with_rig = "drive.y4m --camera camera.yaml --rig rig.toml -o rigged";
+    place.refused(with_rig, 3, "rig.toml: the rig file has a key `roll_dg`");
+    fs::write(place.path("rig.toml"), "height_m = 1e300").unwrap();
+    place.refused(with_rig, 3, "no camera over ground is that high");
+}
+
+#[test]
+fn nothing_of_a_file_acts_on_the_terminal() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let camera = CAMERA.replace("image_width", "\"image\\e[2J\\rwidth\"");
+    fs::write(place.path("evil.yaml"), camera).unwrap();
+    let done = place.run("drive.y4m --camera evil.yaml --height 1 -o out");
+    assert!(!done.stderr.iter().any(|&byte| byte == 0x1b || byte == b'\r'), "{done:?}");
+}
+
+#[test]
+fn a_map_that_another_run_writes_is_refused_before_any_work() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    let mut other = begun(&place, "--map hall.gpkg");
+    let holder = format!("being written by another program (process {})", other.id());
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o second --map hall.gpkg", 3, &holder);
+    // Nor is its folder written into, not even by force.
+    place.refused("drive.y4m --camera camera.yaml --height 1 -o out --force", 3, &holder);
+    drop(other.stdin.take());
+    let done = other.wait_with_output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(place.result("out", "trajectory.tum").len() > 1000);
+    let again = place.run("drive.y4m --camera camera.yaml --height 1 -o second --map hall.gpkg -q");
+    assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
+}
+
+#[test]
+fn a_map_whose_maker_was_killed_at_once_is_begun_anew() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
+    fs::write(place.path("hall.gpkg"), "").unwrap();
+    fs::create_dir(place.path("out")).unwrap();
+    fs::write(place.path("out/map.gpkg"), "").unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o with --map hall.gpkg -q");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(fs::metadata(place.path("hall.gpkg")).unwrap().len() > 0);
     assert!(place.run_usual("drive.y4m").status.success());
     assert_whole(&place.path("out"));
 }

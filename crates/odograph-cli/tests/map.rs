@@ -75,6 +75,60 @@ fn info_tells_what_is_in_a_map() {
 }
 
 #[test]
+fn a_map_that_another_program_writes_is_read_but_not_written() {
+    let folder = made();
+    let before = fs::read(folder.path().join("map.gpkg")).unwrap();
+    let writer = MapFile::open(&folder.path().join("map.gpkg")).unwrap();
+    let refused = [
+        &["thin", "map.gpkg", "--max-keyframes", "2"][..],
+        &["optimize", "map.gpkg"],
+        &["mosaic", "map.gpkg"],
+        &["optimize", "other.gpkg", "-o", "map.gpkg", "--force"],
+        &["merge", "other.gpkg", "third.gpkg", "-o", "map.gpkg", "--force"],
+    ];
+    for other in ["other.gpkg", "third.gpkg"] {
+        fs::write(folder.path().join(other), &before).unwrap();
+    }
+    for arguments in refused {
+        let (code, told, complaint) = text(&odograph(arguments, folder.path()));
+        let holder =
+            format!("map.gpkg: the map is being written by another program (process {})", std::process::id());
+        assert!(code == 3 && told.is_empty() && complaint.contains(&holder), "{arguments:?}: {complaint}");
+        assert_eq!(complaint.lines().count(), 1, "{complaint}");
+    }
+    for arguments in [&["info", "map.gpkg", "--check"][..], &["export", "map.gpkg", "-o", "path.tum"]] {
+        assert_eq!(text(&odograph(arguments, folder.path())).0, 0, "{arguments:?}");
+    }
+    assert_eq!(writer.map().unwrap().keyframes.len(), 12);
+    writer.close().unwrap();
+    assert_eq!(text(&odograph(refused[0], folder.path())).0, 0);
+}
+
+#[test]
+fn ground_far_apart_is_exported_within_bounds() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    let mut map = MapFile::create(&path, &ground::camera(), &Rig::level(0.5)).unwrap();
+    let session = map.begin_session("drive.mp4").unwrap();
+    for number in 0..2 {
+        let mut keyframe = ground::keyframe(number, session);
+        // A thousand kilometres apart, both ways: whole, the picture would have 10^16 pixels.
+        keyframe.pose.x_m += 1e6 * number as f64;
+        keyframe.pose.y_m += 1e6 * number as f64;
+        map.add_keyframe(&keyframe, &ground::image(number), &[]).unwrap();
+    }
+    assert!(map.lay_mosaic(Some(0.01), &mut |_| true).unwrap());
+    map.close().unwrap();
+    for (name, most_bytes) in [("floor.ply", 60_000_000), ("floor.tif", 300_000_000)] {
+        let (code, told, complaint) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
+        assert_eq!((code, complaint.as_str()), (0, ""), "{name}");
+        let bytes = fs::metadata(folder.path().join(name)).unwrap().len();
+        assert!(bytes > 1000 && bytes < most_bytes, "{name}: {bytes} bytes, {told}");
+        assert_eq!(told.contains("too far apart for a picture that fine"), name.ends_with("tif"), "{told}");
+    }
+}
+
+#[test]
 fn the_path_comes_out_as_it_went_in() {
     let folder = made();
     for name in ["path.tum", "path.kitti", "path.csv"] {

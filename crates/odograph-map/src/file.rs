@@ -1,5 +1,6 @@
 //! The file: made, opened, checked, closed.
 
+use crate::claim::{self, MapClaim};
 use crate::complaint::{Complaint, Told};
 use crate::schema;
 use crate::thinning::{Thinning, thinning};
@@ -8,13 +9,15 @@ use odograph::error::Result;
 use odograph::mapping::{GroundMap, KeyframeImages};
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
-use rusqlite::{Connection, OpenFlags, Row, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};
 use std::path::{Path, PathBuf};
 
 /// Nothing that is read back is larger than this, bytes.
 const LARGEST_VALUE: i32 = 256 << 20;
 /// A map's camera has at most so many pixels: an image is decoded to as many bytes.
 const MOST_PIXELS: usize = 256 << 20;
+/// No camera over ground is higher, metres.
+const GREATEST_HEIGHT_M: f64 = 1e6;
 /// The log beside the file is written into it whenever it has grown to so many pages of 4 KiB.
 const PAGES_IN_LOG: i64 = 2000;
 
@@ -29,8 +32,9 @@ pub struct Session {
 
 /// A map on disk.
 ///
-/// While it is open for writing, a log (`-wal`) and an index of it (`-shm`) lie beside it; [`MapFile::close`] folds them in. What is in the log
-/// survives the program's death: the next one that opens the file finds it.
+/// While it is open for writing, a log (`-wal`), an index of it (`-shm`) and a lock (`.lock`) lie
+/// beside it; [`MapFile::close`] folds them in. What is in the log survives the program's death:
+/// the next one that opens the file finds it.
 #[derive(Debug)]
 pub struct MapFile {
     pub(crate) connection: Connection,
@@ -38,23 +42,31 @@ pub struct MapFile {
     path: PathBuf,
     camera: Camera,
     rig: Rig,
-    writable: bool,
+    /// Held while the map is open for writing. After the connection: that ends first.
+    claim: Option<MapClaim>,
 }
 
 impl MapFile {
     /// A new map of the ground as this camera, mounted like this, sees it.
     ///
-    /// Fails where there is a file already ([`MapFile::remove`] takes one away) and where none can be written.
+    /// Fails where there is a map already ([`MapFile::remove`] takes one away), where another
+    /// program makes one, and where none can be written.
     pub fn create(path: &Path, camera: &Camera, rig: &Rig) -> Result<Self> {
-        let complaint = Complaint::about(path);
-        if path.exists() {
-            return Err(complaint
-                .usage("there is a file already; choose another name, or open the map to continue it"));
-        }
+        check_free(path)?;
+        Self::create_claimed(MapClaim::on(path)?, camera, rig)
+    }
+
+    /// The same by who claimed its place before. What a program left that was killed while it began
+    /// a map is no map, and is replaced.
+    pub fn create_claimed(claim: MapClaim, camera: &Camera, rig: &Rig) -> Result<Self> {
+        let path = claim.path().to_owned();
+        check_free(&path)?;
+        claim.remove_map()?;
+        let complaint = Complaint::about(&path);
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let mut connection = Connection::open_with_flags(path, flags).while_writing(&complaint)?;
+        let mut connection = Connection::open_with_flags(&path, flags).while_writing(&complaint)?;
         let made = (|| {
             prepare(&connection)?;
             write_ahead(&connection)?;
@@ -70,26 +82,42 @@ impl MapFile {
         })();
         if let Err(failure) = made {
             drop(connection);
-            let _ = Self::remove(path);
+            let _ = claim.remove_map();
             return Err(complaint.writing(&failure));
         }
-        let (camera, path) = (camera.clone(), path.to_owned());
-        Ok(Self { connection, complaint, path, camera, rig: *rig, writable: true })
+        let camera = camera.clone();
+        Ok(Self { connection, complaint, path, camera, rig: *rig, claim: Some(claim) })
     }
 
-    /// Opens a map to continue it. Fails, with one sentence, on everything that is not a whole map of this version.
+    /// Opens a map to continue it. Fails, with one sentence, on everything that is not a whole map
+    /// of this version, and where another program writes it.
     pub fn open(path: &Path) -> Result<Self> {
-        Self::opened(path, true)
+        schema::check_bytes(path)?;
+        Self::open_claimed(MapClaim::on(path)?)
     }
 
-    /// Opens a map to look at it; the file is not changed.
+    /// The same by who claimed it before.
+    pub fn open_claimed(claim: MapClaim) -> Result<Self> {
+        let path = claim.path().to_owned();
+        Self::opened(&path, Some(claim))
+    }
+
+    /// Opens a map to look at it; the file is not changed. Others may write it meanwhile.
     pub fn open_read_only(path: &Path) -> Result<Self> {
-        Self::opened(path, false)
+        Self::opened(path, None)
     }
 
-    fn opened(path: &Path, writable: bool) -> Result<Self> {
+    /// Whether there is a map to continue, or anything else that is not to be written over. What a
+    /// program left that was killed while it began a map is neither: an empty file, or a database
+    /// without a table.
+    pub fn is_there(path: &Path) -> bool {
+        path.exists() && !schema::is_unfinished(path)
+    }
+
+    fn opened(path: &Path, claim: Option<MapClaim>) -> Result<Self> {
         schema::check_bytes(path)?;
         let complaint = Complaint::about(path);
+        let writable = claim.is_some();
         let access =
             if writable { OpenFlags::SQLITE_OPEN_READ_WRITE } else { OpenFlags::SQLITE_OPEN_READ_ONLY };
         let connection = Connection::open_with_flags(path, access | OpenFlags::SQLITE_OPEN_NO_MUTEX)
@@ -117,37 +145,34 @@ impl MapFile {
             .while_reading(&complaint)?
             .validated()
             .map_err(|error| complaint.input(error))?;
-        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, writable })
+        if rig.height_m > GREATEST_HEIGHT_M {
+            return Err(complaint.input(format!(
+                "the camera is {:e} m above the ground; no camera over ground is that high",
+                rig.height_m
+            )));
+        }
+        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim })
     }
 
-    /// Takes a map away, with the log that may lie beside it. Nothing to take away is no failure.
+    /// Takes a map away, with the log that may lie beside it. Nothing to take away is no failure; a
+    /// map that another program writes is one.
     pub fn remove(path: &Path) -> Result<()> {
-        for ending in ["", "-wal", "-shm", "-journal"] {
-            let mut name = path.as_os_str().to_owned();
-            name.push(ending);
-            match std::fs::remove_file(&name) {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                    let name = Path::new(&name).display();
-                    return Err(odograph::error::Error::output(format!("{name} cannot be removed: {error}")));
-                }
-                _ => {}
-            }
-        }
-        Ok(())
+        if claim::leaves_anything(path) { MapClaim::on(path)?.remove_map() } else { Ok(()) }
     }
 
     /// Writes the whole map into a new file, as small as it can be. Fails where there is a file already, and where none can be written.
     pub fn copy_to(&self, path: &Path) -> Result<()> {
         let complaint = Complaint::about(path);
-        if path.exists() {
-            return Err(complaint.usage("there is a file already; choose another name"));
-        }
         let Some(name) = path.to_str() else {
             return Err(complaint.usage("the name is no text; choose another"));
         };
+        let claim = MapClaim::on(path)?;
+        if path.exists() {
+            return Err(complaint.usage("there is a file already; choose another name"));
+        }
         let written = self.connection.execute("VACUUM INTO ?1", [name]);
         if let Err(failure) = written {
-            let _ = Self::remove(path);
+            let _ = claim.remove_map();
             return Err(complaint.writing(&failure));
         }
         Ok(())
@@ -171,6 +196,8 @@ impl MapFile {
     /// Everything but the images. Fails where anything in it is not what a map holds: a number that is not finite, an edge to a keyframe that
     /// is not there.
     pub fn map(&self) -> Result<GroundMap> {
+        // Keyframes and edges of one moment: another program may be writing.
+        let _moment = self.connection.unchecked_transaction().while_reading(&self.complaint)?;
         Ok(GroundMap {
             camera: self.camera.clone(),
             rig: self.rig,
@@ -239,12 +266,17 @@ impl MapFile {
     }
 
     fn fold(&mut self) -> rusqlite::Result<()> {
-        if !std::mem::take(&mut self.writable) {
+        if self.claim.is_none() {
             return Ok(());
         }
         self.connection.flush_prepared_statement_cache();
         // Leaving the log for good folds it in and removes it.
-        self.connection.query_row("PRAGMA journal_mode = DELETE", [], |_| Ok(()))
+        match self.connection.query_row("PRAGMA journal_mode = DELETE", [], |_| Ok(())) {
+            // Somebody is looking at the map: the log stays beside it, and the next one that opens
+            // the map reads it.
+            Err(failure) if failure.sqlite_error_code() == Some(ErrorCode::DatabaseBusy) => Ok(()),
+            folded => folded,
+        }
     }
 }
 
@@ -252,6 +284,14 @@ impl Drop for MapFile {
     fn drop(&mut self) {
         let _ = self.fold();
     }
+}
+
+fn check_free(path: &Path) -> Result<()> {
+    if MapFile::is_there(path) {
+        return Err(Complaint::about(path)
+            .usage("there is a file already; choose another name, or open the map to continue it"));
+    }
+    Ok(())
 }
 
 /// What holds for every connection: nothing in the file acts by itself, nothing in it is larger than a map's largest.

@@ -4,6 +4,7 @@
 //! [`MapFile`] grows with a run: every keyframe is on disk when [`MapFile::add_keyframe`] returns, and a program that is killed loses at most
 //! the keyframe that it was writing. What is read back is checked: a map file may come from anybody. `docs/map_file.md` describes the tables.
 
+mod claim;
 mod complaint;
 mod edges;
 mod file;
@@ -17,6 +18,7 @@ mod paths;
 mod schema;
 mod thinning;
 
+pub use claim::MapClaim;
 pub use file::{MapFile, Session};
 pub use frames::FrameImages;
 pub use mosaic::MosaicLayer;

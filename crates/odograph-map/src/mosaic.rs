@@ -208,6 +208,12 @@ impl MapFile {
         .transpose()
     }
 
+    /// The tiles of a level that show ground, column and row each, row by row: on ground that lies
+    /// far apart they are few among all that the picture has.
+    pub fn mosaic_tiles(&self, level: u32) -> Result<Vec<(u64, u64)>> {
+        pyramid::tiles(&self.connection, level).while_reading(&self.complaint)
+    }
+
     /// The mosaic as one picture, as fine as it has at most `most_pixels`. `None` where there is no mosaic.
     pub fn mosaic_picture(&self, most_pixels: usize) -> Result<Option<MosaicPicture>> {
         let Some(layer) = self.mosaic()? else { return Ok(None) };

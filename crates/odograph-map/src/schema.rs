@@ -3,7 +3,7 @@
 use crate::complaint::{Complaint, Told};
 use crate::geopackage::{self, APPLICATION_ID, USER_VERSION};
 use odograph::error::Result;
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, OpenFlags, OptionalExtension, params};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -162,6 +162,23 @@ pub(crate) fn check_bytes(path: &Path) -> Result<()> {
         )));
     }
     Ok(())
+}
+
+/// Whether this is what a program leaves that is killed while it begins a map: a file without a
+/// byte, or a database without a table.
+pub(crate) fn is_unfinished(path: &Path) -> bool {
+    let Ok(metadata) = path.metadata() else { return false };
+    if !metadata.is_file() || metadata.len() == 0 {
+        return metadata.is_file();
+    }
+    // The log beside it may hold the tables.
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let number = |sql: &str| -> rusqlite::Result<i64> {
+        Connection::open_with_flags(path, flags)?.query_row(sql, [], |row| row.get(0))
+    };
+    check_bytes(path).is_ok()
+        && number("SELECT count(*) FROM sqlite_schema").is_ok_and(|tables| tables == 0)
+        && number("PRAGMA application_id").is_ok_and(|id| id == 0)
 }
 
 /// Checks that a database is a map of this version, with our tables as we make them.

@@ -27,10 +27,20 @@ const MEMORY_KIB: u32 = 6 << 20;
 /// Formats whose luminance plane is taken as it is.
 const FORMATS: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p|yuv411p|gray";
 
+/// Containers in which ffmpeg may look for a video that is of no kind known here, and streams that
+/// say their own rate, by the names of its demuxers. Others, such as `mjpeg`, take any file in
+/// which something like a picture occurs for a video, and make up its times.
+const CONTAINERS: &str = "mov,matroska,avi,mpeg,mpegts,flv,asf,ogg,mxf,gxf,ivf,nut,rm,dv,wtv,swf,nsv,gif,apng,webp_anim,jpegxl_anim,\
+                          mpegvideo,m4v,vc1,obu,av1,dirac,h264,hevc,vvc,bmp_pipe,webp_pipe,jpegxl_pipe,j2k_pipe,exr_pipe,dpx_pipe,\
+                          sgi_pipe,pam_pipe,qoi_pipe";
+
 /// What a file is that this crate does not decode itself.
 pub(crate) enum Content<'a> {
     /// A codec and its container, by name, and the number of frames where the container says it.
     Video { codec: &'a str, container: &'a str, frame_count: Option<u64> },
+    /// JPEG pictures one after the other, as the file's name and its first bytes say: nothing tells
+    /// when they were taken.
+    JpegStream,
     /// A stream from the network, that comes at its own pace.
     Stream,
     /// No kind of file that is known here.
@@ -63,6 +73,9 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
             Content::Video { codec, container, .. } => format!(
                 "{codec} in {container} is decoded through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or convert the video to H.264"
             ),
+            Content::JpegStream => format!(
+                "a raw Motion JPEG stream is decoded through the program ffmpeg, which was not found; install ffmpeg (or name it in {VARIABLE}), or convert it to a video"
+            ),
             Content::Unknown => format!(
                 "this is not a picture or video of a kind known here; with the program ffmpeg installed (or named in {VARIABLE}) more kinds can be read"
             ),
@@ -73,6 +86,12 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
             Content::Stream => format!("the stream cannot be read through ffmpeg: {why}"),
             Content::Video { codec, container, .. } => {
                 format!("{codec} in {container} cannot be decoded, not even with ffmpeg: {why}")
+            }
+            Content::JpegStream => {
+                format!("this raw Motion JPEG stream cannot be decoded, not even with ffmpeg: {why}")
+            }
+            Content::Unknown if why.contains("not on whitelist") => {
+                "this is not a picture or video of a kind known here: there is no container in it that says when its frames were taken".to_owned()
             }
             Content::Unknown => {
                 format!(
@@ -92,13 +111,14 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
                         (format!("{codec} in {container}, through ffmpeg"), frame_count)
                     }
                     Content::Stream => ("RTSP, through ffmpeg".to_string(), None),
+                    Content::JpegStream => ("raw Motion JPEG, through ffmpeg".to_string(), None),
                     Content::Unknown => ("video through ffmpeg".to_string(), None),
                 };
                 return Ok(Opened {
                     frames: Box::new(process),
                     frame_count,
                     description,
-                    times_known: true,
+                    times_known: !matches!(content, Content::JpegStream),
                     timestamps_used: false,
                     frames_per_second: None,
                 });
@@ -139,7 +159,12 @@ fn input(path: &Path, content: &Content<'_>) -> Vec<OsString> {
         _ => {
             let mut file = OsString::from("file:");
             file.push(path);
-            (&["-protocol_whitelist", "file", "-i"], file)
+            let options: &[&str] = match content {
+                Content::Unknown => &["-protocol_whitelist", "file", "-format_whitelist", CONTAINERS, "-i"],
+                Content::JpegStream => &["-protocol_whitelist", "file", "-f", "mjpeg", "-i"],
+                _ => &["-protocol_whitelist", "file", "-i"],
+            };
+            (options, file)
         }
     };
     options.iter().map(OsString::from).chain([place]).collect()
@@ -410,6 +435,24 @@ mod tests {
         let allowed = options.iter().position(|option| option == "-protocol_whitelist").unwrap() + 1;
         assert!(!options[allowed].to_string_lossy().contains("file"));
         assert_eq!(options.last().unwrap(), "rtsp://camera/1");
+    }
+
+    #[test]
+    fn a_file_of_no_known_kind_is_not_searched_for_pictures() {
+        let allowed = |content: Content<'_>| {
+            let options = input(Path::new("drive.bin"), &content);
+            let at = options.iter().position(|option| option == "-format_whitelist")?;
+            Some(options[at + 1].to_string_lossy().into_owned())
+        };
+        let containers = allowed(Content::Unknown).unwrap();
+        let names: Vec<&str> = containers.split(',').collect();
+        assert!(
+            names.contains(&"mpegts") && names.iter().all(|name| !name.is_empty() && !name.contains(' '))
+        );
+        assert!(
+            ["mjpeg", "mpjpeg", "jpeg_pipe", "image2", "rawvideo"].iter().all(|raw| !names.contains(raw))
+        );
+        assert_eq!(allowed(Content::JpegStream), None);
     }
 
     fn refusal(program: Option<PathBuf>, path: &str, content: Content<'_>) -> String {

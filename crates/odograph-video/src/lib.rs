@@ -25,6 +25,7 @@
 mod limits;
 mod guard;
 mod frame;
+mod robot_recording;
 mod rotation;
 mod codec;
 mod samples;

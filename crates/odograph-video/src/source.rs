@@ -7,7 +7,7 @@ use crate::container::mp4::Mp4Reader;
 use crate::frame::{Frame, Picture};
 use crate::limits;
 use crate::timestamps::Timestamps;
-use crate::{ffmpeg, pictures, video, y4m};
+use crate::{ffmpeg, pictures, robot_recording, video, y4m};
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -198,6 +198,7 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         .read_to_end(&mut magic)
         .and_then(|_| file.rewind())
         .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
+    robot_recording::refuse_file(path, &magic)?;
     let video = |reader| video::open(path, reader, options.color);
     match magic.as_slice() {
         [] => Err(Error::input("the file is empty")),
@@ -209,9 +210,7 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
                 .extension()
                 .is_some_and(|e| e.eq_ignore_ascii_case("mjpeg") || e.eq_ignore_ascii_case("mjpg")) =>
         {
-            let content =
-                ffmpeg::Content::Video { codec: "Motion JPEG", container: "a raw stream", frame_count: None };
-            ffmpeg::open(path, content, options.color)
+            ffmpeg::open(path, ffmpeg::Content::JpegStream, options.color)
         }
         m if pictures::is_picture(m) => pictures::open_picture(path, options),
         [_, _, _, _, kind @ ..] if MP4_STARTS.iter().any(|start| kind.starts_with(start)) => {

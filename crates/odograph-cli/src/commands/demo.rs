@@ -21,6 +21,9 @@ pub struct DemoArguments {
     /// Folder for the clip and the results.
     #[arg(short, long, value_name = "FOLDER", default_value = "odograph-demo")]
     pub output: PathBuf,
+    /// Overwrite results of something else that are already there.
+    #[arg(long)]
+    pub force: bool,
     /// Threads to use; the results are the same for any number. [default: as many as help]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
@@ -32,9 +35,42 @@ pub struct DemoArguments {
     pub json: bool,
 }
 
+/// Fails where the folder has results that are not those of a demo, which are always the same.
+fn check_own(folder: &Path, force: bool) -> Result<()> {
+    let is_demo = std::fs::read(folder.join("input/drive.mp4")).is_ok_and(|bytes| bytes == CLIP);
+    let there = run::folder::FILES.iter().map(|name| folder.join(name)).find(|path| path.exists());
+    match there.filter(|_| !is_demo && !force) {
+        Some(there) => Err(Error::usage(format!(
+            "{} is already there and not from a demo; choose another folder, or --force to overwrite it",
+            there.display()
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// A folder beside the demo's that is not there yet: what is printed is to be tried.
+fn free(folder: &Path) -> PathBuf {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let again = |number: u32| {
+        folder.with_file_name(format!(
+            "{name}-again{}",
+            if number == 1 { String::new() } else { number.to_string() }
+        ))
+    };
+    (1..).map(again).find(|folder| !folder.exists()).unwrap_or_else(|| again(1))
+}
+
+/// A path as a shell takes it.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+,:@".contains(c);
+    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
 /// Runs the command.
 pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     let folder = &arguments.output;
+    check_own(folder, arguments.force)?;
     let unpacked = folder.join("input");
     std::fs::create_dir_all(&unpacked)
         .map_err(|error| Error::output(format!("{} cannot be made: {error}", unpacked.display())))?;
@@ -52,10 +88,10 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
         console::print(&format!(
             "A drive of half a minute over photographed floors; this is what you would type for a recording of your own:\n\n  \
              odograph run {} --camera {} --rig {} -o {}\n\n",
-            clip.display(),
-            camera.display(),
-            rig.display(),
-            folder.display()
+            quoted(&clip),
+            quoted(&camera),
+            quoted(&rig),
+            quoted(&free(folder))
         ))?;
     }
     let outcome = run::run(RunArguments {
@@ -73,7 +109,7 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
             json: arguments.json,
         })
     })?;
-    if told {
+    if told && outcome != Outcome::Interrupted {
         compare(folder, &truth)?;
     }
     Ok(outcome)
@@ -89,7 +125,24 @@ fn compare(folder: &Path, truth: &Path) -> Result<()> {
         1e3 * found.absolute.translation.mean,
         1e3 * found.final_position_error_m,
         found.truth_length_m,
-        folder.join("trajectory.tum").display(),
-        truth.display()
+        quoted(&folder.join("trajectory.tum")),
+        quoted(truth)
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_printed_can_be_pasted() {
+        for (path, expected) in [
+            ("demo/drive.mp4", "demo/drive.mp4"),
+            ("my demo/a", "'my demo/a'"),
+            ("it's", "'it'\\''s'"),
+            ("$x", "'$x'"),
+        ] {
+            assert_eq!(quoted(Path::new(path)), expected);
+        }
+    }
 }

@@ -4,6 +4,7 @@ mod board;
 mod driving;
 mod picture;
 
+use crate::lengths::{self, Height};
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -37,11 +38,12 @@ pub struct GroundArguments {
     /// mount yaw is not measured.
     #[arg(long, value_name = "x|-x|y|-y", value_parser = direction, allow_hyphen_values = true, requires = "board")]
     forward: Option<BoardDirection>,
-    /// Without --board: the height of the camera above the floor, metres.
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with = "board")]
-    height: Option<f64>,
-    /// Without --board: how far the camera was driven in the recording, metres along its path; tells the height.
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
+    /// Without --board: the height of the camera above the floor, as 0.9 (metres) or 90cm.
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "board")]
+    height: Option<Height>,
+    /// Without --board: how far the camera was driven in the recording, metres along its path or
+    /// with a unit; tells the height.
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
     distance: Option<f64>,
     /// Without --board: a rig file to begin with, where the camera is tilted by more than ten degrees.
     #[arg(long, value_name = "FILE", conflicts_with = "board")]

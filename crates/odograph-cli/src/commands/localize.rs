@@ -1,6 +1,8 @@
 //! `odograph localize`: where a camera is in a map that was made before.
 
-use super::run::{self, OutputArguments, OutputFolder, RunPlan, SensorPlan, SourcePlan};
+use super::run::{
+    self, OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, SensorPlan, SourcePlan, Statistics,
+};
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
 use odograph::formats::rig_file;
@@ -8,12 +10,14 @@ use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
 use odograph::slam::SlamConfig;
 use odograph_map::MapFile;
+use serde::Serialize;
 use std::path::PathBuf;
 
 /// Find a recording, or a single picture, in a map that was made before, and follow it there.
 ///
-/// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known of where it is. The path comes out in the
-/// frame of the map, with all the files of a run.
+/// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known
+/// of where it is. Tells where it was last, in the frame of the map, with one standard deviation.
+/// The map is not changed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct LocalizeArguments {
@@ -23,8 +27,11 @@ pub struct LocalizeArguments {
     /// The map.
     #[arg(long, value_name = "FILE")]
     pub map: PathBuf,
-    /// Leave the map as it is. Without this it grows by what the recording shows.
+    /// Let the map grow by what the recording shows. Without this it is only looked into.
     #[arg(long)]
+    pub extend: bool,
+    /// Look into the map only; that is so without it, too.
+    #[arg(long, hide = true, conflicts_with = "extend")]
     pub read_only: bool,
     /// Rig file (TOML), where the camera is not mounted as it was when the map was begun.
     #[arg(long, value_name = "FILE")]
@@ -41,9 +48,9 @@ pub struct LocalizeArguments {
     /// Take at most so many frames.
     #[arg(long, value_name = "N")]
     pub max_frames: Option<u64>,
-    /// Folder for the results.
+    /// Folder for all the files of a run. [default: only the place is told]
     #[arg(short, long, value_name = "FOLDER")]
-    pub output: PathBuf,
+    pub output: Option<PathBuf>,
     /// Overwrite results that are already there.
     #[arg(long)]
     pub force: bool,
@@ -53,15 +60,16 @@ pub struct LocalizeArguments {
     /// Say nothing but errors.
     #[arg(short, long)]
     pub quiet: bool,
-    /// Print stats.json to standard output instead of a summary.
+    /// Print the place as JSON.
     #[arg(long)]
     pub json: bool,
 }
 
 const EXAMPLES: &str = "\
 Examples:
-  odograph localize tuesday.mp4 --map hall.gpkg --read-only -o tuesday/
-  odograph localize picture/ --map hall.gpkg --read-only -o here/
+  odograph localize photo.jpg --map hall.gpkg
+  odograph localize tuesday.mp4 --map hall.gpkg -o tuesday/
+  odograph localize tuesday.mp4 --map hall.gpkg --extend -o tuesday/
 
 Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when nothing of the map was recognised.";
 
@@ -74,7 +82,20 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         Some(path) => rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?,
         None => mounted,
     };
-    let folder = OutputFolder::new(&arguments.output, arguments.force)?;
+    let read_only = !arguments.extend;
+    let nowhere = tempfile::tempdir()
+        .map_err(|error| Error::output(format!("there is no folder for temporary files: {error}")))?;
+    let output = OutputArguments {
+        output: arguments.output.clone().unwrap_or_else(|| nowhere.path().to_owned()),
+        force: arguments.force,
+        map: Some(arguments.map.clone()),
+        map_is_read_only: read_only,
+        least_frames: 1,
+        threads: arguments.threads,
+        quiet: arguments.quiet,
+        json: arguments.json,
+    };
+    let folder = OutputFolder::new(&output)?;
     let source_plan = SourcePlan {
         path: arguments.source.clone(),
         timestamps: arguments.timestamps.clone(),
@@ -107,25 +128,79 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         odometry,
         budget: None,
         // Where nothing is written that a mistake could bend, the first sure sighting is the answer.
-        slam: SlamConfig { sightings: if arguments.read_only { 1 } else { 2 }, ..SlamConfig::default() },
-    };
-    let output = OutputArguments {
-        output: arguments.output,
-        force: arguments.force,
-        map: Some(arguments.map.clone()),
-        map_is_read_only: arguments.read_only,
-        least_frames: 1,
-        threads: arguments.threads,
-        quiet: arguments.quiet,
-        json: arguments.json,
+        slam: SlamConfig { sightings: if read_only { 1 } else { 2 }, ..SlamConfig::default() },
     };
     let report = run::follow(&plan, source, folder, &output)?;
-    report.tell(&output)?;
-    if report.recognised {
-        return Ok(report.outcome());
+    tell(&arguments, &report)?;
+    Ok(match (report.place, report.outcome()) {
+        (_, Outcome::Interrupted) => Outcome::Interrupted,
+        (Some(_), outcome) => outcome,
+        (None, _) => Outcome::TrackingFailed,
+    })
+}
+
+/// The place as JSON.
+#[derive(Serialize)]
+struct Told<'a> {
+    recognised: bool,
+    place: Option<PlaceInMap>,
+    /// What the session of the nearest keyframe was run over.
+    session_source: Option<String>,
+    statistics: &'a Statistics,
+}
+
+fn tell(arguments: &LocalizeArguments, report: &RunReport) -> Result<()> {
+    let sessions = MapFile::open_read_only(&arguments.map)?.sessions()?;
+    let source = |place: &PlaceInMap| {
+        let session = sessions.iter().find(|session| session.id == place.session)?;
+        Some(session.source.clone())
+    };
+    if arguments.json {
+        let told = Told {
+            recognised: report.place.is_some(),
+            place: report.place,
+            session_source: report.place.as_ref().and_then(source),
+            statistics: &report.statistics,
+        };
+        let text = serde_json::to_string_pretty(&told)
+            .map_err(|error| Error::output(format!("the place cannot be written as JSON: {error}")))?;
+        console::print(&(text + "\n"))?;
+    } else if let Some(place) = report.place.filter(|_| !arguments.quiet) {
+        console::print(&sentence(&place, source(&place), report.statistics.frames))?;
+        if let Some(folder) = &arguments.output {
+            console::print(&format!("Look at {}\n", folder.join("report.html").display()))?;
+        }
     }
-    if output.quiet {
-        console::complain(&format!("nothing of {} was recognised", arguments.map.display()));
+    if !arguments.quiet {
+        report.warnings.iter().for_each(|warning| console::warn(warning));
     }
-    Ok(Outcome::TrackingFailed)
+    if report.place.is_none() {
+        console::complain(&format!(
+            "not recognised: nothing that {} shows was found in {}; it may be ground that was never mapped, or ground that looks alike in too many places",
+            arguments.source,
+            arguments.map.display()
+        ));
+    }
+    Ok(())
+}
+
+fn sentence(place: &PlaceInMap, source: Option<String>, frames: u64) -> String {
+    let at = match frames {
+        1 => String::new(),
+        _ => format!("at frame {} ({:.2} s): ", place.frame, place.time_s),
+    };
+    let source = source.map_or(String::new(), |source| format!(" ({source})"));
+    format!(
+        "{at}x {:.4} m ± {:.1} mm, y {:.4} m ± {:.1} mm, heading {:.2}° ± {:.2}° (one standard deviation)\n\
+         nearest: keyframe {}, {:.3} m away, of session {}{source}\n",
+        place.x_m,
+        1e3 * place.sd_x_m,
+        place.y_m,
+        1e3 * place.sd_y_m,
+        place.heading_deg,
+        place.sd_heading_deg,
+        place.keyframe,
+        place.keyframe_distance_m,
+        place.session,
+    )
 }

@@ -6,7 +6,7 @@ mod photographs;
 mod scene;
 pub(super) mod y4m;
 
-use crate::Outcome;
+use crate::{Outcome, lengths};
 use clap::ValueEnum;
 use odograph::error::Result;
 use odograph::simulation::Simulation;
@@ -27,7 +27,7 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "NAME|FILE", default_value = "asphalt", help_heading = "Ground and way")]
     texture: Vec<String>,
     /// Width of the ground that a photograph shows, metres; one for each photograph
-    #[arg(long, value_name = "METRES", default_value = "2", help_heading = "Ground and way")]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, default_value = "2", help_heading = "Ground and way")]
     photo_width: Vec<f64>,
     /// How a photograph covers the plane: mirror (seamless), repeat (where its edges fit), scatter (asphalt, grass: nothing repeats)
     #[arg(long, value_name = "HOW", default_value = "mirror", help_heading = "Ground and way")]
@@ -36,7 +36,7 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "NAME", value_enum, default_value = "square", help_heading = "Ground and way")]
     path: PathName,
     /// Length of the path: of a straight or a walk in all, of a side, of a lane, of the eight from tip to tip; metres
-    #[arg(long, value_name = "METRES", help_heading = "Ground and way")]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, help_heading = "Ground and way")]
     length: Option<f64>,
     /// Speed over ground, metres per second
     #[arg(long, value_name = "M/S", default_value_t = 0.5, help_heading = "Ground and way")]
@@ -51,7 +51,7 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "COUNT", default_value_t = 4, help_heading = "Ground and way")]
     lanes: u32,
     /// Distance between lanes, metres
-    #[arg(long, value_name = "METRES", default_value_t = 0.6, help_heading = "Ground and way")]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, default_value_t = 0.6, help_heading = "Ground and way")]
     spacing: f64,
     /// Stones of this height above and depth below the ground's level, millimetres, 3 cm apart where no other distance is given
     #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
@@ -99,7 +99,8 @@ pub struct SimulateArguments {
     /// Height of the camera above the ground, metres
     #[arg(
         long,
-        value_name = "METRES",
+        value_name = "LENGTH",
+        value_parser = lengths::metres,
         default_value_t = 0.9,
         allow_negative_numbers = true,
         help_heading = "Camera"

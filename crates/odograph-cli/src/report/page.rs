@@ -22,6 +22,9 @@ pub struct ReportInput<'a> {
     pub source: &'a str,
     /// Every frame of the run, in order of time.
     pub frames: &'a [FrameSummary],
+    /// Where the run was interrupted, as "interrupted after 3 of 5 frames"; `None` where it has all
+    /// of its source.
+    pub interruption: Option<&'a str>,
     /// The camera as used.
     pub camera: &'a Camera,
     /// How it sat over the ground at the start.
@@ -78,7 +81,10 @@ pub struct ReportMosaic<'a> {
 pub fn html(input: &ReportInput<'_>) -> String {
     let figures = Figures::new(input.frames);
     let mut page = head(input.title, input.source, "");
-    let _ = writeln!(page, "<p class=\"lead\">{}</p>", lead(&figures));
+    let interrupted = input.interruption.map_or(String::new(), |interruption| {
+        format!("<b>The run was {interruption}</b>; nothing after that is known. ")
+    });
+    let _ = writeln!(page, "<p class=\"lead\">{interrupted}{}</p>", lead(&figures));
     warnings(input.warnings, &mut page);
     cards(&figures, &mut page);
     ground(input, &mut page);
@@ -129,7 +135,7 @@ fn cards(figures: &Figures, page: &mut String) {
         "Length of the measured path; lost stretches do not count.",
         page,
     );
-    card("Duration", &duration_text(figures.duration_s), "From the first frame to the last.", page);
+    card("Duration", &duration_text(figures.duration_s), "From the first followed frame to the last.", page);
     let share = 100.0 * figures.with_pose as f64 / figures.frames.max(1) as f64;
     // Rounded down: 100 % is said only where it is all.
     card(
@@ -144,7 +150,7 @@ fn cards(figures: &Figures, page: &mut String) {
         n => format!("{n} times"),
     };
     let lost = match figures.lost.len() {
-        0 => "The movement was followed from the first frame to the last.".into(),
+        0 => "Every frame that was followed has a pose.".into(),
         _ => format!("{} altogether without a pose.", duration_text(figures.lost_s())),
     };
     card("Lost", &times, &lost, page);

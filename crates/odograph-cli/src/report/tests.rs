@@ -80,6 +80,7 @@ fn mosaic_of(frames: &[FrameSummary], camera: &Camera) -> Mosaic {
 fn report(frames: &[FrameSummary], title: &str, warnings: &[String]) -> String {
     let map = MapDrawing { title, ..MapDrawing::default() }.svg(frames);
     html(&ReportInput {
+        interruption: None,
         title,
         source: "drive.mp4, 320 × 240 pixels",
         frames,
@@ -250,6 +251,7 @@ fn a_look() {
     crate::files::write(&folder.join("mosaic.png"), &png_whole).unwrap();
     crate::files::write(&folder.join("mosaic.pgw"), whole.placement.world_file().as_bytes()).unwrap();
     let page = html(&ReportInput {
+        interruption: None,
         title: "figure-eight.mp4",
         source: "A rendered floor of tiles, 320 × 240 pixels, 900 frames at 30 a second",
         frames: &frames,

@@ -79,3 +79,69 @@ fn a_run_leaves_the_floor_in_its_map() {
     let later = odograph(&format!("{run} --reference later.tum -o out3"), folder.path());
     assert!(later.0 == 0 && later.1.contains("cannot be compared"), "{later:?}");
 }
+
+#[test]
+fn a_picture_is_found_in_a_map_which_stays_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let simulate =
+        "simulate --path straight --length 1.2 --speed 1 --size 320x240 --fps 20 --height 0.8 --quiet";
+    for (texture, name) in [("asphalt", "sim"), ("grass", "other")] {
+        let done = odograph(&format!("{simulate} --texture {texture} -o {name}"), folder.path());
+        assert_eq!(done, (0, String::new()));
+    }
+    let run = "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --rig sim/rig.toml -o out --quiet";
+    assert_eq!(odograph(run, folder.path()), (0, String::new()));
+    let map = fs::read(folder.path().join("out/map.gpkg")).unwrap();
+    let mut frames: Vec<_> =
+        fs::read_dir(folder.path().join("sim/frames")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    frames.sort();
+    let middle = frames.len() / 2;
+    let localize = |arguments: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(["localize", "--map", "out/map.gpkg"])
+            .args(arguments)
+            .current_dir(folder.path())
+            .output()
+            .unwrap()
+    };
+    let picture = frames[middle].to_str().unwrap();
+    let found = localize(&[picture]);
+    let told = String::from_utf8(found.stdout).unwrap();
+    assert_eq!(found.status.code(), Some(0), "{told} {}", String::from_utf8_lossy(&found.stderr));
+    assert!(
+        told.contains("heading") && told.contains("nearest: keyframe") && told.contains("session 0"),
+        "{told}"
+    );
+
+    let json = localize(&[picture, "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    let trajectory = fs::read_to_string(folder.path().join("out/trajectory.tum")).unwrap();
+    let line = trajectory.lines().filter(|line| !line.starts_with('#')).nth(middle).unwrap();
+    let known: Vec<f64> = line.split(' ').map(|number| number.parse().unwrap()).collect();
+    let place = |key: &str| json["place"][key].as_f64().unwrap();
+    assert_eq!(json["recognised"], true);
+    let off_m = (place("x_m") - known[1]).hypot(place("y_m") - known[2]);
+    assert!(off_m < 2e-3 && place("heading_deg").abs() < 0.5, "{off_m} m off, {json}");
+    assert!(place("sd_x_m") > 0.0 && place("sd_x_m") < 0.01 && place("sd_heading_deg") > 0.0, "{json}");
+    assert_eq!(json["session_source"], "sim/frames");
+
+    // Other ground is not found, which is told and written nowhere.
+    let mut others: Vec<_> = fs::read_dir(folder.path().join("other/frames"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    others.sort();
+    for more in [&[][..], &["--json"], &["-o", "nowhere"]] {
+        let lost = localize(&[&[others[3].to_str().unwrap()], more].concat());
+        let told = String::from_utf8(lost.stderr).unwrap();
+        assert!(lost.status.code() == Some(4) && told.contains("not recognised: nothing that"), "{told}");
+        let json = serde_json::from_slice::<serde_json::Value>(&lost.stdout);
+        assert_eq!(json.is_ok_and(|json| json["recognised"] == false), more == ["--json"]);
+    }
+    assert!(fs::read(folder.path().join("out/map.gpkg")).unwrap() == map, "the map was changed");
+    // Asked for, it grows.
+    let grown = localize(&["sim/frames", "--extend", "-o", "grown"]);
+    assert_eq!(grown.status.code(), Some(0), "{}", String::from_utf8_lossy(&grown.stderr));
+    let sessions = MapFile::open_read_only(&folder.path().join("out/map.gpkg")).unwrap().sessions().unwrap();
+    assert_eq!(sessions.len(), 2);
+}

@@ -112,6 +112,17 @@ pub(super) fn select(connection: &Connection, level: u32, column: u64, row: u64)
         .query_row(params![level, column, row], |row| row.get(0))
 }
 
+/// The tiles of a level that show ground, column and row, row by row.
+pub(super) fn tiles(connection: &Connection, level: u32) -> Result<Vec<(u64, u64)>> {
+    let side = 1_i64 << level;
+    let mut statement = connection.prepare(
+        "SELECT tile_column, tile_row FROM mosaic WHERE zoom_level = ?1 AND tile_column >= 0 AND tile_column < ?2 \
+         AND tile_row >= 0 AND tile_row < ?2 ORDER BY tile_row, tile_column",
+    )?;
+    let rows = statement.query_map(params![level, side], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    rows.collect()
+}
+
 /// The tiles of a level under which the level that is twice as fine has any.
 pub(super) fn parents(connection: &Connection, level: u32) -> Result<Vec<(u64, u64)>> {
     let mut statement = connection.prepare(

@@ -2,6 +2,7 @@
 
 use super::{decode, exif_data};
 use crate::frame::Picture;
+use crate::robot_recording;
 use crate::source::{Frames, Opened, SourceOptions};
 use crate::timestamps::{Timestamps, time_from_name};
 use odograph::error::{Error, Result};
@@ -14,7 +15,9 @@ const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm"
 /// Opens a folder of pictures, also one as EuRoC (`data.csv` beside `data/`) or TUM (`rgb.txt` beside `rgb/`) lay it out.
 pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Opened> {
     let listing = Listing::read(folder)?;
-    if !listing.pictures.is_empty() {
+    if listing.pictures.is_empty() {
+        robot_recording::refuse_folder(folder)?;
+    } else {
         return open_pictures(listing.pictures, options.timestamps.as_deref(), options, true);
     }
     let layouts = [

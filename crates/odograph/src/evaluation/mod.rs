@@ -112,7 +112,8 @@ pub fn evaluate(
     }
     let truth_length_m = *association::path_m(&pairs, |pair| &pair.truth).last().unwrap_or(&0.0);
     let estimate_length_m = *association::path_m(&pairs, |pair| &pair.estimate).last().unwrap_or(&0.0);
-    let span = |first: f64, last: f64| last - first;
+    // Halves: the whole of times at both ends of all numbers would be infinite. Only the ratio of spans counts.
+    let span = |first: f64, last: f64| 0.5 * last - 0.5 * first;
     let truth_span_s = span(truth.poses[0].time_s, truth.poses[truth.poses.len() - 1].time_s);
     let paired_span_s = span(pairs[0].truth_time_s, pairs[pairs.len() - 1].truth_time_s);
     let lengths_m = match options.segment_lengths_m.as_slice() {

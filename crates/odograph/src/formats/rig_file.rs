@@ -7,9 +7,9 @@
 //! yaw_deg = 90       # top of the image, counter-clockwise from forward
 //! ```
 //!
-//! Each angle may be given in radians instead (`roll_rad`, …). Keys that are not ours are ignored, and so are, where only the rig is
-//! wanted, the standard deviations that a measured one carries: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`,
-//! `yaw_deviation_deg`.
+//! Each angle may be given in radians instead (`roll_rad`, …). A measured rig has standard deviations besides, which are passed over where only the
+//! rig is wanted: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`, `yaw_deviation_deg`. Any other key is an error: a misspelt angle
+//! would be taken for none.
 
 use crate::camera::Rig;
 use crate::error::{Error, Result};
@@ -20,9 +20,27 @@ use toml::{Table, Value};
 /// Rig files are a few lines.
 const MAX_BYTES: usize = 1 << 20;
 
+/// All keys that a rig file may have.
+const KEYS: [&str; 11] = [
+    "height_m",
+    "roll_deg",
+    "pitch_deg",
+    "yaw_deg",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "height_deviation_m",
+    "roll_deviation_deg",
+    "pitch_deviation_deg",
+    "yaw_deviation_deg",
+];
+
+/// No camera over ground is higher, metres.
+const GREATEST_HEIGHT_M: f64 = 1e6;
+
 /// Reads a rig from TOML text.
 ///
-/// Fails, naming the key, where the height is missing, a value is not a finite number, an angle is given in both units, or
+/// Fails, naming the key, where the height is missing or absurd, a key is not one of a rig file, a value is not a finite number, an angle is given in both units, or
 /// the rig does not look at the ground ([`Rig::validated`]).
 pub fn parse(text: &str) -> Result<Rig> {
     if text.len() > MAX_BYTES {
@@ -35,9 +53,20 @@ pub fn parse(text: &str) -> Result<Rig> {
         let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
         Error::input(format!("line {line} of the rig file is not TOML: {message}"))
     })?;
+    if let Some(unknown) = table.keys().find(|key| !KEYS.contains(&key.as_str())) {
+        let shown: String = unknown.chars().take(40).flat_map(char::escape_debug).collect();
+        return Err(Error::input(format!(
+            "the rig file has a key `{shown}`, which no rig has; the keys are height_m and roll_deg, pitch_deg, yaw_deg (or _rad)"
+        )));
+    }
     let height_m = number(&table, "height_m")?.ok_or_else(|| {
         Error::input("the rig file has no `height_m`; add the camera's height above the ground in metres")
     })?;
+    if height_m > GREATEST_HEIGHT_M {
+        return Err(Error::input(format!(
+            "height_m is {height_m:e} in the rig file; no camera over ground is that high"
+        )));
+    }
     let rig = Rig {
         height_m,
         roll_rad: angle(&table, "roll")?,
@@ -47,17 +76,14 @@ pub fn parse(text: &str) -> Result<Rig> {
     rig.validated().map_err(|error| Error::input(error.to_string()))
 }
 
-/// The rig as TOML text in degrees; [`parse`] returns the identical rig. An angle that no number of degrees gives back
-/// exactly is written in radians.
+/// The rig as TOML text in degrees; [`parse`] returns the identical rig but for the last bit of an angle that no number of degrees gives back.
 pub fn write(rig: &Rig) -> String {
     let mut text = format!("height_m = {:?}\n", rig.height_m);
     for (name, radians) in [("roll", rig.roll_rad), ("pitch", rig.pitch_rad), ("yaw", rig.yaw_rad)] {
         let nearest = radians.to_degrees();
         let candidates = [nearest, nearest.next_up(), nearest.next_down()];
-        let _ = match candidates.into_iter().find(|degrees| degrees.to_radians() == radians) {
-            Some(degrees) => writeln!(text, "{name}_deg = {degrees:?}"),
-            None => writeln!(text, "{name}_rad = {radians:?} # {nearest:.4} degrees"),
-        };
+        let exact = candidates.into_iter().find(|degrees| degrees.to_radians() == radians);
+        let _ = writeln!(text, "{name}_deg = {:?}", exact.unwrap_or(nearest));
     }
     text
 }
@@ -138,9 +164,8 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn degrees_and_radians_are_read_and_strange_keys_ignored() {
-        let rig =
-            parse("height_m = 1\nroll_deg = 90e-1\npitch_rad = 0.1\ncolour = 'red'\n[more]\nx = 1").unwrap();
+    fn degrees_and_radians_are_read() {
+        let rig = parse("height_m = 1\nroll_deg = 90e-1\npitch_rad = 0.1").unwrap();
         assert_eq!(rig, Rig { height_m: 1.0, roll_rad: 9f64.to_radians(), pitch_rad: 0.1, yaw_rad: 0.0 });
     }
 
@@ -155,6 +180,10 @@ mod tests {
             ("height_m = 1\npitch_deg = 95", "does not look at the ground"),
             ("height_m = 1\n\nroll_deg = = 3", "line 3"),
             ("height_m = 1\nheight_m = 2", "line 2"),
+            ("height_m = 1\nroll_dg = 2", "`roll_dg`, which no rig has; the keys are height_m and roll_deg"),
+            ("height_m = 1\n[more]\nx = 1", "`more`"),
+            ("height_m = 1\n\"a\\u001B[2J\" = 1", "`a\\u{1b}[2J`"),
+            ("height_m = 1e300", "height_m is 1e300"),
         ] {
             let error = parse(text).unwrap_err();
             assert!(error.to_string().contains(part), "{text:?}: {error}");
@@ -190,10 +219,16 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_written_rig_is_read_back_identically(height_m in 1e-3..1e3, roll_rad in -1.0..1.0, pitch_rad in -1.0..1.0, yaw_rad in -4.0..4.0) {
+        fn a_written_rig_is_in_degrees_and_read_back(height_m in 1e-3..1e3, roll_rad in -1.0..1.0, pitch_rad in -1.0..1.0, yaw_rad in -4.0..4.0) {
             let rig = Rig { height_m, roll_rad, pitch_rad, yaw_rad };
             if let Ok(rig) = rig.validated() {
-                prop_assert_eq!(parse(&write(&rig)).unwrap(), rig);
+                let text = write(&rig);
+                prop_assert!(!text.contains("_rad"), "{}", text);
+                let back = parse(&text).unwrap();
+                prop_assert_eq!(back.height_m, rig.height_m);
+                for (back, rad) in [(back.roll_rad, roll_rad), (back.pitch_rad, pitch_rad), (back.yaw_rad, yaw_rad)] {
+                    prop_assert!((back - rad).abs() <= rad.abs() * f64::EPSILON, "{} {}", back, rad);
+                }
             }
         }
 

@@ -124,6 +124,15 @@ impl Mapper {
         }
     }
 
+    /// Whether a keyframe of the session is tied to the map that it continues. Nothing is where none is continued.
+    pub fn is_tied_to_old(&self, keyframe: KeyframeId) -> bool {
+        let Some(mut reach) = self.graph.reach(keyframe).filter(|_| self.is_new(keyframe)) else {
+            return false;
+        };
+        let mut old = self.map.keyframes.iter().filter(|old| !self.is_new(old.id));
+        old.any(|old| reach.to(old.id).is_some())
+    }
+
     /// The run that is being mapped, from 0.
     pub fn session(&self) -> u32 {
         self.session

@@ -15,6 +15,17 @@ const PAGE: &str = "report.html";
 pub struct Output {
     camera_file: PathBuf,
     report: PathBuf,
+    /// Folders that were made for it, the innermost first.
+    made: Vec<PathBuf>,
+}
+
+impl Drop for Output {
+    /// What was made for results that did not come is taken away: folders that are empty.
+    fn drop(&mut self) {
+        for folder in &self.made {
+            let _ = fs::remove_dir(folder);
+        }
+    }
 }
 
 impl Output {
@@ -44,11 +55,12 @@ impl Output {
             Some(folder) if folder != Path::new("") => folder,
             _ => Path::new("."),
         };
-        // Told before minutes of work and not after.
-        if !folder.is_dir() {
-            return Err(Error::usage(format!("{}: there is no such folder", folder.display())));
-        }
-        Ok(Self { camera_file: camera_file.to_owned(), report })
+        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+        let made = folder.ancestors().take_while(missing).map(Path::to_owned).collect();
+        // That it cannot be made is told before minutes of work and not after.
+        fs::create_dir_all(folder)
+            .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
+        Ok(Self { camera_file: camera_file.to_owned(), report, made })
     }
 
     pub fn camera_file(&self) -> &Path {

@@ -142,6 +142,20 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         segment_lengths_m: arguments.segments.clone(),
     };
     let evaluation = measure(&estimate.trajectory, &truth.trajectory, &options)?;
+    let figures = [
+        evaluation.absolute.translation.rmse,
+        evaluation.absolute.rotation.rmse,
+        evaluation.truth_length_m,
+        evaluation.estimate_length_m,
+        evaluation.final_position_error_m,
+    ];
+    if figures.iter().any(|figure| !figure.is_finite()) {
+        return Err(Error::input(format!(
+            "{} or {} has positions too far away to be compared",
+            arguments.estimate.display(),
+            arguments.truth.display()
+        )));
+    }
     if let Some(path) = &arguments.plot {
         let title = format!("{} against {}", name(&arguments.estimate), name(&arguments.truth));
         files::write(path, plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;

@@ -38,7 +38,12 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
         ));
     }
     let given_m = match (arguments.height, arguments.distance) {
-        (Some(height_m), _) => height_m,
+        (Some(height), _) => {
+            if !arguments.quiet {
+                height.tell_doubt();
+            }
+            height.metres
+        }
         (None, Some(distance_m)) if distance_m.is_finite() && distance_m > 0.0 => 1.0,
         (None, Some(distance_m)) => {
             return Err(Error::usage(format!(

@@ -12,6 +12,7 @@ mod serving;
 mod straight;
 
 use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
+use crate::lengths::{self, Height};
 use crate::{Outcome, console, files, interrupt};
 use mcap::McapLog;
 use odograph::error::Result;
@@ -37,13 +38,15 @@ pub struct LiveArguments {
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, metres; the camera looks straight down.
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with = "rig")]
-    pub height: Option<f64>,
+    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft; the camera looks
+    /// straight down.
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
+    pub height: Option<Height>,
     /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Ground seen by the whole image, metres, e.g. 1.20x0.90: stands in for a camera file.
+    /// Ground seen by the whole image, as 1.20x0.90 (metres) or 120cmx90cm: stands in for a camera
+    /// file.
     #[arg(long, value_name = "WxH", value_parser = run::field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
     /// What may change between frames.
@@ -129,7 +132,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let run_arguments = arguments.as_run();
     let outputs = Outputs::new(&arguments)?;
     arguments.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, arguments.force))?;
-    let folder = run::folder::OutputFolder::new(&run_arguments.output.output, arguments.force)?;
+    let folder = run::folder::OutputFolder::new(&run_arguments.output)?;
     let watch = Watch::default();
     let (mut plan, source) = RunPlan::over(&run_arguments, |plan| {
         // A calibration holds for one size only: that is the one to ask a camera for.
@@ -163,7 +166,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     {
         console::complain(&format!("look at {url}"));
     }
-    let mapping = run::mapping::Mapping::new(&plan, folder.path(), &run_arguments.output)?;
+    let mapping = run::mapping::Mapping::new(&plan, &folder, &run_arguments.output)?;
     let recorder = Recorder::new(folder, &plan)?;
     let log = McapLog::new(&arguments, &info.description, source.policy)?;
     let result = pipeline::follow(

@@ -99,6 +99,7 @@ pub fn follow(
         warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
         times: following.times,
         interrupted: interrupt::asked() || hub.stop_asked(),
+        announced: None,
         live: Some(live),
         failure: outcome.err().or(farewell.failure).or(not_kept),
         unmapped: following.unmapped,

@@ -32,8 +32,8 @@ impl Recorder {
     /// Records into a folder. The plan is in it from the first frame on.
     pub fn new(folder: OutputFolder, plan: &RunPlan) -> Result<Self> {
         Ok(Self {
+            plan: Some(plan.text_in(folder.path())?),
             folder,
-            plan: Some(plan.text()?),
             flushed: Instant::now(),
             space_looked: None,
             little_space: None,

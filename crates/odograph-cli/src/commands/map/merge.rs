@@ -6,7 +6,7 @@ use odograph::error::{Error, Result};
 use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 use odograph::odometry::OdometryConfig;
 use odograph::slam::{self, KeyframeStore, Mapper, SlamConfig};
-use odograph_map::{KeyframeMove, MapFile, carried};
+use odograph_map::{KeyframeMove, MapClaim, MapFile, carried};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -39,6 +39,7 @@ Examples:
 /// Runs the command.
 pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     check_free(&arguments.output, arguments.force)?;
+    let claim = MapClaim::on(&arguments.output)?;
     check_different(&arguments.maps)?;
     let [first, others @ ..] = arguments.maps.as_slice() else {
         return Err(Error::usage("give two maps or more to join"));
@@ -50,7 +51,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     let told = joined.inspect_err(|_| {
         let _ = MapFile::remove(&beside);
     })?;
-    MapFile::remove(&arguments.output)?;
+    claim.remove_map()?;
     fs::rename(&beside, &arguments.output).map_err(|error| {
         let _ = MapFile::remove(&beside);
         Error::output(format!("{} cannot be written: {error}", arguments.output.display()))

@@ -1,7 +1,7 @@
 //! `odograph map mosaic`: the picture of the ground, laid anew.
 
 use super::{check_free, export};
-use crate::{Outcome, console, interrupt};
+use crate::{Outcome, console, interrupt, lengths};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
@@ -17,8 +17,9 @@ pub struct MosaicArguments {
     /// Write the picture too: .tif (GeoTIFF) or .png (with a world file).
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Side of a ground pixel, metres. [default: what a pixel in the middle of an image sees]
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    /// Side of a ground pixel, as 0.002 (metres) or 2mm. [default: what a pixel in the middle of an
+    /// image sees]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true)]
     resolution: Option<f64>,
     /// Overwrite the picture where it is there.
     #[arg(long)]

@@ -6,7 +6,7 @@ use odograph::error::{Error, Result};
 use odograph::mapping::{EdgeKind, GroundMap};
 use odograph::odometry::OdometryConfig;
 use odograph::slam;
-use odograph_map::MapFile;
+use odograph_map::{MapClaim, MapFile};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -44,13 +44,14 @@ pub fn optimize(arguments: &OptimizeArguments) -> Result<Outcome> {
         return in_place(&arguments.map, arguments);
     };
     check_free(output, arguments.force)?;
+    let claim = MapClaim::on(output)?;
     let beside = files::beside(output);
     MapFile::remove(&beside)?;
     MapFile::open_read_only(&arguments.map)?.copy_to(&beside)?;
     let outcome = in_place(&beside, arguments).inspect_err(|_| {
         let _ = MapFile::remove(&beside);
     })?;
-    MapFile::remove(output)?;
+    claim.remove_map()?;
     fs::rename(&beside, output)
         .map_err(|error| Error::output(format!("{} cannot be written: {error}", output.display())))?;
     Ok(outcome)

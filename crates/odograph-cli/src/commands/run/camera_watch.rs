@@ -8,6 +8,7 @@ use odograph::error::Result;
 use odograph::motion::MotionModel;
 use odograph::mounting::{Found, Untold};
 use odograph::odometry::Odometry;
+use odograph_map::MapFile;
 
 /// Looks after the camera while a recording is followed, which is begun again when the camera is known better.
 pub struct CameraWatch {
@@ -66,7 +67,7 @@ impl CameraWatch {
     /// A map that is continued holds what a run has put into it: there the beginning of the recording is looked at before the run. The lens is that of the
     /// map.
     pub fn look_first(&mut self, plan: &mut RunPlan, arguments: &OutputArguments) -> Result<()> {
-        if !arguments.map.as_ref().is_some_and(|map| map.exists()) {
+        if !arguments.map.as_ref().is_some_and(|map| MapFile::is_there(map)) {
             return Ok(());
         }
         self.lens_is_known = true;

@@ -5,7 +5,8 @@ use super::found::FoundLens;
 use super::kept_frames::KeptFrames;
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
-use super::{OutputArguments, OutputFolder, RunPlan, RunReport, Statistics};
+use super::statistics::interruption;
+use super::{OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, Statistics};
 use super::{map, reference, tilt};
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
@@ -147,7 +148,8 @@ impl Finishing<'_> {
     /// The trajectories, the map's keyframes, and the paths that are made of the frames.
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
         let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
-        self.folder.write_trajectories(frames, &self.plan.text()?)?;
+        let text = self.plan.text_in(self.folder.path())?;
+        self.folder.write_trajectories(frames, &text)?;
         let camera = camera_file::write(&self.plan.camera);
         // The camera file of an earlier run may be the one that this run was given: that stays.
         let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
@@ -235,7 +237,9 @@ impl Finishing<'_> {
             Ok(warning) => warning.clone(),
             Err(error) => Some(format!("the map has no new picture of the ground: {error}")),
         });
-        map::write_page(self.plan, &shown, &drawn, &tracked.warnings, self.folder)?;
+        let interruption = (tracked.interrupted && tracked.live.is_none())
+            .then(|| interruption(frames.len() as u64, tracked.announced));
+        map::write_page(self.plan, &shown, &drawn, &tracked.warnings, interruption.as_deref(), self.folder)?;
         if let Err(error) = drawn.ground {
             self.failure.get_or_insert(error);
         }
@@ -258,7 +262,7 @@ impl Finishing<'_> {
             Some(error) => Err(error),
             None => Ok(RunReport {
                 statistics,
-                recognised: self.tracked.mapping.warning().is_none(),
+                place: PlaceInMap::last(frames, self.tracked.mapping.mapper()),
                 warnings: self.tracked.warnings,
                 folder: self.folder.path().to_owned(),
             }),

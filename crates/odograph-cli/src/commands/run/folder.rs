@@ -1,12 +1,12 @@
 //! The output folder: nothing in it is overwritten unasked, nothing in it is half written, and what was computed is in it when the program dies.
 
-use super::Statistics;
 use super::kept_frames::KeptFrames;
+use super::{OutputArguments, Statistics};
 use crate::files;
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{self, FRAMES_HEADER, TUM_HEADER, frame_line, tum_line};
 use odograph::trajectory::{FrameEstimate, StampedPose};
-use odograph_map::MapFile;
+use odograph_map::{MapClaim, MapFile};
 use std::fs::{self, File};
 use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
@@ -43,6 +43,9 @@ pub struct OutputFolder {
     had_map: bool,
     /// Folders that were made for this run, the innermost first.
     made: Vec<PathBuf>,
+    /// On the folder's own map, which keeps other runs out of the folder, and on the one that is
+    /// continued.
+    claims: Vec<MapClaim>,
 }
 
 impl Drop for OutputFolder {
@@ -51,8 +54,9 @@ impl Drop for OutputFolder {
         if !self.started {
             let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
             if !self.had_map {
-                let _ = MapFile::remove(&self.path.join("map.gpkg"));
+                let _ = self.claims[0].remove_map();
             }
+            self.claims.clear();
             remove_folders(&self.made);
         }
     }
@@ -69,12 +73,18 @@ fn remove_folders(folders: &[PathBuf]) {
 const GROUP: usize = 30;
 
 impl OutputFolder {
-    /// Makes the folder ready. Fails where results are already there and `force` does not allow to replace them, or where it cannot be written.
-    pub fn new(path: &Path, force: bool) -> Result<Self> {
+    /// Makes the folder ready, and claims the map that is to be written. Fails where results are
+    /// already there that may not be replaced, where another program writes there, or where nothing
+    /// can be written.
+    pub fn new(arguments: &OutputArguments) -> Result<Self> {
+        let (path, force) = (arguments.output.as_path(), arguments.force);
         if path.exists() && !path.is_dir() {
             return Err(Error::usage(format!("{} is a file; the results need a folder", path.display())));
         }
-        if let Some(there) = FILES.iter().map(|name| path.join(name)).find(|file| file.exists() && !force) {
+        let own_map = path.join("map.gpkg");
+        let is_there =
+            |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
+        if let Some(there) = FILES.iter().map(|name| path.join(name)).find(|file| is_there(file) && !force) {
             return Err(Error::usage(format!(
                 "{} is already there; choose another folder, or --force to overwrite it",
                 there.display()
@@ -88,12 +98,26 @@ impl OutputFolder {
         };
         fs::create_dir_all(path)
             .map_err(|error| undone(Error::output(format!("{} cannot be made: {error}", path.display()))))?;
+        let claims = claims(&own_map, arguments).map_err(&undone)?;
         let growing_path = files::beside(&path.join("trajectory.csv"));
         let growing = File::create(&growing_path).map_err(|error| {
             undone(Error::output(format!("{} cannot be written: {error}", growing_path.display())))
         })?;
-        let had_map = path.join("map.gpkg").exists();
-        Ok(Self { path: path.to_owned(), growing, pending: Vec::new(), started: false, had_map, made })
+        let had_map = MapFile::is_there(&own_map);
+        Ok(Self {
+            path: path.to_owned(),
+            growing,
+            pending: Vec::new(),
+            started: false,
+            had_map,
+            made,
+            claims,
+        })
+    }
+
+    /// The claim on a map that this run writes, where it has one.
+    pub fn claim_on(&self, map: &Path) -> Option<&MapClaim> {
+        self.claims.iter().find(|claim| claim.is_on(map))
     }
 
     /// Takes back what was recorded: the run is begun again.
@@ -200,6 +224,16 @@ impl OutputFolder {
     pub fn finish(&mut self, statistics: &Statistics) -> Result<()> {
         self.write("stats.json", (statistics.json()? + "\n").as_bytes())
     }
+}
+
+fn claims(own_map: &Path, arguments: &OutputArguments) -> Result<Vec<MapClaim>> {
+    let mut claims = vec![MapClaim::on(own_map)?];
+    if let Some(map) = arguments.map.as_ref().filter(|_| !arguments.map_is_read_only)
+        && !claims[0].is_on(map)
+    {
+        claims.push(MapClaim::on(map)?);
+    }
+    Ok(claims)
 }
 
 fn write_lines(

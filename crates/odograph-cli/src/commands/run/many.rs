@@ -154,7 +154,7 @@ fn one(recording: &Recording, arguments: &RunArguments, threads: u16) -> Result<
     let alone =
         RunArguments { source: recording.source.clone(), more: Vec::new(), output, ..arguments.clone() };
     let run = || {
-        let folder = OutputFolder::new(&alone.output.output, alone.output.force)?;
+        let folder = OutputFolder::new(&alone.output)?;
         let (plan, source) = RunPlan::new(&alone)?;
         follow(&plan, source, folder, &alone.output)
     };
@@ -237,6 +237,9 @@ fn worst(ends: &[End]) -> Result<Outcome> {
         (0, 0) => {}
         (0, _) => return Err(Error::usage(sentence())),
         _ => return Err(Error::input(sentence())),
+    }
+    if interrupt::asked() {
+        return Ok(Outcome::Interrupted);
     }
     let done = |end: &End| matches!(end, End::Followed(report) if report.outcome() == Outcome::Done);
     Ok(if ends.iter().all(done) { Outcome::Done } else { Outcome::TrackingFailed })

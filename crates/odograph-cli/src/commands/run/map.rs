@@ -107,12 +107,14 @@ pub fn write_page(
     shown: &Shown<'_>,
     drawn: &Drawn,
     warnings: &[String],
+    interruption: Option<&str>,
     folder: &mut OutputFolder,
 ) -> Result<()> {
     let page = report::html(&ReportInput {
         title: title(plan),
         source: shown.description,
         frames: shown.frames,
+        interruption,
         camera: &plan.camera,
         rig: &plan.rig,
         map_svg: &drawn.path_svg,

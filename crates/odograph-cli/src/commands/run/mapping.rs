@@ -3,7 +3,7 @@
 use super::kept_frames::KeptFrames;
 use super::statistics::StageTime;
 use super::timings::Timings;
-use super::{OutputArguments, RunPlan};
+use super::{OutputArguments, OutputFolder, RunPlan};
 use crate::interrupt;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -12,7 +12,7 @@ use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, Map
 use odograph::odometry::{FrameReference, KeyframeEvent};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, Stretches};
 use odograph::trajectory::FrameEstimate;
-use odograph_map::{MapFile, PathFrame};
+use odograph_map::{MapClaim, MapFile, PathFrame};
 use odograph_video::Frame;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -49,11 +49,18 @@ pub struct LoopStatistics {
 
 impl Mapping {
     /// The map that the arguments ask for: one that is continued, or a new one. Fails where there is a file that is no map of this camera.
-    pub fn new(plan: &RunPlan, folder: &Path, arguments: &OutputArguments) -> Result<Self> {
-        let path = arguments.map.clone().unwrap_or_else(|| folder.join("map.gpkg"));
-        let continued = arguments.map.is_some() && path.exists();
+    pub fn new(plan: &RunPlan, folder: &OutputFolder, arguments: &OutputArguments) -> Result<Self> {
+        let path = arguments.map.clone().unwrap_or_else(|| folder.path().join("map.gpkg"));
+        let continued = arguments.map.is_some() && MapFile::is_there(&path);
+        let claim = match (arguments.map_is_read_only, folder.claim_on(&path)) {
+            (true, _) => None,
+            (false, Some(claim)) => Some(claim.clone()),
+            (false, None) => Some(MapClaim::on(&path)?),
+        };
         let mut file = GrowingFile {
             file: None,
+            replaces: arguments.map.is_none(),
+            claim,
             path,
             camera: plan.camera.clone(),
             rig: plan.rig,
@@ -62,9 +69,9 @@ impl Mapping {
             kept: arguments.map_is_read_only.then(MemoryImages::default),
         };
         let mapper = if continued {
-            let mut there = match arguments.map_is_read_only {
-                true => MapFile::open_read_only(&file.path)?,
-                false => MapFile::open(&file.path)?,
+            let mut there = match &file.claim {
+                None => MapFile::open_read_only(&file.path)?,
+                Some(claim) => MapFile::open_claimed(claim.clone())?,
             };
             if *there.camera() != plan.camera {
                 return Err(Error::input(format!(
@@ -165,9 +172,10 @@ impl Mapping {
         self.write_path(frames)
     }
 
-    /// A sentence where the run could not be tied to the map that it continues.
+    /// A sentence where the run could not be tied to the map that it continues; whoever only looks
+    /// into a map asked that, and is told otherwise.
     pub fn warning(&self) -> Option<String> {
-        (!self.mapper.is_recognised()).then(|| {
+        (self.file.kept.is_none() && !self.mapper.is_recognised()).then(|| {
             format!(
                 "nothing of {} was recognised: the path is in a frame of its own, which begins at its first frame",
                 self.file.path.display()
@@ -266,18 +274,19 @@ impl Mapping {
 
     /// Takes away the new map file of a run that is begun again.
     pub fn discard(self) -> Result<()> {
-        let GrowingFile { file, path, .. } = self.file;
+        let GrowingFile { file, claim, .. } = self.file;
         match file {
-            Some(file) => file.close().and_then(|()| MapFile::remove(&path)),
+            Some(file) => file.close().and_then(|()| claim.map_or(Ok(()), |claim| claim.remove_map())),
             None => Ok(()),
         }
     }
 
     /// Ends the file. Takes away the map of an earlier run where this one is in its place and saw no ground.
     pub fn close(&mut self) -> Result<()> {
-        match self.file.file.take() {
-            Some(file) => file.close(),
-            None => MapFile::remove(&self.file.path),
+        match (self.file.file.take(), &self.file.claim) {
+            (Some(file), _) => file.close(),
+            (None, Some(claim)) if self.file.replaces => claim.remove_map(),
+            (None, _) => Ok(()),
         }
     }
 }
@@ -324,6 +333,11 @@ impl LoopStatistics {
 /// A map file that is made with its first keyframe: a run that shows nothing leaves none.
 struct GrowingFile {
     file: Option<MapFile>,
+    /// Whether a map of an earlier run may be in its place: that it may be overwritten was asked
+    /// for when the folder was made ready.
+    replaces: bool,
+    /// `None` where the file is not to be written.
+    claim: Option<MapClaim>,
     path: PathBuf,
     camera: Camera,
     rig: Rig,
@@ -335,10 +349,11 @@ struct GrowingFile {
 
 impl GrowingFile {
     fn open(&mut self) -> Result<&mut MapFile> {
-        if self.file.is_none() {
-            // That it may be overwritten was asked for when the folder was made ready.
-            MapFile::remove(&self.path)?;
-            let mut file = MapFile::create(&self.path, &self.camera, &self.rig)?;
+        if let (None, Some(claim)) = (&self.file, &self.claim) {
+            if self.replaces {
+                claim.remove_map()?;
+            }
+            let mut file = MapFile::create_claimed(claim.clone(), &self.camera, &self.rig)?;
             self.session = file.begin_session(&self.source)?;
             self.file = Some(file);
         }

@@ -10,7 +10,9 @@ mod many;
 mod map;
 pub(super) mod mapping;
 pub(super) mod pipeline;
+mod place;
 mod plan;
+mod plan_paths;
 mod reference;
 mod sensors;
 pub(super) mod statistics;
@@ -18,6 +20,7 @@ mod tilt;
 pub(super) mod timings;
 pub(super) mod views;
 
+use crate::lengths::{self, Height};
 use crate::{Outcome, console};
 use camera_watch::CameraWatch;
 pub(super) use finish::finish;
@@ -25,6 +28,7 @@ pub use folder::OutputFolder;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 use pipeline::{Ended, Tracked};
+pub use place::PlaceInMap;
 pub use plan::{RunPlan, SourcePlan};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
@@ -45,13 +49,15 @@ pub struct RunArguments {
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP). A map that is continued has one, and how the camera sits.
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, metres; the camera looks straight down.
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true, conflicts_with = "rig")]
-    pub height: Option<f64>,
+    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft; the camera looks
+    /// straight down.
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
+    pub height: Option<Height>,
     /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Ground seen by the whole image, metres, e.g. 1.20x0.90: stands in for a camera file.
+    /// Ground seen by the whole image, as 1.20x0.90 (metres) or 120cmx90cm: stands in for a camera
+    /// file.
     #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
     /// What may change between frames.
@@ -132,7 +138,7 @@ Examples:
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
 
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the
-recording (what there is has been written).";
+recording, 130 when interrupted by Ctrl-C (what there is has been written in both cases).";
 
 /// A field of view on the ground: width and height in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -141,10 +147,10 @@ pub struct FieldOfView(pub f64, pub f64);
 pub(super) fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
     let sides = text
         .split_once(['x', 'X', '×'])
-        .and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?)));
+        .and_then(|(w, h)| Some((lengths::metres(w).ok()?, lengths::metres(h).ok()?)));
     match sides {
         Some((w, h)) if [w, h].iter().all(|v: &f64| v.is_finite() && *v > 0.0) => Ok(FieldOfView(w, h)),
-        _ => Err("give width and height in metres, as 1.20x0.90".to_owned()),
+        _ => Err("give width and height, as 1.20x0.90 (metres) or 120cmx90cm".to_owned()),
     }
 }
 
@@ -213,7 +219,7 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     if let Some(recordings) = many::recordings(&arguments)? {
         return many::run(&recordings, &arguments);
     }
-    let folder = OutputFolder::new(&arguments.output.output, arguments.output.force)?;
+    let folder = OutputFolder::new(&arguments.output)?;
     let (plan, source) = RunPlan::new(&arguments)?;
     let report = follow(&plan, source, folder, &arguments.output)?;
     report.tell(&arguments.output)?;
@@ -225,8 +231,9 @@ pub struct RunReport {
     pub statistics: Statistics,
     pub warnings: Vec<String>,
     pub folder: PathBuf,
-    /// Whether the path is in the frame of the map that was continued; always where none was.
-    pub recognised: bool,
+    /// Where the camera was last in the map that was continued; `None` where none was, or nothing
+    /// of it was recognised.
+    pub place: Option<PlaceInMap>,
 }
 
 /// Follows a source by a plan and writes everything into the folder. What ends the recording early is an error only after all that was
@@ -274,6 +281,9 @@ fn track(
 impl RunReport {
     /// How the run ended.
     pub fn outcome(&self) -> Outcome {
+        if self.statistics.interruption().is_some() {
+            return Outcome::Interrupted;
+        }
         // With less than half of the frames posed the path is not the recording's path.
         if 2 * self.statistics.frames_with_pose < self.statistics.frames {
             Outcome::TrackingFailed
@@ -294,6 +304,9 @@ impl RunReport {
             for warning in &self.warnings {
                 console::warn(warning);
             }
+        }
+        if let Some(interruption) = self.statistics.interruption().filter(|_| !arguments.quiet) {
+            console::complain(&format!("{interruption}; what there is up to there has been written"));
         }
         if self.outcome() == Outcome::TrackingFailed && !arguments.quiet {
             console::complain(&format!(

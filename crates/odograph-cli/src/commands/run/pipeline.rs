@@ -32,6 +32,8 @@ pub struct Tracked {
     pub warnings: Vec<String>,
     pub times: StageTimes,
     pub interrupted: bool,
+    /// How many frames the source says it has.
+    pub announced: Option<u64>,
     /// How a live run kept up with its source.
     pub live: Option<LiveStatistics>,
     /// What ended the recording before its end, if anything did.
@@ -82,7 +84,7 @@ pub fn track(
 ) -> Result<Ended> {
     let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
     odometry.tell_keyframes();
-    let mapping = Mapping::new(plan, folder.path(), arguments)?;
+    let mapping = Mapping::new(plan, folder, arguments)?;
     let views = Views::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,
@@ -93,6 +95,8 @@ pub fn track(
         progress: progress(source.info().frame_count, arguments.quiet),
         folder,
     };
+    let whole = plan.source.start_s.is_none() && plan.source.end_s.is_none();
+    let announced = source.info().frame_count.filter(|_| whole);
     let mut decoding = Decoding { source, times: Timings::default() };
     let mut ground = Ground { views, mapping, unmapped: None, times: Timings::default() };
     let outcome = match arguments.threads() {
@@ -107,6 +111,8 @@ pub fn track(
         return Ok(Ended::IsAnother(Box::new(found)));
     }
     let Ground { views, mapping, unmapped, times: map_times } = ground;
+    // An interrupt that comes when all frames are there already changes nothing of them.
+    let interrupted = interrupt::asked() && announced != Some(tracking.frames.count() as u64);
     Ok(Ended::Tracked(Box::new(Tracked {
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
@@ -114,7 +120,8 @@ pub fn track(
         mapping,
         warnings: decoding.source.take_warnings(),
         times: StageTimes { decode: decoding.times, track: tracking.times, map: map_times },
-        interrupted: interrupt::asked(),
+        interrupted,
+        announced,
         live: None,
         failure: outcome.err(),
         unmapped,

@@ -180,13 +180,13 @@ impl RunPlan {
         plan.rig.validated().map_err(at_fault)?;
         plan.odometry.validated().map_err(at_fault)?;
         plan.slam.validated().map_err(at_fault)?;
-        Ok(plan)
+        Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
     }
 
     /// Takes the camera of a map that is continued where it is the plan's with a lens that an earlier run has found. A run that finds a lens leaves the focal length
     /// as it is, to the bit, and no two calibrations agree in that.
     pub fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
-        let Some(map) = map.filter(|map| map.exists()) else { return Ok(()) };
+        let Some(map) = map.filter(|map| MapFile::is_there(map)) else { return Ok(()) };
         let found = MapFile::open_read_only(map)?.camera().clone();
         let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
         if key(&found) == key(&self.camera) {
@@ -195,7 +195,12 @@ impl RunPlan {
         Ok(())
     }
 
-    /// The plan as the text of `run.toml`.
+    /// The plan as the text of a `run.toml` in this folder.
+    pub fn text_in(&self, folder: &Path) -> Result<String> {
+        self.seen_from(folder).text()
+    }
+
+    /// The same with paths as they were typed: for the report, which is the same wherever it lies.
     pub fn text(&self) -> Result<String> {
         let body = toml::to_string(self)
             .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
@@ -215,7 +220,7 @@ enum ToldCamera<'a> {
 
 impl<'a> ToldCamera<'a> {
     fn by(arguments: &'a RunArguments) -> Result<Self> {
-        let map = arguments.output.map.as_deref().filter(|map| map.exists());
+        let map = arguments.output.map.as_deref().filter(|map| MapFile::is_there(map));
         match (&arguments.camera, arguments.field_of_view, map) {
             (Some(file), _, _) => Ok(Self::File(file, files::read_text(file)?)),
             (None, Some(field), _) => Ok(Self::Field(field)),
@@ -232,7 +237,12 @@ impl<'a> ToldCamera<'a> {
             (Some(path), _, _) => {
                 rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))
             }
-            (None, Some(height_m), _) => Rig::level(height_m).validated(),
+            (None, Some(height), _) => {
+                if !arguments.output.quiet {
+                    height.tell_doubt();
+                }
+                Rig::level(height.metres).validated()
+            }
             // The field of view already gives the scale; any height gives the same path.
             (None, None, Self::Field(_)) => Ok(Rig::level(1.0)),
             (None, None, Self::Map(map)) => Ok(*map.rig()),

@@ -48,6 +48,10 @@ pub struct Statistics {
     pub lens: Option<FoundLens>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
+    /// How many frames an interrupted run would have had; left out where the source does not say,
+    /// and of whole runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frames_announced: Option<u64>,
     /// How the run kept up with its source; left out of runs over recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveStatistics>,
@@ -191,6 +195,7 @@ impl Statistics {
             mount: tracked.mount,
             lens: tracked.lens.clone(),
             interrupted: tracked.interrupted,
+            frames_announced: tracked.announced.filter(|_| tracked.interrupted),
             live: tracked.live,
             sensors: sensors.iter().map(SensorStatistics::new).collect(),
         }
@@ -200,6 +205,13 @@ impl Statistics {
     pub fn json(&self) -> Result<String> {
         serde_json::to_string_pretty(self)
             .map_err(|error| Error::output(format!("the statistics cannot be written as JSON: {error}")))
+    }
+
+    /// Where an interrupted run ended, for people; `None` where it was not interrupted, or ended as
+    /// live runs do.
+    pub fn interruption(&self) -> Option<String> {
+        let interrupted = self.interrupted && self.live.is_none();
+        interrupted.then(|| interruption(self.frames, self.frames_announced))
     }
 
     /// For people, a few lines.
@@ -226,6 +238,14 @@ impl Statistics {
             self.fps,
             self.fps_without_decoding,
         )
+    }
+}
+
+/// Where a run of so many frames was interrupted.
+pub fn interruption(frames: u64, announced: Option<u64>) -> String {
+    match announced {
+        Some(announced) => format!("interrupted after {frames} of {announced} frames"),
+        None => format!("interrupted after {frames} frames"),
     }
 }
 

@@ -3,7 +3,7 @@
 //! The points are the features that keyframes are recognised by; two keyframes that an edge ties see the same point where their features lie in the
 //! same place of the ground and look alike.
 
-use crate::files;
+use crate::{files, interrupt};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file::{CameraFormat, write_as};
@@ -49,6 +49,12 @@ pub fn write(file: &mut MapFile, folder: &Path, force: bool) -> Result<String> {
     let tracks = tracks(&map, &mut features);
     let mut colors = BTreeMap::new();
     for (index, keyframe) in map.keyframes.iter().enumerate() {
+        if interrupt::asked() {
+            return Err(Error::output(format!(
+                "interrupted; {} has only some of the images",
+                folder.display()
+            )));
+        }
         let image = file.load(keyframe.id)?;
         let bytes = match &image.color {
             Some(color) => files::png_from_rgb(color)?,

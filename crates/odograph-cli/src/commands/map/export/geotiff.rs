@@ -1,10 +1,12 @@
 //! The mosaic as a GeoTIFF (OGC 19-008): the tiles as they are in the map, so that no more than one is in memory.
 
 use super::anchor::Anchor;
-use crate::files;
+use super::coarser;
+use crate::{files, interrupt};
 use odograph::error::{Error, Result};
 use odograph::mapping::MOSAIC_TILE_PX;
 use odograph_map::{MapFile, MosaicLayer};
+use std::ops::Range;
 use std::path::Path;
 use tiff::TiffError;
 use tiff::encoder::compression::{CompressionAlgorithm, Deflate, DeflateLevel};
@@ -14,39 +16,52 @@ use tiff::tags::Tag;
 /// Red, green, blue and opacity.
 const CHANNELS: usize = 4;
 
-/// Writes the whole picture at its finest and says what was written.
+/// A picture has at most so many tiles, most of which may show nothing: each is 16 bytes in its
+/// directory.
+const MOST_TILES: u64 = 1 << 22;
+
+/// Writes the whole picture, at its finest where it has not too many tiles, and says what was
+/// written.
 pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path, anchor: Option<&Anchor>) -> Result<String> {
     let side = MOSAIC_TILE_PX as u64;
-    let [columns, rows] =
-        [&layer.columns, &layer.rows].map(|range| range.start / side..range.end.div_ceil(side));
-    let (width, height) = ((columns.end - columns.start) * side, (rows.end - rows.start) * side);
-    let left_m = layer.left_m + (columns.start * side) as f64 * layer.resolution_m;
-    let top_m = layer.top_m - (rows.start * side) as f64 * layer.resolution_m;
+    let tiles_at = |level: u32| {
+        let tile = side << (layer.finest - level);
+        [&layer.columns, &layer.rows].map(|range| range.start / tile..range.end.div_ceil(tile))
+    };
+    let count = |range: &Range<u64>| range.end - range.start;
+    let fits = |level: &u32| tiles_at(*level).iter().map(count).product::<u64>() <= MOST_TILES;
+    let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
+    let [columns, rows] = tiles_at(level);
+    let pixel_m = layer.resolution_m * (1_u64 << (layer.finest - level)) as f64;
+    let (width, height) = (count(&columns) * side, count(&rows) * side);
+    let left_m = layer.left_m + (columns.start * side) as f64 * pixel_m;
+    let top_m = layer.top_m - (rows.start * side) as f64 * pixel_m;
     files::write_with(path, |output| {
         let broken =
             |error: TiffError| Error::output(format!("{} cannot be written: {error}", path.display()));
         let mut encoder = TiffEncoder::new_big(output).map_err(broken)?;
         let mut directory = encoder.image_directory().map_err(broken)?;
-        let (mut offsets, mut lengths) = (Vec::new(), Vec::new());
-        for row in rows.clone() {
-            for column in columns.clone() {
-                // A tile that is nowhere is transparent: GDAL's sparse tiles.
-                let (offset, length) = match file.mosaic_tile(layer.finest, column, row)? {
-                    Some(rgba) => put_tile(&mut directory, &rgba).map_err(broken)?,
-                    None => (0, 0),
-                };
-                offsets.push(offset);
-                lengths.push(length);
+        // A tile that is nowhere is transparent: GDAL's sparse tiles.
+        let tiles = (count(&columns) * count(&rows)) as usize;
+        let (mut offsets, mut lengths) = (vec![0; tiles], vec![0; tiles]);
+        for (column, row) in file.mosaic_tiles(level)? {
+            interrupt::check()?;
+            if !columns.contains(&column) || !rows.contains(&row) {
+                continue;
+            }
+            if let Some(rgba) = file.mosaic_tile(level, column, row)? {
+                let at = ((row - rows.start) * count(&columns) + column - columns.start) as usize;
+                (offsets[at], lengths[at]) = put_tile(&mut directory, &rgba).map_err(broken)?;
             }
         }
         describe(&mut directory, (width, height), &offsets, &lengths)
-            .and_then(|()| place(&mut directory, (left_m, top_m), layer.resolution_m, anchor))
+            .and_then(|()| place(&mut directory, (left_m, top_m), pixel_m, anchor))
             .and_then(|()| directory.finish())
             .map_err(broken)
     })?;
     let system =
         anchor.map_or("metres of the map".to_owned(), |anchor| format!("EPSG:{}", anchor.utm_code()));
-    Ok(format!("{width}x{height} px of {:.2} mm, {system}", 1000.0 * layer.resolution_m))
+    Ok(format!("{width}x{height} px of {:.2} mm, {system}{}", 1000.0 * pixel_m, coarser(layer, level)))
 }
 
 fn put_tile<W: std::io::Write + std::io::Seek, K: TiffKind>(

@@ -13,7 +13,7 @@ use crate::{Outcome, console};
 use anchor::{Anchor, AnchorArgument};
 use geographic::GeographicForm;
 use odograph::error::{Error, Result};
-use odograph_map::{MapFile, PathFrame};
+use odograph_map::{MapFile, MosaicLayer, PathFrame};
 use std::path::{Path, PathBuf};
 use trajectory::TrajectoryForm;
 
@@ -164,6 +164,17 @@ pub fn write_picture(
         PictureForm::GeoTiff => geotiff::write(file, &layer, path, anchor),
         PictureForm::Png => picture::write(file, &layer, path),
     }
+}
+
+/// What is told where a picture had to be coarser than the mosaic; nothing where it is not.
+fn coarser(layer: &MosaicLayer, level: u32) -> String {
+    if level >= layer.finest {
+        return String::new();
+    }
+    format!(
+        " (the mosaic has pixels of {:.2} mm: its ground lies too far apart for a picture that fine)",
+        1000.0 * layer.resolution_m
+    )
 }
 
 /// The path of the session asked for, or of the only one; of the keyframes where the map has no path yet.

@@ -1,6 +1,7 @@
 //! The mosaic as a PNG with a world file.
 
-use crate::files;
+use super::coarser;
+use crate::{files, interrupt};
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
 use std::path::Path;
@@ -14,7 +15,7 @@ const MOST_PIXELS: u64 = 1_000_000_000;
 pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path) -> Result<String> {
     let fits = |level: &u32| {
         let (width, height, _) = layer.picture_at(*level);
-        width.max(height) <= LONGEST_SIDE_PX && width * height <= MOST_PIXELS
+        width.max(height) <= LONGEST_SIDE_PX && width.saturating_mul(height) <= MOST_PIXELS
     };
     let level = (0..=layer.finest).rev().find(fits).unwrap_or(0);
     let (width, height, placement) = layer.picture_at(level);
@@ -29,11 +30,16 @@ pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path) -> Result<String>
         let mut writer = encoder.write_header().map_err(broken)?;
         let mut stream = writer.stream_writer().map_err(broken)?;
         file.each_tile_row(layer, level, &mut |_, rows| {
+            interrupt::check()?;
             std::io::Write::write_all(&mut stream, rows)
                 .map_err(|error| Error::output(format!("{} cannot be written: {error}", path.display())))
         })?;
         stream.finish().map_err(broken)
     })?;
     files::write(&path.with_extension("pgw"), placement.world_file().as_bytes())?;
-    Ok(format!("{width}x{height} px of {:.2} mm, with a world file", 1000.0 * placement.metres_per_pixel))
+    Ok(format!(
+        "{width}x{height} px of {:.2} mm, with a world file{}",
+        1000.0 * placement.metres_per_pixel,
+        coarser(layer, level)
+    ))
 }

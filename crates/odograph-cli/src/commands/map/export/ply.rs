@@ -1,7 +1,8 @@
 //! The mosaic as coloured points (PLY, binary): the ground where it was seen, and above it the cameras.
 
-use crate::files;
+use crate::{files, interrupt};
 use odograph::error::{Error, Result};
+use odograph::mapping::MOSAIC_TILE_PX;
 use odograph_map::{MapFile, MosaicLayer};
 use std::io::Write;
 use std::path::Path;
@@ -35,17 +36,20 @@ pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> 
         )
         .map_err(broken)?;
         if let (Some(layer), Some((level, _))) = (&layer, level) {
-            let (width, _, placement) = layer.picture_at(level);
+            let pixel_m = layer.picture_at(level).2.metres_per_pixel;
+            let side = MOSAIC_TILE_PX as u64;
             let mut shown = 0;
-            file.each_tile_row(layer, level, &mut |first_row, rows| {
-                for (k, pixel) in rows.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
+            each_tile(file, level, &mut |tile_column, tile_row, rgba| {
+                for (k, pixel) in rgba.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
                     shown += 1;
                     if !(shown - 1u64).is_multiple_of(every) {
                         continue;
                     }
-                    let (column, row) = (k % width as usize, first_row + k / width as usize);
-                    let point = placement.ground_from_pixel(column as f64, row as f64);
-                    output.write_all(&vertex([point.x_m, point.y_m, 0.0], &pixel[..3])).map_err(broken)?;
+                    let column = tile_column * side + k as u64 % side;
+                    let row = tile_row * side + k as u64 / side;
+                    let x_m = layer.left_m + (column as f64 + 0.5) * pixel_m;
+                    let y_m = layer.top_m - (row as f64 + 0.5) * pixel_m;
+                    output.write_all(&vertex([x_m, y_m, 0.0], &pixel[..3])).map_err(broken)?;
                 }
                 Ok(())
             })?;
@@ -62,12 +66,24 @@ fn vertex(position: [f64; 3], color: &[u8]) -> Vec<u8> {
     position.iter().flat_map(|value| value.to_le_bytes()).chain(color.iter().copied()).collect()
 }
 
+/// Gives every tile of a level that is there: its column, its row, and its pixels. Fails once the
+/// program was asked to end.
+fn each_tile(file: &MapFile, level: u32, take: &mut dyn FnMut(u64, u64, &[u8]) -> Result<()>) -> Result<()> {
+    for (column, row) in file.mosaic_tiles(level)? {
+        interrupt::check()?;
+        if let Some(rgba) = file.mosaic_tile(level, column, row)? {
+            take(column, row, &rgba)?;
+        }
+    }
+    Ok(())
+}
+
 /// The finest level that shows ground in few enough pixels, and in how many.
 fn chosen(file: &MapFile, layer: &MosaicLayer, most_points: usize) -> Result<(u32, u64)> {
     for level in (0..=layer.finest).rev() {
         let mut points = 0;
-        file.each_tile_row(layer, level, &mut |_, rows| {
-            points += rows.chunks_exact(4).filter(|pixel| pixel[3] > 0).count() as u64;
+        each_tile(file, level, &mut |_, _, rgba| {
+            points += rgba.chunks_exact(4).filter(|pixel| pixel[3] > 0).count() as u64;
             Ok(())
         })?;
         if points <= most_points as u64 || level == 0 {

@@ -1,0 +1,106 @@
+//! One program writes a map at a time; what a program left that died while it began one is no
+//! hindrance.
+
+#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+
+mod ground;
+
+use odograph::camera::Rig;
+use odograph::error::{ErrorKind, Result};
+use odograph_map::{MapClaim, MapFile};
+use std::fs;
+use std::path::Path;
+
+fn create(path: &Path) -> Result<MapFile> {
+    MapFile::create(path, &ground::camera(), &Rig::level(0.5))
+}
+
+fn assert_refused<T>(result: Result<T>) {
+    let Err(error) = result else { panic!("a second writer was let in") };
+    assert_eq!(error.kind(), ErrorKind::Input);
+    let told = error.to_string();
+    let holder = format!("being written by another program (process {})", std::process::id());
+    assert!(told.contains(&holder) && told.contains("wait until"), "{told}");
+}
+
+#[test]
+fn a_map_has_one_writer_at_a_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    let mut map = create(&path).unwrap();
+    let session = map.begin_session("drive.mp4").unwrap();
+    map.add_keyframe(&ground::keyframe(0, session), &ground::image(0), &[]).unwrap();
+    assert_refused(MapFile::open(&path));
+    assert_refused(MapClaim::on(&path));
+    assert_refused(MapFile::remove(&path));
+    // Who only looks is let in, and sees what is there.
+    assert_eq!(MapFile::open_read_only(&path).unwrap().map().unwrap().keyframes.len(), 1);
+    map.close().unwrap();
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "the lock goes with its holder");
+    MapFile::open(&path).unwrap();
+}
+
+#[test]
+fn a_map_that_is_begun_is_neither_begun_again_nor_deleted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    let claim = MapClaim::on(&path).unwrap();
+    assert_refused(create(&path));
+    let map = MapFile::create_claimed(claim, &ground::camera(), &Rig::level(0.5)).unwrap();
+    assert!(create(&path).is_err() && path.exists());
+    drop(map);
+    assert!(create(&path).unwrap_err().to_string().contains("already"));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_map_by_another_name_is_the_same_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    let map = create(&path).unwrap();
+    let link = folder.path().join("link.gpkg");
+    std::os::unix::fs::symlink(&path, &link).unwrap();
+    assert_refused(MapFile::open(&link));
+    drop(map);
+    MapFile::open(&link).unwrap();
+}
+
+#[test]
+fn what_a_dead_program_left_is_taken_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    // Killed before the first byte, and killed before the tables: a database with nothing in it.
+    let empty_database = {
+        let database = rusqlite::Connection::open(folder.path().join("empty.gpkg")).unwrap();
+        database.query_row("PRAGMA journal_mode = WAL", [], |_| Ok(())).unwrap();
+        database.close().unwrap();
+        fs::read(folder.path().join("empty.gpkg")).unwrap()
+    };
+    assert!(!empty_database.is_empty());
+    for left in [&[][..], &empty_database] {
+        fs::write(&path, left).unwrap();
+        fs::write(folder.path().join("map.gpkg.lock"), "4194304\n").unwrap();
+        assert!(!MapFile::is_there(&path));
+        create(&path).unwrap().close().unwrap();
+        assert!(MapFile::is_there(&path));
+        MapFile::open(&path).unwrap().close().unwrap();
+        fs::remove_file(&path).unwrap();
+    }
+    // Anything else is somebody's.
+    fs::write(&path, "a letter").unwrap();
+    assert!(MapFile::is_there(&path) && create(&path).is_err());
+}
+
+#[test]
+fn a_map_that_is_looked_at_can_be_closed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.gpkg");
+    let mut map = create(&path).unwrap();
+    let session = map.begin_session("drive.mp4").unwrap();
+    map.add_keyframe(&ground::keyframe(0, session), &ground::image(0), &[]).unwrap();
+    let looking = rusqlite::Connection::open(&path).unwrap();
+    looking.execute_batch("BEGIN; SELECT count(*) FROM keyframes;").unwrap();
+    map.close().unwrap();
+    drop(looking);
+    assert_eq!(MapFile::open(&path).unwrap().map().unwrap().keyframes.len(), 1);
+}
