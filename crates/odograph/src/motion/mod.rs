@@ -7,6 +7,7 @@
 
 mod coarse;
 pub mod dense;
+mod global_image;
 mod ground_patch;
 mod mean;
 mod nuisance;
@@ -19,6 +20,7 @@ mod sharing;
 mod steady_tilt;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
+pub use global_image::global_image;
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use mean::mean_displacement;
 pub use random::Random;

@@ -79,6 +79,15 @@ impl Odometry {
         }
     }
 
+    /// How the present keyframe and a frame measured against it were exposed; `None` where the shutter is
+    /// global.
+    pub(super) fn exposed_now(&self, estimate: &MotionEstimate) -> Option<[(GroundPose, RollingShutter); 2]> {
+        let (keyframe, seen) = (self.keyframe.as_ref()?, estimate.shutter.as_ref()?);
+        let readout_s = self.learned.frame_shutter.as_ref()?.readout.mean_s;
+        let shutter = RollingShutter::new(&self.camera, readout_s, seen.expected_rates);
+        Some([(keyframe.pose, keyframe.shutter), (estimate.pose, shutter)])
+    }
+
     /// The first keyframe moved as the camera did until the first frame after it, give or take as much.
     fn expose_by_first_step(&mut self, rates: PoseRates) {
         let Some(keyframe) = &mut self.keyframe else { return };

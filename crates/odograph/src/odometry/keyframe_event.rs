@@ -6,6 +6,7 @@ use crate::geometry::GroundPose;
 use crate::image::GrayImage;
 use crate::mapping::plane_motion::{motion_covariance, seen_from};
 use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
+use crate::motion::global_image;
 use nalgebra::Matrix6;
 
 /// Something that happened to the keyframes.
@@ -34,7 +35,7 @@ pub struct NewKeyframe {
     pub covariance: Matrix6<f64>,
     /// How it lies to the keyframe it was measured against, or, after a gap, to the last one before; the first of all lies to none.
     pub tie: Option<MapEdge>,
-    /// What it shows.
+    /// What it shows, as a global shutter would have.
     pub image: GrayImage,
 }
 
@@ -98,7 +99,7 @@ impl Odometry {
             pose: keyframe.pose,
             covariance: keyframe.covariance,
             tie,
-            image: keyframe.pyramid.base().clone(),
+            image: global_image(&self.camera, keyframe.pyramid.base(), &keyframe.pose, &keyframe.shutter),
         })));
     }
 

@@ -27,7 +27,7 @@ use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
-use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
+use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random, Readout, RollingShutter};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::Candidate;
 pub use config::{KeyframeConfig, OdometryConfig};
@@ -77,6 +77,8 @@ pub struct Odometry {
     /// What happened to the keyframes and was not asked for yet, where it is asked for.
     events: Option<Vec<KeyframeEvent>>,
     reference: Option<FrameReference>,
+    /// How the keyframe and the last frame measured against it were exposed, where a shutter rolls.
+    exposed: Option<[(GroundPose, RollingShutter); 2]>,
 }
 
 /// Where this part of the corners in view that usually agree is found and agrees, what is missing lies out of view: to search again would find nothing.
@@ -107,6 +109,7 @@ impl Odometry {
             spare: None,
             events: None,
             reference: None,
+            exposed: None,
         })
     }
 
@@ -138,14 +141,23 @@ impl Odometry {
         &self.tracks
     }
 
-    /// The readout time of the image as it is known now.
-    pub fn readout(&self) -> Option<crate::motion::Readout> {
-        self.learned.shutter().map(|state| state.readout())
+    /// The tracks of the last frame as global shutters would have them.
+    pub fn global_tracks(&self) -> Vec<TrackView> {
+        let Some(exposed) = &self.exposed else { return self.tracks.clone() };
+        let brought = |pixel: Pixel, (pose, shutter): &(GroundPose, RollingShutter)| {
+            shutter.global_pixel(&self.camera, pose, pixel).unwrap_or(pixel)
+        };
+        let track = |track: &TrackView| TrackView {
+            pixel: brought(track.pixel, &exposed[1]),
+            corner: brought(track.corner, &exposed[0]),
+            ..*track
+        };
+        self.tracks.iter().map(track).collect()
     }
 
-    /// For experiments.
-    pub fn describe(&self) -> String {
-        self.learned.shutter().map_or(String::new(), |s| s.describe())
+    /// The readout time of the image as it is known now.
+    pub fn readout(&self) -> Option<Readout> {
+        self.learned.shutter().map(|state| state.readout())
     }
 
     /// How many keyframes were made.
@@ -276,6 +288,7 @@ impl Odometry {
         let exposed = self.keyframe.as_ref().map(|keyframe| &keyframe.shutter);
         self.learned.saw_shutter(&estimate, self.last.as_ref(), exposed);
         self.refine_exposure(&estimate);
+        self.exposed = self.exposed_now(&estimate);
         let improved = self.improve(time_s, &estimate);
         let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });

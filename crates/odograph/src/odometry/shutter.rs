@@ -73,18 +73,6 @@ impl ShutterState {
         self.is_settled || self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2)
     }
 
-    /// For experiments.
-    pub fn describe(&self) -> String {
-        format!(
-            "readout {:.3} ± {:.3} ms{} rates ± {:.4} m/s {:.4} rad/s",
-            1e3 * self.readout.mean_s,
-            1e3 * self.readout.variance_s2.sqrt(),
-            if self.is_settled { " settled" } else { "" },
-            self.rate_variance[0].sqrt(),
-            self.rate_variance[2].sqrt()
-        )
-    }
-
     /// Whether all rows are exposed at once.
     pub fn is_global(&self) -> bool {
         self.is_settled && self.readout.mean_s == 0.0

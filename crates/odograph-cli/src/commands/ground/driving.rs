@@ -147,7 +147,7 @@ fn follow(
             last = Some(frame.rgb());
         }
         let estimate = odometry.process(frame.gray, frame.time_s)?;
-        driven.watch(&estimate, odometry.tracks());
+        driven.watch(&estimate, &odometry.global_tracks());
     }
     let frame = last.ok_or_else(|| Error::input(format!("{path} has no frame in the chosen range")))?;
     let found = driven.solve(&rig, uncertainty).map_err(|error| error.at(path))?;

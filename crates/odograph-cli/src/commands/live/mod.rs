@@ -49,6 +49,10 @@ pub struct LiveArguments {
     /// file.
     #[arg(long, value_name = "WxH", value_parser = run::field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
+    /// Readout time of the image, milliseconds: from the exposure of the first row to that of the last.
+    /// 0 is a global shutter. [default: the camera file's readout_time_s; otherwise it is learned]
+    #[arg(long, value_name = "MS", value_parser = run::readout_ms, allow_negative_numbers = true)]
+    pub readout_ms: Option<f64>,
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -105,6 +109,7 @@ impl LiveArguments {
             height: self.height,
             rig: self.rig.clone(),
             field_of_view: self.field_of_view,
+            readout_ms: self.readout_ms,
             motion: self.motion,
             fps: self.capture.fps,
             ..RunArguments::over(OutputArguments {

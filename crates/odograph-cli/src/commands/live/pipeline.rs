@@ -105,6 +105,7 @@ pub fn follow(
         unmapped: following.unmapped,
         mount: None,
         lens: None,
+        readout,
     };
     let mut folder = following.recorder.into_folder();
     run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)

@@ -1,7 +1,7 @@
 //! The end of a run: what was tracked is improved by what came after it, written, and drawn. The trajectories come first: they are what cannot be had
 //! again without the recording. Whatever else fails is told in the end, when all the rest is there.
 
-use super::found::FoundLens;
+use super::found::{FoundLens, FoundReadout};
 use super::kept_frames::KeptFrames;
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
@@ -117,6 +117,8 @@ impl Finishing<'_> {
         self.warn(told);
         let bends = self.tracked.lens.as_ref().map(FoundLens::sentence);
         self.warn(bends);
+        let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
+        self.warn(reads);
         Ok(())
     }
 

@@ -1,6 +1,7 @@
 //! What a recording said of its camera that was not as it was told, for people and for `stats.json`.
 
 use odograph::camera::{Camera, Rig};
+use odograph::odometry::Odometry;
 use odograph::mounting::{LensMeasurement, TiltMeasurement};
 use serde::Serialize;
 
@@ -89,5 +90,51 @@ impl FoundLens {
             of(|known| known.told),
             self.off_px
         )
+    }
+}
+
+/// The readout time of the image.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FoundReadout {
+    /// From the exposure of the first row to that of the last, milliseconds.
+    pub readout_ms: f64,
+    /// One standard deviation; 0 where it was given, or is that of a global shutter.
+    pub deviation_ms: f64,
+    /// Whether it was given, and not learned.
+    pub given: bool,
+}
+
+/// A readout time whose standard deviation is larger than this is not known, milliseconds: at half a
+/// metre a second over a view of half a metre it makes distances uncertain by a thousandth.
+const UNKNOWN_MS: f64 = 1.0;
+
+impl FoundReadout {
+    /// What a run knows of it in the end; `None` where the shutter was taken to be global.
+    pub fn of(camera: &Camera, odometry: &Odometry) -> Option<Self> {
+        let readout = odometry.readout()?;
+        Some(Self {
+            readout_ms: 1e3 * readout.mean_s,
+            deviation_ms: 1e3 * readout.variance_s2.sqrt(),
+            given: camera.readout_s().is_some(),
+        })
+    }
+
+    /// What a person should know of it.
+    pub fn sentence(&self) -> Option<String> {
+        let Self { readout_ms, deviation_ms, given } = *self;
+        if given || (readout_ms == 0.0 && deviation_ms == 0.0) {
+            return None;
+        }
+        Some(if deviation_ms > UNKNOWN_MS {
+            format!(
+                "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned: nothing \
+                 changed speed or turned enough; --readout-ms tells it, and 0 says that the shutter is global"
+            )
+        } else {
+            format!(
+                "the camera has a rolling shutter: the image is read in {readout_ms:.2} ± {deviation_ms:.2} ms; \
+                 --readout-ms or readout_time_s in the camera file tells it from the start"
+            )
+        })
     }
 }

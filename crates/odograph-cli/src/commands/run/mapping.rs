@@ -57,12 +57,14 @@ impl Mapping {
             (false, Some(claim)) => Some(claim.clone()),
             (false, None) => Some(MapClaim::on(&path)?),
         };
+        // What the map keeps is what a global shutter would have seen.
+        let global = plan.camera.clone().with_readout_s(None)?;
         let mut file = GrowingFile {
             file: None,
             replaces: arguments.map.is_none(),
             claim,
             path,
-            camera: plan.camera.clone(),
+            camera: global.clone(),
             rig: plan.rig,
             source: plan.source.path.clone(),
             session: 0,
@@ -73,7 +75,7 @@ impl Mapping {
                 None => MapFile::open_read_only(&file.path)?,
                 Some(claim) => MapFile::open_claimed(claim.clone())?,
             };
-            if *there.camera() != plan.camera {
+            if *there.camera() != global {
                 return Err(Error::input(format!(
                     "{} was made with another camera than this run's; give the camera file that it was made with, or \
                      begin a new map",
@@ -90,7 +92,7 @@ impl Mapping {
             file.file = Some(there);
             Mapper::continuing(map, &plan.odometry, plan.slam, file.session, first)
         } else {
-            Mapper::new(&plan.camera, plan.rig, &plan.odometry, plan.slam)
+            Mapper::new(&global, plan.rig, &plan.odometry, plan.slam)
         };
         Ok(Self { mapper, file, times: Timings::default() })
     }

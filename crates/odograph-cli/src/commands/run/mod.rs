@@ -60,6 +60,10 @@ pub struct RunArguments {
     /// file.
     #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
+    /// Readout time of the image, milliseconds: from the exposure of the first row to that of the last.
+    /// 0 is a global shutter. [default: the camera file's readout_time_s; otherwise it is learned]
+    #[arg(long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true)]
+    pub readout_ms: Option<f64>,
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -181,6 +185,16 @@ impl From<Motion> for MotionModel {
     }
 }
 
+/// A readout time as it is typed, milliseconds.
+pub fn readout_ms(text: &str) -> std::result::Result<f64, String> {
+    let most_ms = 1e3 * odograph::camera::Camera::LONGEST_READOUT_S;
+    match text.parse::<f64>() {
+        Ok(milliseconds) if (0.0..=most_ms).contains(&milliseconds) => Ok(milliseconds),
+        Ok(_) => Err(format!("a readout time lies between 0 (a global shutter) and {most_ms} ms")),
+        Err(_) => Err("a readout time is a number of milliseconds, such as 20".to_owned()),
+    }
+}
+
 impl RunArguments {
     /// A run of nothing in particular that writes to `output`; fields are set from there.
     pub fn over(output: OutputArguments) -> Self {
@@ -191,6 +205,7 @@ impl RunArguments {
             height: None,
             rig: None,
             field_of_view: None,
+            readout_ms: None,
             motion: Motion::Auto,
             timestamps: None,
             fps: None,

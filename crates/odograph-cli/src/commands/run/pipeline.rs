@@ -1,7 +1,7 @@
 //! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
 
 use super::folder::OutputFolder;
-use super::found::{FoundLens, FoundMount};
+use super::found::{FoundLens, FoundMount, FoundReadout};
 use super::kept_frames::KeptFrames;
 use super::mapping::Mapping;
 use super::statistics::LiveStatistics;
@@ -44,6 +44,8 @@ pub struct Tracked {
     pub mount: Option<FoundMount>,
     /// How the lens bends, where not as told.
     pub lens: Option<FoundLens>,
+    /// The readout time of the image.
+    pub readout: Option<FoundReadout>,
 }
 
 /// How the pipeline ended.
@@ -114,6 +116,7 @@ pub fn track(
     // An interrupt that comes when all frames are there already changes nothing of them.
     let interrupted = interrupt::asked() && announced != Some(tracking.frames.count() as u64);
     Ok(Ended::Tracked(Box::new(Tracked {
+        readout: FoundReadout::of(&plan.camera, &tracking.odometry),
         keyframes: tracking.odometry.keyframes(),
         frames: tracking.frames,
         views,
@@ -239,7 +242,7 @@ impl Tracking<'_> {
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
         if let Some(untold) = &mut self.untold {
-            self.found = untold.watch(&estimate, self.odometry.tracks());
+            self.found = untold.watch(&estimate, &self.odometry.global_tracks());
             if self.found.is_some() {
                 return Ok(None);
             }

@@ -107,6 +107,10 @@ impl RunPlan {
         let (source, size) = open(&source_plan)?;
         let by_field = matches!(told, ToldCamera::Field(_));
         let camera = told.camera(size, rig.height_m)?;
+        let camera = match arguments.readout_ms {
+            Some(milliseconds) => camera.with_readout_s(Some(1e-3 * milliseconds))?,
+            None => camera,
+        };
         if (camera.width(), camera.height()) != size {
             return Err(Error::input(format!(
                 "the frames of {} are {}x{} but the camera is calibrated for {}x{}; calibrate at the recording's size",
@@ -190,7 +194,7 @@ impl RunPlan {
         let found = MapFile::open_read_only(map)?.camera().clone();
         let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
         if key(&found) == key(&self.camera) {
-            self.camera = found;
+            self.camera = found.with_readout_s(self.camera.readout_s())?;
         }
         Ok(())
     }

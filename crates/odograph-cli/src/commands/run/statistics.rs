@@ -1,7 +1,7 @@
 //! The figures of a run: `stats.json` and the summary.
 
 use super::budget::Budget;
-use super::found::{FoundLens, FoundMount};
+use super::found::{FoundLens, FoundMount, FoundReadout};
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use super::timings::Timings;
@@ -46,6 +46,9 @@ pub struct Statistics {
     /// How the lens bends, where that was found not to be as the camera file says; left out otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lens: Option<FoundLens>,
+    /// The readout time of the image, and whether it was given or learned; left out where neither.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub readout: Option<FoundReadout>,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
     /// How many frames an interrupted run would have had; left out where the source does not say,
@@ -194,6 +197,7 @@ impl Statistics {
             budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
             mount: tracked.mount,
             lens: tracked.lens.clone(),
+            readout: tracked.readout,
             interrupted: tracked.interrupted,
             frames_announced: tracked.announced.filter(|_| tracked.interrupted),
             live: tracked.live,

@@ -53,6 +53,9 @@ pub fn write(camera: &Camera) -> String {
     write_matrix(&mut text, "camera_matrix", 3, &[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
     let _ = writeln!(text, "distortion_model: {model}");
     write_matrix(&mut text, "distortion_coefficients", 1, &coefficients);
+    if let Some(readout_s) = camera.readout_s() {
+        let _ = writeln!(text, "readout_time_s: {readout_s:?}");
+    }
     text
 }
 

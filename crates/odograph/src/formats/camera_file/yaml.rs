@@ -78,7 +78,30 @@ fn camera(map: &Value, prefix: &str, fallback_size: Option<(usize, usize)>) -> R
             "the camera file does not say how large the calibrated images were; add `image_width:` and `image_height:` in pixels",
         )
     })?;
-    checked_camera(&place, size, focal_px, principal_px, distortion)
+    checked_camera(&place, size, focal_px, principal_px, distortion)?
+        .with_readout_s(readout_s(map, prefix, size.1)?)
+}
+
+/// The readout time of the image, seconds: `readout_time_s`, or Kalibr's `line_delay` from one row to
+/// the next.
+fn readout_s(map: &Value, prefix: &str, rows: usize) -> Result<Option<f64>> {
+    let read = |key: &str, scale: f64| -> Result<Option<f64>> {
+        let Some(value) = map.get(key) else { return Ok(None) };
+        let name = format!("{prefix}{key}");
+        let seconds = scale * value.number(&name)?;
+        if seconds >= 0.0 && seconds <= Camera::LONGEST_READOUT_S {
+            return Ok(Some(seconds));
+        }
+        Err(Error::input(format!(
+            "{name} makes a readout time of {} ms; it must lie between 0 and {} ms",
+            1e3 * seconds,
+            1e3 * Camera::LONGEST_READOUT_S
+        )))
+    };
+    match read("readout_time_s", 1.0)? {
+        Some(readout) => Ok(Some(readout)),
+        None => read("line_delay", rows as f64),
+    }
 }
 
 type Pair = (f64, f64);

@@ -55,7 +55,8 @@ impl Found {
 
     /// The camera with the lens that was found.
     pub fn camera(&self, told: &Camera) -> Camera {
-        self.lens.as_ref().map_or_else(|| told.clone(), |lens| lens.camera.clone())
+        let Some(lens) = &self.lens else { return told.clone() };
+        lens.camera.clone().with_readout_s(told.readout_s()).unwrap_or_else(|_| lens.camera.clone())
     }
 }
 
