@@ -80,7 +80,14 @@ impl Matcher {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
         let here = at_origin(pose);
         Sought {
-            keyframe: Keyframe::new(pyramid, here, Matrix6::zeros(), &self.camera, &self.config.detection),
+            keyframe: Keyframe::new(
+                pyramid,
+                here,
+                Matrix6::zeros(),
+                None,
+                &self.camera,
+                &self.config.detection,
+            ),
         }
     }
 
@@ -227,7 +234,7 @@ impl Matcher {
     ) -> Vec<Guess> {
         sought.keyframe.prepare_view(&self.registration);
         if pictured.view.is_none() {
-            pictured.view = self.registration.view(&pictured.pyramid, &pictured.pose);
+            pictured.view = self.registration.view(&pictured.pyramid, None, &pictured.pose);
         }
         let (Some(from), Some(to)) = (sought.keyframe.view(), &pictured.view) else { return Vec::new() };
         let options = CoarseOptions {
