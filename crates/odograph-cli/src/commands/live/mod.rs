@@ -46,6 +46,10 @@ pub struct LiveArguments {
     /// Ground seen by the whole image, metres, e.g. 1.20x0.90: stands in for a camera file.
     #[arg(long, value_name = "WxH", value_parser = run::field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
+    /// Picture of what is not ground, the size of the frames: black is ignored (bumper, wheel, own shadow), white is ground. What is found on the way comes to
+    /// that.
+    #[arg(long, value_name = "PICTURE")]
+    pub mask: Option<PathBuf>,
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -102,6 +106,7 @@ impl LiveArguments {
             height: self.height,
             rig: self.rig.clone(),
             field_of_view: self.field_of_view,
+            mask: self.mask.clone(),
             motion: self.motion,
             fps: self.capture.fps,
             ..RunArguments::over(OutputArguments {

@@ -8,6 +8,7 @@ use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
 use super::straight::{self, Relaying, Straightening};
+use crate::commands::run::found::FixedInImage;
 use crate::commands::run::kept_frames::KeptFrames;
 use crate::commands::run::mapping::Mapping;
 use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, is_made, number_as_source};
@@ -58,7 +59,7 @@ pub fn follow(
 ) -> Result<RunReport> {
     let started = Instant::now();
     let description = opened.source.info().description.clone();
-    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    let mut odometry = plan.odometry()?;
     odometry.tell_keyframes();
     let mut following = Following {
         odometry,
@@ -93,6 +94,7 @@ pub fn follow(
     let live = following.statistics();
     let tracked = Tracked {
         keyframes: following.odometry.keyframes(),
+        fixed: FixedInImage::of(&following.odometry),
         frames: following.frames,
         views,
         mapping,

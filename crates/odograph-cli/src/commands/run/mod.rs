@@ -5,9 +5,10 @@ mod camera_watch;
 mod finish;
 pub(super) mod kept_frames;
 pub(super) mod folder;
-mod found;
+pub(super) mod found;
 mod many;
 mod map;
+mod mask;
 pub(super) mod mapping;
 pub(super) mod pipeline;
 mod plan;
@@ -54,6 +55,10 @@ pub struct RunArguments {
     /// Ground seen by the whole image, metres, e.g. 1.20x0.90: stands in for a camera file.
     #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
+    /// Picture of what is not ground, the size of the frames: black is ignored (bumper, wheel, own shadow), white is ground. What is found on the way comes to
+    /// that.
+    #[arg(long, value_name = "PICTURE")]
+    pub mask: Option<PathBuf>,
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -185,6 +190,7 @@ impl RunArguments {
             height: None,
             rig: None,
             field_of_view: None,
+            mask: None,
             motion: Motion::Auto,
             timestamps: None,
             fps: None,

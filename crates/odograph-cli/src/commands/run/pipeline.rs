@@ -1,7 +1,7 @@
 //! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
 
 use super::folder::OutputFolder;
-use super::found::{FoundLens, FoundMount};
+use super::found::{FixedInImage, FoundLens, FoundMount};
 use super::kept_frames::KeptFrames;
 use super::mapping::Mapping;
 use super::statistics::LiveStatistics;
@@ -29,6 +29,8 @@ pub struct Tracked {
     pub views: Views,
     pub mapping: Mapping,
     pub keyframes: u64,
+    /// What of the image does not move with the ground.
+    pub fixed: FixedInImage,
     pub warnings: Vec<String>,
     pub times: StageTimes,
     pub interrupted: bool,
@@ -80,7 +82,7 @@ pub fn track(
     arguments: &OutputArguments,
     untold: Option<Untold>,
 ) -> Result<Ended> {
-    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    let mut odometry = plan.odometry()?;
     odometry.tell_keyframes();
     let mapping = Mapping::new(plan, folder.path(), arguments)?;
     let views = Views::new(&plan.camera, folder.path());
@@ -109,6 +111,7 @@ pub fn track(
     let Ground { views, mapping, unmapped, times: map_times } = ground;
     Ok(Ended::Tracked(Box::new(Tracked {
         keyframes: tracking.odometry.keyframes(),
+        fixed: FixedInImage::of(&tracking.odometry),
         frames: tracking.frames,
         views,
         mapping,

@@ -1,7 +1,7 @@
 //! The figures of a run: `stats.json` and the summary.
 
 use super::budget::Budget;
-use super::found::{FoundLens, FoundMount};
+use super::found::{FixedInImage, FoundLens, FoundMount};
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use super::timings::Timings;
@@ -46,6 +46,8 @@ pub struct Statistics {
     /// How the lens bends, where that was found not to be as the camera file says; left out otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lens: Option<FoundLens>,
+    /// What of the image does not move with the ground.
+    pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
     /// How the run kept up with its source; left out of runs over recordings.
@@ -190,6 +192,7 @@ impl Statistics {
             budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
             mount: tracked.mount,
             lens: tracked.lens.clone(),
+            fixed_in_image: tracked.fixed.clone(),
             interrupted: tracked.interrupted,
             live: tracked.live,
             sensors: sensors.iter().map(SensorStatistics::new).collect(),
@@ -212,12 +215,13 @@ impl Statistics {
         let used = self.sensors.iter().filter(|sensor| sensor.used).map(|sensor| sensor.sensor.to_string());
         let used: Vec<String> = used.collect();
         let loops = self.loops.summary();
+        let fixed = self.fixed_in_image.sentence();
         let sensors = match used.is_empty() {
             true => String::new(),
             false => format!("beside the camera: {}\n", used.join(", ")),
         };
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}",
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}{fixed}",
             self.distance_m,
             self.duration_s,
             self.frames_with_pose,
