@@ -153,3 +153,6 @@ impl FixedPattern {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -52,9 +52,10 @@ pub(super) struct Change {
     pub blocks: usize,
     pub textured: usize,
     pub moved: usize,
-    /// For each block the squares of the differences of the gradients, and the squares of both.
+    /// For each block the squares of the differences of the gradients, the squares of both, and the sums of both along either side.
     differences: Vec<f32>,
     energies: Vec<f32>,
+    slopes: Vec<[i32; 4]>,
     sorted: Vec<f32>,
     columns: usize,
 }
@@ -74,13 +75,23 @@ impl Change {
         let (columns, rows) = (columns / BLOCK, rows / BLOCK);
         let blocks = columns * rows;
         let none = || vec![0.0; blocks];
-        Self { blocks, textured: 0, moved: 0, differences: none(), energies: none(), sorted: none(), columns }
+        Self {
+            blocks,
+            textured: 0,
+            moved: 0,
+            differences: none(),
+            energies: none(),
+            slopes: vec![[0; 4]; blocks],
+            sorted: none(),
+            columns,
+        }
     }
 
     /// Compares two images whose pixels have noise of this variance.
     pub fn between(&mut self, last: &Cells, now: &Cells, noise: f64, mask: Option<&ImageMask>) {
         self.differences.fill(0.0);
         self.energies.fill(0.0);
+        self.slopes.fill([0; 4]);
         (self.textured, self.moved) = (0, 0);
         let columns = self.columns;
         if columns == 0 {
@@ -89,18 +100,28 @@ impl Change {
         let rows = (now.rows - 1).min(self.blocks / columns * BLOCK);
         for row in 0..rows {
             let first = row / BLOCK * columns;
-            let (differences, energies) =
-                (&mut self.differences[first..][..columns], &mut self.energies[first..][..columns]);
-            for (column, ((ax, ay), (bx, by))) in last.gradients(row).zip(now.gradients(row)).enumerate() {
-                let square =
-                    |x: i16, y: i16| (i32::from(x) * i32::from(x) + i32::from(y) * i32::from(y)) as f32;
-                if let (Some(difference), Some(energy)) =
-                    (differences.get_mut(column / BLOCK), energies.get_mut(column / BLOCK))
-                {
+            let blocks = self.differences[first..][..columns].iter_mut();
+            let blocks = blocks.zip(&mut self.energies[first..]).zip(&mut self.slopes[first..]);
+            let mut gradients = last.gradients(row).zip(now.gradients(row));
+            for ((difference, energy), slopes) in blocks {
+                // The last block may lack a column.
+                for ((ax, ay), (bx, by)) in gradients.by_ref().take(BLOCK) {
+                    let square =
+                        |x: i16, y: i16| (i32::from(x) * i32::from(x) + i32::from(y) * i32::from(y)) as f32;
                     *difference += square(bx - ax, by - ay);
                     *energy += square(ax, ay) + square(bx, by);
+                    slopes.iter_mut().zip([ax, ay, bx, by]).for_each(|(sum, own)| *sum += i32::from(own));
                 }
             }
+        }
+        // Soft light is a slope all over a block, and no texture.
+        for ((difference, energy), slopes) in
+            self.differences.iter_mut().zip(&mut self.energies).zip(&self.slopes)
+        {
+            let [ax, ay, bx, by] = slopes.map(|sum| sum as f32);
+            let share = 1.0 / (BLOCK * BLOCK) as f32;
+            *difference -= share * ((bx - ax).powi(2) + (by - ay).powi(2));
+            *energy -= share * (ax * ax + ay * ay + bx * bx + by * by);
         }
         let by_noise = (2.0 * GRADIENT_NOISE * noise) as f32 * (BLOCK * BLOCK) as f32;
         for (block, (difference, energy)) in self.differences.iter().zip(&self.energies).enumerate() {
@@ -142,7 +163,9 @@ pub(super) struct Statistics {
     square: Vec<f32>,
     /// Sums over the surroundings of a cell: the matrix of the fixed gradients (xx, xy, yy) and the variance.
     around: [Vec<f32>; 4],
-    along: [Vec<f32>; 4],
+    along: [Vec<f32>; 3],
+    /// The same of what is fixed alone, within a larger reach.
+    shape: [Vec<f32>; 3],
     fixed: Vec<bool>,
     grown: Vec<bool>,
     /// Whether a cell has fixed gradients that count beside a cell that is surely fixed.
@@ -155,10 +178,14 @@ const MOST_SAMPLES: u32 = 48;
 /// Cells from the middle to the edge of the surroundings that are judged at once: with those, 20 pixels are, as many as a patch has.
 const REACH: usize = 2;
 
-/// Something is surely fixed where its gradients are in two directions at least this many times above noise, and so many times what varies: an edge along
-/// which the camera drives, as the joint of a floor, stays where it is too.
-const CERTAIN_OVER_NOISE: f32 = 1.5;
-const CERTAIN_OVER_VARIANCE: f32 = 4.0;
+/// Something is fixed where its gradients are this many times above noise, and so many times what varies.
+const OVER_NOISE: f32 = 1.5;
+const OVER_VARIANCE: f32 = 4.0;
+
+/// It is surely so where, within so many cells, such gradients have two directions: this part of their squares is across the stronger one. An edge along which
+/// the camera drives, as the joint of a floor, stays where it is, too.
+const SHAPE_REACH: usize = 5;
+const TWO_DIRECTIONS: f32 = 0.1;
 
 /// Beside such a place (so many cells away) this part of the variance is enough, for there a patch would see both.
 const ALSO_OVER_VARIANCE: f32 = 0.2;
@@ -183,7 +210,8 @@ impl Statistics {
             mean_y: none(),
             square: none(),
             around: [(); 4].map(|()| none()),
-            along: [(); 4].map(|()| none()),
+            along: [(); 3].map(|()| none()),
+            shape: [(); 3].map(|()| none()),
             fixed: no(),
             grown: no(),
             also: no(),
@@ -226,9 +254,12 @@ impl Statistics {
         for at in 0..self.fixed.len() {
             let [xx, xy, yy, variance] = [0, 1, 2, 3].map(|i| self.around[i][at]);
             let energy = xx + yy;
-            let smaller = 0.5 * energy - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
             let ground = (variance - 1.5 * noise).max(0.0);
-            self.fixed[at] = smaller > CERTAIN_OVER_NOISE * noise && energy > CERTAIN_OVER_VARIANCE * ground;
+            let stays = energy > (OVER_NOISE * noise).max(OVER_VARIANCE * ground);
+            self.fixed[at] = stays;
+            for (shape, own) in self.shape.iter_mut().zip([xx, xy, yy]) {
+                shape[at] = if stays { own } else { 0.0 };
+            }
             // The mean of what moves has this left of its variance.
             let by_chance = variance / samples;
             self.also[at] = energy > noise.max(ALSO_OVER_VARIANCE * ground + by_chance);
@@ -237,9 +268,17 @@ impl Statistics {
                 moving += usize::from(energy < MOVES * variance);
             }
         }
-        if (moving as f64) < LEAST_MOVING * textured as f64 {
+        if (moving as f64) < LEAST_MOVING * textured as f64 || !self.fixed.contains(&true) {
             self.fixed.fill(false);
             return &self.fixed;
+        }
+        for (shape, along) in self.shape.iter_mut().zip(&mut self.along) {
+            mean_around(shape, along, (self.columns, self.rows), SHAPE_REACH);
+        }
+        for (at, fixed) in self.fixed.iter_mut().enumerate().filter(|(_, fixed)| **fixed) {
+            let [xx, xy, yy] = [0, 1, 2].map(|i| self.shape[i][at]);
+            let (half, lean) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
+            *fixed = half - lean > TWO_DIRECTIONS * (half + lean);
         }
         for _ in 0..GROWN_CELLS {
             self.widen(true);
@@ -276,25 +315,37 @@ impl Statistics {
             let chance = 0.5 * variance / samples;
             let own = [x * x - chance, x * y, y * y - chance, variance];
             self.around.iter_mut().zip(own).for_each(|(around, own)| around[at] = own);
+            (self.shape[0][at], self.shape[1][at]) = (x, y);
         }
-        let (columns, rows) = (self.columns, self.rows);
-        for (around, along) in self.around.iter_mut().zip(&mut self.along) {
-            for (own, sums) in around.chunks_exact(columns).zip(along.chunks_exact_mut(columns)) {
-                for (column, sum) in sums.iter_mut().enumerate() {
-                    let near = column.saturating_sub(REACH)..(column + REACH + 1).min(columns);
-                    *sum = own[near.clone()].iter().sum::<f32>() / near.len() as f32;
-                }
+        let size = (self.columns, self.rows);
+        let smoothed = self.around.iter_mut().chain(self.shape.iter_mut().take(2));
+        smoothed.for_each(|values| mean_around(values, &mut self.along[0], size, REACH));
+        // Light that falls off softly is a slope, which is the same all over a patch and moves nothing.
+        for at in 0..self.fixed.len() {
+            let (x, y) = (self.shape[0][at], self.shape[1][at]);
+            for (around, slope) in self.around.iter_mut().zip([x * x, x * y, y * y]) {
+                around[at] -= slope;
             }
-            for row in 0..rows {
-                let near = row.saturating_sub(REACH)..(row + REACH + 1).min(rows);
-                let share = 1.0 / near.len() as f32;
-                let sums = &mut around[row * columns..][..columns];
-                sums.fill(0.0);
-                for other in near {
-                    let other = &along[other * columns..][..columns];
-                    sums.iter_mut().zip(other).for_each(|(sum, other)| *sum += share * other);
-                }
-            }
+        }
+    }
+}
+
+/// Makes of each cell's value the mean of those within `reach` cells.
+fn mean_around(values: &mut [f32], along: &mut [f32], (columns, rows): (usize, usize), reach: usize) {
+    for (own, sums) in values.chunks_exact(columns).zip(along.chunks_exact_mut(columns)) {
+        for (column, sum) in sums.iter_mut().enumerate() {
+            let near = column.saturating_sub(reach)..(column + reach + 1).min(columns);
+            *sum = own[near.clone()].iter().sum::<f32>() / near.len() as f32;
+        }
+    }
+    for row in 0..rows {
+        let near = row.saturating_sub(reach)..(row + reach + 1).min(rows);
+        let share = 1.0 / near.len() as f32;
+        let sums = &mut values[row * columns..][..columns];
+        sums.fill(0.0);
+        for other in near {
+            let other = &along[other * columns..][..columns];
+            sums.iter_mut().zip(other).for_each(|(sum, other)| *sum += share * other);
         }
     }
 }

@@ -2,11 +2,13 @@
 
 use super::Odometry;
 use super::keyframe::Keyframe;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
 use crate::mapping::plane_motion::{motion_covariance, seen_from};
 use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
 use nalgebra::Matrix6;
+use std::sync::Arc;
 
 /// Something that happened to the keyframes.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +38,8 @@ pub struct NewKeyframe {
     pub tie: Option<MapEdge>,
     /// What it shows.
     pub image: GrayImage,
+    /// What of it is known not to be ground.
+    pub mask: Option<Arc<ImageMask>>,
 }
 
 /// What the last frame was measured against.
@@ -99,6 +103,7 @@ impl Odometry {
             covariance: keyframe.covariance,
             tie,
             image: keyframe.pyramid.base().clone(),
+            mask: keyframe.mask.clone(),
         })));
     }
 
