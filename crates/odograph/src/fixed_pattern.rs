@@ -39,6 +39,9 @@ pub struct FixedPattern {
     change: Change,
     /// Variance of a pixel's noise, gray levels².
     noise: f64,
+    /// Which cells the last decision found to be fixed, and which this one did.
+    before: Vec<bool>,
+    lasting: Vec<bool>,
 }
 
 /// After so many samples the picture is complete enough to look at every fourth image only.
@@ -60,12 +63,18 @@ const MOVED_SHARE_OF_GROUND: f64 = 0.6;
 /// Fewer blocks with texture than this part of all tell nothing.
 const LEAST_TEXTURED: f64 = 0.05;
 
+/// What covers more than this part of the image may take all corners and is believed at once; less must be found twice, for a few samples of moving ground may look
+/// alike by chance.
+const LARGE: f64 = 0.02;
+
 /// Rounding to whole gray levels, and what codecs leave out: noise is at least this, gray levels².
 const LEAST_NOISE: f64 = 0.3;
 
 impl FixedPattern {
     /// Nothing known yet, of images of this size.
     pub fn new(size: (usize, usize)) -> Self {
+        let (columns, rows) = image_mask::cells(size);
+        let count = columns * rows;
         Self {
             size,
             told: None,
@@ -76,6 +85,8 @@ impl FixedPattern {
             statistics: Statistics::new(size),
             change: Change::new(size),
             noise: LEAST_NOISE,
+            before: vec![false; count],
+            lasting: vec![false; count],
         }
     }
 
@@ -141,13 +152,17 @@ impl FixedPattern {
 
     fn decide(&mut self) {
         let found = self.statistics.fixed_cells(self.noise);
+        let large = found.iter().filter(|fixed| **fixed).count() as f64 > LARGE * found.len() as f64;
+        for (lasting, (now, before)) in self.lasting.iter_mut().zip(found.iter().zip(&self.before)) {
+            *lasting = *now && (large || *before);
+        }
+        self.before.copy_from_slice(found);
         let told = self.told.as_ref();
-        let nothing = found.iter().all(|fixed| !fixed) && told.is_none_or(ImageMask::is_empty);
-        if nothing {
+        if !self.lasting.contains(&true) && told.is_none_or(ImageMask::is_empty) {
             self.mask = None;
             return;
         }
-        let mask = ImageMask::of_cells(self.size, found, told);
+        let mask = ImageMask::of_cells(self.size, &self.lasting, told);
         if self.mask.as_deref() != Some(&mask) {
             self.mask = Some(Arc::new(mask));
         }

@@ -185,7 +185,10 @@ const OVER_VARIANCE: f32 = 4.0;
 /// It is surely so where, within so many cells, such gradients have two directions: this part of their squares is across the stronger one. An edge along which
 /// the camera drives, as the joint of a floor, stays where it is, too.
 const SHAPE_REACH: usize = 5;
-const TWO_DIRECTIONS: f32 = 0.1;
+const TWO_DIRECTIONS: f32 = 0.05;
+
+/// And this part within its own surroundings: beside a bumper a joint is still a joint.
+const OWN_DIRECTIONS: f32 = 0.008;
 
 /// Beside such a place (so many cells away) this part of the variance is enough, for there a patch would see both.
 const ALSO_OVER_VARIANCE: f32 = 0.2;
@@ -276,9 +279,12 @@ impl Statistics {
             mean_around(shape, along, (self.columns, self.rows), SHAPE_REACH);
         }
         for (at, fixed) in self.fixed.iter_mut().enumerate().filter(|(_, fixed)| **fixed) {
-            let [xx, xy, yy] = [0, 1, 2].map(|i| self.shape[i][at]);
-            let (half, lean) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
-            *fixed = half - lean > TWO_DIRECTIONS * (half + lean);
+            let has = |part: f32, tensor: &[Vec<f32>]| {
+                let (xx, xy, yy) = (tensor[0][at], tensor[1][at], tensor[2][at]);
+                let (half, lean) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
+                half - lean > part * (half + lean)
+            };
+            *fixed = has(TWO_DIRECTIONS, &self.shape) && has(OWN_DIRECTIONS, &self.around);
         }
         for _ in 0..GROWN_CELLS {
             self.widen(true);
