@@ -65,7 +65,8 @@ const LEAST_TEXTURED: f64 = 0.05;
 
 /// What covers more than this part of the image may take all corners and is believed at once; less must be found twice, for a few samples of moving ground may look
 /// alike by chance.
-const LARGE: f64 = 0.02;
+const LARGE: f64 = 0.04;
+const SURE_SAMPLES: u32 = 20;
 
 /// Rounding to whole gray levels, and what codecs leave out: noise is at least this, gray levels².
 const LEAST_NOISE: f64 = 0.3;
@@ -153,10 +154,11 @@ impl FixedPattern {
     }
 
     fn decide(&mut self) {
+        let sure = self.statistics.added() >= SURE_SAMPLES;
         let found = self.statistics.fixed_cells(self.noise);
         let large = found.iter().filter(|fixed| **fixed).count() as f64 > LARGE * found.len() as f64;
         for (lasting, (now, before)) in self.lasting.iter_mut().zip(found.iter().zip(&self.before)) {
-            *lasting = *now && (large || *before);
+            *lasting = *now && (large || *before && sure);
         }
         self.before.copy_from_slice(found);
         let told = self.told.as_ref();
