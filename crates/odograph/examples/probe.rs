@@ -81,7 +81,7 @@ fn main() {
             let e = nalgebra::Vector3::new(known.pose.x_m - tx, known.pose.y_m - ty, odograph::geometry::wrap_angle(known.pose.heading_rad - (now.heading_rad - first.heading_rad)));
             if k > 30 { if let Some(i) = known.covariance.fixed_view::<3,3>(0,0).into_owned().try_inverse() { squares += e.dot(&(i * e)); n += 1; } }
             if verbose && k % every == 0 {
-                println!("{k:4} {t:.3} true {tx:.4} {ty:.4} h {:.4} err mm {:.3} {:.3} {:.3} deg h {:.4} r {:.4} p {:.4} sig mm {:.3} {:.3} deg {:.4} inl {} res {:.3} kf {} {}", now.height_m, 1e3*e.x, 1e3*e.y, 1e3*(known.pose.height_m-now.height_m), e.z.to_degrees(), (known.pose.roll_rad-now.roll_rad).to_degrees(), (known.pose.pitch_rad-now.pitch_rad).to_degrees(), 1e3*known.covariance[(0,0)].sqrt(), 1e3*known.covariance[(1,1)].sqrt(), known.covariance[(2,2)].sqrt().to_degrees(), frame.inliers, frame.residual_px, odometry.keyframes(), odometry.describe());
+                println!("{k:4} {t:.3} true {tx:.4} {ty:.4} h {:.4} err mm {:.3} {:.3} {:.3} deg h {:.4} r {:.4} p {:.4} sig mm {:.3} {:.3} deg {:.4} inl {} res {:.3} kf {} {}", now.height_m, 1e3*e.x, 1e3*e.y, 1e3*(known.pose.height_m-now.height_m), e.z.to_degrees(), (known.pose.roll_rad-now.roll_rad).to_degrees(), (known.pose.pitch_rad-now.pitch_rad).to_degrees(), 1e3*known.covariance[(0,0)].sqrt(), 1e3*known.covariance[(1,1)].sqrt(), known.covariance[(2,2)].sqrt().to_degrees(), frame.inliers, frame.residual_px, odometry.keyframes(), odometry.readout().map_or(String::new(), |r| format!("readout {:.3} ± {:.3} ms", 1e3 * r.mean_s, 1e3 * r.variance_s2.sqrt())));
             }
         }
         let ms = 1e3 * t0.elapsed().as_secs_f64() / truth.poses.len() as f64;
@@ -91,7 +91,7 @@ fn main() {
         match found {
             Ok(found) => {
                 let d = found.drift.first();
-                println!("{name:24} drift {:.4} % {:.4} deg/m end {:.2} mm {:.3} deg NEES {:.2} posed {:.1} % lost {lost} kf {} ate {:.2} mm {ms:.2} ms {}", d.map_or(f64::NAN, |d| d.translation_percent), d.map_or(f64::NAN, |d| d.heading_deg_per_m), 1e3*found.final_position_error_m, found.final_heading_error_rad.to_degrees(), squares / n.max(1) as f64, 100.0*estimate.poses.len() as f64/truth.poses.len() as f64, odometry.keyframes(), se3.map_or(f64::NAN, |s| 1e3*s.absolute.translation.rmse), odometry.describe());
+                println!("{name:24} drift {:.4} % {:.4} deg/m end {:.2} mm {:.3} deg NEES {:.2} posed {:.1} % lost {lost} kf {} ate {:.2} mm {ms:.2} ms {}", d.map_or(f64::NAN, |d| d.translation_percent), d.map_or(f64::NAN, |d| d.heading_deg_per_m), 1e3*found.final_position_error_m, found.final_heading_error_rad.to_degrees(), squares / n.max(1) as f64, 100.0*estimate.poses.len() as f64/truth.poses.len() as f64, odometry.keyframes(), se3.map_or(f64::NAN, |s| 1e3*s.absolute.translation.rmse), odometry.readout().map_or(String::new(), |r| format!("readout {:.3} ± {:.3} ms", 1e3 * r.mean_s, 1e3 * r.variance_s2.sqrt())));
             }
             Err(e) => println!("{name}: {e}"),
         }

@@ -3,9 +3,11 @@
 
 mod strengths;
 
+use crate::fixed_pattern::ImageMask;
 use crate::image::GrayImage;
 use crate::image::simd::mark_local_maxima;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use strengths::Strengths;
 
 /// Over which window the gradient matrix is summed.
@@ -89,6 +91,8 @@ pub struct Detection {
     /// Pixels that are stronger than their eight neighbours, and strong enough beside the strongest before them, in reading order.
     maxima: Vec<Ranked>,
     strongest: f32,
+    /// Where no corner may be, and so many times the image is halved against that.
+    mask: Option<(Arc<ImageMask>, u32)>,
 }
 
 impl Detection {
@@ -107,7 +111,14 @@ impl Detection {
             marks: vec![0; width.next_multiple_of(MARKS)],
             maxima: Vec::new(),
             strongest: 0.0,
+            mask: None,
         }
+    }
+
+    /// The same without what is not ground: there is no corner there, however strong. `halvings` is the level of the pyramid that is looked at.
+    pub fn without(mut self, mask: Option<Arc<ImageMask>>, halvings: u32) -> Self {
+        self.mask = mask.map(|mask| (mask, halvings));
+        self
     }
 
     /// Looks at the image down to before this row.
@@ -137,7 +148,9 @@ impl Detection {
             while bits != 0 {
                 let x = block * MARKS + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
-                if (margin..width - margin).contains(&x) {
+                let masked =
+                    |(mask, halvings): &(Arc<ImageMask>, u32)| mask.covers(x << halvings, y << halvings);
+                if (margin..width - margin).contains(&x) && !self.mask.as_ref().is_some_and(masked) {
                     self.maxima.push(Ranked::new(x, y, here[x]));
                     self.strongest = self.strongest.max(here[x]);
                 }

@@ -15,6 +15,7 @@ pub mod image;
 pub mod camera;
 pub mod calibration;
 pub mod correction;
+pub mod fixed_pattern;
 pub mod detection;
 pub mod flow;
 pub mod motion;

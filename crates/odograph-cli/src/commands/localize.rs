@@ -119,6 +119,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let mut odometry = OdometryConfig::default();
     odometry.motion.model = MotionModel::from(arguments.motion);
     let plan = RunPlan {
+        mask: None,
         odograph: env!("CARGO_PKG_VERSION").to_owned(),
         reference: None,
         source: source_plan,

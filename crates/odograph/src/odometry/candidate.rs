@@ -6,8 +6,10 @@ use super::keyframe::Keyframe;
 use super::learned::Learned;
 use super::{LastPose, OdometryConfig};
 use crate::camera::Camera;
+use crate::fixed_pattern::ImageMask;
 use crate::image::Pyramid;
 use crate::motion::Random;
+use std::sync::Arc;
 
 /// So many frames in a row must agree with a candidate before it is believed: a hand passes, the floor stays.
 pub const CONFIRMATIONS: usize = 3;
@@ -31,10 +33,12 @@ impl Candidate {
         pyramid: Pyramid,
         frame: u64,
         last: LastPose,
+        mask: Option<&Arc<ImageMask>>,
         camera: &Camera,
         config: &OdometryConfig,
     ) -> Option<Self> {
-        let mut keyframe = Keyframe::new(pyramid, last.pose, last.covariance, camera, &config.detection);
+        let (pose, covariance) = (last.pose, last.covariance);
+        let mut keyframe = Keyframe::new(pyramid, pose, covariance, mask, camera, &config.detection);
         let made = (frame, last.time_s);
         let enough = keyframe.can_be_followed(2 * config.motion.minimum_inliers);
         enough.then_some(Self { keyframe, last, made, confirmations: 0 })
@@ -72,8 +76,8 @@ impl Candidate {
 
     /// A fast camera leaves the candidate's ground before it is believed: the next frame is measured against this one, where it shows enough.
     pub fn move_on(&mut self, pyramid: Pyramid, frame: u64, camera: &Camera, config: &OdometryConfig) {
-        let mut next =
-            Keyframe::new(pyramid, self.last.pose, self.last.covariance, camera, &config.detection);
+        let (pose, covariance, mask) = (self.last.pose, self.last.covariance, self.keyframe.mask.as_ref());
+        let mut next = Keyframe::new(pyramid, pose, covariance, mask, camera, &config.detection);
         if next.can_be_followed(2 * config.motion.minimum_inliers) {
             self.keyframe = next;
             self.made = (frame, self.last.time_s);

@@ -67,7 +67,7 @@ impl Odometry {
             let Measurement { found, prediction, .. } = &measurement;
             Err(follow::why_not(keyframe, &self.camera, found, prediction))
         });
-        if Texture::of(pyramid) == Texture::Faint {
+        if Texture::of(pyramid, self.fixed.mask()) == Texture::Faint {
             return near;
         }
         let reason = near.as_ref().err().copied().unwrap_or(LossReason::NotPlanar);

@@ -144,7 +144,7 @@ fn measure_whole(
     config: &OdometryConfig,
     learned: &Learned,
 ) -> Result<Measurement, LossReason> {
-    let image = DenseImage::new(pyramid.base());
+    let image = DenseImage::new(pyramid.base()).without(keyframe.mask.clone());
     let prior = learned.wander.prior(prediction, &config.motion);
     let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
     let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
@@ -208,7 +208,7 @@ pub fn confirm(
 pub fn presence(keyframe: &Keyframe, camera: &Camera, measurement: &Measurement) -> f64 {
     let estimate = &measurement.estimate;
     measurement.agreement.unwrap_or_else(|| {
-        let expected = in_view(keyframe.corners.iter(), camera, &estimate.pose);
+        let expected = in_view(keyframe, keyframe.corners.iter(), camera, &estimate.pose);
         estimate.inlier_count() as f64 / expected.max(1) as f64
     })
 }
@@ -216,7 +216,7 @@ pub fn presence(keyframe: &Keyframe, camera: &Camera, measurement: &Measurement)
 /// Why what was found speaks for no movement: most of what should be in view was found and does not move as one plane, or it was found by chance.
 pub fn why_not(keyframe: &Keyframe, camera: &Camera, found: &[Found], prediction: &GroundPose) -> LossReason {
     const MOST: f64 = 0.5;
-    let expected = in_view(keyframe.corners.iter(), camera, prediction);
+    let expected = in_view(keyframe, keyframe.corners.iter(), camera, prediction);
     if found.len() as f64 >= MOST * expected as f64 { LossReason::NotPlanar } else { LossReason::Jump }
 }
 
@@ -239,10 +239,16 @@ pub fn stands_still(keyframe: &Keyframe, camera: &Camera, measurement: &Measurem
 }
 
 /// How many of the corners a camera at `pose` should see.
-fn in_view<'a>(corners: impl Iterator<Item = &'a KeyCorner>, camera: &Camera, pose: &GroundPose) -> usize {
+fn in_view<'a>(
+    keyframe: &Keyframe,
+    corners: impl Iterator<Item = &'a KeyCorner>,
+    camera: &Camera,
+    pose: &GroundPose,
+) -> usize {
     let pose = ViewingPose::new(*pose);
     let seen = |corner: &&KeyCorner| {
-        pose.pixel(camera, corner.patch.ground).is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
+        let pixel = pose.pixel(camera, corner.patch.ground);
+        pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX) && !keyframe.is_masked(pixel))
     };
     corners.filter(seen).count()
 }
@@ -255,7 +261,7 @@ pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &
     let pose = ViewingPose::new(*pose);
     let seen = |found: &&Found| {
         let pixel = pose.pixel(camera, keyframe.corners[found.corner].patch.ground);
-        pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX))
+        pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX) && !keyframe.is_masked(pixel))
     };
     found.iter().filter(seen).count() as f64 / keyframe.corners_at_first.max(1) as f64
 }
@@ -356,7 +362,8 @@ fn agreement(
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
     let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
-    let expected = in_view(scouts.map(|index| &keyframe.corners[index]), camera, &estimate.pose);
+    let scouts = scouts.map(|index| &keyframe.corners[index]);
+    let expected = in_view(keyframe, scouts, camera, &estimate.pose);
     let agree = estimate.inlier_count();
     (agree >= LEAST_SCOUTS && agree as f64 >= SETTLED * learned.findable() * expected as f64)
         .then_some(estimate.pose)
@@ -377,6 +384,9 @@ fn find(
     config: &OdometryConfig,
 ) -> Option<Found> {
     let PatchWarp { warp, curvature, .. } = corner.patch.warp(camera, pose)?;
+    if keyframe.is_masked(warp.position) {
+        return None;
+    }
     if off_px > REACH_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }

@@ -3,9 +3,10 @@
 use super::texture::{self, Texture};
 use crate::camera::Camera;
 use crate::detection::{Detection, DetectionConfig};
+use crate::fixed_pattern::ImageMask;
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPose, Pixel, Ray};
-use crate::image::Pyramid;
+use crate::image::{GrayImage, Pyramid};
 use crate::mapping::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
 use crate::motion::{
@@ -14,7 +15,7 @@ use crate::motion::{
 };
 use nalgebra::Matrix6;
 use std::collections::VecDeque;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// Corners this near the border cannot carry a full template with its gradients.
 const MARGIN_PX: usize = 9;
@@ -36,6 +37,8 @@ pub struct Keyframe {
     /// that is off has done to it since the start.
     pub by_readout: PoseRates,
     pub corners: Vec<KeyCorner>,
+    /// What of the image is known not to be ground.
+    pub mask: Option<Arc<ImageMask>>,
     /// How many corners it began with.
     pub corners_at_first: usize,
     /// Where the corners are, enough to prepare the keyframe again; [`Keyframe::find`] gives them.
@@ -76,6 +79,12 @@ impl<'a> GroundOf<'a> {
     }
 }
 
+/// What looks for the corners of an image outside the mask.
+fn sought(image: &GrayImage, mask: Option<&Arc<ImageMask>>, detection: &DetectionConfig) -> Detection {
+    let sought = Detection::new((image.width(), image.height()), detection, MARGIN_PX);
+    sought.without(mask.cloned(), 0)
+}
+
 /// A corner of a keyframe.
 #[derive(Debug)]
 pub struct KeyCorner {
@@ -92,10 +101,11 @@ impl Keyframe {
         pyramid: Pyramid,
         pose: GroundPose,
         covariance: Matrix6<f64>,
+        mask: Option<&Arc<ImageMask>>,
         camera: &Camera,
         detection: &DetectionConfig,
     ) -> Self {
-        let mut keyframe = Self::to_be_prepared(pyramid, pose, covariance, detection);
+        let mut keyframe = Self::to_be_prepared(pyramid, pose, covariance, mask, detection);
         keyframe.prepare(camera);
         keyframe
     }
@@ -106,10 +116,11 @@ impl Keyframe {
         pyramid: Pyramid,
         pose: GroundPose,
         covariance: Matrix6<f64>,
+        mask: Option<&Arc<ImageMask>>,
         detection: &DetectionConfig,
     ) -> Self {
         let image = pyramid.base();
-        let mut sought = Detection::new((image.width(), image.height()), detection, MARGIN_PX);
+        let mut sought = sought(image, mask, detection);
         sought.look(image, image.height() / 2);
         let rows = image.height();
         let record = KeyframeRecord {
@@ -120,6 +131,7 @@ impl Keyframe {
             shutter: RollingShutter { readout_s: 0.0, rows, rates: PoseRates::zeros() },
             rate_variance: PoseRates::zeros(),
             by_readout: PoseRates::zeros(),
+            mask: mask.cloned(),
             places: Vec::new(),
             view: None,
             reachable: true,
@@ -138,8 +150,19 @@ impl Keyframe {
 
     /// A keyframe as it was remembered, without its corners.
     fn recorded(record: KeyframeRecord) -> Self {
-        let KeyframeRecord { id, pyramid, pose, covariance, shutter, rate_variance, by_readout, places, view, .. } =
-            record;
+        let KeyframeRecord {
+            id,
+            pyramid,
+            pose,
+            covariance,
+            shutter,
+            rate_variance,
+            by_readout,
+            mask,
+            places,
+            view,
+            ..
+        } = record;
         let (corners, texture, dense) = (Vec::new(), OnceLock::new(), OnceLock::new());
         Self {
             id,
@@ -151,6 +174,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            mask,
             places,
             sought: None,
             prepared: 0,
@@ -159,6 +183,28 @@ impl Keyframe {
             texture,
             dense,
         }
+    }
+
+    /// More is known about what is not ground: where a corner lies there, all are sought again. [`Keyframe::prepare`] must be called before anything is measured
+    /// against them.
+    pub fn set_mask(&mut self, mask: &Arc<ImageMask>, detection: &DetectionConfig) {
+        let image = self.pyramid.base();
+        let begun = self.sought.is_some();
+        if begun || self.places.iter().any(|&(x, y)| mask.covers(x, y)) {
+            self.sought = Some(Box::new(sought(image, Some(mask), detection)));
+            self.places.clear();
+            self.corners.clear();
+            (self.prepared, self.corners_at_first, self.in_halves) = (0, 0, false);
+            self.texture = OnceLock::new();
+        }
+        self.mask = Some(mask.clone());
+        self.view = None;
+        self.dense = OnceLock::new();
+    }
+
+    /// Whether a place in the image is known not to be ground.
+    pub fn is_masked(&self, pixel: Pixel) -> bool {
+        self.mask.as_ref().is_some_and(|mask| mask.covers_pixel(pixel))
     }
 
     /// Lays the corners on the ground and prepares them for being found again, where that was not done yet. In two halves, each spread over the image, where
@@ -199,13 +245,13 @@ impl Keyframe {
 
     /// What can be made of its corners.
     pub fn texture(&self) -> Texture {
-        *self.texture.get_or_init(|| Texture::of(&self.pyramid))
+        *self.texture.get_or_init(|| Texture::of(&self.pyramid, self.mask.as_ref()))
     }
 
     /// The whole image, to be compared with others. Half of its resolution: on faint ground the rest is noise.
     pub fn dense(&self, camera: &Camera) -> &DenseReference {
         self.dense.get_or_init(|| {
-            let image = DenseImage::new(self.pyramid.base());
+            let image = DenseImage::new(self.pyramid.base()).without(self.mask.clone());
             DenseReference::new(camera, &image, &self.pose, 1)
         })
     }
@@ -224,7 +270,7 @@ impl Keyframe {
     /// Makes the view for coarse registration, where there is none yet.
     pub fn prepare_view(&mut self, registration: &CoarseRegistration) {
         if self.view.is_none() {
-            self.view = registration.view(&self.pyramid, &self.pose);
+            self.view = registration.view(&self.pyramid, self.mask.as_deref(), &self.pose);
         }
     }
 
@@ -251,7 +297,7 @@ impl Keyframe {
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(mut self) -> KeyframeRecord {
         self.find();
-        let Self { id, pyramid, pose, covariance, shutter, rate_variance, by_readout, places, view, .. } = self;
+        let Self { id, pyramid, pose, covariance, shutter, rate_variance, by_readout, mask, places, view, .. } = self;
         let reachable = true;
         KeyframeRecord {
             id,
@@ -261,6 +307,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            mask,
             places,
             view,
             reachable,
@@ -278,6 +325,7 @@ pub struct KeyframeRecord {
     shutter: RollingShutter,
     rate_variance: PoseRates,
     by_readout: PoseRates,
+    mask: Option<Arc<ImageMask>>,
     places: Vec<(usize, usize)>,
     view: Option<GroundView>,
     /// Whether its pose is connected with the present one by measurement.
@@ -289,11 +337,13 @@ pub struct KeyframeRecord {
 pub struct KeyframeMemory {
     records: VecDeque<KeyframeRecord>,
     most: usize,
+    /// What is known by now not to be ground, and how corners are sought where one lies there.
+    mask: Option<(Arc<ImageMask>, DetectionConfig)>,
 }
 
 impl KeyframeMemory {
     pub fn new(most: usize) -> Self {
-        Self { records: VecDeque::new(), most }
+        Self { records: VecDeque::new(), most, mask: None }
     }
 
     pub fn remember(&mut self, record: KeyframeRecord) {
@@ -318,6 +368,11 @@ impl KeyframeMemory {
         self.take(best.1, camera)
     }
 
+    /// More is known about what is not ground.
+    pub fn set_mask(&mut self, mask: &Arc<ImageMask>, detection: &DetectionConfig) {
+        self.mask = Some((mask.clone(), *detection));
+    }
+
     /// Puts a keyframe back that was taken out in vain.
     pub fn put_back(&mut self, keyframe: Keyframe) {
         self.remember(keyframe.retire());
@@ -326,6 +381,11 @@ impl KeyframeMemory {
     /// Takes out the keyframe with that index.
     pub fn take(&mut self, index: usize, camera: &Camera) -> Option<Keyframe> {
         let mut keyframe = Keyframe::recorded(self.records.remove(index)?);
+        if let Some((mask, detection)) = &self.mask
+            && keyframe.mask.as_ref().is_none_or(|known| !Arc::ptr_eq(known, mask))
+        {
+            keyframe.set_mask(mask, detection);
+        }
         keyframe.prepare(camera);
         Some(keyframe)
     }

@@ -2,12 +2,14 @@
 
 use super::Odometry;
 use super::keyframe::Keyframe;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
 use crate::mapping::plane_motion::{motion_covariance, seen_from};
 use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::global_image;
 use nalgebra::Matrix6;
+use std::sync::Arc;
 
 /// Something that happened to the keyframes.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +39,8 @@ pub struct NewKeyframe {
     pub tie: Option<MapEdge>,
     /// What it shows, as a global shutter would have.
     pub image: GrayImage,
+    /// What of it is known not to be ground.
+    pub mask: Option<Arc<ImageMask>>,
 }
 
 /// What the last frame was measured against.
@@ -100,6 +104,7 @@ impl Odometry {
             covariance: keyframe.covariance,
             tie,
             image: global_image(&self.camera, keyframe.pyramid.base(), &keyframe.pose, &keyframe.shutter),
+            mask: keyframe.mask.clone(),
         })));
     }
 

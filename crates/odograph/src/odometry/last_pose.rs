@@ -115,7 +115,7 @@ impl LastPose {
 }
 
 /// How far apart the same ground is seen from two poses, at most and roughly: lengths over the height, and radians.
-fn seen_apart(a: &GroundPose, b: &GroundPose) -> f64 {
+pub fn seen_apart(a: &GroundPose, b: &GroundPose) -> f64 {
     let moved_m = (a.x_m - b.x_m).hypot(a.y_m - b.y_m) + (a.height_m - b.height_m).abs();
     let turns = [a.heading_rad - b.heading_rad, a.roll_rad - b.roll_rad, a.pitch_rad - b.pitch_rad];
     moved_m / b.height_m + turns.map(f64::abs).iter().sum::<f64>()

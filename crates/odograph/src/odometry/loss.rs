@@ -22,6 +22,12 @@ impl Odometry {
         self.tracks.clear();
         self.lost_frames += 1;
         let reason = self.cause(&pyramid, bare, reason);
+        if self.standing.is_suspected() {
+            // What could be found again would be what stands still, too.
+            self.candidate = None;
+            self.spare = Some(pyramid);
+            return self.lost(time_s, reason);
+        }
         match self.confirm_candidate(&pyramid, time_s) {
             Some(found) if self.candidate_is_believed() => return self.begin_segment(pyramid, time_s, found),
             Some(found) if found.support < self.enough_support() => {
@@ -36,9 +42,14 @@ impl Odometry {
                     Some(last) => last.carried_over_gap(time_s),
                     None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
                 };
-                self.candidate = Candidate::new(pyramid, self.frames, last, &self.camera, &self.config);
+                let (frame, mask) = (self.frames, self.fixed.mask());
+                self.candidate = Candidate::new(pyramid, frame, last, mask, &self.camera, &self.config);
             }
         }
+        self.lost(time_s, reason)
+    }
+
+    fn lost(&self, time_s: f64, reason: LossReason) -> FrameEstimate {
         FrameEstimate {
             frame: self.frames,
             time_s,

@@ -6,6 +6,7 @@ use super::follow::{self, Measurement};
 use super::keyframe::{GRID, Keyframe, grid_rays, seen_share};
 use super::learned::Learned;
 use crate::camera::Camera;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPose, Ray};
 use crate::image::{GrayImage, Pyramid};
 use crate::mapping::places::{PlacesConfig, Signature};
@@ -15,6 +16,7 @@ use crate::motion::ViewingPose;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{CoarseOptions, CoarseRegistration, GroundView, MotionModel, Random};
 use nalgebra::{Matrix4, Matrix6, Vector4};
+use std::sync::Arc;
 
 /// A keyframe whose corners are looked for.
 #[derive(Debug)]
@@ -63,6 +65,8 @@ pub struct Matcher {
     config: OdometryConfig,
     registration: CoarseRegistration,
     rays: [Option<Ray>; GRID * GRID],
+    /// What does not move with the ground in the pictures of this camera.
+    mask: Option<Arc<ImageMask>>,
 }
 
 impl Matcher {
@@ -72,7 +76,13 @@ impl Matcher {
             config: config.for_camera(camera),
             registration: CoarseRegistration::new(camera),
             rays: grid_rays(camera),
+            mask: None,
         }
+    }
+
+    /// What is known by now not to move with the ground: it is no sign of a place.
+    pub fn set_mask(&mut self, mask: Option<Arc<ImageMask>>) {
+        self.mask = mask;
     }
 
     /// Prepares a keyframe that was taken at a height, roll and pitch.
@@ -80,7 +90,14 @@ impl Matcher {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
         let here = at_origin(pose);
         Sought {
-            keyframe: Keyframe::new(pyramid, here, Matrix6::zeros(), &self.camera, &self.config.detection),
+            keyframe: Keyframe::new(
+                pyramid,
+                here,
+                Matrix6::zeros(),
+                self.mask.as_ref(),
+                &self.camera,
+                &self.config.detection,
+            ),
         }
     }
 
@@ -182,7 +199,7 @@ impl Matcher {
         if spread(corners) < 2.0 * (UNMODELLED_PX * pixel_m).powi(2) {
             return None;
         }
-        let image = DenseImage::new(pictured.pyramid.base());
+        let image = DenseImage::new(pictured.pyramid.base()).without(self.mask.clone());
         let prior = learned.wander.prior(&found.prediction, motion);
         let whole = dense::refine(camera, keyframe.dense(camera), &image, &corners.pose, &prior, motion)?;
         let off_m =
@@ -227,7 +244,7 @@ impl Matcher {
     ) -> Vec<Guess> {
         sought.keyframe.prepare_view(&self.registration);
         if pictured.view.is_none() {
-            pictured.view = self.registration.view(&pictured.pyramid, &pictured.pose);
+            pictured.view = self.registration.view(&pictured.pyramid, self.mask.as_deref(), &pictured.pose);
         }
         let (Some(from), Some(to)) = (sought.keyframe.view(), &pictured.view) else { return Vec::new() };
         let options = CoarseOptions {

@@ -19,12 +19,14 @@ mod loss;
 pub(crate) mod matching;
 mod recovery;
 mod shutter;
+mod standing;
 mod succession;
 mod texture;
 
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
 use crate::filter::ConstantAcceleration;
+use crate::fixed_pattern::{FixedPattern, ImageMask, SinceLast};
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random, Readout, RollingShutter};
@@ -38,6 +40,7 @@ use last_pose::LastPose;
 use learned::Learned;
 use nalgebra::Matrix6;
 use recovery::Recovery;
+use standing::Standing;
 
 /// What one track looked like in the last frame, for pictures and pages.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,6 +67,9 @@ pub struct Odometry {
     /// A start of a new segment that has not proved itself yet.
     candidate: Option<Candidate>,
     recovery: Recovery,
+    /// What of the image does not move with the ground.
+    fixed: FixedPattern,
+    standing: Standing,
     /// So many frames before this one were lost.
     lost_frames: usize,
     frames: u64,
@@ -84,11 +90,15 @@ pub struct Odometry {
 /// Where this part of the corners in view that usually agree is found and agrees, what is missing lies out of view: to search again would find nothing.
 const NEARLY_ALL: f64 = 0.95;
 
+/// Of a mask that covers more than this, no ground is left to follow.
+const MOST_MASKED: f64 = 0.95;
+
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
     pub fn new(camera: Camera, rig: Rig, config: OdometryConfig) -> Result<Self> {
         let first_pose = rig.validated()?.first_pose();
         let config = config.validated()?.for_camera(&camera);
+        let fixed = FixedPattern::new((camera.width(), camera.height()));
         Ok(Self {
             recovery: Recovery::new(&camera),
             config,
@@ -100,6 +110,8 @@ impl Odometry {
             last: None,
             filter: None,
             candidate: None,
+            fixed,
+            standing: Standing::default(),
             lost_frames: 0,
             frames: 0,
             keyframes: 0,
@@ -113,10 +125,40 @@ impl Odometry {
         })
     }
 
+    /// The same pipeline, told what of the image is not ground: what is darker than middle gray in a picture of the size of the frames. What is found
+    /// on the way comes to that. Fails where the picture has another size.
+    pub fn with_mask(mut self, picture: &GrayImage) -> Result<Self> {
+        let size = (self.camera.width(), self.camera.height());
+        if (picture.width(), picture.height()) != size {
+            return Err(Error::input(format!(
+                "the mask is {}x{} but the camera is calibrated for {}x{}; make it at the size of the frames",
+                picture.width(),
+                picture.height(),
+                size.0,
+                size.1,
+            )));
+        }
+        let told = ImageMask::from_picture(picture);
+        if told.share() > MOST_MASKED {
+            return Err(Error::input(format!(
+                "the mask leaves {:.0} % of the image; white is ground, black is not",
+                100.0 * (1.0 - told.share()),
+            )));
+        }
+        self.fixed = FixedPattern::new(size).with_told(told);
+        Ok(self)
+    }
+
+    /// What of the image does not move with the ground, as far as it is known.
+    pub fn fixed_in_image(&self) -> &FixedPattern {
+        &self.fixed
+    }
+
     /// Takes the next frame. Fails where the image has not the size the camera is calibrated for, or its time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
         self.reference = None;
+        let since_last = self.look_for_what_is_fixed(&image);
         if let Some(keyframe) = &mut self.keyframe {
             keyframe.prepare(&self.camera);
         }
@@ -128,10 +170,14 @@ impl Odometry {
             None => Pyramid::new(image, self.config.flow.levels),
         };
         self.learned.foretell_shutter(self.last.as_ref(), time_s);
-        let frame = match self.measure(&pyramid, time_s) {
+        let measured = self.measure(&pyramid, time_s).and_then(|found| self.distrust(found, since_last));
+        let frame = match measured {
             Ok(measurement) => self.accept(pyramid, time_s, measurement),
             Err(reason) => self.lose(pyramid, time_s, reason),
         };
+        if since_last == SinceLast::Moved || self.frames == 0 {
+            self.standing.counts_from(frame.estimate.as_ref().map(|estimate| estimate.pose));
+        }
         self.frames += 1;
         Ok(frame)
     }
@@ -332,7 +378,8 @@ impl Odometry {
     /// The first frame that shows ground is where the world begins.
     fn begin(&mut self, pyramid: Pyramid, time_s: f64) -> FrameEstimate {
         let (pose, covariance) = (self.first_pose, Matrix6::zeros());
-        let mut keyframe = Keyframe::new(pyramid, pose, covariance, &self.camera, &self.config.detection);
+        let (mask, detection) = (self.fixed.mask(), &self.config.detection);
+        let mut keyframe = Keyframe::new(pyramid, pose, covariance, mask, &self.camera, detection);
         self.expose_first(&mut keyframe);
         self.number(&mut keyframe, (self.frames, time_s), None);
         self.reference = keyframe.id.map(|keyframe| FrameReference { keyframe, next: None });

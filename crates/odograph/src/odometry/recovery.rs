@@ -87,7 +87,7 @@ impl Recovery {
         learned: &Learned,
         random: &mut Random,
     ) -> Option<Found> {
-        let now = self.registration.view(lost.pyramid, &lost.last.pose)?;
+        let now = self.registration.view(lost.pyramid, keyframe.mask.as_deref(), &lost.last.pose)?;
         let search = Search { lost: &lost, now, registration: &self.registration, camera, config, learned };
         let here = search.look(keyframe, random);
         let mut decided = here.decided;

@@ -45,7 +45,8 @@ impl Odometry {
             Ok(()) => return,
             Err(pyramid) => pyramid,
         };
-        let mut next = Keyframe::to_be_prepared(pyramid, pose, covariance, &self.config.detection);
+        let mut next =
+            Keyframe::to_be_prepared(pyramid, pose, covariance, self.fixed.mask(), &self.config.detection);
         if !next.can_be_followed(2 * self.config.motion.minimum_inliers) {
             return; // better the rest of the old one than nothing
         }

@@ -454,3 +454,41 @@ fn the_mean_vector_is_followed_through_new_keyframes() {
         assert_right(frame, truth, 4.0);
     }
 }
+
+/// Blocks of 11 pixels with grays of their own over the lowest rows of an image.
+fn with_bumper(mut image: GrayImage, rows: usize) -> GrayImage {
+    let (width, height) = (image.width(), image.height());
+    for (at, sample) in image.samples_mut().iter_mut().enumerate().skip(width * (height - rows)) {
+        let block = at % width / 11 + 101 * (at / width / 11);
+        *sample = 20 + Random::new(block as u64).below(200) as u8;
+    }
+    image
+}
+
+#[test]
+fn a_bumper_that_takes_all_corners_is_not_followed() {
+    let world = World::new("concrete");
+    let mut odometry = world.odometry();
+    // The camera stands, and drives a quarter of a metre over faint ground.
+    let poses: Vec<_> = std::iter::repeat_n(at(0.0, 0.0, 0.0), 5).chain(drive(0.0, 14)).collect();
+    let mut lost = 0;
+    for (number, pose) in poses.iter().enumerate() {
+        let image = with_bumper(world.image(*pose, number as u64), 130);
+        let frame = odometry.process(image, number as f64 * FRAME_S).unwrap();
+        match frame.status {
+            TrackStatus::Tracked => assert_right(&frame, pose, 2.0),
+            TrackStatus::Lost { .. } => lost += 1,
+        }
+    }
+    assert!(lost <= 4, "{lost} frames lost");
+    assert!((0.2..0.4).contains(&odometry.fixed_in_image().share()));
+}
+
+#[test]
+fn a_mask_of_another_size_is_refused() {
+    let world = World::new("asphalt");
+    let told = world.odometry().with_mask(&GrayImage::new(320, 240)).unwrap_err().to_string();
+    assert!(told.contains("320x240") && told.contains("640x480"), "{told}");
+    // All black: no ground is left.
+    assert!(world.odometry().with_mask(&GrayImage::new(640, 480)).is_err());
+}

@@ -1,7 +1,9 @@
 //! How much there is to see in an image.
 
-use crate::detection::{DetectionConfig, detect};
+use crate::detection::{Detection, DetectionConfig};
+use crate::fixed_pattern::ImageMask;
 use crate::image::{GrayImage, Pyramid};
+use std::sync::Arc;
 
 /// What can be made of an image's corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,8 +17,8 @@ pub enum Texture {
 }
 
 impl Texture {
-    /// Judged two pyramid levels up, where the sensor's noise is averaged away.
-    pub fn of(pyramid: &Pyramid) -> Self {
+    /// Judged two pyramid levels up, where the sensor's noise is averaged away, and outside the mask.
+    pub fn of(pyramid: &Pyramid, mask: Option<&Arc<ImageMask>>) -> Self {
         let coarse = pyramid.level(2);
         let config = DetectionConfig {
             corners: ENOUGH_CORNERS,
@@ -24,7 +26,8 @@ impl Texture {
             quality: 0.0,
             ..Default::default()
         };
-        let corners = detect(coarse, &config, 3);
+        let sought = Detection::new((coarse.width(), coarse.height()), &config, 3);
+        let corners = sought.without(mask.cloned(), 2).corners(coarse);
         let are = |enough: usize, strength: f64| {
             corners.iter().filter(|c| f64::from(c.strength) >= strength).count() >= enough
         };

@@ -171,6 +171,7 @@ impl Mapper {
         color: Option<RgbImage>,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
+        self.matcher.set_mask(new.mask.clone());
         let sought = self.matcher.sought(new.image.clone(), &new.pose);
         let signature = sought.signature(&self.map.camera, &self.places_config);
         let id = self.insert(&new, session, ties, signature);

@@ -50,6 +50,7 @@ pub fn merge(
             covariance: keyframe.covariance,
             tie: None,
             image: image.gray,
+            mask: None,
         };
         mapper.made(new, keyframe.session, &ties, image.color, images)?;
         mapper.settle_where_due();

@@ -53,6 +53,10 @@ pub struct LiveArguments {
     /// 0 is a global shutter. [default: the camera file's readout_time_s; otherwise it is learned]
     #[arg(long, value_name = "MS", value_parser = run::readout_ms, allow_negative_numbers = true)]
     pub readout_ms: Option<f64>,
+    /// Picture of what is not ground, the size of the frames: black is ignored (bumper, wheel, own shadow), white is ground. What is found on the way comes to
+    /// that.
+    #[arg(long, value_name = "PICTURE")]
+    pub mask: Option<PathBuf>,
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -110,6 +114,7 @@ impl LiveArguments {
             rig: self.rig.clone(),
             field_of_view: self.field_of_view,
             readout_ms: self.readout_ms,
+            mask: self.mask.clone(),
             motion: self.motion,
             fps: self.capture.fps,
             ..RunArguments::over(OutputArguments {

@@ -8,6 +8,7 @@ use super::open::Opened;
 use super::outputs::Outputs;
 use super::recorder::Recorder;
 use super::straight::{self, Relaying, Straightening};
+use crate::commands::run::found::{FixedInImage, FoundReadout};
 use crate::commands::run::kept_frames::KeptFrames;
 use crate::commands::run::mapping::Mapping;
 use crate::commands::run::pipeline::{Posed, StageTimes, Tracked, is_made, number_as_source};
@@ -58,7 +59,7 @@ pub fn follow(
 ) -> Result<RunReport> {
     let started = Instant::now();
     let description = opened.source.info().description.clone();
-    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    let mut odometry = plan.odometry()?;
     odometry.tell_keyframes();
     let mut following = Following {
         odometry,
@@ -92,7 +93,9 @@ pub fn follow(
     following.times.map = times;
     let live = following.statistics();
     let tracked = Tracked {
+        readout: FoundReadout::of(&plan.camera, &following.odometry),
         keyframes: following.odometry.keyframes(),
+        fixed: FixedInImage::of(&following.odometry),
         frames: following.frames,
         views,
         mapping,
@@ -105,7 +108,6 @@ pub fn follow(
         unmapped: following.unmapped,
         mount: None,
         lens: None,
-        readout,
     };
     let mut folder = following.recorder.into_folder();
     run::finish(plan, &description, tracked, &Sensors::default(), &mut folder, arguments, started)

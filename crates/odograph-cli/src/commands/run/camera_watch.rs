@@ -7,7 +7,6 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 use odograph::mounting::{Found, Untold};
-use odograph::odometry::Odometry;
 use odograph_map::MapFile;
 
 /// Looks after the camera while a recording is followed, which is begun again when the camera is known better.
@@ -84,7 +83,7 @@ impl CameraWatch {
 /// What the beginning of a recording shows of the camera that is not the plan's.
 fn look(plan: &RunPlan, mut untold: Untold) -> Result<Option<Found>> {
     let mut source = plan.source.open()?;
-    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    let mut odometry = plan.odometry()?;
     while let Some(frame) = source.next_frame()? {
         let estimate = odometry.process(frame.gray, frame.time_s)?;
         let found = untold.watch(&estimate, &odometry.global_tracks());

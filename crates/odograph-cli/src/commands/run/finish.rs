@@ -8,6 +8,7 @@ use super::pipeline::Tracked;
 use super::statistics::interruption;
 use super::{OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, Statistics};
 use super::{map, reference, tilt};
+use crate::files;
 use odograph::error::{Error, Result};
 use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
 use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
@@ -40,6 +41,9 @@ pub fn finish(
 
 /// The camera file with the lens as it was found, where not as told.
 const FOUND_CAMERA: &str = "camera-found.yaml";
+
+/// What was ignored because it does not move with the ground.
+const MASK: &str = "mask.png";
 
 /// A run that is being finished.
 struct Finishing<'a> {
@@ -159,6 +163,11 @@ impl Finishing<'_> {
             Some(_) => self.folder.write(FOUND_CAMERA, camera.as_bytes())?,
             None if stays => {}
             None => self.folder.remove(FOUND_CAMERA)?,
+        }
+        if self.tracked.fixed.share > 0.0 {
+            self.folder.write(MASK, &files::png_from_gray(&self.tracked.fixed.picture)?)?;
+        } else {
+            self.folder.remove(MASK)?;
         }
         self.folder.write_tum("odometry.tum", |put| {
             self.tracked

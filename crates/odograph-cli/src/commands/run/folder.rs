@@ -12,7 +12,7 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Every file that a run writes.
-pub const FILES: [&str; 15] = [
+pub const FILES: [&str; 16] = [
     "odometry.tum",
     "map.gpkg",
     "trajectory.tum",
@@ -27,6 +27,7 @@ pub const FILES: [&str; 15] = [
     "report.html",
     "run.toml",
     "camera-found.yaml",
+    "mask.png",
     "stats.json",
 ];
 

@@ -2,8 +2,37 @@
 
 use odograph::camera::{Camera, Rig};
 use odograph::odometry::Odometry;
+use odograph::image::GrayImage;
 use odograph::mounting::{LensMeasurement, TiltMeasurement};
+use odograph::odometry::Odometry;
 use serde::Serialize;
+
+/// What of the image was ignored because it does not move with the ground.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FixedInImage {
+    /// The part of the image, 0 to 1.
+    pub share: f64,
+    /// White is ground.
+    #[serde(skip)]
+    pub picture: GrayImage,
+}
+
+impl FixedInImage {
+    pub fn of(odometry: &Odometry) -> Self {
+        let fixed = odometry.fixed_in_image();
+        Self { share: fixed.share(), picture: fixed.picture() }
+    }
+
+    /// For people, a line; nothing where it is next to nothing.
+    pub fn sentence(&self) -> String {
+        const WORTH_TELLING: f64 = 0.01;
+        if self.share <= WORTH_TELLING {
+            return String::new();
+        }
+        let percent = 100.0 * self.share;
+        format!("{percent:.0} % of the image does not move with the ground and is ignored; see mask.png\n")
+    }
+}
 
 /// How the camera was found to sit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

@@ -5,9 +5,10 @@ mod camera_watch;
 mod finish;
 pub(super) mod kept_frames;
 pub(super) mod folder;
-mod found;
+pub(super) mod found;
 mod many;
 mod map;
+mod mask;
 pub(super) mod mapping;
 pub(super) mod pipeline;
 mod place;
@@ -64,6 +65,10 @@ pub struct RunArguments {
     /// 0 is a global shutter. [default: the camera file's readout_time_s; otherwise it is learned]
     #[arg(long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true)]
     pub readout_ms: Option<f64>,
+    /// Picture of what is not ground, the size of the frames: black is ignored (bumper, wheel, own shadow), white is ground. What is found on the way comes to
+    /// that.
+    #[arg(long, value_name = "PICTURE")]
+    pub mask: Option<PathBuf>,
     /// What may change between frames.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -206,6 +211,7 @@ impl RunArguments {
             rig: None,
             field_of_view: None,
             readout_ms: None,
+            mask: None,
             motion: Motion::Auto,
             timestamps: None,
             fps: None,

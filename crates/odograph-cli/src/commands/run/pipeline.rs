@@ -1,7 +1,7 @@
 //! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
 
 use super::folder::OutputFolder;
-use super::found::{FoundLens, FoundMount, FoundReadout};
+use super::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use super::kept_frames::KeptFrames;
 use super::mapping::Mapping;
 use super::statistics::LiveStatistics;
@@ -29,6 +29,8 @@ pub struct Tracked {
     pub views: Views,
     pub mapping: Mapping,
     pub keyframes: u64,
+    /// What of the image does not move with the ground.
+    pub fixed: FixedInImage,
     pub warnings: Vec<String>,
     pub times: StageTimes,
     pub interrupted: bool,
@@ -84,7 +86,7 @@ pub fn track(
     arguments: &OutputArguments,
     untold: Option<Untold>,
 ) -> Result<Ended> {
-    let mut odometry = Odometry::new(plan.camera.clone(), plan.rig, plan.odometry)?;
+    let mut odometry = plan.odometry()?;
     odometry.tell_keyframes();
     let mapping = Mapping::new(plan, folder, arguments)?;
     let views = Views::new(&plan.camera, folder.path());
@@ -118,6 +120,7 @@ pub fn track(
     Ok(Ended::Tracked(Box::new(Tracked {
         readout: FoundReadout::of(&plan.camera, &tracking.odometry),
         keyframes: tracking.odometry.keyframes(),
+        fixed: FixedInImage::of(&tracking.odometry),
         frames: tracking.frames,
         views,
         mapping,

@@ -1,13 +1,14 @@
 //! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
 
 use super::budget::{self, Budget};
+use super::mask;
 use super::{FieldOfView, RunArguments, SensorPlan};
 use crate::files;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file};
 use odograph::motion::MotionModel;
-use odograph::odometry::OdometryConfig;
+use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::slam::SlamConfig;
 use odograph_map::MapFile;
 use odograph_video::{Source, SourceOptions};
@@ -26,6 +27,9 @@ pub struct RunPlan {
     pub source: SourcePlan,
     pub camera: Camera,
     pub rig: Rig,
+    /// A picture of what is not ground.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask: Option<PathBuf>,
     #[serde(default, skip_serializing_if = "SensorPlan::is_empty")]
     pub sensors: SensorPlan,
     /// The budget that the parameters were chosen for, where there was one.
@@ -137,12 +141,24 @@ impl RunPlan {
             source: source_plan,
             camera,
             rig,
+            mask: arguments.mask.clone(),
             sensors: arguments.sensors.clone(),
             budget,
             odometry,
             slam: SlamConfig { loops: !arguments.no_loops, ..SlamConfig::default() },
         };
+        // A mask that does not fit is told before all the work.
+        plan.odometry()?;
         Ok((plan, source))
+    }
+
+    /// The pipeline that follows the recording.
+    pub fn odometry(&self) -> Result<Odometry> {
+        let odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
+        match &self.mask {
+            Some(path) => odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display())),
+            None => Ok(odometry),
+        }
     }
 
     fn read(arguments: &RunArguments) -> Result<Self> {
@@ -153,6 +169,7 @@ impl RunPlan {
             ("--field-of-view", arguments.field_of_view.is_some()),
             ("--rig", arguments.rig.is_some()),
             ("--height", arguments.height.is_some()),
+            ("--mask", arguments.mask.is_some()),
             ("--motion", arguments.motion != unasked.motion),
             ("--timestamps", arguments.timestamps.is_some()),
             ("--fps", arguments.fps.is_some()),

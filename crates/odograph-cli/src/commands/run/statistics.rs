@@ -1,7 +1,7 @@
 //! The figures of a run: `stats.json` and the summary.
 
 use super::budget::Budget;
-use super::found::{FoundLens, FoundMount, FoundReadout};
+use super::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use super::timings::Timings;
@@ -49,6 +49,8 @@ pub struct Statistics {
     /// The readout time of the image, and whether it was given or learned; left out where neither.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub readout: Option<FoundReadout>,
+    /// What of the image does not move with the ground.
+    pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
     /// How many frames an interrupted run would have had; left out where the source does not say,
@@ -198,6 +200,7 @@ impl Statistics {
             mount: tracked.mount,
             lens: tracked.lens.clone(),
             readout: tracked.readout,
+            fixed_in_image: tracked.fixed.clone(),
             interrupted: tracked.interrupted,
             frames_announced: tracked.announced.filter(|_| tracked.interrupted),
             live: tracked.live,
@@ -228,12 +231,13 @@ impl Statistics {
         let used = self.sensors.iter().filter(|sensor| sensor.used).map(|sensor| sensor.sensor.to_string());
         let used: Vec<String> = used.collect();
         let loops = self.loops.summary();
+        let fixed = self.fixed_in_image.sentence();
         let sensors = match used.is_empty() {
             true => String::new(),
             false => format!("beside the camera: {}\n", used.join(", ")),
         };
         format!(
-            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}",
+            "{:.2} m in {:.1} s; {} of {} frames with a pose, {lost}; {} keyframes\n{:.0} frames/s ({:.0} without decoding)\n{loops}{sensors}{fixed}",
             self.distance_m,
             self.duration_s,
             self.frames_with_pose,

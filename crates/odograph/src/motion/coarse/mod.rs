@@ -18,6 +18,7 @@ mod view;
 pub use view::GroundView;
 
 use crate::camera::Camera;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use correlation::{Correlator, Peak, Spectrum, overlap_weights};
@@ -112,8 +113,9 @@ impl CoarseRegistration {
     }
 
     /// The ground as seen from a camera of this height and tilt; position and heading do not matter. `None` where the image shows no ground.
-    pub fn view(&self, pyramid: &Pyramid, pose: &GroundPose) -> Option<GroundView> {
-        self.geometry.view(&self.camera, pyramid, pose)
+    /// What the mask covers is not seen.
+    pub fn view(&self, pyramid: &Pyramid, mask: Option<&ImageMask>, pose: &GroundPose) -> Option<GroundView> {
+        self.geometry.view(&self.camera, pyramid, mask, pose)
     }
 
     /// Where `now` may lie against `keyframe`: the best hypothesis first, none where nothing was found.

@@ -107,8 +107,8 @@ fn found(case: &Case) -> (bool, bool, f64) {
     let second = spoiled(renderer.gray_view(ground, &truth), gain, 2.0, case.smear, &mut random);
     let registration = CoarseRegistration::new(camera);
     let assumed = case.rig.first_pose();
-    let before = registration.view(&Pyramid::new(first, 4), &assumed).unwrap();
-    let now = registration.view(&Pyramid::new(second, 4), &assumed).unwrap();
+    let before = registration.view(&Pyramid::new(first, 4), None, &assumed).unwrap();
+    let now = registration.view(&Pyramid::new(second, 4), None, &assumed).unwrap();
     let options = CoarseOptions { scale_free: case.height != 1.0, ..Default::default() };
     let hypotheses = registration.register(&before, &now, &options);
     let right = |hypothesis: &Hypothesis| {
@@ -202,7 +202,7 @@ fn unrelated_ground_scores_low() {
     let pose = GroundPose::level(0.75);
     let view = |seed: u64| {
         let ground = Ground::new(Texture::Asphalt, renderer.footprint_m(0.75), false, seed).unwrap();
-        registration.view(&Pyramid::new(renderer.gray_view(&ground, &pose), 4), &pose).unwrap()
+        registration.view(&Pyramid::new(renderer.gray_view(&ground, &pose), 4), None, &pose).unwrap()
     };
     let (a, b) = (view(1), view(2));
     let unrelated = registration.register(&a, &b, &CoarseOptions::default());
@@ -219,10 +219,10 @@ fn an_image_without_ground_has_no_view() {
     let pose = GroundPose { pitch_rad: -1.55, ..GroundPose::level(1.0) };
     let up = GroundPose { pitch_rad: 3.0, ..GroundPose::level(1.0) };
     let black = Pyramid::new(GrayImage::new(640, 480), 4);
-    assert!(registration.view(&black, &up).is_none());
+    assert!(registration.view(&black, None, &up).is_none());
     // Hardly any ground, or none: not a panic.
-    let _ = registration.view(&black, &pose);
-    let flat = registration.view(&black, &GroundPose::level(1.0)).unwrap();
+    let _ = registration.view(&black, None, &pose);
+    let flat = registration.view(&black, None, &GroundPose::level(1.0)).unwrap();
     let found = registration.register(&flat, &flat, &CoarseOptions::default());
     assert!(found.iter().all(|h| h.x_m.is_finite() && h.score.is_finite()), "{found:?}");
 }

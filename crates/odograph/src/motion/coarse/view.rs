@@ -1,6 +1,7 @@
 //! Small top-down pictures of the ground, brought to even contrast.
 
 use crate::camera::Camera;
+use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 
@@ -67,7 +68,13 @@ impl ViewGeometry {
         Self { pixel_per_height, image_px: pixel_per_height * (fx * fy).sqrt() }
     }
 
-    pub fn view(&self, camera: &Camera, pyramid: &Pyramid, pose: &GroundPose) -> Option<GroundView> {
+    pub fn view(
+        &self,
+        camera: &Camera,
+        pyramid: &Pyramid,
+        mask: Option<&ImageMask>,
+        pose: &GroundPose,
+    ) -> Option<GroundView> {
         // Everything at height 1: a view's samples grow with the height.
         let pose = GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*pose };
         let unit = GroundPose { height_m: 1.0, ..pose };
@@ -89,6 +96,9 @@ impl ViewGeometry {
             }
             let pixel =
                 camera.pixel_from_ray(crate::geometry::Ray::new(point.x / point.z, point.y / point.z))?;
+            if mask.is_some_and(|mask| mask.covers_pixel(pixel)) {
+                return None;
+            }
             bilinear(image, pixel.x / scale, pixel.y / scale)
         };
         let mut values = vec![0.0f32; width * height];

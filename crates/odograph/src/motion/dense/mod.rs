@@ -64,7 +64,11 @@ impl DenseReference {
             let step = if number < OVERLAPPING { SIDE } else { SIDE / 2 };
             let along = |size: usize| (1..size.saturating_sub(SIDE)).step_by(step);
             let places = along(plane.height).flat_map(|top| along(plane.width).map(move |left| (left, top)));
-            (number, places.filter_map(|place| Tile::new(plane, place, camera, &from)).collect())
+            let tile = |place| {
+                let centre = Tile::centre(plane, place);
+                if is_masked(image, centre, plane) { None } else { Tile::new(plane, place, camera, &from) }
+            };
+            (number, places.filter_map(tile).collect())
         };
         Self { levels: levels.map(level).collect(), pose: *pose }
     }
@@ -100,7 +104,7 @@ pub fn refine(
     for (halvings, tiles) in reference.levels.iter().rev() {
         let Some(plane) = image.planes.get(*halvings) else { continue };
         let laid_from = &reference.pose;
-        let level = Level { camera, tiles, laid_from, plane, halvings: *halvings, prior, config };
+        let level = Level { camera, tiles, laid_from, image, plane, halvings: *halvings, prior, config };
         let Some(found) = level.settle(&pose) else { continue };
         if *halvings >= OVERLAPPING {
             // Too few tiles to be sure of; the next level will tell.
@@ -127,11 +131,25 @@ const WORSE: f64 = 1.5;
 /// A coarse level with overlapping tiles is believed from this score on.
 const TRUSTED_START: f64 = 3.0;
 
+/// Whether much of a tile about a pixel is known not to be ground.
+fn is_masked(image: &DenseImage, centre: Pixel, plane: &Plane) -> bool {
+    // Of 5x5 places; the mask is wider than what it covers, so that a few do not matter.
+    const MOST: usize = 2;
+    let Some(mask) = &image.mask else { return false };
+    let step_px = plane.pixels_per_sample * SIDE as f64 / 5.0;
+    let covered = |place: &usize| {
+        let (right, down) = ((place % 5) as f64 - 2.0, (place / 5) as f64 - 2.0);
+        mask.covers_pixel(Pixel::new(centre.x + right * step_px, centre.y + down * step_px))
+    };
+    (0..25).filter(covered).count() > MOST
+}
+
 /// One halving of the images.
 struct Level<'a> {
     camera: &'a Camera,
     tiles: &'a [Tile],
     laid_from: &'a GroundPose,
+    image: &'a DenseImage,
     plane: &'a Plane,
     halvings: usize,
     prior: &'a RigPrior,
@@ -176,6 +194,7 @@ impl Level<'_> {
             .tiles
             .iter()
             .filter_map(|tile| tile.look(self.camera, &viewing, self.plane).map(|look| (tile, look)))
+            .filter(|(_, look)| !is_masked(self.image, look.warp.warp.position, self.plane))
             .collect();
         let light = Light::between(&looks)?;
         let sightings: Vec<Sighting> =

@@ -1,6 +1,8 @@
 //! Images halved again and again without rounding: on faint ground a gray level of rounding would be more than what is looked for.
 
+use crate::fixed_pattern::ImageMask;
 use crate::image::GrayImage;
+use std::sync::Arc;
 
 /// Samples of an image or of one of its halvings.
 #[derive(Debug, Clone)]
@@ -17,6 +19,8 @@ pub(super) struct Plane {
 pub struct DenseImage {
     /// The full image first.
     pub(super) planes: Vec<Plane>,
+    /// What of it is not ground.
+    pub(super) mask: Option<Arc<ImageMask>>,
 }
 
 /// A level with fewer samples along a side holds fewer than two patches.
@@ -34,7 +38,13 @@ impl DenseImage {
         while let Some(half) = planes.last().filter(|_| planes.len() < MOST_LEVELS).and_then(Plane::halved) {
             planes.push(half);
         }
-        Self { planes }
+        Self { planes, mask: None }
+    }
+
+    /// The same without what is not ground.
+    pub fn without(mut self, mask: Option<Arc<ImageMask>>) -> Self {
+        self.mask = mask;
+        self
     }
 }
 

@@ -163,8 +163,8 @@ fn noise_is_not_taken_for_ground() {
             let reference = DenseReference::new(&world.camera, &reference, &from, 0);
             let (tiles, plane) = (&reference.levels[0].1, &image.planes[0]);
             let (camera, laid_from) = (&world.camera, &from);
-            let level =
-                Level { camera, tiles, laid_from, plane, halvings: 0, prior: &prior, config: &config };
+            let (image, prior, config) = (&image, &prior, &config);
+            let level = Level { camera, tiles, laid_from, image, plane, halvings: 0, prior, config };
             let beside = |by: f64| GroundPose { x_m: truth.x_m + 0.3 * by * PIXEL_M, ..truth };
             let from_beside = |by: f64| level.step(&beside(by)).unwrap().estimate.pose.x_m;
             answers += 1.0 - (from_beside(1.0) - from_beside(-1.0)) / (0.6 * PIXEL_M);

@@ -62,8 +62,7 @@ impl Tile {
         camera: &Camera,
         from: &GroundFromRay<'_>,
     ) -> Option<Self> {
-        let at = |first: usize| plane.pixel_of_sample(first as f64 + TO_CENTRE);
-        let centre = Pixel::new(at(left), at(top));
+        let centre = Self::centre(plane, (left, top));
         let patch = GroundPatch::new(camera, from, centre, plane.pixels_per_sample)?;
         let mut contrast = [0.0; AREA];
         let mut gradient = [[0.0; AREA]; 2];
@@ -90,6 +89,12 @@ impl Tile {
         let [x, y] = &gradient;
         let (xx, xy, yy) = (dot(x, x), dot(x, y), dot(y, y));
         Some(Self { patch, contrast, gradient, hessian: Matrix2::new(xx, xy, xy, yy), energy })
+    }
+
+    /// The middle of the tile whose first sample is at (`left`, `top`).
+    pub fn centre(plane: &Plane, (left, top): (usize, usize)) -> Pixel {
+        let at = |first: usize| plane.pixel_of_sample(first as f64 + TO_CENTRE);
+        Pixel::new(at(left), at(top))
     }
 
     /// The tile as a camera at `pose` would have it, compared with the image; `None` where that is not all in the image.

@@ -1,0 +1,94 @@
+use super::*;
+use crate::camera::{Camera, Distortion};
+use crate::geometry::GroundPose;
+use crate::motion::Random;
+use crate::simulation::{Ground, Renderer, Texture};
+
+const HEIGHT_M: f64 = 0.75;
+
+/// What a camera of 320x240 sees of a ground, frame by frame, with one gray level of noise.
+fn images(texture: &str, poses: impl Iterator<Item = (f64, f64)>) -> Vec<GrayImage> {
+    let lens = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
+    let camera = Camera::new((320, 240), (250.0, 250.0), (160.5, 119.0), lens).unwrap();
+    let renderer = Renderer::new(&camera);
+    let footprint_m = renderer.footprint_m(HEIGHT_M);
+    let ground = Ground::new(Texture::named(texture).unwrap(), footprint_m, false, 3).unwrap();
+    let mut random = Random::new(5);
+    let mut image = |(x_m, heading_rad): (f64, f64)| {
+        let mut image =
+            renderer.gray_view(&ground, &GroundPose { x_m, heading_rad, ..GroundPose::level(HEIGHT_M) });
+        for sample in image.samples_mut() {
+            let noise: i32 = (0..3).map(|_| random.below(3) as i32 - 1).sum();
+            *sample = (i32::from(*sample) + noise).clamp(0, 255) as u8;
+        }
+        image
+    };
+    poses.map(|pose| image(pose)).collect()
+}
+
+/// Blocks of 7 pixels over the lowest quarter of an image.
+fn with_bumper(mut image: GrayImage) -> GrayImage {
+    let (width, height) = (image.width(), image.height());
+    for (at, sample) in image.samples_mut().iter_mut().enumerate().skip(width * height / 4 * 3) {
+        let block = at % width / 7 + 57 * (at / width / 7);
+        *sample = 30 + (Random::new(block as u64).below(180)) as u8;
+    }
+    image
+}
+
+fn drive(frames: usize) -> impl Iterator<Item = (f64, f64)> {
+    (0..frames).map(|i| (0.017 * i as f64, 0.0))
+}
+
+fn learned(images: Vec<GrayImage>) -> FixedPattern {
+    let mut fixed = FixedPattern::new((320, 240));
+    images.iter().for_each(|image| {
+        fixed.look(image);
+    });
+    fixed
+}
+
+#[test]
+fn moving_ground_has_nothing_fixed() {
+    for texture in ["asphalt", "carpet", "concrete", "grass", "tiles", "bricks"] {
+        assert_eq!(learned(images(texture, drive(60))).share(), 0.0, "{texture} straight on");
+        let turning = (0..60).map(|i| (0.01 * f64::from(i), 0.02 * f64::from(i)));
+        assert_eq!(learned(images(texture, turning)).share(), 0.0, "{texture} turning");
+    }
+}
+
+#[test]
+fn a_camera_that_stands_still_teaches_nothing() {
+    let still = images("concrete", std::iter::repeat_n((0.0, 0.0), 40));
+    let fixed = learned(still.into_iter().map(with_bumper).collect());
+    assert_eq!(fixed.share(), 0.0);
+}
+
+#[test]
+fn a_bumper_is_found_within_ten_frames_and_little_else() {
+    for texture in ["concrete", "asphalt", "tiles"] {
+        let driving: Vec<GrayImage> = images(texture, drive(10)).into_iter().map(with_bumper).collect();
+        let fixed = learned(driving);
+        let mask = fixed.mask().expect("found");
+        let covered = |rows: std::ops::Range<usize>| {
+            let pixels = rows.clone().flat_map(|y| (0..320).map(move |x| (x, y)));
+            pixels.filter(|&(x, y)| mask.covers(x, y)).count() as f64 / (320 * rows.len()) as f64
+        };
+        assert!(covered(180..240) > 0.95, "{texture}: {}", covered(180..240));
+        // A joint that leads away from the bumper belongs to it for some pixels.
+        assert!(covered(0..160) < 0.04, "{texture}: {}", covered(0..160));
+    }
+}
+
+#[test]
+fn what_is_told_is_masked_with_the_reach_of_a_patch() {
+    let mut picture = GrayImage::new(320, 240);
+    picture.samples_mut().fill(255);
+    picture.samples_mut()[100 * 320..110 * 320].fill(0);
+    let told = ImageMask::from_picture(&picture);
+    let fixed = FixedPattern::new((320, 240)).with_told(told);
+    let mask = fixed.mask().expect("told");
+    assert!(mask.covers(5, 105) && mask.covers(300, 90) && mask.covers(300, 119));
+    assert!(!mask.covers(5, 80) && !mask.covers(5, 130));
+    assert_eq!(fixed.picture().row(105)[7], 0);
+}
