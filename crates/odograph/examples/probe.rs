@@ -91,7 +91,7 @@ fn main() {
         match found {
             Ok(found) => {
                 let d = found.drift.first();
-                println!("{name:24} drift {:.4} % {:.4} deg/m end {:.2} mm {:.3} deg NEES {:.2} posed {:.1} % lost {lost} kf {} ate {:.2} mm {ms:.2} ms {}", d.map_or(f64::NAN, |d| d.translation_percent), d.map_or(f64::NAN, |d| d.heading_deg_per_m), 1e3*found.final_position_error_m, found.final_heading_error_rad.to_degrees(), squares / n.max(1) as f64, 100.0*estimate.poses.len() as f64/truth.poses.len() as f64, odometry.keyframes(), se3.map_or(f64::NAN, |s| 1e3*s.absolute.translation.rmse), odometry.readout().map_or(String::new(), |r| format!("readout {:.3} ± {:.3} ms", 1e3 * r.mean_s, 1e3 * r.variance_s2.sqrt())));
+                println!("{name:24} drift {:.4} % {:.4} deg/m end {:.2} mm {:.3} deg NEES {:.2} posed {:.1} % lost {lost} masked {:.3} kf {} ate {:.2} mm {ms:.2} ms {}", d.map_or(f64::NAN, |d| d.translation_percent), d.map_or(f64::NAN, |d| d.heading_deg_per_m), 1e3*found.final_position_error_m, found.final_heading_error_rad.to_degrees(), squares / n.max(1) as f64, 100.0*estimate.poses.len() as f64/truth.poses.len() as f64, odometry.fixed_in_image().share(), odometry.keyframes(), se3.map_or(f64::NAN, |s| 1e3*s.absolute.translation.rmse), odometry.readout().map_or(String::new(), |r| format!("readout {:.3} ± {:.3} ms", 1e3 * r.mean_s, 1e3 * r.variance_s2.sqrt())));
             }
             Err(e) => println!("{name}: {e}"),
         }

@@ -29,8 +29,9 @@ pub struct ShutterFit<'a> {
 pub struct Elimination {
     /// K of the [module](self).
     by_pose: Matrix6<f64>,
-    /// `H22⁻¹`.
+    /// `H22⁻¹` and `H21`.
     inverse: Matrix6<f64>,
+    cross: Matrix6<f64>,
     /// The step of the skew for a pose that stays.
     step: Vector6<f64>,
     prior_information: Vector6<f64>,
@@ -93,7 +94,8 @@ impl<'a> ShutterFit<'a> {
         let with_prior = symmetric(&second) + Matrix6::from_diagonal(&prior_information);
         let slope = slope + prior_information.component_mul(&self.difference);
         let inverse = with_prior.cholesky()?.inverse();
-        let by_pose = inverse * symmetric(&first);
+        let cross = symmetric(&first);
+        let by_pose = inverse * cross;
         for (observation, residual) in observations.iter().zip(residuals) {
             for row in &mut residual.by_pose {
                 let skew = by_pose.tr_mul(&Vector6::from(*row)) * observation.row_fraction;
@@ -107,6 +109,7 @@ impl<'a> ShutterFit<'a> {
             step: inverse * slope,
             by_pose,
             inverse,
+            cross,
             prior_information,
         })
     }
@@ -115,6 +118,25 @@ impl<'a> ShutterFit<'a> {
     pub fn advance(&mut self, elimination: &Elimination, before: &GroundPose, after: &GroundPose) {
         let moved = before.to_vector() - after.to_vector();
         self.difference -= elimination.step - elimination.by_pose * moved;
+    }
+
+    /// What a frame that was fitted without a skew tells of it: one step from there, and what the skew
+    /// that was left out does to the pose.
+    pub fn estimate_aside(
+        mut self,
+        elimination: &Elimination,
+        pose_covariance: &Matrix6<f64>,
+        scale_px: f64,
+    ) -> ShutterEstimate {
+        let Elimination { by_pose, cross, step, .. } = elimination;
+        // The pose has no slope any more; its covariance without the skew becomes that with it.
+        let information = pose_covariance.try_inverse().unwrap_or_default();
+        let with_skew = (information - cross.tr_mul(by_pose)).try_inverse().unwrap_or(*pose_covariance);
+        self.difference = -(step + by_pose * with_skew * cross.tr_mul(step));
+        ShutterEstimate {
+            pose_by_expected_skew: -pose_covariance * cross.transpose(),
+            ..self.estimate(elimination, &with_skew, scale_px)
+        }
     }
 
     /// What the frame tells of its shutter. `pose_covariance` is that of the pose in units of the

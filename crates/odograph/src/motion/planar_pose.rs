@@ -217,7 +217,8 @@ pub fn refine(
     config: &MotionConfig,
 ) -> Option<MotionEstimate> {
     let Observations { seen: observations, laid_from, shutter } = observations;
-    let mut shutter = shutter.map(|(prior, assumed)| ShutterFit::new(prior, assumed));
+    let expected = shutter.map(|(prior, assumed)| ShutterFit::new(prior, assumed));
+    let mut shutter = expected.clone().filter(|_| shutter.is_some_and(|(prior, _)| prior.applies));
     let unknowns = Unknowns::new(config.model);
     let mut prior = *prior;
     let mut pose = GroundPose {
@@ -301,15 +302,24 @@ pub fn refine(
         .map(|(error, _)| error * error)
         .sum();
     let spare = 2 * count - unknowns.count;
-    let shutter = match &shutter {
+    let aside = shutter.is_none();
+    let shutter = match shutter.as_ref().or(expected.as_ref()) {
         Some(shutter) => {
+            // A skew that is only looked at leaves the rows of the pose as they are.
+            let kept = aside.then(|| residuals.clone());
             let eliminated = shutter.eliminate(observations, &mut residuals, &weights, scale_px)?;
             let pose_covariance = unknowns.of(&information).cholesky()?.inverse();
+            let estimate = match kept {
+                Some(kept) => {
+                    residuals = kept;
+                    shutter.clone().estimate_aside(&eliminated, &pose_covariance, scale_px)
+                }
+                None => shutter.estimate(&eliminated, &pose_covariance, scale_px),
+            };
             let by_keyframe_skew = pose_covariance
                 * slopes_by_keyframe(observations, &residuals, &weights, laid_from, &unknowns, |observation| {
                     observation.keyframe_row_fraction
                 });
-            let estimate = shutter.estimate(&eliminated, &pose_covariance, scale_px);
             Some(ShutterEstimate { pose_by_keyframe_skew: by_keyframe_skew, ..estimate })
         }
         None => None,

@@ -17,6 +17,18 @@ pub struct RigPrior {
     pub shared_part: f64,
 }
 
+impl RigPrior {
+    /// The same, wide enough to reach the pose of a keyframe: where that is off the mount so is the plane
+    /// on which its points lie, and every frame measured against them.
+    pub fn reaching(mut self, keyframe: &GroundPose) -> Self {
+        let there = [keyframe.height_m, keyframe.roll_rad, keyframe.pitch_rad];
+        for ((sigma, mean), there) in self.sigma.iter_mut().zip(self.mean).zip(there) {
+            *sigma = sigma.max((there - mean).abs());
+        }
+        self
+    }
+}
+
 /// How far height, roll or pitch is off: squares, averaged over the last frames.
 #[derive(Debug, Clone, Copy, Default)]
 struct Deviation {

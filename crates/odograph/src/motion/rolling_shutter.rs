@@ -85,6 +85,8 @@ pub struct ShutterPrior {
     pub rate_offset: PoseRates,
     /// Variances of the rates.
     pub rate_variance: PoseRates,
+    /// Whether the pose is fitted with a skew; otherwise what the tracks tell of it is only looked at.
+    pub applies: bool,
 }
 
 impl ShutterPrior {

@@ -145,7 +145,7 @@ fn measure_whole(
     learned: &Learned,
 ) -> Result<Measurement, LossReason> {
     let image = DenseImage::new(pyramid.base()).without(keyframe.mask.clone());
-    let prior = learned.wander.prior(prediction, &config.motion);
+    let prior = learned.wander.prior(prediction, &config.motion).reaching(&keyframe.pose);
     let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
     let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
     if found.agreement < config.motion.minimum_inlier_fraction {
@@ -358,7 +358,7 @@ fn agreement(
     let shutter = learned.shutter_at(camera, prediction);
     let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
     let observations = observations(keyframe, found, camera, prediction, shutter);
-    let prior = learned.wander.prior(prediction, &config.motion);
+    let prior = learned.wander.prior(prediction, &config.motion).reaching(&keyframe.pose);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
     let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
@@ -448,7 +448,7 @@ fn judge(
     let estimate = if config.motion.model == MotionModel::Mean {
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
-        let prior = learned.wander.prior(prediction, &config.motion);
+        let prior = learned.wander.prior(prediction, &config.motion).reaching(&keyframe.pose);
         let mut measure = |near: &GroundPose| {
             let shutter = learned.shutter_at(camera, near);
             let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());

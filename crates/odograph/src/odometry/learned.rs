@@ -61,7 +61,9 @@ impl Learned {
         keyframe: Option<&RollingShutter>,
     ) {
         let Some(shutter) = &mut self.shutter else { return };
-        shutter.saw_step(last.and_then(|last| last.pose_rates), estimate.pose.height_m);
+        let step = last.and_then(|last| Some((last.pose_rates?, last.step_s)));
+        let moved = step.map_or(0.0, |(rates, step_s)| step_s * rates[0].hypot(rates[1]));
+        shutter.saw_step(step.map(|(rates, _)| rates), moved, estimate.pose.height_m);
         if let (Some(seen), Some(prior), Some(keyframe)) = (&estimate.shutter, &self.frame_shutter, keyframe) {
             shutter.saw(seen, prior, &keyframe.rates);
         }
@@ -70,7 +72,7 @@ impl Learned {
     /// What the uncertainty of the readout time adds to the covariance of a pose that changes with it by
     /// `by_readout`.
     pub fn readout_covariance(&self, by_readout: &PoseRates) -> Matrix6<f64> {
-        let variance_s2 = self.shutter.as_ref().map_or(0.0, |shutter| shutter.readout().variance_s2);
+        let variance_s2 = self.shutter.as_ref().map_or(0.0, |shutter| shutter.readout_doubt_s2());
         by_readout * by_readout.transpose() * variance_s2
     }
 

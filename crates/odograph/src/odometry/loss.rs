@@ -43,7 +43,9 @@ impl Odometry {
                     None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),
                 };
                 let (frame, mask) = (self.frames, self.fixed.mask());
-                self.candidate = Candidate::new(pyramid, frame, last, mask, &self.camera, &self.config);
+                let mut candidate = Candidate::new(pyramid, frame, last, mask, &self.camera, &self.config);
+                candidate.iter_mut().for_each(|candidate| self.expose_first(&mut candidate.keyframe));
+                self.candidate = candidate;
             }
         }
         self.lost(time_s, reason)
@@ -79,6 +81,9 @@ impl Odometry {
 
     /// The measurement of a lost frame against the candidate, if there is one.
     pub(super) fn confirm_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
+        // How the frame is exposed is foretold by the frames that confirmed the candidate.
+        let last = self.candidate.as_ref().map(|candidate| &candidate.last);
+        self.learned.foretell_shutter(last, time_s);
         let mut random = Random::new(self.frames);
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
         self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, learned, &mut random)

@@ -10,8 +10,9 @@ use std::collections::VecDeque;
 #[derive(Debug, Clone)]
 pub struct ShutterState {
     readout: Readout,
-    /// Whether the readout time was given, or found to be that of a global shutter.
-    is_settled: bool,
+    phase: Phase,
+    /// How far the camera has moved while it was undecided, in heights.
+    moved: f64,
     /// Mean squared errors of the foretold rates.
     rate_variance: PoseRates,
     /// Mean rates between the last poses, the newest first.
@@ -23,6 +24,28 @@ pub struct ShutterState {
     /// Skew against the keyframe's, and its variances, of the last frame.
     waiting: Option<(PoseRates, PoseRates)>,
 }
+
+/// What the shutter is taken for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// Its readout time was given, or found to be none.
+    Settled,
+    /// Nothing is known yet: images may be skewed as much as any readout time does it.
+    Undecided,
+    /// Nothing has told that it rolls: taken to be global, and watched.
+    TakenGlobal,
+    /// It was seen to roll.
+    Rolling,
+}
+
+/// A shutter rolls where its readout time is so many standard deviations from none, and longer than
+/// this, seconds.
+const SIGNIFICANT: f64 = 3.5;
+const LEAST_ROLLING_S: f64 = 3e-4;
+
+/// After so many heights of movement a shutter that was not seen to roll is taken to be global: a freer
+/// model that has not proved itself by then only loses.
+const UNDECIDED_HEIGHTS: f64 = 0.6;
 
 /// Standard deviation of a readout time of which nothing is known: half of a frame at 30 a second.
 const UNKNOWN_READOUT_S: f64 = 0.015;
@@ -54,7 +77,8 @@ impl ShutterState {
         let (turn, shift) = (FIRST_RATE_ERROR.powi(2), (FIRST_RATE_ERROR * height_m).powi(2));
         Self {
             readout,
-            is_settled: camera.readout_s().is_some(),
+            phase: if camera.readout_s().is_some() { Phase::Settled } else { Phase::Undecided },
+            moved: 0.0,
             rate_variance: PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0),
             history: VecDeque::with_capacity(MOST_STEPS + 1),
             serving: Default::default(),
@@ -68,14 +92,21 @@ impl ShutterState {
         self.readout
     }
 
+    /// The mean square of what the readout time that is taken may be off by, seconds².
+    pub fn readout_doubt_s2(&self) -> f64 {
+        let Readout { mean_s, variance_s2 } = self.readout;
+        if self.phase == Phase::TakenGlobal { mean_s * mean_s + variance_s2 } else { variance_s2 }
+    }
+
     /// Whether the readout time is known to a third, so that rates can be told from rows.
     pub fn is_known(&self) -> bool {
-        self.is_settled || self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2)
+        self.phase == Phase::Settled
+            || (self.phase != Phase::TakenGlobal && self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2))
     }
 
     /// Whether all rows are exposed at once.
     pub fn is_global(&self) -> bool {
-        self.is_settled && self.readout.mean_s == 0.0
+        self.phase == Phase::Settled && self.readout.mean_s == 0.0
     }
 
     /// What is expected of the image at `time_s`; `None` where the shutter is global.
@@ -92,12 +123,22 @@ impl ShutterState {
         // Without an earlier step the rate may have changed by as much as it is.
         let more = if last.pose_rates.is_some() { 1.0 } else { 3.0 };
         let rate_variance = self.rate_variance * (more * more);
-        Some(ShutterPrior { readout: self.readout, rate_by_pose_hz, rate_offset, rate_variance })
+        let applies = self.phase != Phase::TakenGlobal;
+        // What is only looked at may be anything.
+        let readout = match self.phase {
+            Phase::TakenGlobal => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
+            _ => self.readout,
+        };
+        Some(ShutterPrior { readout, rate_by_pose_hz, rate_offset, rate_variance, applies })
     }
 
     /// Learns from the mean rates since the last pose how well they can be foretold; `None` where there
     /// was no last pose.
-    pub fn saw_step(&mut self, step: Option<PoseRates>, height_m: f64) {
+    pub fn saw_step(&mut self, step: Option<PoseRates>, moved: f64, height_m: f64) {
+        self.moved += moved / height_m;
+        if self.phase == Phase::Undecided && self.moved > UNDECIDED_HEIGHTS {
+            self.phase = Phase::TakenGlobal;
+        }
         let Some(step) = step else {
             self.history.clear();
             self.waiting = None;
@@ -125,7 +166,7 @@ impl ShutterState {
 
     /// Learns the readout time from a measured frame, once the next one tells its rates.
     pub fn saw(&mut self, seen: &ShutterEstimate, prior: &ShutterPrior, keyframe_rates: &PoseRates) {
-        if self.is_settled {
+        if self.phase == Phase::Settled {
             return;
         }
         let skew = seen.evidence - prior.readout.mean_s * keyframe_rates;
@@ -165,12 +206,16 @@ impl ShutterState {
         let Some((readout_s, variance_s2)) = all.slope() else { return };
         let (before, now) = (UNKNOWN_READOUT_S.powi(-2), 1.0 / variance_s2);
         let mean_s = now * readout_s / (before + now);
+        let seen = mean_s.abs() > LEAST_ROLLING_S && readout_s * readout_s > SIGNIFICANT.powi(2) * variance_s2;
+        if seen && self.phase != Phase::Rolling {
+            self.phase = Phase::Rolling;
+        }
         self.readout.mean_s = mean_s.clamp(-Camera::LONGEST_READOUT_S, Camera::LONGEST_READOUT_S);
         self.readout.variance_s2 = (1.0 / (before + now)).max(LEAST_READOUT_S.powi(2));
         let deviation_s = self.readout.variance_s2.sqrt();
         if deviation_s < GLOBAL_WITHIN_S && self.readout.mean_s.abs() < 3.0 * GLOBAL_WITHIN_S {
             self.readout = Readout { mean_s: 0.0, variance_s2: 0.0 };
-            self.is_settled = true;
+            self.phase = Phase::Settled;
         }
     }
 }

@@ -4,7 +4,6 @@ use odograph::camera::{Camera, Rig};
 use odograph::odometry::Odometry;
 use odograph::image::GrayImage;
 use odograph::mounting::{LensMeasurement, TiltMeasurement};
-use odograph::odometry::Odometry;
 use serde::Serialize;
 
 /// What of the image was ignored because it does not move with the ground.
