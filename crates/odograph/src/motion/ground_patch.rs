@@ -1,9 +1,9 @@
 //! Patches of an image that lie on the ground: where, and in which shape, another camera sees them.
 
-use crate::camera::Camera;
-use crate::flow::Warp;
 use super::planar_pose::{Axes, ground_by_pose};
 use super::rolling_shutter::RollingShutter;
+use crate::camera::Camera;
+use crate::flow::Warp;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 

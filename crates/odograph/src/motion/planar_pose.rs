@@ -2,7 +2,10 @@
 
 use super::nuisance::{Elimination, ShutterFit};
 use super::sharing::{Neighbours, shared_errors, shared_errors_of_rig, shared_px};
-use super::{MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior, ShutterEstimate};
+use super::{
+    MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior,
+    ShutterEstimate,
+};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, wrap_angle};
@@ -317,9 +320,14 @@ pub fn refine(
                 None => shutter.estimate(&eliminated, &pose_covariance, scale_px),
             };
             let by_keyframe_skew = pose_covariance
-                * slopes_by_keyframe(observations, &residuals, &weights, laid_from, &unknowns, |observation| {
-                    observation.keyframe_row_fraction
-                });
+                * slopes_by_keyframe(
+                    observations,
+                    &residuals,
+                    &weights,
+                    laid_from,
+                    &unknowns,
+                    |observation| observation.keyframe_row_fraction,
+                );
             Some(ShutterEstimate { pose_by_keyframe_skew: by_keyframe_skew, ..estimate })
         }
         None => None,

@@ -33,12 +33,15 @@ impl Odometry {
         let readout_s = prior.readout.mean_s;
         next.shutter = RollingShutter::new(&self.camera, readout_s, seen.expected_rates);
         next.rate_variance = prior.rate_variance;
-        let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_tell_rates(readout_s)) else { return };
+        let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_tell_rates(readout_s)) else {
+            return;
+        };
         let doubt = prior.readout.variance_s2 / readout_s.powi(2);
         for i in 0..6 {
             // What the rows tell has the error of the keyframe, too.
             let of_readout = doubt * (seen.expected_rates[i] - keyframe.shutter.rates[i]).powi(2);
-            let by_rows = seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i] + of_readout;
+            let by_rows =
+                seen.evidence_variance[i] / readout_s.powi(2) + keyframe.rate_variance[i] + of_readout;
             let foretold = prior.rate_variance[i];
             if by_rows.is_finite() && by_rows + foretold > 0.0 {
                 let gain = foretold / (foretold + by_rows);

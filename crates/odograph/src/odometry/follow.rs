@@ -12,8 +12,8 @@ use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{
-    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RollingShutter,
-    ShutterPrior, Sighting, ViewingPose, estimate, mean_displacement, whitened,
+    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RollingShutter, ShutterPrior,
+    Sighting, ViewingPose, estimate, mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
 use nalgebra::{Matrix2, Matrix6, Vector2};
@@ -125,7 +125,23 @@ pub fn measure_near(
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     if config.motion.model != MotionModel::Mean && keyframe.texture() == Texture::Faint {
-        return measure_whole(keyframe, pyramid, camera, prediction, config, learned);
+        // An image of which a part is dark or blurred looks faint, too, but has corners. What a rolling
+        // shutter skews only corners tell.
+        let whole = || measure_whole(keyframe, pyramid, camera, prediction, config, learned);
+        let by_corners = |random: &mut Random| {
+            if keyframe.corners.len() < 2 * config.motion.minimum_inliers {
+                return Err(LossReason::Jump);
+            }
+            let followed = follow(keyframe, pyramid, camera, prediction, off_px, config, learned, random);
+            let found = judge(keyframe, followed, camera, prediction, config, learned, random)?;
+            let agrees = presence(keyframe, camera, &found) >= LEAST_ON_FAINT;
+            if agrees { Ok(found) } else { Err(LossReason::Jump) }
+        };
+        return if learned.shutter_rolls() {
+            by_corners(random).or_else(|_| whole())
+        } else {
+            whole().or_else(|lost| by_corners(random).map_err(|_| lost))
+        };
     }
     let followed = if config.motion.model == MotionModel::Mean {
         Followed { found: follow_by_eye(keyframe, pyramid, off_px, config), settled: None }
@@ -134,6 +150,9 @@ pub fn measure_near(
     };
     judge(keyframe, followed, camera, prediction, config, learned, random)
 }
+
+/// On an image that looks faint this part of the corners in view must agree with a pose.
+const LEAST_ON_FAINT: f64 = 0.5;
 
 /// Measures the pose of a frame against all of a keyframe: on faint ground no single corner can be believed.
 fn measure_whole(
@@ -171,7 +190,8 @@ pub fn measure_drowned(
     config: &OdometryConfig,
     learned: &Learned,
 ) -> Option<Measurement> {
-    if config.motion.model == MotionModel::Mean || keyframe.texture() != Texture::Drowned {
+    let by_corners = keyframe.texture() != Texture::Drowned || learned.shutter_rolls();
+    if config.motion.model == MotionModel::Mean || by_corners {
         return None;
     }
     predictions

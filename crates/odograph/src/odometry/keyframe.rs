@@ -220,11 +220,7 @@ impl Keyframe {
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&self.pyramid, place)?;
             let centre = template.centre();
-            Some(KeyCorner {
-                patch: ground.patch(centre)?,
-                seen: Warp::translation(centre),
-                template,
-            })
+            Some(KeyCorner { patch: ground.patch(centre)?, seen: Warp::translation(centre), template })
         };
         self.corners.reserve_exact(places - first);
         self.corners.extend(self.places[first..until].iter().filter_map(corner));
@@ -297,7 +293,19 @@ impl Keyframe {
     /// What is kept of a keyframe that is no longer in use.
     pub fn retire(mut self) -> KeyframeRecord {
         self.find();
-        let Self { id, pyramid, pose, covariance, shutter, rate_variance, by_readout, mask, places, view, .. } = self;
+        let Self {
+            id,
+            pyramid,
+            pose,
+            covariance,
+            shutter,
+            rate_variance,
+            by_readout,
+            mask,
+            places,
+            view,
+            ..
+        } = self;
         let reachable = true;
         KeyframeRecord {
             id,

@@ -4,8 +4,10 @@ use super::last_pose::LastPose;
 use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
+use crate::motion::{
+    MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, ShutterPrior, ViewingPose,
+};
 use nalgebra::Matrix6;
-use crate::motion::{MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, ShutterPrior, ViewingPose};
 
 /// What is learned on the way.
 #[derive(Debug, Clone)]
@@ -64,7 +66,8 @@ impl Learned {
         let step = last.and_then(|last| Some((last.pose_rates?, last.step_s)));
         let moved = step.map_or(0.0, |(rates, step_s)| step_s * rates[0].hypot(rates[1]));
         shutter.saw_step(step.map(|(rates, _)| rates), moved, estimate.pose.height_m);
-        if let (Some(seen), Some(prior), Some(keyframe)) = (&estimate.shutter, &self.frame_shutter, keyframe) {
+        if let (Some(seen), Some(prior), Some(keyframe)) = (&estimate.shutter, &self.frame_shutter, keyframe)
+        {
             shutter.saw(seen, prior, &keyframe.rates);
         }
     }
@@ -86,6 +89,11 @@ impl Learned {
     /// How the present frame is exposed where it was taken at `pose`; `None` for a global shutter.
     pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> Option<RollingShutter> {
         self.frame_shutter.as_ref().map(|prior| prior.shutter_at(camera, pose))
+    }
+
+    /// Whether the present frame is taken to be skewed by a rolling shutter.
+    pub fn shutter_rolls(&self) -> bool {
+        self.frame_shutter.as_ref().is_some_and(|prior| prior.applies && prior.readout.mean_s != 0.0)
     }
 
     /// The present frame's view from `pose`.

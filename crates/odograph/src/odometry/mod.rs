@@ -364,7 +364,8 @@ impl Odometry {
     /// with the readout time.
     fn shutter_errors(&self, estimate: &MotionEstimate) -> (Matrix6<f64>, PoseRates) {
         let (Some(keyframe), Some(seen)) = (&self.keyframe, &estimate.shutter) else {
-            let by_readout = self.keyframe.as_ref().map(|keyframe| estimate.by_keyframe * keyframe.by_readout);
+            let by_readout =
+                self.keyframe.as_ref().map(|keyframe| estimate.by_keyframe * keyframe.by_readout);
             return (Matrix6::zeros(), by_readout.unwrap_or_default());
         };
         let by_skew = &seen.pose_by_keyframe_skew;

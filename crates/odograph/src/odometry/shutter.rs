@@ -101,7 +101,8 @@ impl ShutterState {
     /// Whether the readout time is known to a third, so that rates can be told from rows.
     pub fn is_known(&self) -> bool {
         self.phase == Phase::Settled
-            || (self.phase != Phase::TakenGlobal && self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2))
+            || (self.phase != Phase::TakenGlobal
+                && self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2))
     }
 
     /// Whether all rows are exposed at once.
@@ -206,7 +207,8 @@ impl ShutterState {
         let Some((readout_s, variance_s2)) = all.slope() else { return };
         let (before, now) = (UNKNOWN_READOUT_S.powi(-2), 1.0 / variance_s2);
         let mean_s = now * readout_s / (before + now);
-        let seen = mean_s.abs() > LEAST_ROLLING_S && readout_s * readout_s > SIGNIFICANT.powi(2) * variance_s2;
+        let seen =
+            mean_s.abs() > LEAST_ROLLING_S && readout_s * readout_s > SIGNIFICANT.powi(2) * variance_s2;
         if seen && self.phase != Phase::Rolling {
             self.phase = Phase::Rolling;
         }

@@ -1,9 +1,9 @@
 //! What a recording said of its camera that was not as it was told, for people and for `stats.json`.
 
 use odograph::camera::{Camera, Rig};
-use odograph::odometry::Odometry;
 use odograph::image::GrayImage;
 use odograph::mounting::{LensMeasurement, TiltMeasurement};
+use odograph::odometry::Odometry;
 use serde::Serialize;
 
 /// What of the image was ignored because it does not move with the ground.
