@@ -4,7 +4,8 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::geometry::Pixel;
 use odograph::simulation::{
-    Blackout, Effects, Lighting, MovingObject, PathKind, Shadow, Timing, Vibration, Wander,
+    Blackout, Bumper, Dirt, Effects, Kerb, Lamp, Lighting, MovingObject, PathKind, Relief, Shadow, Terrain,
+    Timing, Undulation, Vibration, Wander,
 };
 use std::f64::consts::TAU;
 
@@ -43,6 +44,8 @@ pub struct Row {
     pub rig: Rig,
     /// How the program is told that it sits.
     pub rig_told: Rig,
+    /// Whether the program is told the readout time.
+    pub readout_is_told: bool,
     /// Quantiser of H.264, 0 to 51, where the recording is compressed with it.
     pub h264_qp: Option<u8>,
     /// How it is followed.
@@ -78,6 +81,15 @@ fn corner_turn(seed: u64) -> PathKind {
     about.map_or(PathKind::Still { duration_s: 1.0 }, |about| PathKind::Pivot { about, turn_rad: 1.5 * TAU })
 }
 
+/// Four metres ahead, from rest to rest.
+fn ahead(_: u64) -> PathKind {
+    PathKind::Straight { length_m: 4.0 }
+}
+
+fn eight(_: u64) -> PathKind {
+    PathKind::FigureEight { length_m: 1.5, laps: 1.0 }
+}
+
 fn straight(_: u64) -> PathKind {
     PathKind::Straight { length_m: 40.0 }
 }
@@ -105,6 +117,7 @@ fn clean() -> Row {
         fps: 30.0,
         rig: Rig::level(HEIGHT_M),
         rig_told: Rig::level(HEIGHT_M),
+        readout_is_told: false,
         h264_qp: None,
         follow: Follow::Recorded,
         seeds: 1,
@@ -144,6 +157,11 @@ pub fn rows() -> Vec<Row> {
         ..lit.clone()
     };
     let tilted = Rig { roll_rad: 1.0 * degree, pitch_rad: -0.7 * degree, ..Rig::level(HEIGHT_M) };
+    let rolling = Effects { readout_s: 0.020, ..noise() };
+    let on = |terrain| Effects { terrain, ..noise() };
+    let relief = Relief { amplitude_m: 0.005, scale_m: 0.06 };
+    let undulation = Undulation { amplitude_m: 0.03, wavelength_m: 2.0 };
+    let kerb = Kerb { height_m: 0.05, at_m: 2.0 };
     let dark = vec![Blackout { from_s: 3.0, to_s: 5.0 }];
     vec![
         clean(),
@@ -174,6 +192,31 @@ pub fn rows() -> Vec<Row> {
             // 0.58 m a frame is 60 % of what the image is wide.
             speed_m_s: 17.3,
             ..with("fast", Effects { exposure_s: 0.0009, ..noise() })
+        },
+        Row { path: ahead, ..with("rolling-20ms", rolling.clone()) },
+        Row { path: ahead, readout_is_told: true, ..with("rolling-20ms-told", rolling.clone()) },
+        Row { path: eight, ..with("rolling-eight", rolling.clone()) },
+        Row { path: eight, readout_is_told: true, ..with("rolling-eight-told", rolling.clone()) },
+        with("rolling-vibration", Effects { vibration: Some(vibration), ..rolling }),
+        Row {
+            texture: "concrete",
+            ..with("bumper", Effects { bumper: Some(Bumper { share: 0.15 }), ..noise() })
+        },
+        Row { texture: "concrete", ..with("dirt", Effects { dirt: Some(Dirt { count: 30 }), ..noise() }) },
+        Row {
+            texture: "concrete",
+            ..with("own-shadow", Effects { carrier_shadow: Some(Shadow::default()), ..noise() })
+        },
+        Row { texture: "concrete", ..with("own-lamp", Effects { lamp: Some(Lamp::default()), ..noise() }) },
+        Row { seeds: 1, ..small("relief-5mm", on(Terrain { relief: Some(relief), ..Terrain::default() })) },
+        Row {
+            seeds: 1,
+            ..small("undulation", on(Terrain { undulation: Some(undulation), ..Terrain::default() }))
+        },
+        Row {
+            path: ahead,
+            seeds: 1,
+            ..small("kerb", on(Terrain { kerb: Some(kerb), ..Terrain::default() }))
         },
         small("blackout-2s", Effects { blackouts: dark, ..noise() }),
         Row { name: "h264-qp28", h264_qp: Some(28), ..clean() },

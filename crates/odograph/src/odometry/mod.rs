@@ -73,6 +73,8 @@ pub struct Odometry {
     /// So many frames before this one were lost.
     lost_frames: usize,
     frames: u64,
+    /// Time of the first frame, seconds.
+    first_time_s: Option<f64>,
     keyframes: u64,
     /// The frame at which the present keyframe was taken into use.
     serves_since: u64,
@@ -92,6 +94,11 @@ const NEARLY_ALL: f64 = 0.95;
 
 /// Of a mask that covers more than this, no ground is left to follow.
 const MOST_MASKED: f64 = 0.95;
+
+/// Over so many steps the time between frames is taken, and a readout may take this part of it: times
+/// are rounded.
+const STEPS_BEFORE_JUDGING: u64 = 10;
+const LONGEST_READOUT: f64 = 1.05;
 
 impl Odometry {
     /// A pipeline for one recording. Fails where the rig or a parameter cannot be.
@@ -114,6 +121,7 @@ impl Odometry {
             standing: Standing::default(),
             lost_frames: 0,
             frames: 0,
+            first_time_s: None,
             keyframes: 0,
             serves_since: 0,
             segment: 0,
@@ -157,6 +165,7 @@ impl Odometry {
     /// Takes the next frame. Fails where the image has not the size the camera is calibrated for, or its time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
+        self.check_readout(time_s)?;
         self.reference = None;
         let since_last = self.look_for_what_is_fixed(&image);
         if let Some(keyframe) = &mut self.keyframe {
@@ -209,6 +218,24 @@ impl Odometry {
     /// How many keyframes were made.
     pub fn keyframes(&self) -> u64 {
         self.keyframes
+    }
+
+    /// A readout that takes longer than the frames are apart cannot be.
+    fn check_readout(&mut self, time_s: f64) -> Result<()> {
+        let first_s = *self.first_time_s.get_or_insert(time_s);
+        let Some(readout_s) = self.camera.readout_s().filter(|_| self.frames == STEPS_BEFORE_JUDGING) else {
+            return Ok(());
+        };
+        let step_s = (time_s - first_s) / STEPS_BEFORE_JUDGING as f64;
+        if step_s > 0.0 && readout_s.abs() > LONGEST_READOUT * step_s {
+            return Err(Error::input(format!(
+                "the readout time of {:.1} ms is longer than the {:.1} ms between two frames; give the right one, \
+                 or leave it out and it is learned",
+                1e3 * readout_s,
+                1e3 * step_s
+            )));
+        }
+        Ok(())
     }
 
     fn check_input(&self, image: &GrayImage, time_s: f64) -> Result<()> {

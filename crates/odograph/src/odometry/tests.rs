@@ -5,6 +5,7 @@ use crate::motion::Random;
 use crate::simulation::{Ground, Renderer, Texture};
 
 mod lossy;
+mod rolling;
 
 const HEIGHT_M: f64 = 0.75;
 const FRAME_S: f64 = 1.0 / 30.0;
