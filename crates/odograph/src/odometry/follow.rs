@@ -480,7 +480,7 @@ fn judge(
         let first = measure(&settled.unwrap_or(*prediction));
         match &first {
             // The rates were those of a pose that was foretold; once more with those of the one found.
-            Some(found) if learned.frame_shutter.is_some() => measure(&found.pose).or(first),
+            Some(found) if learned.skew_is_fitted() => measure(&found.pose).or(first),
             _ => first,
         }
     };

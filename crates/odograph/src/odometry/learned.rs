@@ -60,15 +60,17 @@ impl Learned {
         &mut self,
         estimate: &MotionEstimate,
         last: Option<&LastPose>,
-        keyframe: Option<&RollingShutter>,
+        keyframe: Option<(&GroundPose, &RollingShutter)>,
     ) {
         let Some(shutter) = &mut self.shutter else { return };
         let step = last.and_then(|last| Some((last.pose_rates?, last.step_s)));
         let moved = step.map_or(0.0, |(rates, step_s)| step_s * rates[0].hypot(rates[1]));
         shutter.saw_step(step.map(|(rates, _)| rates), moved, estimate.pose.height_m);
-        if let (Some(seen), Some(prior), Some(keyframe)) = (&estimate.shutter, &self.frame_shutter, keyframe)
+        if let (Some(seen), Some(prior), Some((pose, exposed))) =
+            (&estimate.shutter, &self.frame_shutter, keyframe)
         {
-            shutter.saw(seen, prior, &keyframe.rates);
+            let displacement = estimate.pose.to_vector() - pose.to_vector();
+            shutter.saw(seen, prior, &exposed.rates, displacement);
         }
     }
 
@@ -89,6 +91,11 @@ impl Learned {
     /// How the present frame is exposed where it was taken at `pose`; `None` for a global shutter.
     pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> Option<RollingShutter> {
         self.frame_shutter.as_ref().map(|prior| prior.shutter_at(camera, pose))
+    }
+
+    /// Whether the pose of the present frame is fitted with a skew.
+    pub fn skew_is_fitted(&self) -> bool {
+        self.frame_shutter.as_ref().is_some_and(|prior| prior.applies)
     }
 
     /// Whether the present frame is taken to be skewed by a rolling shutter.

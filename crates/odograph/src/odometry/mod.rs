@@ -358,7 +358,7 @@ impl Odometry {
             Some(last) => last.moved(time_s, estimate.pose, covariance),
             None => LastPose::still(time_s, estimate.pose, covariance),
         });
-        let exposed = self.keyframe.as_ref().map(|keyframe| &keyframe.shutter);
+        let exposed = self.keyframe.as_ref().map(|keyframe| (&keyframe.pose, &keyframe.shutter));
         self.learned.saw_shutter(&estimate, self.last.as_ref(), exposed);
         self.refine_exposure(&estimate);
         self.exposed = self.exposed_now(&estimate);

@@ -11,6 +11,7 @@ use std::collections::VecDeque;
 pub struct ShutterState {
     readout: Readout,
     phase: Phase,
+    steps_seen: u64,
     /// How far the camera has moved while it was undecided, in heights.
     moved: f64,
     /// Mean squared errors of the foretold rates.
@@ -21,8 +22,8 @@ pub struct ShutterState {
     serving: [Line; 3],
     /// Of those before.
     past: Sums,
-    /// Skew against the keyframe's, and its variances, of the last frame.
-    waiting: Option<(PoseRates, PoseRates)>,
+    /// Skew against the keyframe's, its variances, and the displacement from there, of the last frame.
+    waiting: Option<(PoseRates, PoseRates, PoseRates)>,
 }
 
 /// What the shutter is taken for.
@@ -46,6 +47,9 @@ const LEAST_ROLLING_S: f64 = 3e-4;
 /// After so many heights of movement a shutter that was not seen to roll is taken to be global: a freer
 /// model that has not proved itself by then only loses.
 const UNDECIDED_HEIGHTS: f64 = 0.6;
+
+/// Where the shutter is taken to be global, every so many frames are looked at for whether it rolls.
+const LOOKED_AT: u64 = 4;
 
 /// Standard deviation of a readout time of which nothing is known: half of a frame at 30 a second.
 const UNKNOWN_READOUT_S: f64 = 0.015;
@@ -78,6 +82,7 @@ impl ShutterState {
         Self {
             readout,
             phase: if camera.readout_s().is_some() { Phase::Settled } else { Phase::Undecided },
+            steps_seen: 0,
             moved: 0.0,
             rate_variance: PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0),
             history: VecDeque::with_capacity(MOST_STEPS + 1),
@@ -113,7 +118,9 @@ impl ShutterState {
     /// What is expected of the image at `time_s`; `None` where the shutter is global.
     pub fn prior(&self, last: &LastPose, time_s: f64) -> Option<ShutterPrior> {
         let step_s = time_s - last.time_s;
-        if self.is_global() || step_s <= 0.0 {
+        let applies = self.phase != Phase::TakenGlobal;
+        let is_looked_at = applies || self.steps_seen % LOOKED_AT == 0;
+        if self.is_global() || step_s <= 0.0 || !is_looked_at {
             return None;
         }
         // The slope at the end of the parabola through the last two poses and this one.
@@ -124,7 +131,6 @@ impl ShutterState {
         // Without an earlier step the rate may have changed by as much as it is.
         let more = if last.pose_rates.is_some() { 1.0 } else { 3.0 };
         let rate_variance = self.rate_variance * (more * more);
-        let applies = self.phase != Phase::TakenGlobal;
         // What is only looked at may be anything.
         let readout = match self.phase {
             Phase::TakenGlobal => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
@@ -136,6 +142,7 @@ impl ShutterState {
     /// Learns from the mean rates since the last pose how well they can be foretold; `None` where there
     /// was no last pose.
     pub fn saw_step(&mut self, step: Option<PoseRates>, moved: f64, height_m: f64) {
+        self.steps_seen += 1;
         self.moved += moved / height_m;
         if self.phase == Phase::Undecided && self.moved > UNDECIDED_HEIGHTS {
             self.phase = Phase::TakenGlobal;
@@ -166,22 +173,29 @@ impl ShutterState {
     }
 
     /// Learns the readout time from a measured frame, once the next one tells its rates.
-    pub fn saw(&mut self, seen: &ShutterEstimate, prior: &ShutterPrior, keyframe_rates: &PoseRates) {
+    pub fn saw(
+        &mut self,
+        seen: &ShutterEstimate,
+        prior: &ShutterPrior,
+        keyframe_rates: &PoseRates,
+        displacement: PoseRates,
+    ) {
         if self.phase == Phase::Settled {
             return;
         }
         let skew = seen.evidence - prior.readout.mean_s * keyframe_rates;
         let readout_s = self.readout.mean_s.abs().max(UNKNOWN_READOUT_S);
-        self.waiting = Some((skew, seen.evidence_variance + readout_s.powi(2) * prior.rate_variance));
+        let variance = seen.evidence_variance + readout_s.powi(2) * prior.rate_variance;
+        self.waiting = Some((skew, variance, displacement));
     }
 
     /// Learns from the frame before with its rates from the poses on both sides of it.
     fn learn(&mut self, rates: &PoseRates) {
-        let Some((skew, variance)) = self.waiting.take() else { return };
+        let Some((skew, variance, displacement)) = self.waiting.take() else { return };
         let Some(instrument) = self.slow_rates() else { return };
         for i in 0..3 {
             if variance[i].is_finite() && variance[i] > 0.0 {
-                self.serving[i].add(1.0 / variance[i], skew[i], rates[i], instrument[i]);
+                self.serving[i].add(1.0 / variance[i], [skew[i], rates[i], instrument[i], displacement[i]]);
             }
         }
         self.estimate();
@@ -205,6 +219,9 @@ impl ShutterState {
     fn estimate(&mut self) {
         let all = self.serving.iter().fold(self.past, |sum, line| sum.and(&line.sums()));
         let Some((readout_s, variance_s2)) = all.slope() else { return };
+        let is_explained = self.phase != Phase::Rolling && all.left_by(readout_s) > all.left_by_displacement;
+        let (readout_s, variance_s2) =
+            if is_explained { (0.0, variance_s2 + readout_s * readout_s) } else { (readout_s, variance_s2) };
         let (before, now) = (UNKNOWN_READOUT_S.powi(-2), 1.0 / variance_s2);
         let mean_s = now * readout_s / (before + now);
         let seen =
@@ -226,51 +243,51 @@ impl ShutterState {
 /// its own skew is off by, so that each keyframe has a line of its own with the same slope.
 ///
 /// Foretold rates have errors, which would flatten the slope; an instrumental variable that follows the
-/// rates but not their errors does not (P. Wright, 1928; J. Sargan, 1958).
+/// rates but not their errors does not (P. Wright, 1928; J. Sargan, 1958). An unknown tilt, a wrong lens
+/// and ground that slopes or bends look like a skew that grows with the displacement from the keyframe:
+/// where that explains the skews better than the rates do, no shutter rolls.
 #[derive(Debug, Clone, Copy, Default)]
 struct Line {
     weight: f64,
-    /// Weighted sums of skew, rates and instrument.
-    first: [f64; 3],
-    /// Weighted sums of their products: with the instrument, then of skew and rates.
-    skew_instrument: f64,
-    rates_instrument: f64,
-    instrument_square: f64,
-    skew_square: f64,
-    skew_rates: f64,
-    rates_square: f64,
+    /// Weighted sums of skew, rates, instrument and displacement.
+    first: [f64; 4],
+    /// Weighted sums of their products.
+    second: [[f64; 4]; 4],
     count: f64,
 }
 
+const SKEW: usize = 0;
+const RATES: usize = 1;
+const INSTRUMENT: usize = 2;
+const DISPLACEMENT: usize = 3;
+
 impl Line {
-    fn add(&mut self, weight: f64, skew: f64, rates: f64, instrument: f64) {
+    fn add(&mut self, weight: f64, values: [f64; 4]) {
         self.weight += weight;
-        for (sum, value) in self.first.iter_mut().zip([skew, rates, instrument]) {
-            *sum += weight * value;
+        for i in 0..4 {
+            self.first[i] += weight * values[i];
+            for k in 0..4 {
+                self.second[i][k] += weight * values[i] * values[k];
+            }
         }
-        self.skew_instrument += weight * skew * instrument;
-        self.rates_instrument += weight * rates * instrument;
-        self.instrument_square += weight * instrument * instrument;
-        self.skew_square += weight * skew * skew;
-        self.skew_rates += weight * skew * rates;
-        self.rates_square += weight * rates * rates;
         self.count += 1.0;
     }
 
     /// The sums about the means.
     fn sums(&self) -> Sums {
-        if self.count < 2.0 {
+        if self.count < 3.0 {
             return Sums::default();
         }
-        let [skew, rates, instrument] = self.first;
-        let about = |product: f64, a: f64, b: f64| product - a * b / self.weight;
+        let about = |i: usize, k: usize| self.second[i][k] - self.first[i] * self.first[k] / self.weight;
+        let displaced = about(SKEW, DISPLACEMENT).powi(2) / about(DISPLACEMENT, DISPLACEMENT);
         Sums {
-            skew_instrument: about(self.skew_instrument, skew, instrument),
-            rates_instrument: about(self.rates_instrument, rates, instrument),
-            instrument_square: about(self.instrument_square, instrument, instrument),
-            skew_square: about(self.skew_square, skew, skew),
-            skew_rates: about(self.skew_rates, skew, rates),
-            rates_square: about(self.rates_square, rates, rates),
+            skew_instrument: about(SKEW, INSTRUMENT),
+            rates_instrument: about(RATES, INSTRUMENT),
+            instrument_square: about(INSTRUMENT, INSTRUMENT),
+            skew_square: about(SKEW, SKEW),
+            skew_rates: about(SKEW, RATES),
+            rates_square: about(RATES, RATES),
+            left_by_displacement: about(SKEW, SKEW) - if displaced.is_finite() { displaced } else { 0.0 },
             degrees: self.count - 1.0,
         }
     }
@@ -285,6 +302,8 @@ struct Sums {
     skew_square: f64,
     skew_rates: f64,
     rates_square: f64,
+    /// Squares of the skew that lines through the displacement leave.
+    left_by_displacement: f64,
     degrees: f64,
 }
 
@@ -297,8 +316,14 @@ impl Sums {
             skew_square: self.skew_square + other.skew_square,
             skew_rates: self.skew_rates + other.skew_rates,
             rates_square: self.rates_square + other.rates_square,
+            left_by_displacement: self.left_by_displacement + other.left_by_displacement,
             degrees: self.degrees + other.degrees,
         }
+    }
+
+    /// Squares of the skew that a slope over the rates leaves.
+    fn left_by(&self, slope: f64) -> f64 {
+        self.skew_square - 2.0 * slope * self.skew_rates + slope * slope * self.rates_square
     }
 
     /// The slope and its variance; `None` where nothing tells it.
@@ -307,7 +332,7 @@ impl Sums {
             return None;
         }
         let slope = self.skew_instrument / self.rates_instrument;
-        let left = self.skew_square - 2.0 * slope * self.skew_rates + slope * slope * self.rates_square;
+        let left = self.left_by(slope);
         // At least what the weights say; neighbouring frames share their errors.
         let scatter = (left / (self.degrees - 1.0)).max(1.0) * SHARED;
         let variance = scatter * self.instrument_square / (self.rates_instrument * self.rates_instrument);
