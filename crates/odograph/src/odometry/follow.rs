@@ -10,6 +10,7 @@ use crate::camera::Camera;
 use crate::flow::{Noise, REACH_PX, Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
+use crate::motion::RigPrior;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{
     MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RollingShutter, ShutterPrior,
@@ -164,7 +165,7 @@ fn measure_whole(
     learned: &Learned,
 ) -> Result<Measurement, LossReason> {
     let image = DenseImage::new(pyramid.base()).without(keyframe.mask.clone());
-    let prior = learned.wander.prior(prediction, &config.motion).reaching(&keyframe.pose);
+    let prior = learned.wander.prior(prediction, &config.motion);
     let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
     let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
     if found.agreement < config.motion.minimum_inlier_fraction {
@@ -378,7 +379,7 @@ fn agreement(
     let shutter = learned.shutter_at(camera, prediction);
     let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
     let observations = observations(keyframe, found, camera, prediction, shutter);
-    let prior = learned.wander.prior(prediction, &config.motion).reaching(&keyframe.pose);
+    let prior = learned.wander.prior(prediction, &config.motion);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
     let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
@@ -468,20 +469,25 @@ fn judge(
     let estimate = if config.motion.model == MotionModel::Mean {
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
-        let prior = learned.wander.prior(prediction, &config.motion).reaching(&keyframe.pose);
-        let mut measure = |near: &GroundPose| {
+        let prior = learned.wander.prior(prediction, &config.motion);
+        let mut measure = |near: &GroundPose, prior: &RigPrior| {
             let shutter = learned.shutter_at(camera, near);
             let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
             let observations = observations(keyframe, &found, camera, near, shutter);
             let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
             let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
-            estimate(camera, observations, near, &prior, &config.motion, random)
+            estimate(camera, observations, near, prior, &config.motion, random)
         };
-        let first = measure(&settled.unwrap_or(*prediction));
+        let near = settled.unwrap_or(*prediction);
+        // A keyframe that is off the mount by more than the mount is seen to move still holds its frames.
+        let prior = [prior, prior.reaching(&keyframe.pose)];
+        let first = prior.iter().find_map(|prior| Some((measure(&near, prior)?, prior)));
         match &first {
             // The rates were those of a pose that was foretold; once more with those of the one found.
-            Some(found) if learned.skew_is_fitted() => measure(&found.pose).or(first),
-            _ => first,
+            Some((found, prior)) if learned.skew_is_fitted() => {
+                measure(&found.pose, prior).or_else(|| first.clone().map(|(found, _)| found))
+            }
+            _ => first.map(|(found, _)| found),
         }
     };
     let estimate = estimate.ok_or_else(|| why_not(keyframe, camera, &found, prediction))?;

@@ -215,6 +215,11 @@ impl Odometry {
         self.learned.shutter().map(|state| state.readout())
     }
 
+    /// Whether the readout time has mattered so far: the camera has moved by some heights.
+    pub fn readout_matters(&self) -> bool {
+        self.learned.shutter().is_some_and(|state| state.has_moved())
+    }
+
     /// How many keyframes were made.
     pub fn keyframes(&self) -> u64 {
         self.keyframes

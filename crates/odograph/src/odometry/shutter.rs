@@ -51,6 +51,13 @@ const UNDECIDED_HEIGHTS: f64 = 0.6;
 /// Where the shutter is taken to be global, every so many frames are looked at for whether it rolls.
 const LOOKED_AT: u64 = 4;
 
+/// Where the displacement explains the skews better over so many degrees of freedom, three for a frame, the
+/// shutter is taken to be global at once.
+const ENOUGH_DEGREES: f64 = 24.0;
+
+/// After so many heights of movement a readout time that is not known is worth a word.
+const MATTERING_HEIGHTS: f64 = 3.0;
+
 /// Standard deviation of a readout time of which nothing is known: half of a frame at 30 a second.
 const UNKNOWN_READOUT_S: f64 = 0.015;
 
@@ -101,6 +108,11 @@ impl ShutterState {
     pub fn readout_doubt_s2(&self) -> f64 {
         let Readout { mean_s, variance_s2 } = self.readout;
         if self.phase == Phase::TakenGlobal { mean_s * mean_s + variance_s2 } else { variance_s2 }
+    }
+
+    /// Whether the camera has moved far enough for the readout time to matter.
+    pub fn has_moved(&self) -> bool {
+        self.moved > MATTERING_HEIGHTS
     }
 
     /// Whether the readout time is known to a third, so that rates can be told from rows.
@@ -211,8 +223,8 @@ impl ShutterState {
     /// Mean rates over some steps before the last two, with which the errors of the rates that are
     /// foretold now have nothing to do.
     fn slow_rates(&self) -> Option<PoseRates> {
-        let steps: Vec<&PoseRates> = self.history.iter().skip(1).collect();
-        (steps.len() >= SLOW_STEPS).then(|| steps.iter().copied().sum::<PoseRates>() / steps.len() as f64)
+        let steps = self.history.len().saturating_sub(1);
+        (steps >= SLOW_STEPS).then(|| self.history.iter().skip(1).sum::<PoseRates>() / steps as f64)
     }
 
     /// The slope of the skew over the rates: the readout time.
@@ -228,6 +240,9 @@ impl ShutterState {
             mean_s.abs() > LEAST_ROLLING_S && readout_s * readout_s > SIGNIFICANT.powi(2) * variance_s2;
         if seen && self.phase != Phase::Rolling {
             self.phase = Phase::Rolling;
+        }
+        if is_explained && self.phase == Phase::Undecided && all.degrees > ENOUGH_DEGREES {
+            self.phase = Phase::TakenGlobal;
         }
         self.readout.mean_s = mean_s.clamp(-Camera::LONGEST_READOUT_S, Camera::LONGEST_READOUT_S);
         self.readout.variance_s2 = (1.0 / (before + now)).max(LEAST_READOUT_S.powi(2));

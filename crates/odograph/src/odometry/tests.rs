@@ -2,7 +2,7 @@ use super::*;
 use crate::camera::Distortion;
 use crate::geometry::wrap_angle;
 use crate::motion::Random;
-use crate::simulation::{Ground, Renderer, Texture};
+use crate::simulation::{Effects, Ground, Path, PathKind, Renderer, Simulation, SimulationConfig, Texture};
 
 mod lossy;
 mod rolling;

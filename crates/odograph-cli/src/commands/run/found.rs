@@ -139,7 +139,7 @@ const UNKNOWN_MS: f64 = 1.0;
 impl FoundReadout {
     /// What a run knows of it in the end; `None` where the shutter was taken to be global.
     pub fn of(camera: &Camera, odometry: &Odometry) -> Option<Self> {
-        let readout = odometry.readout()?;
+        let readout = odometry.readout().filter(|_| odometry.readout_matters())?;
         Some(Self {
             readout_ms: 1e3 * readout.mean_s,
             deviation_ms: 1e3 * readout.variance_s2.sqrt(),

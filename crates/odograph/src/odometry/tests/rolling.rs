@@ -1,7 +1,6 @@
 //! Rolling shutters on rendered ground with exact truth.
 
 use super::*;
-use crate::simulation::{Effects, Path, PathKind, Simulation, SimulationConfig};
 
 const READOUT_S: f64 = 0.020;
 
