@@ -326,11 +326,13 @@ impl Camera {
     /// Fails where it is not finite or longer than [`Camera::LONGEST_READOUT_S`].
     pub fn with_readout_s(self, readout_s: Option<f64>) -> Result<Self> {
         match readout_s {
-            Some(readout) if !(readout.abs() <= Self::LONGEST_READOUT_S) => Err(Error::input(format!(
-                "the readout time is {} ms; it must lie within {} ms, and is shorter than a frame lasts",
-                1e3 * readout,
-                1e3 * Self::LONGEST_READOUT_S
-            ))),
+            Some(readout) if !readout.is_finite() || readout.abs() > Self::LONGEST_READOUT_S => {
+                Err(Error::input(format!(
+                    "the readout time is {} ms; it must lie within {} ms, and is shorter than a frame lasts",
+                    1e3 * readout,
+                    1e3 * Self::LONGEST_READOUT_S
+                )))
+            }
             _ => Ok(Self { readout_s, ..self }),
         }
     }

@@ -121,7 +121,7 @@ impl FixedPattern {
         let number = self.images;
         self.images += 1;
         let eager = self.statistics.samples() < SETTLED_SAMPLES && number < FIRST_IMAGES;
-        if !eager && number % EVERY != 0 {
+        if !eager && !number.is_multiple_of(EVERY) {
             return SinceLast::Unclear;
         }
         self.now.fill(image);
@@ -148,7 +148,7 @@ impl FixedPattern {
         self.statistics.add(&self.now);
         std::mem::swap(&mut self.last, &mut self.now);
         let samples = self.statistics.added();
-        if FIRST_DECISIONS.contains(&samples) || samples % DECIDE_EVERY == 0 {
+        if FIRST_DECISIONS.contains(&samples) || samples.is_multiple_of(DECIDE_EVERY) {
             self.decide();
         }
     }

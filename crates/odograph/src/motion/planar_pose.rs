@@ -309,7 +309,7 @@ pub fn refine(
     let shutter = match shutter.as_ref().or(expected.as_ref()) {
         Some(shutter) => {
             // A skew that is only looked at leaves the rows of the pose as they are.
-            let kept = aside.then(|| residuals.clone());
+            let kept = aside.then(|| -> Buffer<Residual> { residuals.iter().copied().collect() });
             let eliminated = shutter.eliminate(observations, &mut residuals, &weights, scale_px)?;
             let pose_covariance = unknowns.of(&information).cholesky()?.inverse();
             let estimate = match kept {

@@ -482,12 +482,12 @@ fn judge(
         // A keyframe that is off the mount by more than the mount is seen to move still holds its frames.
         let prior = [prior, prior.reaching(&keyframe.pose)];
         let first = prior.iter().find_map(|prior| Some((measure(&near, prior)?, prior)));
-        match &first {
+        match first {
             // The rates were those of a pose that was foretold; once more with those of the one found.
             Some((found, prior)) if learned.skew_is_fitted() => {
-                measure(&found.pose, prior).or_else(|| first.clone().map(|(found, _)| found))
+                Some(measure(&found.pose, prior).unwrap_or(found))
             }
-            _ => first.map(|(found, _)| found),
+            first => first.map(|(found, _)| found),
         }
     };
     let estimate = estimate.ok_or_else(|| why_not(keyframe, camera, &found, prediction))?;

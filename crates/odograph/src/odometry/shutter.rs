@@ -131,7 +131,7 @@ impl ShutterState {
     pub fn prior(&self, last: &LastPose, time_s: f64) -> Option<ShutterPrior> {
         let step_s = time_s - last.time_s;
         let applies = self.phase != Phase::TakenGlobal;
-        let is_looked_at = applies || self.steps_seen % LOOKED_AT == 0;
+        let is_looked_at = applies || self.steps_seen.is_multiple_of(LOOKED_AT);
         if self.is_global() || step_s <= 0.0 || !is_looked_at {
             return None;
         }

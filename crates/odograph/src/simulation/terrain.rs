@@ -164,7 +164,7 @@ impl Surface {
             waves,
             kerb: terrain.kerb,
             ramp: terrain.ramp,
-            stones: terrain.relief.map(|relief| Stones::new(relief, mix(seed ^ 0x570_4E))),
+            stones: terrain.relief.map(|relief| Stones::new(relief, mix(seed ^ 0x0005_704E))),
             ridden_from_m: None,
             step_m: steps.into_iter().flatten().fold(f64::INFINITY, f64::min),
         };

@@ -89,7 +89,7 @@ fn readout_s(map: &Value, prefix: &str, rows: usize) -> Result<Option<f64>> {
         let Some(value) = map.get(key) else { return Ok(None) };
         let name = format!("{prefix}{key}");
         let seconds = scale * value.number(&name)?;
-        if seconds >= 0.0 && seconds <= Camera::LONGEST_READOUT_S {
+        if (0.0..=Camera::LONGEST_READOUT_S).contains(&seconds) {
             return Ok(Some(seconds));
         }
         Err(Error::input(format!(
