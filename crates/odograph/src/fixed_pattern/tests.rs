@@ -14,7 +14,7 @@ fn images(texture: &str, poses: impl Iterator<Item = (f64, f64)>) -> Vec<GrayIma
     let footprint_m = renderer.footprint_m(HEIGHT_M);
     let ground = Ground::new(Texture::named(texture).unwrap(), footprint_m, false, 3).unwrap();
     let mut random = Random::new(5);
-    let mut image = |(x_m, heading_rad): (f64, f64)| {
+    let image = |(x_m, heading_rad): (f64, f64)| {
         let mut image =
             renderer.gray_view(&ground, &GroundPose { x_m, heading_rad, ..GroundPose::level(HEIGHT_M) });
         for sample in image.samples_mut() {
@@ -23,7 +23,7 @@ fn images(texture: &str, poses: impl Iterator<Item = (f64, f64)>) -> Vec<GrayIma
         }
         image
     };
-    poses.map(|pose| image(pose)).collect()
+    poses.map(image).collect()
 }
 
 /// Blocks of 7 pixels over the lowest quarter of an image.

@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// Reads a picture in any format that recordings of pictures may have.
 pub fn read(path: &Path) -> Result<GrayImage> {
-    let mut source = odograph_video::open(&path.display().to_string(), &SourceOptions::default())?;
+    let mut source = odograph_video::open(path.display().to_string(), &SourceOptions::default())?;
     let frame = source.next_frame()?;
     frame
         .map(|frame| frame.gray)

@@ -39,7 +39,7 @@ pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> 
             let pixel_m = layer.picture_at(level).2.metres_per_pixel;
             let side = MOSAIC_TILE_PX as u64;
             let mut shown = 0;
-            each_tile(file, level, &mut |tile_column, tile_row, rgba| {
+            each_tile(file, level, |tile_column, tile_row, rgba| {
                 for (k, pixel) in rgba.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
                     shown += 1;
                     if !(shown - 1u64).is_multiple_of(every) {
@@ -68,7 +68,7 @@ fn vertex(position: [f64; 3], color: &[u8]) -> Vec<u8> {
 
 /// Gives every tile of a level that is there: its column, its row, and its pixels. Fails once the
 /// program was asked to end.
-fn each_tile(file: &MapFile, level: u32, take: &mut dyn FnMut(u64, u64, &[u8]) -> Result<()>) -> Result<()> {
+fn each_tile(file: &MapFile, level: u32, mut take: impl FnMut(u64, u64, &[u8]) -> Result<()>) -> Result<()> {
     for (column, row) in file.mosaic_tiles(level)? {
         interrupt::check()?;
         if let Some(rgba) = file.mosaic_tile(level, column, row)? {
@@ -82,7 +82,7 @@ fn each_tile(file: &MapFile, level: u32, take: &mut dyn FnMut(u64, u64, &[u8]) -
 fn chosen(file: &MapFile, layer: &MosaicLayer, most_points: usize) -> Result<(u32, u64)> {
     for level in (0..=layer.finest).rev() {
         let mut points = 0;
-        each_tile(file, level, &mut |_, _, rgba| {
+        each_tile(file, level, |_, _, rgba| {
             points += rgba.chunks_exact(4).filter(|pixel| pixel[3] > 0).count() as u64;
             Ok(())
         })?;
