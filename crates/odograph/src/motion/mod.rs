@@ -10,14 +10,13 @@ pub mod dense;
 mod global_image;
 mod ground_patch;
 mod mean;
-mod nuisance;
+mod normal_equations;
 mod planar_pose;
 mod random;
 mod ransac;
 mod rig_prior;
 mod rolling_shutter;
 mod sharing;
-mod steady_tilt;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
 pub use global_image::global_image;
@@ -28,12 +27,11 @@ pub use random::Random;
 pub use rig_prior::{RigPrior, RigWander};
 pub use rolling_shutter::{PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
 pub use sharing::Neighbours;
-pub use steady_tilt::MountChange;
 
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
-use nalgebra::{Matrix2, Matrix3, Matrix6};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// What may change between frames.
@@ -133,6 +131,8 @@ pub struct Observations<'a> {
     pub seen: &'a [Observation],
     /// The pose from which the keyframe laid them on the ground.
     pub laid_from: &'a GroundPose,
+    /// Covariance of the height, roll and pitch of that, metres and radians.
+    pub laid_covariance: &'a Matrix3<f64>,
     /// What is known of a rolling shutter, and the rates of the pose with which the pixels were brought
     /// to a global one; `None` where the shutter is global.
     pub shutter: Option<(&'a ShutterPrior, PoseRates)>,
@@ -191,6 +191,8 @@ pub struct MotionEstimate {
     /// How the pose changes with (x, y, heading, height, roll, pitch) of the pose from which the ground points were laid: their uncertainty is carried
     /// over by it.
     pub by_keyframe: Matrix6<f64>,
+    /// What the tracks say of the keyframe's height and tilt; `None` where these were known before.
+    pub keyframe_error: Option<KeyframeError>,
     /// For each observation, whether it agrees.
     pub inliers: Buffer<bool>,
     /// Root mean square distance of the inliers from their re-projections, pixels.
@@ -201,6 +203,17 @@ pub struct MotionEstimate {
     pub rig_evidence: Option<RigEvidence>,
     /// What the tracks say of the shutter, where it may roll.
     pub shutter: Option<ShutterEstimate>,
+}
+
+/// How far height (metres), roll and pitch (radians) of a keyframe are from what they were taken
+/// for, as a frame measured against it has them: a plane seen from two places tells how both stand
+/// over it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KeyframeError {
+    /// How far.
+    pub mean: Vector3<f64>,
+    /// The covariance that is left.
+    pub covariance: Matrix3<f64>,
 }
 
 /// What the tracks of a frame alone, without a prior, say of height (metres), roll and pitch (radians).

@@ -1,10 +1,9 @@
 //! What is known of height, roll and pitch, and of the tracks' errors, before a frame is measured.
 
 use super::sharing::Neighbours;
-use super::steady_tilt::{MountChange, Off, SteadyTilt};
 use super::{MotionConfig, MotionEstimate, MotionModel};
 use crate::geometry::GroundPose;
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::Matrix6;
 
 /// A Gaussian over height (metres), roll and pitch (radians).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,6 +17,20 @@ pub struct RigPrior {
 }
 
 impl RigPrior {
+    /// The same for a frame after one at `last`, from where height and tilt take usual steps.
+    fn after(mut self, last: Option<&[f64; 3]>, steps: &[Steps; 3]) -> Self {
+        let Some(last) = last else { return self };
+        let least = [LEAST_STEP * last[0], LEAST_STEP, LEAST_STEP];
+        for i in 0..3 {
+            let (of_mount, of_step) = (self.sigma[i].powi(-2), 1.0 / steps[i].variance(least[i]));
+            if of_step > 0.0 && of_step.is_finite() {
+                self.mean[i] = (of_mount * self.mean[i] + of_step * last[i]) / (of_mount + of_step);
+                self.sigma[i] = (of_mount + of_step).sqrt().recip();
+            }
+        }
+        self
+    }
+
     /// The same, wide enough to reach the pose of a keyframe: where that is off the mount so is the plane
     /// on which its points lie, and every frame measured against them.
     pub fn reaching(mut self, keyframe: &GroundPose) -> Self {
@@ -28,6 +41,42 @@ impl RigPrior {
         self
     }
 }
+
+/// How far height, roll or pitch changes from frame to frame: its mean square.
+#[derive(Debug, Clone, Copy, Default)]
+struct Steps {
+    mean_square: f64,
+    seen: usize,
+}
+
+impl Steps {
+    fn learn(&mut self, step: f64) {
+        // One that is far off is a fault rather than the rule.
+        let most = if self.seen < STEPS_BEFORE { f64::INFINITY } else { 9.0 * self.mean_square };
+        let rate = LEARNING_RATE.max(1.0 / (self.seen + 1) as f64);
+        self.mean_square += rate * ((step * step).min(most) - self.mean_square);
+        self.seen += 1;
+    }
+
+    /// The variance that a step is expected to have, wide enough to decide only what the tracks
+    /// leave open.
+    fn variance(&self, least: f64) -> f64 {
+        let variance = (USUAL_STEPS * USUAL_STEPS * self.mean_square).max(least * least);
+        if self.seen < STEPS_BEFORE { f64::INFINITY } else { variance }
+    }
+}
+
+/// So many steps must have been seen, and so many times the usual one is expected.
+const STEPS_BEFORE: usize = 10;
+const USUAL_STEPS: f64 = 3.0;
+
+/// A step may always be so long, parts of the height and radians (a fifth of a degree): a camera
+/// that seems to stand still because it is held still could otherwise not be found to be elsewhere.
+const LEAST_STEP: f64 = 0.0035;
+
+/// A camera that turns by more than this from frame to frame is not fixed to what carries it,
+/// radians (a tenth of a degree).
+const MOUNTED_STEP: f64 = 0.5 * LEAST_STEP;
 
 /// How far height, roll or pitch is off: squares, averaged over the last frames.
 #[derive(Debug, Clone, Copy, Default)]
@@ -55,11 +104,16 @@ impl Deviation {
     /// come to be off without that being the keyframe's error.
     fn wander(&self, shared_part: f64) -> f64 {
         let beyond_doubt = BEYOND_DOUBT + BEYOND_SHARED * shared_part;
-        let doubt = beyond_doubt * self.noise;
+        let off = self.from_mount - beyond_doubt * self.noise;
+        self.sway(shared_part).min(off).max(off - beyond_doubt * self.of_keyframe).max(0.0)
+    }
+
+    /// The variance of the rig's movement as it is seen while a keyframe serves, wherever the mount
+    /// is.
+    fn sway(&self, shared_part: f64) -> f64 {
+        let doubt = (BEYOND_DOUBT + BEYOND_SHARED * shared_part) * self.noise;
         // Between two frames a swaying rig is off by its variance twice; one that sways slowly is still near where it was at the keyframe.
-        let sway = SLOWNESS * (0.5 * self.from_keyframe - doubt);
-        let off = self.from_mount - doubt;
-        sway.min(off).max(off - beyond_doubt * self.of_keyframe).max(0.0)
+        (SLOWNESS * (0.5 * self.from_keyframe - doubt)).max(0.0)
     }
 }
 
@@ -73,21 +127,65 @@ const BEYOND_SHARED: f64 = 10.0;
 
 /// How much the rig is seen to move: what `auto` decides by.
 ///
-/// Height, roll and pitch are taken as scattered about those of the mount with a variance that the recording itself tells (empirical
-/// Bayes; B. Efron and C. Morris, 1973): the squared deviations of what the tracks alone say, less what their noise and the keyframe's own error
-/// explain, averaged over the last frames. On a cart nothing is left beyond doubt, the prior is tight, and the model is the rigid one; with a
-/// shaking mount, a breathing drone or a hand it opens just as far as it must. What a steady tilt explains that nobody told is no movement: that tilt is
-/// learned beside.
+/// Height, roll and pitch are taken as scattered about those of the mount with a variance that the
+/// recording itself tells (empirical Bayes; B. Efron and C. Morris, 1973): the squared deviations
+/// of what the tracks alone say, less what their noise and the keyframe's own error explain,
+/// averaged over the last frames. On a cart nothing is left beyond doubt, the prior is tight, and
+/// the model is the rigid one; with a shaking mount, a breathing drone or a hand it opens just as
+/// far as it must. About which roll and pitch they scatter is learned, too.
 #[derive(Debug, Clone)]
 pub struct RigWander {
     nominal: [f64; 3],
     deviations: [Deviation; 3],
-    tilt: SteadyTilt,
-    /// From the keyframe that serves to the last frame, and all the way that `tilt` was believed, metres.
-    way_m: f64,
-    driven_m: f64,
+    tilt: [MountTilt; 2],
+    steps: [Steps; 3],
+    last: Option<[f64; 3]>,
     neighbours: Neighbours,
 }
+
+/// Roll or pitch of the mount less what was told: a normal distribution, radians.
+#[derive(Debug, Clone, Copy)]
+struct MountTilt {
+    mean: f64,
+    variance: f64,
+    keyframes: usize,
+    /// What the last frame says, and its variance.
+    seen: Option<(f64, f64)>,
+}
+
+impl MountTilt {
+    const UNKNOWN: Self = Self { mean: 0.0, variance: USUAL_TILT * USUAL_TILT, keyframes: 0, seen: None };
+
+    /// Learns from the last frame of a keyframe, about which the rig sways with this variance.
+    fn learn(&mut self, sway: f64) {
+        let Some((value, variance)) = self.seen.take() else { return };
+        let gain = self.variance / (self.variance + variance + sway);
+        self.mean += gain * (value - self.mean);
+        self.variance *= 1.0 - gain;
+        self.keyframes += 1;
+    }
+
+    /// What is taken for it: what was told, unless that is wrong beyond doubt and the rig sways by
+    /// less.
+    fn found(&self, sway: f64) -> f64 {
+        let is_beyond_doubt =
+            self.keyframes >= LEAST_KEYFRAMES && self.mean * self.mean > BEYOND_DOUBT_TILT * self.variance;
+        if is_beyond_doubt && sway < STEADY * STEADY * self.mean * self.mean { self.mean } else { 0.0 }
+    }
+}
+
+/// What a tilt that nobody told is before anything was seen, one standard deviation, radians:
+/// larger ones are seen by whoever mounts the camera.
+const USUAL_TILT: f64 = 0.05;
+
+/// A tilt of so many squared standard deviations is there (of one number: one time in two million
+/// by chance), and so many keyframes must have shown it: a slow sway looks like it over one.
+const BEYOND_DOUBT_TILT: f64 = 25.0;
+const LEAST_KEYFRAMES: usize = 3;
+
+/// A tilt is that of the mount, and not of a hand or of a spring, where it sways by less than this
+/// part of itself.
+const STEADY: f64 = 1.0 / 3.0;
 
 /// Weight of the newest frame in the average: about the last twenty count.
 const LEARNING_RATE: f64 = 0.05;
@@ -102,9 +200,9 @@ impl RigWander {
         Self {
             nominal: [mount.height_m, mount.roll_rad, mount.pitch_rad],
             deviations: Default::default(),
-            tilt: SteadyTilt::default(),
-            way_m: 0.0,
-            driven_m: 0.0,
+            tilt: [MountTilt::UNKNOWN; 2],
+            steps: Default::default(),
+            last: None,
             neighbours: Neighbours::default(),
         }
     }
@@ -117,7 +215,7 @@ impl RigWander {
                 let smallest = [SMALLEST_SIGMA[0] * self.nominal[0], SMALLEST_SIGMA[1], SMALLEST_SIGMA[2]];
                 let wander = self.wander();
                 let sigma = [0, 1, 2].map(|i| wander[i].sqrt().max(smallest[i]));
-                RigPrior { mean: self.mount(), sigma, shared_part }
+                RigPrior { mean: self.mount(), sigma, shared_part }.after(self.last.as_ref(), &self.steps)
             }
             _ => RigPrior {
                 mean: [last.height_m, last.roll_rad, last.pitch_rad],
@@ -133,50 +231,60 @@ impl RigWander {
         self.deviations.map(|deviation| deviation.wander(shared_part))
     }
 
+    fn sway(&self) -> [f64; 3] {
+        let shared_part = self.neighbours.shared_part();
+        self.deviations.map(|deviation| deviation.sway(shared_part))
+    }
+
+    /// How far roll and pitch of the mount may be from what was told: variances. None of a camera
+    /// that turns from frame to frame, which is held or shaken, and none where neighbouring tracks
+    /// are off alike, which a tilt does not explain.
+    pub fn mount_doubt(&self) -> [f64; 2] {
+        let (wander, own_part) = (self.wander(), 1.0 - self.neighbours.shared_part());
+        let steps = self.steps.map(|steps| steps.mean_square);
+        let is_mounted = steps[1].max(steps[2]) < MOUNTED_STEP * MOUNTED_STEP;
+        let doubt = |i: usize| own_part * (wander[i] - SLOWNESS * steps[i]).max(0.0);
+        [1, 2].map(|i| if is_mounted { doubt(i) } else { 0.0 })
+    }
+
     /// Height, roll and pitch of the mount, as far as they are known.
     fn mount(&self) -> [f64; 3] {
-        let (tilt, [height_m, roll_rad, pitch_rad]) = (self.tilt.found(), self.nominal);
-        [height_m, roll_rad + tilt.x, pitch_rad + tilt.y]
+        let ([height_m, roll_rad, pitch_rad], [_, of_roll, of_pitch]) = (self.nominal, self.sway());
+        let [roll, pitch] = &self.tilt;
+        [height_m, roll_rad + roll.found(of_roll), pitch_rad + pitch.found(of_pitch)]
     }
 
     /// Learns from a measured frame: from which pose of its keyframe that was done, and what that one's uncertainty makes of the frame's covariance.
     pub fn learn(&mut self, estimate: &MotionEstimate, keyframe: &GroundPose, carried: &Matrix6<f64>) {
         self.neighbours.learn(&estimate.neighbours);
+        let here = [estimate.pose.height_m, estimate.pose.roll_rad, estimate.pose.pitch_rad];
+        if let Some(last) = self.last.replace(here) {
+            (0..3).for_each(|i| self.steps[i].learn(here[i] - last[i]));
+        }
         let Some(evidence) = &estimate.rig_evidence else {
             return;
         };
         let from = [keyframe.height_m, keyframe.roll_rad, keyframe.pitch_rad];
         let mount = self.mount();
-        let of_keyframe = [3, 4, 5].map(|i| carried[(i, i)]);
-        let off = Off {
-            frame: Vector3::from_fn(|i, _| evidence.value[i] - self.nominal[i]),
-            keyframe: Vector3::from_fn(|i, _| from[i] - self.nominal[i]),
-            variances: Vector3::from_fn(|i, _| evidence.variance[i] + of_keyframe[i]),
-            sway: self.wander().into(),
-        };
-        let explained = self.tilt.learn(evidence, &off);
-        self.way_m = (estimate.pose.x_m - keyframe.x_m).hypot(estimate.pose.y_m - keyframe.y_m);
         for (i, &value) in evidence.value.iter().enumerate() {
-            let unexplained = explained.map_or(f64::INFINITY, |explained| off.frame[i] - explained[i]);
-            let apart = |from: f64| (value - from).powi(2).min(unexplained.powi(2));
+            let of_keyframe = carried[(3 + i, 3 + i)];
             let now = Deviation {
-                from_mount: apart(mount[i]),
-                from_keyframe: apart(from[i]),
+                from_mount: (value - mount[i]).powi(2),
+                from_keyframe: (value - from[i]).powi(2),
                 noise: evidence.variance[i],
-                of_keyframe: of_keyframe[i],
+                of_keyframe,
             };
             self.deviations[i].learn(&now);
+            if let Some(tilt) = i.checked_sub(1) {
+                self.tilt[tilt].seen = Some((value - self.nominal[i], evidence.variance[i] + of_keyframe));
+            }
         }
     }
 
-    /// Another keyframe serves from here on. Gives what has to be set right in the poses of keyframes where the mount is now known to be otherwise.
-    pub fn settle(&mut self) -> Option<MountChange> {
-        let (before, wander) = (self.mount(), self.wander());
-        let steady = wander.map(|wander| wander == 0.0);
-        self.driven_m += std::mem::take(&mut self.way_m);
-        self.tilt.settle(wander[1] + wander[2]).then(|| {
-            let driven_m = std::mem::take(&mut self.driven_m);
-            MountChange { before, now: self.mount(), steady, driven_m }
-        })
+    /// Another keyframe serves from here on.
+    pub fn settle(&mut self) {
+        let [_, of_roll, of_pitch] = self.sway();
+        self.tilt[0].learn(of_roll);
+        self.tilt[1].learn(of_pitch);
     }
 }

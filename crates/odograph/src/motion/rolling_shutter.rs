@@ -3,7 +3,7 @@
 //! The time of an image is that of its middle row, and so is its pose. Within the image the pose
 //! changes at constant rates. A pixel is brought to where a global shutter would have seen the same
 //! ground ([`RollingShutter::global_pixel`]); rates and readout time that differ from what was
-//! assumed are unknowns beside the pose (`super::nuisance`).
+//! assumed are unknowns beside the pose (`super::normal_equations`).
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};

@@ -49,7 +49,12 @@ fn measured(
     config: &MotionConfig,
     seed: u64,
 ) -> Option<MotionEstimate> {
-    let observations = Observations { seen, laid_from: &GroundPose::level(1.0), shutter: None };
+    let observations = Observations {
+        seen,
+        laid_from: &GroundPose::level(1.0),
+        laid_covariance: &nalgebra::Matrix3::zeros(),
+        shutter: None,
+    };
     estimate(&camera(), observations, prediction, prior, config, &mut Random::new(seed))
 }
 
@@ -173,6 +178,46 @@ fn the_pose_moves_with_that_of_its_keyframe_as_is_said() {
             }
         }
     }
+}
+
+#[test]
+fn a_wrong_tilt_of_the_keyframe_is_found_with_the_pose() {
+    let keyframe = GroundPose { roll_rad: 0.02, pitch_rad: -0.015, ..GroundPose::level(1.0) };
+    let taken_for = GroundPose::level(1.0);
+    let to = GroundPose { x_m: 0.25, y_m: -0.15, heading_rad: 0.4, ..keyframe };
+    // Height has no error: from two pictures alone its scale cannot be told.
+    let laid_covariance = &Matrix3::from_diagonal(&nalgebra::Vector3::new(0.0, 9e-4, 9e-4));
+    let config = MotionConfig { model: MotionModel::Free, ..Default::default() };
+    let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], shared_part: 0.0 };
+    let (mut squares, runs) = (0.0, 60);
+    for seed in 0..runs {
+        let lay = |seen: &Observation| {
+            let pixel = ViewingPose::new(keyframe).pixel(&camera(), seen.ground).unwrap();
+            let ground = taken_for.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
+            Observation { ground, ..*seen }
+        };
+        let seen: Vec<Observation> = observations(&to, 0.2, 0.1, seed).iter().map(lay).collect();
+        let mut measure = |laid_covariance| {
+            let observations =
+                Observations { seen: &seen, laid_from: &taken_for, laid_covariance, shutter: None };
+            estimate(&camera(), observations, &to, &prior, &config, &mut Random::new(seed)).unwrap()
+        };
+        let (found, held) = (measure(laid_covariance), measure(&Matrix3::zeros()));
+        assert!(held.keyframe_error.is_none());
+        // With the keyframe held for level so is the frame, nearly.
+        let off = |found: &MotionEstimate| {
+            (found.pose.roll_rad - to.roll_rad).hypot(found.pose.pitch_rad - to.pitch_rad)
+        };
+        assert!(off(&found) < 0.5 * off(&held), "{} {}", off(&found), off(&held));
+        let error = found.keyframe_error.unwrap();
+        let off = (error.mean - nalgebra::Vector3::new(0.0, 0.02, -0.015)).fixed_rows::<2>(1).into_owned();
+        let covariance = error.covariance.fixed_view::<2, 2>(1, 1).into_owned();
+        assert!(covariance.trace() < 0.2 * laid_covariance.trace(), "{covariance}");
+        squares += off.dot(&(covariance.try_inverse().unwrap() * off));
+    }
+    // Two numbers; 95 % bounds of the mean of as many runs, and a tenth for what the biweight costs.
+    let (mean, bound) = (squares / runs as f64, 1.96 * (4.0 / runs as f64).sqrt() + 0.2);
+    assert!((mean - 2.0).abs() < bound, "NEES {mean}");
 }
 
 #[test]

@@ -381,7 +381,9 @@ fn agreement(
     let observations = observations(keyframe, found, camera, prediction, shutter);
     let prior = learned.wander.prior(prediction, &config.motion);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-    let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
+    let laid_covariance = &keyframe.rig_covariance();
+    let observations =
+        Observations { seen: &observations, laid_from: &keyframe.pose, laid_covariance, shutter };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let scouts = scouts.map(|index| &keyframe.corners[index]);
     let expected = in_view(keyframe, scouts, camera, &estimate.pose);
@@ -475,7 +477,9 @@ fn judge(
             let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
             let observations = observations(keyframe, &found, camera, near, shutter);
             let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-            let observations = Observations { seen: &observations, laid_from: &keyframe.pose, shutter };
+            let laid_covariance = &keyframe.rig_covariance();
+            let observations =
+                Observations { seen: &observations, laid_from: &keyframe.pose, laid_covariance, shutter };
             estimate(camera, observations, near, prior, &config.motion, random)
         };
         let near = settled.unwrap_or(*prediction);
@@ -523,6 +527,7 @@ fn mean(
         pose: GroundPose { x_m: last.x_m + x_m, y_m: last.y_m + y_m, ..*last },
         covariance,
         by_keyframe: Matrix6::identity(),
+        keyframe_error: None,
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
         neighbours: Default::default(),

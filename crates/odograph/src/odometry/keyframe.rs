@@ -10,10 +10,10 @@ use crate::image::{GrayImage, Pyramid};
 use crate::mapping::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
 use crate::motion::{
-    Axes, CoarseRegistration, GroundFromRay, GroundPatch, GroundView, MountChange, PoseRates, RollingShutter,
-    ViewingPose,
+    Axes, CoarseRegistration, GroundFromRay, GroundPatch, GroundView, MotionEstimate, PoseRates,
+    RollingShutter, ViewingPose,
 };
-use nalgebra::Matrix6;
+use nalgebra::{Matrix3, Matrix6, Vector6};
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
 
@@ -275,6 +275,24 @@ impl Keyframe {
         self.view.as_ref()
     }
 
+    /// Covariance of height, roll and pitch.
+    pub fn rig_covariance(&self) -> Matrix3<f64> {
+        self.covariance.fixed_view::<3, 3>(3, 3).into_owned()
+    }
+
+    /// By how much the pose is off as a frame measured against it has it, and the covariance that
+    /// is left: what is learned of height and tilt tells of the place, too, as far as both were
+    /// wrong together.
+    pub fn improved_by(&self, frame: &MotionEstimate) -> (Vector6<f64>, Matrix6<f64>) {
+        let unchanged = (Vector6::zeros(), self.covariance);
+        let Some(error) = &frame.keyframe_error else { return unchanged };
+        let before = self.rig_covariance();
+        let Some(information) = before.try_inverse() else { return unchanged };
+        let gain = self.covariance.fixed_view::<6, 3>(0, 3) * information;
+        let covariance = self.covariance - gain * (before - error.covariance) * gain.transpose();
+        (gain * error.mean, 0.5 * (covariance + covariance.transpose()))
+    }
+
     /// Keeps only the given corners, with where they were seen.
     pub fn keep_only(&mut self, seen: impl Iterator<Item = (usize, Warp)>) {
         let mut kept = vec![None; self.corners.len()];
@@ -401,13 +419,6 @@ impl KeyframeMemory {
     /// Puts a keyframe back where [`KeyframeMemory::take`] took it from.
     pub fn put_back_at(&mut self, index: usize, keyframe: Keyframe) {
         self.records.insert(index.min(self.records.len()), keyframe.retire());
-    }
-
-    /// The mount is known to be otherwise than was thought when they were made.
-    pub fn set_right(&mut self, change: &MountChange) {
-        for record in &mut self.records {
-            change.set_right(&mut record.pose);
-        }
     }
 
     /// A new segment begins: what is remembered is no longer connected with the present by measurement.

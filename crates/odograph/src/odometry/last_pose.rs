@@ -23,6 +23,11 @@ pub struct LastPose {
     off_by: [f64; 2],
 }
 
+/// A jump is further than this, lengths over the height and radians, and than so many times what
+/// the last poses were off by.
+const JUMP: f64 = 0.03;
+const JUMP_OVER_USUAL: f64 = 5.0;
+
 /// A surprise counts so much less a frame later.
 const REMEMBERED: f64 = 0.7;
 
@@ -49,6 +54,7 @@ impl LastPose {
         let before = self.pose;
         let rates = [pose.x_m - before.x_m, pose.y_m - before.y_m, pose.heading_rad - before.heading_rad]
             .map(|change| change / step_s);
+        let rates = if self.is_a_jump(time_s, &pose) { self.rates } else { rates };
         // The rates are those of the middles of the two steps.
         let between_s = 0.5 * (step_s + self.step_s);
         let accelerations = [0, 1, 2].map(|i| (rates[i] - self.rates[i]) / between_s);
@@ -63,6 +69,13 @@ impl LastPose {
         });
         let pose_rates = Some((pose.to_vector() - before.to_vector()) / step_s);
         Self { time_s, pose, covariance, rates, pose_rates, accelerations, step_s, off_by }
+    }
+
+    /// Whether a pose is so much further off than any of late that it is rather found elsewhere
+    /// (the next tile of a floor, another keyframe) than moved there: then the velocity stays.
+    fn is_a_jump(&self, time_s: f64, pose: &GroundPose) -> bool {
+        let off_by = seen_apart(&self.extrapolated(time_s), pose);
+        self.off_by().is_finite() && off_by > JUMP.max(JUMP_OVER_USUAL * self.off_by())
     }
 
     /// The pose at `time_s` had the camera gone on as it went, with its acceleration where that has foretold the last poses better; height and

@@ -77,6 +77,8 @@ pub struct Odometry {
     first_time_s: Option<f64>,
     keyframes: u64,
     /// The frame at which the present keyframe was taken into use.
+    /// By how much the last pose differs for what was learned of the keyframe's height and tilt.
+    keyframe_off: PoseRates,
     serves_since: u64,
     segment: usize,
     tracks: Vec<TrackView>,
@@ -123,6 +125,7 @@ impl Odometry {
             frames: 0,
             first_time_s: None,
             keyframes: 0,
+            keyframe_off: PoseRates::zeros(),
             serves_since: 0,
             segment: 0,
             tracks: Vec::new(),
@@ -279,10 +282,11 @@ impl Odometry {
         // The mean vector is measured from the last frame; poses are measured from where the camera is thought to be.
         let extrapolated = match self.config.motion.model {
             MotionModel::Mean => last.pose,
-            _ => last.extrapolated(time_s),
+            _ => self.beside_keyframe(&last.extrapolated(time_s)),
         };
+        let still = self.beside_keyframe(&last.pose);
         let (camera, config, learned) = (&self.camera, &self.config, &self.learned);
-        let predictions = [&extrapolated, &last.pose];
+        let predictions = [&extrapolated, &still];
         if let Some(whole) = follow::measure_drowned(keyframe, pyramid, camera, predictions, config, learned)
         {
             return Ok(whole);
@@ -318,6 +322,12 @@ impl Odometry {
         outcome
     }
 
+    /// The pose as the keyframe would have it at the height and tilt that it was taken for: where
+    /// to look for what it shows.
+    fn beside_keyframe(&self, pose: &GroundPose) -> GroundPose {
+        GroundPose::from_vector(&(pose.to_vector() - self.keyframe_off))
+    }
+
     /// How far off the extrapolated pose may be in the image; nothing where that is so much that the search is a full one anyway, or is
     /// not known.
     fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
@@ -331,12 +341,25 @@ impl Odometry {
     /// A measured frame: its pose improved by the filter, and perhaps the next keyframe.
     fn accept(&mut self, pyramid: Pyramid, time_s: f64, measurement: Measurement) -> FrameEstimate {
         let presence = self.keyframe.as_ref().map(|k| follow::presence(k, &self.camera, &measurement));
-        let Measurement { estimate, found, support, .. } = measurement;
-        let by_keyframe = &estimate.by_keyframe;
-        let carried = self
-            .keyframe
+        let Measurement { mut estimate, found, support, .. } = measurement;
+        let mut learned_keyframe = self.keyframe.as_ref().map(|keyframe| keyframe.improved_by(&estimate));
+        if let Some((_, covariance)) = learned_keyframe.as_mut().filter(|_| self.keyframes == 1) {
+            // The first keyframe was taken to stand as the mount was said to.
+            let [of_roll, of_pitch] = self.learned.wander.mount_doubt();
+            covariance[(4, 4)] += of_roll;
+            covariance[(5, 5)] += of_pitch;
+        }
+        let by_keyframe = estimate.by_keyframe;
+        if let Some((moved, _)) = &learned_keyframe {
+            self.keyframe_off = by_keyframe * moved;
+            // Height and tilt of the keyframe are in the fit; where it stood moves the frame with
+            // it.
+            let moved = PoseRates::new(moved[0], moved[1], moved[2], 0.0, 0.0, 0.0);
+            estimate.pose = GroundPose::from_vector(&(estimate.pose.to_vector() + by_keyframe * moved));
+        }
+        let carried = learned_keyframe
             .as_ref()
-            .map(|keyframe| by_keyframe * keyframe.covariance * by_keyframe.transpose());
+            .map(|(_, covariance)| by_keyframe * covariance * by_keyframe.transpose());
         let (by_skew, by_readout) = self.shutter_errors(&estimate);
         let covariance = carried.unwrap_or_default() + estimate.covariance + by_skew;
         let known_covariance = covariance + self.learned.readout_covariance(&by_readout);
@@ -348,8 +371,11 @@ impl Odometry {
         };
         self.tracks.clear();
         self.tracks.extend(found.iter().zip(&estimate.inliers).filter_map(view));
-        if let (Some(keyframe), Some(carried)) = (&self.keyframe, &carried) {
-            self.learned.wander.learn(&estimate, &keyframe.pose, carried);
+        if let (Some(keyframe), Some(carried), Some((moved, _))) =
+            (&self.keyframe, &carried, &learned_keyframe)
+        {
+            let keyframe = GroundPose::from_vector(&(keyframe.pose.to_vector() + moved));
+            self.learned.wander.learn(&estimate, &keyframe, carried);
         }
         if let Some(presence) = presence {
             self.learned.saw(presence);
@@ -375,7 +401,8 @@ impl Odometry {
             self.keep_only(&found, covariance); // from here on what was found has other numbers
         }
         if keyframe {
-            self.change_keyframe(pyramid, time_s, &estimate, covariance, by_readout);
+            let moved = learned_keyframe.map_or_else(PoseRates::zeros, |(moved, _)| moved);
+            self.change_keyframe(pyramid, time_s, &estimate, (moved, covariance), by_readout);
         } else {
             self.spare = Some(pyramid);
         }

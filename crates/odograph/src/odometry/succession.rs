@@ -12,6 +12,11 @@ use nalgebra::Matrix6;
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
 
+/// An older keyframe is looked for no further off than this, pixels: half of what repeats on a
+/// floor of small tiles. What lies further off is left to the closing of loops, which looks for
+/// rivals.
+const UNAMBIGUOUS_PX: f64 = 2.0;
+
 /// After a keyframe has served for so many frames there is time to prepare the next one in two of them. A camera that needs a new one all the time needs
 /// all of its corners at once.
 const LEISURE_FRAMES: u64 = 8;
@@ -30,17 +35,11 @@ impl Odometry {
         pyramid: Pyramid,
         time_s: f64,
         estimate: &MotionEstimate,
-        mut covariance: Matrix6<f64>,
+        (moved, covariance): (PoseRates, Matrix6<f64>),
         by_readout: PoseRates,
     ) {
-        let mut pose = estimate.pose;
-        if let Some(change) = self.learned.wander.settle() {
-            let serving = self.keyframe.iter_mut().map(|keyframe| &mut keyframe.pose);
-            let last = self.last.iter_mut().map(|last| &mut last.pose);
-            serving.chain(last).chain([&mut pose]).for_each(|pose| change.set_right(pose));
-            self.memory.set_right(&change);
-            covariance += change.of_the_way();
-        }
+        let pose = estimate.pose;
+        self.learned.wander.settle();
         let pyramid = match self.revisit(pyramid, estimate, &covariance) {
             Ok(()) => return,
             Err(pyramid) => pyramid,
@@ -52,7 +51,9 @@ impl Odometry {
         }
         let before = self.keyframe.as_ref().and_then(|before| {
             let kind = EdgeKind::Odometry;
-            Some(Before { id: before.id?, pose: before.pose, covariance: estimate.covariance, kind })
+            // Where this frame has it.
+            let pose = GroundPose::from_vector(&(before.pose.to_vector() + moved));
+            Some(Before { id: before.id?, pose, covariance: estimate.covariance, kind })
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
         next.by_readout = by_readout;
@@ -81,7 +82,8 @@ impl Odometry {
         };
         let mut random = Random::new(self.frames);
         let pixel_m = pose.height_m / self.camera.focal_px().0;
-        let position_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt() + 2.0 * pixel_m;
+        let spread_m = 4.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+        let position_m = spread_m.min(UNAMBIGUOUS_PX * pixel_m) + 2.0 * pixel_m;
         let heading_rad = 4.0 * covariance[(2, 2)].sqrt() + 0.005;
         // What is further off would not be believed.
         let off_px = position_m / pixel_m + 0.5 * heading_rad * self.camera.width() as f64;
@@ -124,6 +126,7 @@ impl Odometry {
     /// Another keyframe is the reference of the frames after this one, whose pose that one has at `pose`.
     pub(super) fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
         self.serves_since = self.frames;
+        self.keyframe_off = PoseRates::zeros();
         self.learned.settle_shutter();
         if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
             reference.next = Some((keyframe, pose));

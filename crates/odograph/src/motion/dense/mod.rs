@@ -21,7 +21,7 @@ use super::{
 };
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Matrix3};
 use plane::Plane;
 use tile::{AREA, Look, NOISE_OF_CONTRAST, NOISE_OF_GRADIENT, NOISE_OF_PLANE, SIDE, Tile};
 
@@ -203,7 +203,12 @@ impl Level<'_> {
         let reach_px = (REACH * usual_px).max(self.plane.pixels_per_sample);
         let config = MotionConfig { inlier_px: reach_px, ..*self.config };
         let agreeing = vec![true; observations.len()];
-        let observations = Observations { seen: &observations, laid_from: self.laid_from, shutter: None };
+        let observations = Observations {
+            seen: &observations,
+            laid_from: self.laid_from,
+            laid_covariance: &Matrix3::zeros(),
+            shutter: None,
+        };
         let estimate =
             planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;
         let agreement = estimate.inlier_count() as f64 / looks.len() as f64;

@@ -1,0 +1,173 @@
+//! Normal equations of the unknowns of a frame: its pose, and what is uncertain beside it.
+//!
+//! The unknowns are, in this order, the six numbers of the pose; the errors of height, roll and
+//! pitch of the keyframe whose ground points are seen; and the six numbers of the *skew*, by how
+//! far the pose moves from the first row of the image to the last (readout time times rates) more
+//! than was assumed. The latter two are *whitened*: measured in standard deviations of their prior,
+//! so that one that is known has a column of zeros and needs no case of its own.
+
+/// Unknowns of a pose.
+pub const POSE: usize = 6;
+/// Unknowns with those of the keyframe.
+pub const WITH_KEYFRAME: usize = 9;
+/// Unknowns with those of the shutter.
+pub const WITH_SKEW: usize = 15;
+
+/// Derivatives of one coordinate of a residual by the unknowns.
+pub type Row = [f64; WITH_SKEW];
+/// A matrix over the unknowns.
+pub type Square = [[f64; WITH_SKEW]; WITH_SKEW];
+
+/// `A x = b` with A symmetric: information and slope of a least-squares problem. Only the first
+/// `count` unknowns exist, and of A the lower triangle.
+#[derive(Debug, Clone, Copy)]
+pub struct NormalEquations {
+    count: usize,
+    matrix: Square,
+    slope: Row,
+}
+
+impl NormalEquations {
+    /// Nothing is known of `count` unknowns.
+    pub fn new(count: usize) -> Self {
+        Self { count, matrix: [[0.0; WITH_SKEW]; WITH_SKEW], slope: [0.0; WITH_SKEW] }
+    }
+
+    /// How many unknowns there are.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// What the unknowns are to be moved by, downward, along the slope.
+    pub fn slope(&self) -> &Row {
+        &self.slope
+    }
+
+    /// An entry of the information matrix.
+    pub fn entry(&self, i: usize, k: usize) -> f64 {
+        self.matrix[i.max(k)][i.min(k)]
+    }
+
+    /// Adds a residual.
+    pub fn add(&mut self, row: &Row, error: f64, weight: f64) {
+        // The compiler unrolls what it knows the length of.
+        match self.count {
+            POSE => self.add_of::<POSE>(row, error, weight),
+            WITH_KEYFRAME => self.add_of::<WITH_KEYFRAME>(row, error, weight),
+            _ => self.add_of::<WITH_SKEW>(row, error, weight),
+        }
+    }
+
+    #[inline]
+    fn add_of<const N: usize>(&mut self, row: &Row, error: f64, weight: f64) {
+        for i in 0..N {
+            let weighted = weight * row[i];
+            for k in 0..=i {
+                self.matrix[i][k] += weighted * row[k];
+            }
+            self.slope[i] += weighted * error;
+        }
+    }
+
+    /// Adds that unknown `i`, which is `off` its expectation, is known with this weight.
+    pub fn add_prior(&mut self, i: usize, off: f64, weight: f64) {
+        self.matrix[i][i] += weight;
+        self.slope[i] += weight * off;
+    }
+
+    /// The information times a factor.
+    pub fn scale(&mut self, factor: f64) {
+        self.matrix.iter_mut().flatten().for_each(|entry| *entry *= factor);
+    }
+
+    /// Takes unknown `i` for known.
+    pub fn hold(&mut self, i: usize) {
+        self.matrix[i] = [0.0; WITH_SKEW];
+        self.matrix.iter_mut().for_each(|row| row[i] = 0.0);
+        self.matrix[i][i] = 1.0;
+        self.slope[i] = 0.0;
+    }
+
+    /// The Cholesky factor; `None` where the unknowns are not determined.
+    pub fn factor(&self) -> Option<Factor> {
+        let mut lower = self.matrix;
+        for i in 0..self.count {
+            for k in 0..=i {
+                let inner: f64 = (0..k).map(|m| lower[i][m] * lower[k][m]).sum();
+                let left = lower[i][k] - inner;
+                lower[i][k] = match i == k {
+                    false => left / lower[k][k],
+                    true if left > 0.0 && left.is_finite() => left.sqrt(),
+                    true => return None,
+                };
+            }
+        }
+        Some(Factor { count: self.count, lower })
+    }
+}
+
+/// A Cholesky factor of an information matrix.
+#[derive(Debug, Clone, Copy)]
+pub struct Factor {
+    count: usize,
+    lower: Square,
+}
+
+impl Factor {
+    /// Solves for one right side.
+    pub fn solve(&self, right: &Row) -> Row {
+        let (n, lower) = (self.count, &self.lower);
+        let mut x = *right;
+        for i in 0..n {
+            let inner: f64 = (0..i).map(|k| lower[i][k] * x[k]).sum();
+            x[i] = (x[i] - inner) / lower[i][i];
+        }
+        for i in (0..n).rev() {
+            let inner: f64 = (i + 1..n).map(|k| lower[k][i] * x[k]).sum();
+            x[i] = (x[i] - inner) / lower[i][i];
+        }
+        x
+    }
+
+    /// The inverse of the information matrix: the covariance.
+    pub fn inverse(&self) -> Square {
+        let mut inverse = [[0.0; WITH_SKEW]; WITH_SKEW];
+        inverse.iter_mut().enumerate().take(self.count).for_each(|(i, column)| *column = self.column(i));
+        inverse
+    }
+
+    /// One column of the inverse.
+    pub fn column(&self, i: usize) -> Row {
+        let mut unit = [0.0; WITH_SKEW];
+        unit[i] = 1.0;
+        self.solve(&unit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_fitted_and_what_is_held_stays() {
+        // y = 2 + 3 x, seen without noise from an estimate of zero: the residual is -y.
+        let mut equations = NormalEquations::new(POSE);
+        for x in 0..5 {
+            let x = f64::from(x);
+            let mut row = [0.0; WITH_SKEW];
+            (row[0], row[1]) = (1.0, x);
+            equations.add(&row, -(2.0 + 3.0 * x), 0.5);
+        }
+        assert!(equations.factor().is_none(), "four unknowns are not determined");
+        (2..POSE).for_each(|i| equations.hold(i));
+        let step = equations.factor().unwrap().solve(equations.slope());
+        assert!((step[0] + 2.0).abs() < 1e-12 && (step[1] + 3.0).abs() < 1e-12, "{step:?}");
+        let inverse = equations.factor().unwrap().inverse();
+        for i in 0..POSE {
+            for k in 0..POSE {
+                let product: f64 = (0..POSE).map(|m| equations.entry(i, m) * inverse[m][k]).sum();
+                assert!((product - f64::from(u8::from(i == k))).abs() < 1e-12);
+            }
+        }
+    }
+}
