@@ -62,9 +62,8 @@ impl NormalEquations {
     fn add_of<const N: usize>(&mut self, row: &Row, error: f64, weight: f64) {
         for i in 0..N {
             let weighted = weight * row[i];
-            for k in 0..=i {
-                self.matrix[i][k] += weighted * row[k];
-            }
+            let entries = self.matrix[i].iter_mut().zip(row);
+            entries.take(i + 1).for_each(|(entry, by)| *entry += weighted * by);
             self.slope[i] += weighted * error;
         }
     }
@@ -164,8 +163,8 @@ mod tests {
         assert!((step[0] + 2.0).abs() < 1e-12 && (step[1] + 3.0).abs() < 1e-12, "{step:?}");
         let inverse = equations.factor().unwrap().inverse();
         for i in 0..POSE {
-            for k in 0..POSE {
-                let product: f64 = (0..POSE).map(|m| equations.entry(i, m) * inverse[m][k]).sum();
+            for (k, column) in inverse.iter().enumerate().take(POSE) {
+                let product: f64 = (0..POSE).map(|m| equations.entry(i, m) * column[m]).sum();
                 assert!((product - f64::from(u8::from(i == k))).abs() < 1e-12);
             }
         }

@@ -45,8 +45,8 @@ impl Pull {
 
     fn add_to(&self, equations: &mut NormalEquations, pose: &GroundPose) {
         let here = [pose.height_m, pose.roll_rad, pose.pitch_rad];
-        for i in 0..3 {
-            equations.add_prior(3 + i, here[i] - self.mean[i], self.weight[i]);
+        for (i, here) in here.into_iter().enumerate() {
+            equations.add_prior(3 + i, here - self.mean[i], self.weight[i]);
         }
     }
 }
@@ -673,8 +673,8 @@ impl Fit<'_> {
         let solved = unknowns.count;
         let mut half = [[0.0; WITH_SKEW]; POSE];
         for (i, half) in half.iter_mut().enumerate().take(solved) {
-            for k in 0..n {
-                half[k] = (0..n).map(|m| inverse[i][m] * scatter.entry(m, k)).sum();
+            for (k, half) in half.iter_mut().enumerate().take(n) {
+                *half = (0..n).map(|m| inverse[i][m] * scatter.entry(m, k)).sum();
             }
         }
         let covariance = Matrix6::from_fn(|i, k| match i < solved && k < solved {

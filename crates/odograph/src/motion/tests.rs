@@ -197,7 +197,7 @@ fn a_wrong_tilt_of_the_keyframe_is_found_with_the_pose() {
             Observation { ground, ..*seen }
         };
         let seen: Vec<Observation> = observations(&to, 0.2, 0.1, seed).iter().map(lay).collect();
-        let mut measure = |laid_covariance| {
+        let measure = |laid_covariance| {
             let observations =
                 Observations { seen: &seen, laid_from: &taken_for, laid_covariance, shutter: None };
             estimate(&camera(), observations, &to, &prior, &config, &mut Random::new(seed)).unwrap()
