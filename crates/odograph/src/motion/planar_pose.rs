@@ -135,7 +135,7 @@ impl Axes {
     }
 }
 
-/// The pose moved by a step of Gauss–Newton; `None` where it is none of a camera that sees ground.
+/// The pose after a Gauss–Newton step; `None` where the camera would not face the ground.
 fn moved(pose: &GroundPose, step: &Row) -> Option<GroundPose> {
     let next = GroundPose {
         x_m: pose.x_m - step[0],
@@ -173,8 +173,8 @@ pub fn gauss_newton_step(
     moved(pose, &equations.factor()?.solve(equations.slope()))
 }
 
-/// What is uncertain beside the pose of a frame: height and tilt of the keyframe from which the
-/// ground points were laid, and the skew of a rolling shutter.
+/// Unknowns beside the pose of a frame: height and tilt of the keyframe that defines the ground
+/// points, and the skew of a rolling shutter.
 struct Beside<'a> {
     observations: Observations<'a>,
     laid_from: Axes,

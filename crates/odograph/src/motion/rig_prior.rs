@@ -66,12 +66,13 @@ impl Steps {
     }
 }
 
-/// So many steps must have been seen, and so many times the usual one is expected.
+/// Steps seen before their mean square is used, and the standard deviation of the prior over their
+/// root mean square.
 const STEPS_BEFORE: usize = 10;
 const USUAL_STEPS: f64 = 3.0;
 
-/// A step may always be so long, parts of the height and radians (a fifth of a degree): a camera
-/// that seems to stand still because it is held still could otherwise not be found to be elsewhere.
+/// Lower bound of that standard deviation, parts of the height and radians (0.2°). Without it a
+/// wrong tilt that hardly changes confirms itself.
 const LEAST_STEP: f64 = 0.0035;
 
 /// A camera that turns by more than this from frame to frame is not fixed to what carries it,
@@ -143,7 +144,7 @@ pub struct RigWander {
     neighbours: Neighbours,
 }
 
-/// Roll or pitch of the mount less what was told: a normal distribution, radians.
+/// Error of the roll or pitch in the rig file: a normal distribution, radians.
 #[derive(Debug, Clone, Copy)]
 struct MountTilt {
     mean: f64,
@@ -165,8 +166,7 @@ impl MountTilt {
         self.keyframes += 1;
     }
 
-    /// What is taken for it: what was told, unless that is wrong beyond doubt and the rig sways by
-    /// less.
+    /// The correction that is applied: none unless the mean is significant and the sway is smaller.
     fn found(&self, sway: f64) -> f64 {
         let is_beyond_doubt =
             self.keyframes >= LEAST_KEYFRAMES && self.mean * self.mean > BEYOND_DOUBT_TILT * self.variance;
@@ -178,8 +178,8 @@ impl MountTilt {
 /// larger ones are seen by whoever mounts the camera.
 const USUAL_TILT: f64 = 0.05;
 
-/// A tilt of so many squared standard deviations is there (of one number: one time in two million
-/// by chance), and so many keyframes must have shown it: a slow sway looks like it over one.
+/// Squared standard deviations at which the mean is significant (five sigma), and keyframes that
+/// must have contributed: over a single one a slow sway looks like a constant tilt.
 const BEYOND_DOUBT_TILT: f64 = 25.0;
 const LEAST_KEYFRAMES: usize = 3;
 
@@ -236,9 +236,9 @@ impl RigWander {
         self.deviations.map(|deviation| deviation.sway(shared_part))
     }
 
-    /// How far roll and pitch of the mount may be from what was told: variances. None of a camera
-    /// that turns from frame to frame, which is held or shaken, and none where neighbouring tracks
-    /// are off alike, which a tilt does not explain.
+    /// Variances of roll and pitch of the mount. Zero for a camera that turns from frame to frame,
+    /// which is held or shaken, and smaller where neighbouring tracks have correlated errors, which
+    /// a tilt does not explain.
     pub fn mount_doubt(&self) -> [f64; 2] {
         let (wander, own_part) = (self.wander(), 1.0 - self.neighbours.shared_part());
         let steps = self.steps.map(|steps| steps.mean_square);

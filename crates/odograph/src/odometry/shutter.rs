@@ -48,14 +48,14 @@ const LEAST_ROLLING_S: f64 = 3e-4;
 /// model that has not proved itself by then only loses.
 const UNDECIDED_HEIGHTS: f64 = 0.6;
 
-/// Where the shutter is taken to be global, every so many frames are looked at for whether it rolls.
+/// While the shutter is assumed global, one frame in this many is tested for a skew.
 const LOOKED_AT: u64 = 4;
 
-/// Where the displacement explains the skews better over so many degrees of freedom, three for a frame, the
-/// shutter is taken to be global at once.
+/// Degrees of freedom, three for each frame, after which skews that the displacement explains
+/// better make the shutter be taken for a global one at once.
 const ENOUGH_DEGREES: f64 = 24.0;
 
-/// After so many heights of movement a readout time that is not known is worth a word.
+/// Movement, in heights, after which an unknown readout time is reported.
 const MATTERING_HEIGHTS: f64 = 3.0;
 
 /// Standard deviation of a readout time of which nothing is known: half of a frame at 30 a second.

@@ -12,9 +12,9 @@ use nalgebra::Matrix6;
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
 
-/// An older keyframe is looked for no further off than this, pixels: half of what repeats on a
-/// floor of small tiles. What lies further off is left to the closing of loops, which looks for
-/// rivals.
+/// An older keyframe is accepted no further from its predicted place than this, pixels, beside the
+/// two of any revisit: a checkerboard whose period was 12 px was taken up one square off with six.
+/// What lies further off is left to loop closing, which compares rival places.
 const UNAMBIGUOUS_PX: f64 = 2.0;
 
 /// After a keyframe has served for so many frames there is time to prepare the next one in two of them. A camera that needs a new one all the time needs
@@ -51,7 +51,7 @@ impl Odometry {
         }
         let before = self.keyframe.as_ref().and_then(|before| {
             let kind = EdgeKind::Odometry;
-            // Where this frame has it.
+            // The edge starts from the keyframe as this frame corrects it.
             let pose = GroundPose::from_vector(&(before.pose.to_vector() + moved));
             Some(Before { id: before.id?, pose, covariance: estimate.covariance, kind })
         });
