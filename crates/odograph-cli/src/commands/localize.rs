@@ -1,23 +1,24 @@
 //! `odograph localize`: where a camera is in a map that was made before.
 
 use super::run::{
-    self, OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, SensorPlan, SourcePlan, Statistics,
+    self, AlikePlace, OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, SensorPlan, SourcePlan,
+    Statistics, Verdict,
 };
-use crate::{Outcome, console, files};
+use crate::{Outcome, console, lengths};
 use odograph::error::{Error, Result};
-use odograph::formats::rig_file;
 use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
 use odograph::slam::SlamConfig;
 use odograph_map::MapFile;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Find a recording, or a single picture, in a map that was made before, and follow it there.
 ///
 /// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known
 /// of where it is. Tells where it was last, in the frame of the map, with one standard deviation.
-/// The map is not changed.
+/// Where it is not certain, the places that it may be are listed with their odds. The map file is
+/// only read, unless --extend is given.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct LocalizeArguments {
@@ -71,7 +72,8 @@ Examples:
   odograph localize tuesday.mp4 --map hall.gpkg -o tuesday/
   odograph localize tuesday.mp4 --map hall.gpkg --extend -o tuesday/
 
-Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when nothing of the map was recognised.";
+Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when it was not recognised
+(the message says whether the ground was never mapped, or that this cannot be told, and why).";
 
 /// Runs the command.
 pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
@@ -79,7 +81,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let (camera, mounted) = (map.camera().clone(), *map.rig());
     drop(map);
     let rig = match &arguments.rig {
-        Some(path) => rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?,
+        Some(path) => lengths::read_rig(path, arguments.quiet)?,
         None => mounted,
     };
     let read_only = !arguments.extend;
@@ -140,13 +142,17 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     })
 }
 
-/// The place as JSON.
+/// What was found, as JSON.
 #[derive(Serialize)]
 struct Told<'a> {
     recognised: bool,
+    /// `found`, or why nothing was.
+    verdict: &'static str,
     place: Option<PlaceInMap>,
     /// What the session of the nearest keyframe was run over.
     session_source: Option<String>,
+    /// Where it may be, where that is not certain; most probable first.
+    alike: &'a [AlikePlace],
     statistics: &'a Statistics,
 }
 
@@ -156,11 +162,15 @@ fn tell(arguments: &LocalizeArguments, report: &RunReport) -> Result<()> {
         let session = sessions.iter().find(|session| session.id == place.session)?;
         Some(session.source.clone())
     };
+    let alike = report.resemblance.as_ref().map_or(&[][..], |resemblance| &resemblance.places);
+    let verdict = report.resemblance.as_ref().map_or(Verdict::TooFewFeatures, |one| one.verdict);
     if arguments.json {
         let told = Told {
             recognised: report.place.is_some(),
+            verdict: report.place.map_or(verdict.name(), |_| "found"),
             place: report.place,
             session_source: report.place.as_ref().and_then(source),
+            alike,
             statistics: &report.statistics,
         };
         let text = serde_json::to_string_pretty(&told)
@@ -171,18 +181,64 @@ fn tell(arguments: &LocalizeArguments, report: &RunReport) -> Result<()> {
         if let Some(folder) = &arguments.output {
             console::print(&format!("Look at {}\n", folder.join("report.html").display()))?;
         }
+    } else if !arguments.quiet {
+        alike.iter().try_for_each(|place| console::print(&alike_line(place)))?;
     }
     if !arguments.quiet {
         report.warnings.iter().for_each(|warning| console::warn(warning));
     }
     if report.place.is_none() {
-        console::complain(&format!(
-            "not recognised: nothing that {} shows was found in {}; it may be ground that was never mapped, or ground that looks alike in too many places",
-            arguments.source,
-            arguments.map.display()
-        ));
+        console::error(&not_found(&arguments.source, &arguments.map, verdict, alike.len()));
     }
     Ok(())
+}
+
+/// Why nothing was found, in a sentence.
+fn not_found(source: &str, map: &Path, verdict: Verdict, alike: usize) -> String {
+    let map = map.display();
+    match verdict {
+        Verdict::NeverSeen => {
+            format!("not found: {source} resembles nothing in {map}; this ground was probably never mapped")
+        }
+        Verdict::TooFewFeatures => format!(
+            "cannot tell: {source} shows too little texture to be recognised in {map}; it may be blurred or dark"
+        ),
+        Verdict::Repeats => format!(
+            "cannot tell: what {source} shows repeats itself, and looks alike in many places of {map}"
+        ),
+        Verdict::Ambiguous if alike == 1 => {
+            format!("cannot tell: {source} looks like one place of {map}, but that is not certain")
+        }
+        Verdict::Ambiguous => {
+            format!("cannot tell: {source} looks like {alike} places of {map}, and none of them is certain")
+        }
+    }
+}
+
+/// A place where the camera may be.
+fn alike_line(place: &AlikePlace) -> String {
+    let percent = match 100.0 * place.probability {
+        most if most >= 99.0 => ">99".to_owned(),
+        least if least < 1.0 => " <1".to_owned(),
+        other => format!("{other:3.0}"),
+    };
+    format!(
+        "perhaps {percent} %: x {} m, y {} m, heading {}°; keyframe {} of session {}\n",
+        rounded(place.x_m, 3),
+        rounded(place.y_m, 3),
+        rounded(place.heading_deg, 1),
+        place.keyframe,
+        place.session,
+    )
+}
+
+/// A number with so many decimals, without the sign of a rounded zero.
+fn rounded(number: f64, decimals: usize) -> String {
+    let text = format!("{number:.decimals$}");
+    match text.strip_prefix('-') {
+        Some(zero) if zero.bytes().all(|byte| matches!(byte, b'0' | b'.')) => zero.to_owned(),
+        _ => text,
+    }
 }
 
 fn sentence(place: &PlaceInMap, source: Option<String>, frames: u64) -> String {
@@ -192,13 +248,13 @@ fn sentence(place: &PlaceInMap, source: Option<String>, frames: u64) -> String {
     };
     let source = source.map_or(String::new(), |source| format!(" ({source})"));
     format!(
-        "{at}x {:.4} m ± {:.1} mm, y {:.4} m ± {:.1} mm, heading {:.2}° ± {:.2}° (one standard deviation)\n\
+        "{at}x {} m ± {:.1} mm, y {} m ± {:.1} mm, heading {}° ± {:.2}° (one standard deviation)\n\
          nearest: keyframe {}, {:.3} m away, of session {}{source}\n",
-        place.x_m,
+        rounded(place.x_m, 4),
         1e3 * place.sd_x_m,
-        place.y_m,
+        rounded(place.y_m, 4),
         1e3 * place.sd_y_m,
-        place.heading_deg,
+        rounded(place.heading_deg, 2),
         place.sd_heading_deg,
         place.keyframe,
         place.keyframe_distance_m,

@@ -123,7 +123,17 @@ fn a_picture_is_found_in_a_map_which_stays_as_it_is() {
     let off_m = (place("x_m") - known[1]).hypot(place("y_m") - known[2]);
     assert!(off_m < 2e-3 && place("heading_deg").abs() < 0.5, "{off_m} m off, {json}");
     assert!(place("sd_x_m") > 0.0 && place("sd_x_m") < 0.01 && place("sd_heading_deg") > 0.0, "{json}");
-    assert_eq!(json["session_source"], "sim/frames");
+    assert_eq!(
+        (json["session_source"].as_str(), json["verdict"].as_str()),
+        (Some("sim/frames"), Some("found"))
+    );
+
+    // A picture that shows nothing tells nothing.
+    fs::write(folder.path().join("blank.pgm"), [&b"P5 320 240 255\n"[..], &[128; 320 * 240]].concat())
+        .unwrap();
+    let nothing = localize(&["blank.pgm", "--json"]);
+    let nothing: serde_json::Value = serde_json::from_slice(&nothing.stdout).unwrap();
+    assert_eq!(nothing["verdict"], "too-few-features", "{nothing}");
 
     // Other ground is not found, which is told and written nowhere.
     let mut others: Vec<_> = fs::read_dir(folder.path().join("other/frames"))
@@ -134,9 +144,18 @@ fn a_picture_is_found_in_a_map_which_stays_as_it_is() {
     for more in [&[][..], &["--json"], &["-o", "nowhere"]] {
         let lost = localize(&[&[others[3].to_str().unwrap()], more].concat());
         let told = String::from_utf8(lost.stderr).unwrap();
-        assert!(lost.status.code() == Some(4) && told.contains("not recognised: nothing that"), "{told}");
+        assert!(
+            lost.status.code() == Some(4)
+                && told.contains("resembles nothing in out/map.gpkg; this ground was probably never mapped"),
+            "{told}"
+        );
         let json = serde_json::from_slice::<serde_json::Value>(&lost.stdout);
-        assert_eq!(json.is_ok_and(|json| json["recognised"] == false), more == ["--json"]);
+        let never_seen = |json: serde_json::Value| {
+            json["recognised"] == false
+                && json["verdict"] == "never-seen"
+                && json["alike"] == serde_json::json!([])
+        };
+        assert_eq!(json.is_ok_and(never_seen), more == ["--json"]);
     }
     assert!(fs::read(folder.path().join("out/map.gpkg")).unwrap() == map, "the map was changed");
     // Asked for, it grows.

@@ -6,7 +6,7 @@ use super::kept_frames::KeptFrames;
 use super::mapping::LoopStatistics;
 use super::pipeline::Tracked;
 use super::statistics::interruption;
-use super::{OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, Statistics};
+use super::{OutputArguments, OutputFolder, PlaceInMap, Resemblance, RunPlan, RunReport, Statistics};
 use super::{map, reference, tilt};
 use crate::files;
 use odograph::error::{Error, Result};
@@ -36,7 +36,7 @@ pub fn finish(
     let frames = improved.summaries(&mut run.tracked)?;
     let Improved { mut laid, sensors, loops, .. } = improved;
     run.draw(description, laid.as_mut(), &frames, &sensors, arguments.threads())?;
-    run.end(&frames, &sensors, loops, started)
+    run.end(&frames, &sensors, loops, arguments, started)
 }
 
 /// The camera file with the lens as it was found, where not as told.
@@ -263,9 +263,13 @@ impl Finishing<'_> {
         frames: &[FrameSummary],
         sensors: &[SensorReport],
         loops: LoopStatistics,
+        arguments: &OutputArguments,
         started: Instant,
     ) -> Result<RunReport> {
         let closed = self.tracked.mapping.close();
+        let mapper = self.tracked.mapping.mapper();
+        let place = PlaceInMap::last(frames, mapper);
+        let looked_for = arguments.map_is_read_only && place.is_none();
         let statistics =
             Statistics::new(&self.tracked, frames, self.plan.budget, sensors, loops, started.elapsed());
         self.folder.finish(&statistics)?;
@@ -273,7 +277,8 @@ impl Finishing<'_> {
             Some(error) => Err(error),
             None => Ok(RunReport {
                 statistics,
-                place: PlaceInMap::last(frames, self.tracked.mapping.mapper()),
+                resemblance: looked_for.then(|| Resemblance::of(mapper)).flatten(),
+                place,
                 warnings: self.tracked.warnings,
                 folder: self.folder.path().to_owned(),
             }),

@@ -15,6 +15,7 @@ mod place;
 mod plan;
 mod plan_paths;
 mod reference;
+mod resemblance;
 mod sensors;
 pub(super) mod statistics;
 mod tilt;
@@ -22,7 +23,7 @@ pub(super) mod timings;
 pub(super) mod views;
 
 use crate::lengths::{self, Height};
-use crate::{Outcome, console};
+use crate::{Outcome, console, files};
 use camera_watch::CameraWatch;
 pub(super) use finish::finish;
 pub use folder::OutputFolder;
@@ -31,9 +32,10 @@ use odograph::motion::MotionModel;
 use pipeline::{Ended, Tracked};
 pub use place::PlaceInMap;
 pub use plan::{RunPlan, SourcePlan};
+pub use resemblance::{AlikePlace, Resemblance, Verdict};
 pub use sensors::SensorPlan;
 pub use statistics::Statistics;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Follow a recorded drive: writes the trajectory, the map, a mosaic of the ground and a report.
@@ -103,6 +105,12 @@ pub struct RunArguments {
     /// beside the path of the run, laid onto each other by a turn, a shift and a scale. Nothing else is made of it.
     #[arg(long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
+    /// Folder for the results.
+    ///
+    /// [default: beside the recording, with its name: drive/ for drive.mp4, frames-run/ for the
+    /// folder frames/; with a number where that is there already]
+    #[arg(short = 'o', long = "output", value_name = "FOLDER")]
+    pub folder: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -111,7 +119,7 @@ pub struct RunArguments {
 #[derive(Debug, Clone, clap::Args)]
 pub struct OutputArguments {
     /// Folder for the results.
-    #[arg(short, long, value_name = "FOLDER")]
+    #[arg(skip)]
     pub output: PathBuf,
     /// Overwrite results that are already there.
     #[arg(long)]
@@ -223,6 +231,7 @@ impl RunArguments {
             sensors: SensorPlan::default(),
             no_loops: false,
             reference: None,
+            folder: Some(output.output.clone()),
             output,
         }
     }
@@ -236,8 +245,19 @@ impl OutputArguments {
 }
 
 /// Runs the command.
-pub fn run(arguments: RunArguments) -> Result<Outcome> {
-    if let Some(recordings) = many::recordings(&arguments)? {
+pub fn run(mut arguments: RunArguments) -> Result<Outcome> {
+    let recordings = many::recordings(&arguments)?;
+    arguments.output.output = match arguments.folder.take() {
+        Some(folder) => folder,
+        None => {
+            let folder = default_folder(&arguments.source, recordings.is_some());
+            if !arguments.output.quiet {
+                console::note(&format!("the results go to {} (-o chooses)", folder.display()));
+            }
+            folder
+        }
+    };
+    if let Some(recordings) = recordings {
         return many::run(&recordings, &arguments);
     }
     let folder = OutputFolder::new(&arguments.output)?;
@@ -245,6 +265,20 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     let report = follow(&plan, source, folder, &arguments.output)?;
     report.tell(&arguments.output)?;
     Ok(report.outcome())
+}
+
+/// The folder of a run over a source for which none is named: one that is not there yet.
+fn default_folder(source: &str, many: bool) -> PathBuf {
+    let path = Path::new(source);
+    match path.parent() {
+        // A repeated run goes beside the folder of the first.
+        Some(first) if source.ends_with(".toml") && first.file_name().is_some() => {
+            files::free_beside(&first.to_string_lossy(), "-again")
+        }
+        _ if many && !path.is_dir() => files::free_beside(&path.with_file_name("runs").to_string_lossy(), ""),
+        _ if path.is_dir() || source.ends_with(".toml") => files::free_beside(source, "-run"),
+        _ => files::free_beside(source, ""),
+    }
 }
 
 /// What a run gave.
@@ -255,6 +289,8 @@ pub struct RunReport {
     /// Where the camera was last in the map that was continued; `None` where none was, or nothing
     /// of it was recognised.
     pub place: Option<PlaceInMap>,
+    /// What it looks like there, where the map was only looked into and nothing of it recognised.
+    pub resemblance: Option<Resemblance>,
 }
 
 /// Follows a source by a plan and writes everything into the folder. What ends the recording early is an error only after all that was
@@ -327,10 +363,10 @@ impl RunReport {
             }
         }
         if let Some(interruption) = self.statistics.interruption().filter(|_| !arguments.quiet) {
-            console::complain(&format!("{interruption}; what there is up to there has been written"));
+            console::warn(&format!("{interruption}; what there is up to there has been written"));
         }
         if self.outcome() == Outcome::TrackingFailed && !arguments.quiet {
-            console::complain(&format!(
+            console::error(&format!(
                 "the movement could not be measured in {} of {} frames; the report says where and why",
                 self.statistics.frames - self.statistics.frames_with_pose,
                 self.statistics.frames
