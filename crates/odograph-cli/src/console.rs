@@ -26,14 +26,24 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Tells what went wrong. Where nobody can be told, there is nothing left to do.
-pub fn complain(sentence: &str) {
-    let _ = writeln!(io::stderr(), "odograph: {}", harmless(sentence));
+/// Tells why the command failed, in the style of clap's own errors.
+pub fn error(sentence: &str) {
+    to_person("error", sentence);
 }
 
-/// Tells what a person should know about a result that is there.
+/// Tells what may be wrong with a result that is there.
 pub fn warn(sentence: &str) {
-    complain(&format!("warning: {sentence}"));
+    to_person("warning", sentence);
+}
+
+/// Tells what a person may want to know; nothing is wrong.
+pub fn note(sentence: &str) {
+    to_person("note", sentence);
+}
+
+/// A line on standard error. Where it cannot be written, nobody can be told.
+fn to_person(kind: &str, sentence: &str) {
+    let _ = writeln!(io::stderr(), "{kind}: {}", harmless(sentence));
 }
 
 #[cfg(test)]

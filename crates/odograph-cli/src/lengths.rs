@@ -1,13 +1,19 @@
 //! Lengths on the command line: a number of metres, or a number with its unit.
 
-use crate::console;
+use crate::{console, files};
+use odograph::camera::Rig;
+use odograph::error::Result as OdographResult;
+use odograph::formats::rig_file;
+use std::path::Path;
 
 /// Units and how many metres they are; of two that end alike the longer comes first.
 const UNITS: [(&str, f64); 5] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("ft", 0.3048), ("in", 0.0254)];
 
-/// A camera on a vehicle is not higher: above this a number without a unit may have been meant as
-/// centimetres.
-const DOUBTFUL_HEIGHT_M: f64 = 30.0;
+/// Cameras on vehicles are lower: above this a bare number is probably in another unit.
+const DOUBTFUL_HEIGHT_M: f64 = 10.0;
+
+/// Above this a bare number is probably in millimetres, below it in centimetres.
+const MILLIMETRES_FROM: f64 = 300.0;
 
 /// No camera looks at the ground from higher.
 const GREATEST_HEIGHT_M: f64 = 1e6;
@@ -15,6 +21,20 @@ const GREATEST_HEIGHT_M: f64 = 1e6;
 /// A length in metres: `0.9`, `0.9m`, `90cm`, `900mm`, `3ft`, `35in`.
 pub fn metres(text: &str) -> Result<f64, String> {
     parse(text).map(|(metres, _)| metres)
+}
+
+/// A length in a unit of this many metres; a bare number is in that unit already.
+pub fn in_unit(text: &str, unit_m: f64) -> Result<f64, String> {
+    parse(text).map(|(number, has_unit)| if has_unit { number / unit_m } else { number })
+}
+
+/// A length of at least zero that must have its unit, in metres: `5mm`.
+pub fn with_unit(text: &str) -> Result<f64, String> {
+    let wrong = || format!("`{text}` is not a length with its unit, such as 5mm");
+    match parse(text) {
+        Ok((metres, true)) if metres.is_finite() && metres >= 0.0 => Ok(metres),
+        _ => Err(wrong()),
+    }
 }
 
 /// Height of a camera above the ground.
@@ -36,24 +56,49 @@ pub fn height(text: &str) -> Result<Height, String> {
 }
 
 impl Height {
-    /// What to say of a height that may have been meant in another unit.
+    /// A question about a height that was probably meant in another unit.
     fn doubt(self) -> Option<String> {
         let Self { metres, has_unit } = self;
-        (metres.is_finite() && metres > DOUBTFUL_HEIGHT_M && !has_unit).then(|| {
+        (is_doubtful(metres) && !has_unit).then(|| {
+            let (unit, name) = likely_unit(metres);
             format!(
-                "note: height of {metres} m: taken as metres; if centimetres were meant write {metres}cm, if not {metres}m says so"
+                "--height {metres} is read as {metres} metres; if {name} are meant, write {metres}{unit} \
+                 ({metres}m silences this)"
             )
         })
     }
 
-    /// Tells that.
-    pub fn tell_doubt(self) {
+    /// Asks it.
+    pub fn question(self) {
         if let Some(doubt) = self.doubt() {
-            console::complain(&doubt);
+            console::warn(&doubt);
         }
     }
 }
 
+/// The rig in a file; a height that is probably in another unit is questioned unless `quiet`.
+pub fn read_rig(path: &Path, quiet: bool) -> OdographResult<Rig> {
+    let rig = rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?;
+    if is_doubtful(rig.height_m) && !quiet {
+        let (metres, (_, name)) = (rig.height_m, likely_unit(rig.height_m));
+        console::warn(&format!(
+            "{}: height_m is {metres}, a camera {metres} metres above the ground; are {name} meant?",
+            path.display()
+        ));
+    }
+    Ok(rig)
+}
+
+fn is_doubtful(height_m: f64) -> bool {
+    height_m.is_finite() && height_m > DOUBTFUL_HEIGHT_M
+}
+
+/// The unit in which a bare number of this size was probably meant, short and in full.
+fn likely_unit(number: f64) -> (&'static str, &'static str) {
+    if number >= MILLIMETRES_FROM { ("mm", "millimetres") } else { ("cm", "centimetres") }
+}
+
+/// A length in metres, and whether its unit was written.
 fn parse(text: &str) -> Result<(f64, bool), String> {
     let text = text.trim();
     let unit = UNITS.iter().find_map(|(unit, metres)| Some((text.strip_suffix(unit)?, *metres)));
@@ -79,12 +124,20 @@ mod tests {
         for text in ["", "cm", "1.2.3", "ninety", "9 0", "1km", "1e"] {
             assert!(metres(text).unwrap_err().contains("90cm"), "{text}");
         }
+        assert_eq!(in_unit("7", 1e-2), Ok(7.0));
+        assert_eq!(in_unit("1cm", 1e-3), Ok(10.0));
+        assert_eq!(with_unit("5mm"), Ok(5e-3));
+        for text in ["5", "-5mm", "nanmm", "mm"] {
+            assert!(with_unit(text).unwrap_err().contains("with its unit"), "{text}");
+        }
     }
 
     #[test]
-    fn only_a_great_height_without_a_unit_is_doubted() {
-        assert!(height("90").unwrap().doubt().unwrap().contains("write 90cm"));
-        for text in ["90m", "90cm", "1.2", "30"] {
+    fn a_bare_height_above_ten_metres_is_questioned() {
+        for (text, likely) in [("90", "write 90cm"), ("900", "write 900mm"), ("12.5", "write 12.5cm")] {
+            assert!(height(text).unwrap().doubt().unwrap().contains(likely), "{text}");
+        }
+        for text in ["90m", "90cm", "1.2", "10"] {
             assert_eq!(height(text).unwrap().doubt(), None, "{text}");
         }
         assert!(height("1e300").is_err());

@@ -76,7 +76,7 @@ fn main() -> ExitCode {
         Ok(Outcome::TrackingFailed | Outcome::NotToBeTrusted) => ExitCode::from(4),
         Ok(Outcome::Interrupted) => ExitCode::from(interrupt::EXIT_CODE),
         Err(error) => {
-            console::complain(&error.to_string());
+            console::error(&error.to_string());
             ExitCode::from(match error.kind() {
                 _ if interrupt::asked() => interrupt::EXIT_CODE,
                 ErrorKind::Usage => 2,

@@ -214,7 +214,7 @@ fn videos_that_are_cut_off_or_hold_nothing() {
         place.run(&format!("cut.mp4 --camera {0}/camera.yaml --rig {0}/rig.toml -o out", demo.display()));
     let told = String::from_utf8(done.stderr).unwrap();
     assert_eq!(done.status.code(), Some(0), "{told}");
-    assert!(told.lines().count() == 1 && told.starts_with("odograph: warning: cut.mp4: "), "{told}");
+    assert!(told.lines().count() == 1 && told.starts_with("warning: cut.mp4: "), "{told}");
     assert_whole(&place.path("out"));
     let lines = place.result("out", "trajectory.csv").iter().filter(|&&b| b == b'\n').count();
     assert!((20..400).contains(&lines), "{lines} lines for the frames up to the cut");
@@ -601,8 +601,15 @@ fn a_demo_writes_over_nothing_of_others() {
     fs::write(place.path("mine/trajectory.tum"), "mine").unwrap();
     let mut demo = Command::new(env!("CARGO_BIN_EXE_odograph"));
     let done = demo.current_dir(place.path("")).args(["demo", "-o", "mine"]).output().unwrap();
-    assert_told(&done, 2, "mine/trajectory.tum is already there and not from a demo", "demo -o mine");
+    assert_told(&done, 2, "mine/trajectory.tum is already there", "demo -o mine");
     assert_eq!(names(&place.path("mine")), ["trajectory.tum"]);
+    // Nor over an input that somebody has changed, nor over a demo before it.
+    fs::create_dir_all(place.path("changed/input")).unwrap();
+    fs::write(place.path("changed/input/camera.yaml"), "mine").unwrap();
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    let done = demo.current_dir(place.path("")).args(["demo", "-o", "changed"]).output().unwrap();
+    assert_told(&done, 2, "changed/input/camera.yaml is already there", "demo -o changed");
+    assert_eq!(fs::read(place.path("changed/input/camera.yaml")).unwrap(), b"mine");
 }
 
 #[test]
@@ -618,13 +625,21 @@ fn lengths_have_units_and_doubtful_heights_are_told() {
         let told = String::from_utf8_lossy(&done.stderr).into_owned();
         assert!(done.status.success(), "{told}");
         assert_eq!(
-            told.contains("height of 90 m: taken as metres; if centimetres were meant write 90cm"),
+            told.contains("warning: --height 90 is read as 90 metres; if centimetres are meant, write 90cm"),
             doubted
         );
     }
     fs::write(place.path("rig.toml"), "height_m = 1\nroll_dg = 2").unwrap();
     let with_rig = "drive.y4m --camera camera.yaml --rig rig.toml -o rigged";
-    place.refused(with_rig, 3, "rig.toml: the rig file has a key `roll_dg`");
+    place.refused(
+        with_rig,
+        3,
+        "rig.toml: the rig file has an unknown key `roll_dg`; did you mean `roll_deg`?",
+    );
+    fs::write(place.path("rig.toml"), "height_m = 900").unwrap();
+    let questioned = place.run("drive.y4m --camera camera.yaml --rig rig.toml -o questioned");
+    assert!(questioned.status.success());
+    assert!(String::from_utf8_lossy(&questioned.stderr).contains("are millimetres meant?"));
     fs::write(place.path("rig.toml"), "height_m = 1e300").unwrap();
     place.refused(with_rig, 3, "no camera over ground is that high");
 }

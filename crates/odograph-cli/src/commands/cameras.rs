@@ -18,7 +18,7 @@ pub fn cameras(_: CamerasArguments) -> Result<Outcome> {
         }
     }
     if text.is_empty() {
-        console::complain("no camera was found at this machine (/dev/video*)");
+        console::note("no camera was found at this machine (/dev/video*)");
     }
     console::print(&text)?;
     Ok(Outcome::Done)

@@ -55,9 +55,12 @@ pub fn parse(text: &str) -> Result<Rig> {
     })?;
     if let Some(unknown) = table.keys().find(|key| !KEYS.contains(&key.as_str())) {
         let shown: String = unknown.chars().take(40).flat_map(char::escape_debug).collect();
-        return Err(Error::input(format!(
-            "the rig file has a key `{shown}`, which no rig has; the keys are height_m and roll_deg, pitch_deg, yaw_deg (or _rad)"
-        )));
+        let nearest = KEYS.iter().map(|key| (edits(&shown, key), key)).min();
+        let hint = match nearest.filter(|(edits, _)| *edits <= MOST_EDITS) {
+            Some((_, key)) => format!("did you mean `{key}`?"),
+            None => "the keys are height_m, roll_deg, pitch_deg and yaw_deg".to_owned(),
+        };
+        return Err(Error::input(format!("the rig file has an unknown key `{shown}`; {hint}")));
     }
     let height_m = number(&table, "height_m")?.ok_or_else(|| {
         Error::input("the rig file has no `height_m`; add the camera's height above the ground in metres")
@@ -74,6 +77,23 @@ pub fn parse(text: &str) -> Result<Rig> {
         yaw_rad: angle(&table, "yaw")?,
     };
     rig.validated().map_err(|error| Error::input(error.to_string()))
+}
+
+/// A key with more edits than this to the nearest known one is no misspelling of it.
+const MOST_EDITS: usize = 4;
+
+/// Levenshtein distance: insertions, deletions and substitutions of a character from `a` to `b`.
+fn edits(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
+    for (i, from) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, to) in b.chars().enumerate() {
+            let substituted = diagonal + usize::from(from != to);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.chars().count()]
 }
 
 /// The rig as TOML text in degrees; [`parse`] returns the identical rig but for the last bit of an angle that no number of degrees gives back.
@@ -180,7 +200,9 @@ mod tests {
             ("height_m = 1\npitch_deg = 95", "does not look at the ground"),
             ("height_m = 1\n\nroll_deg = = 3", "line 3"),
             ("height_m = 1\nheight_m = 2", "line 2"),
-            ("height_m = 1\nroll_dg = 2", "`roll_dg`, which no rig has; the keys are height_m and roll_deg"),
+            ("height_m = 1\nroll_dg = 2", "unknown key `roll_dg`; did you mean `roll_deg`?"),
+            ("height = 1", "unknown key `height`; did you mean `height_m`?"),
+            ("focal_length = 1", "unknown key `focal_length`; the keys are height_m, roll_deg"),
             ("height_m = 1\n[more]\nx = 1", "`more`"),
             ("height_m = 1\n\"a\\u001B[2J\" = 1", "`a\\u{1b}[2J`"),
             ("height_m = 1e300", "height_m is 1e300"),

@@ -4,7 +4,7 @@ mod figures;
 pub mod plot;
 mod table;
 
-use crate::{Outcome, files};
+use crate::{Outcome, files, lengths};
 use clap::ValueEnum;
 use odograph::error::{Error, Result};
 use odograph::evaluation::{Alignment, Delta, Evaluation, EvaluationOptions, evaluate as measure};
@@ -38,14 +38,14 @@ pub struct EvaluateArguments {
     /// Times of the poses of KITTI files, a number of seconds a line [default: the number of the pose]
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
-    /// Stretches of the relative errors: metres (1m) or poses (10f); several with commas
+    /// Stretches of the relative errors: lengths (1m, 50cm) or poses (10f); several with commas
     #[arg(long, value_name = "LENGTH", value_delimiter = ',', default_value = "1f,1m")]
     delta: Vec<DeltaArgument>,
     /// Start a relative error at every pose, not only where the one before ended
     #[arg(long)]
     all_pairs: bool,
     /// Segment lengths for the drift; several with commas [default: 1, 10, 100, … up to the path's length]
-    #[arg(long, value_name = "METRES", value_delimiter = ',')]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, value_delimiter = ',')]
     segments: Vec<f64>,
     /// Draw the paths and the errors over time into this SVG file
     #[arg(long, value_name = "FILE")]
@@ -102,10 +102,8 @@ impl FromStr for DeltaArgument {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let bad = || format!("{text:?} is not a stretch; write metres as 1m or a count of poses as 10f");
-        if let Some(metres) = text.strip_suffix('m') {
-            let length_m =
-                metres.trim().parse::<f64>().ok().filter(|m| m.is_finite() && *m > 0.0).ok_or_else(bad)?;
+        let bad = || format!("{text:?} is not a stretch; write a length as 1m or a count of poses as 10f");
+        if let Some(length_m) = lengths::with_unit(text).ok().filter(|length_m| *length_m > 0.0) {
             return Ok(Self(Delta::Metres(length_m)));
         }
         let frames = text.strip_suffix('f').ok_or_else(bad)?;

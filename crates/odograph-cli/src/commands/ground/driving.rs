@@ -1,10 +1,9 @@
 //! Roll and pitch, and with a known distance the height, from a recording of driving.
 
 use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
-use crate::{files, interrupt};
+use crate::{interrupt, lengths};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::formats::rig_file;
 use odograph::image::RgbImage;
 use odograph::mounting::{
     CameraUncertainty, DrivenTilt, DrivingConfig, LensMeasurement, MeasuredRig, Revealed, RigDeviations,
@@ -40,7 +39,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     let given_m = match (arguments.height, arguments.distance) {
         (Some(height), _) => {
             if !arguments.quiet {
-                height.tell_doubt();
+                height.question();
             }
             height.metres
         }
@@ -52,13 +51,13 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
         }
         (None, None) => {
             return Err(Error::usage(
-                "driving alone does not tell the height; give --height METRES, or --distance METRES as driven in the recording, or \
+                "driving alone does not tell the height; give --height LENGTH, or --distance LENGTH as driven in the recording, or \
                  --board BOARD for pictures of a board on the floor",
             ));
         }
     };
     let begin = match &arguments.rig {
-        Some(path) => rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?,
+        Some(path) => lengths::read_rig(path, arguments.quiet)?,
         None => Rig::level(1.0),
     };
     let mut rig = Rig { height_m: given_m, ..begin }.validated()?;

@@ -129,7 +129,7 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome
                 Err(error) => End::Failed(error),
             };
             if let End::Failed(error) = &end {
-                console::complain(&format!("{}: {error}", recording.source));
+                console::error(&format!("{}: {error}", recording.source));
             }
             if let Ok(mut place) = ends[index].lock() {
                 *place = end;

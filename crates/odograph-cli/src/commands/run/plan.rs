@@ -3,10 +3,10 @@
 use super::budget::{self, Budget};
 use super::mask;
 use super::{FieldOfView, RunArguments, SensorPlan};
-use crate::files;
+use crate::{files, lengths};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
-use odograph::formats::{camera_file, rig_file};
+use odograph::formats::camera_file;
 use odograph::motion::MotionModel;
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::slam::SlamConfig;
@@ -247,7 +247,7 @@ impl<'a> ToldCamera<'a> {
             (None, Some(field), _) => Ok(Self::Field(field)),
             (None, None, Some(map)) => Ok(Self::Map(Box::new(MapFile::open_read_only(map)?))),
             (None, None, None) => Err(Error::usage(
-                "no camera is given; give --camera FILE (and --height METRES), or --field-of-view WIDTHxHEIGHT in metres \
+                "no camera is given; give --camera FILE (and --height LENGTH), or --field-of-view WIDTHxHEIGHT in metres \
                  as measured on the ground",
             )),
         }
@@ -255,12 +255,10 @@ impl<'a> ToldCamera<'a> {
 
     fn rig(&self, arguments: &RunArguments) -> Result<Rig> {
         match (&arguments.rig, arguments.height, self) {
-            (Some(path), _, _) => {
-                rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))
-            }
+            (Some(path), _, _) => lengths::read_rig(path, arguments.output.quiet),
             (None, Some(height), _) => {
                 if !arguments.output.quiet {
-                    height.tell_doubt();
+                    height.question();
                 }
                 Rig::level(height.metres).validated()
             }
@@ -268,7 +266,7 @@ impl<'a> ToldCamera<'a> {
             (None, None, Self::Field(_)) => Ok(Rig::level(1.0)),
             (None, None, Self::Map(map)) => Ok(*map.rig()),
             (None, None, Self::File(..)) => Err(Error::usage(
-                "the height of the camera above the ground is missing; give --height METRES, or --rig FILE",
+                "the height of the camera above the ground is missing; give --height LENGTH, such as 90cm, or --rig FILE",
             )),
         }
     }

@@ -1,6 +1,7 @@
 //! From options to a scene.
 
 use super::{PathName, SimulateArguments, TilingName, photographs};
+use crate::lengths;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
@@ -59,7 +60,7 @@ pub struct Pair(f64, Option<f64>);
 pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig, Parameters)> {
     let camera = camera(arguments)?;
     let rig = Rig {
-        height_m: arguments.height,
+        height_m: arguments.height.metres,
         roll_rad: arguments.roll.to_radians(),
         pitch_rad: arguments.pitch.to_radians(),
         yaw_rad: arguments.yaw.to_radians(),
@@ -286,6 +287,23 @@ pub fn parse_vibration(text: &str) -> std::result::Result<VibrationOption, Strin
     Ok(VibrationOption(Vibration { shift_m: mm / 1000.0, turn_rad: degrees.to_radians(), frequency_hz }))
 }
 
+/// Millimetres, and a distance in centimetres, or both with units: `8`, `8:3`, `8mm:3cm`.
+pub fn parse_mm_cm(text: &str) -> std::result::Result<Pair, String> {
+    lengths_of(text, 1e-3, 1e-2)
+}
+
+/// Centimetres, and a distance in metres, or both with units: `5`, `5:1.5`, `50mm:150cm`.
+pub fn parse_cm_m(text: &str) -> std::result::Result<Pair, String> {
+    lengths_of(text, 1e-2, 1.0)
+}
+
+/// Two lengths, the second of which may be missing, each in its own unit.
+fn lengths_of(text: &str, first_m: f64, second_m: f64) -> std::result::Result<Pair, String> {
+    let (first, second) = text.split_once(':').map_or((text, None), |(a, b)| (a, Some(b)));
+    let second = second.map(|text| lengths::in_unit(text, second_m)).transpose()?;
+    Ok(Pair(lengths::in_unit(first, first_m)?, second))
+}
+
 /// `5` or `5:1.5`.
 pub fn parse_pair(text: &str) -> std::result::Result<Pair, String> {
     let number = |part: &str| part.trim().parse::<f64>().ok();
@@ -326,6 +344,10 @@ mod tests {
         assert_eq!(parse_blackout("2.5:4"), Ok(Blackout { from_s: 2.5, to_s: 4.0 }));
         assert_eq!(parse_pair("-5"), Ok(Pair(-5.0, None)));
         assert_eq!(parse_pair("5:1.5"), Ok(Pair(5.0, Some(1.5))));
+        assert_eq!(parse_cm_m("-5"), Ok(Pair(-5.0, None)));
+        assert_eq!(parse_cm_m("50mm:150cm"), Ok(Pair(5.0, Some(1.5))));
+        assert_eq!(parse_mm_cm("8:3"), Ok(Pair(8.0, Some(3.0))));
+        assert!(parse_mm_cm("8 apples").unwrap_err().contains("90cm"));
         assert!(parse_pair("5:").is_err() && parse_pair("high").is_err() && parse_pair("1:2:3").is_err());
         assert!(parse_blackout("4:2.5").is_err() && parse_blackout("4").is_err());
     }
