@@ -35,6 +35,31 @@ pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Re
     })
 }
 
+/// Makes the folder that a file is to be written into, where it is missing.
+pub fn make_folder_of(path: &Path) -> Result<()> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    if folder.as_os_str().is_empty() {
+        return Ok(());
+    }
+    fs::create_dir_all(folder)
+        .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))
+}
+
+/// Where results go that no option names: beside the input, with the input's name without its
+/// ending, then `suffix` (such as `-rig.toml`). Results of standard input go into the working
+/// folder. Where something of that name is there already, a number from 2 on is added.
+pub fn free_beside(input: &str, suffix: &str) -> PathBuf {
+    let input = Path::new(if input == "-" { "standard-input" } else { input });
+    let name = if input.is_dir() { input.file_name() } else { input.file_stem() };
+    let name = name.map_or_else(|| "odograph".to_owned(), |name| name.to_string_lossy().into_owned());
+    let (suffix, ending) = suffix.find('.').map_or((suffix, ""), |dot| suffix.split_at(dot));
+    let folder = input.parent().unwrap_or(Path::new(""));
+    let named = |number: String| folder.join(format!("{name}{suffix}{number}{ending}"));
+    let numbered = (2..).map(|number| named(format!("-{number}")));
+    let mut names = std::iter::once(named(String::new())).chain(numbered);
+    names.find(|path| !path.exists()).unwrap_or_else(|| named(String::new()))
+}
+
 /// A text file a person made: at most 16 MiB of UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
     read_text_within(path, MOST_TEXT)

@@ -99,7 +99,10 @@ fn convert(arguments: &ConvertArguments) -> Result<()> {
             "{} is already there; choose another name or give --force",
             path.display()
         ))),
-        Some(path) => files::write(path, text.as_bytes()),
+        Some(path) => {
+            files::make_folder_of(path)?;
+            files::write(path, text.as_bytes())
+        }
     }
 }
 

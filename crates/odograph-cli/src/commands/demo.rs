@@ -12,6 +12,14 @@ const CAMERA: &str = include_str!("../../demo/camera.yaml");
 const RIG: &str = include_str!("../../demo/rig.toml");
 const TRUTH: &str = include_str!("../../demo/truth.tum");
 
+/// What the demo unpacks into `input/`: clip, camera, rig and truth.
+const INPUTS: [(&str, &[u8]); 4] = [
+    ("drive.mp4", CLIP),
+    ("camera.yaml", CAMERA.as_bytes()),
+    ("rig.toml", RIG.as_bytes()),
+    ("truth.tum", TRUTH.as_bytes()),
+];
+
 /// Follow the bundled drive and show what comes out.
 ///
 /// The clip is rendered over photographed floors (a shaky, turning, lens-distorted camera), so its truth is known exactly and the result is
@@ -21,7 +29,7 @@ pub struct DemoArguments {
     /// Folder for the clip and the results.
     #[arg(short, long, value_name = "FOLDER", default_value = "odograph-demo")]
     pub output: PathBuf,
-    /// Overwrite results of something else that are already there.
+    /// Overwrite results that are already there.
     #[arg(long)]
     pub force: bool,
     /// Threads to use; the results are the same for any number. [default: as many as help]
@@ -35,17 +43,27 @@ pub struct DemoArguments {
     pub json: bool,
 }
 
-/// Fails where the folder has results that are not those of a demo, which are always the same.
-fn check_own(folder: &Path, force: bool) -> Result<()> {
-    let is_demo = std::fs::read(folder.join("input/drive.mp4")).is_ok_and(|bytes| bytes == CLIP);
-    let there = run::folder::FILES.iter().map(|name| folder.join(name)).find(|path| path.exists());
-    match there.filter(|_| !is_demo && !force) {
+/// Fails where the folder has results, or other inputs under the demo's names.
+fn check_free(folder: &Path, force: bool) -> Result<()> {
+    let results = run::folder::FILES.iter().map(|name| folder.join(name)).filter(|path| path.exists());
+    let input = |(name, bytes): (&str, &[u8])| {
+        let path = folder.join("input").join(name);
+        (path.exists() && !std::fs::read(&path).is_ok_and(|there| there == bytes)).then_some(path)
+    };
+    match results.chain(INPUTS.into_iter().filter_map(input)).next().filter(|_| !force) {
         Some(there) => Err(Error::usage(format!(
-            "{} is already there and not from a demo; choose another folder, or --force to overwrite it",
+            "{} is already there; choose another folder with -o, or --force to overwrite it",
             there.display()
         ))),
         None => Ok(()),
     }
+}
+
+/// How this program was called, as a shell takes it: `odograph` where it was found on the path.
+fn program() -> String {
+    let called = std::env::args_os().next().map(PathBuf::from);
+    let by_path = called.filter(|path| path.parent().is_some_and(|folder| !folder.as_os_str().is_empty()));
+    by_path.map_or_else(|| "odograph".to_owned(), |path| quoted(&path))
 }
 
 /// A folder beside the demo's that is not there yet: what is printed is to be tried.
@@ -70,24 +88,20 @@ fn quoted(path: &Path) -> String {
 /// Runs the command.
 pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     let folder = &arguments.output;
-    check_own(folder, arguments.force)?;
+    check_free(folder, arguments.force)?;
     let unpacked = folder.join("input");
     std::fs::create_dir_all(&unpacked)
         .map_err(|error| Error::output(format!("{} cannot be made: {error}", unpacked.display())))?;
-    let unpack = |name: &str, bytes: &[u8]| -> Result<PathBuf> {
-        let path = unpacked.join(name);
-        files::write(&path, bytes)?;
-        Ok(path)
-    };
-    let clip = unpack("drive.mp4", CLIP)?;
-    let camera = unpack("camera.yaml", CAMERA.as_bytes())?;
-    let rig = unpack("rig.toml", RIG.as_bytes())?;
-    let truth = unpack("truth.tum", TRUTH.as_bytes())?;
+    for (name, bytes) in INPUTS {
+        files::write(&unpacked.join(name), bytes)?;
+    }
+    let [clip, camera, rig, truth] = INPUTS.map(|(name, _)| unpacked.join(name));
     let told = !arguments.quiet && !arguments.json;
     if told {
         console::print(&format!(
             "A drive of half a minute over photographed floors; this is what you would type for a recording of your own:\n\n  \
-             odograph run {} --camera {} --rig {} -o {}\n\n",
+             {} run {} --camera {} --rig {} -o {}\n\n",
+            program(),
             quoted(&clip),
             quoted(&camera),
             quoted(&rig),
@@ -100,7 +114,7 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
         rig: Some(rig),
         ..RunArguments::over(OutputArguments {
             output: folder.clone(),
-            force: true, // the demo's own folder
+            force: arguments.force,
             map: None,
             map_is_read_only: false,
             least_frames: 2,
@@ -121,10 +135,11 @@ fn compare(folder: &Path, truth: &Path) -> Result<()> {
     let options = EvaluationOptions { alignment: Alignment::Origin, ..Default::default() };
     let found = evaluation::evaluate(&estimate, &trajectory_file::parse_tum(TRUTH)?, &options)?;
     console::print(&format!(
-        "Against the truth: {:.1} mm off on average, {:.1} mm at the end of {:.1} m.\n  odograph evaluate {} {}\n",
+        "Against the truth: {:.1} mm off on average, {:.1} mm at the end of {:.1} m.\n  {} evaluate {} {}\n",
         1e3 * found.absolute.translation.mean,
         1e3 * found.final_position_error_m,
         found.truth_length_m,
+        program(),
         quoted(&folder.join("trajectory.tum")),
         quoted(truth)
     ))

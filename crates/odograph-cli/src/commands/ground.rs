@@ -26,13 +26,15 @@ pub struct GroundArguments {
     #[arg(long, value_name = "FILE")]
     camera: PathBuf,
     /// Rig file to write; a picture of the same name that ends in .png is put beside it.
+    ///
+    /// [default: beside the first source, with its name: drive-rig.toml for drive.mp4]
     #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// The board on the floor, such as charuco:8x11:20mm or chessboard:9x6:25mm.
     #[arg(long, value_name = "BOARD")]
     board: Option<String>,
     /// With --board: how far its printed side is above the floor, such as 5mm. [default: 0mm]
-    #[arg(long, value_name = "LENGTH", value_parser = length, requires = "board")]
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::with_unit, requires = "board")]
     thickness: Option<f64>,
     /// With --board: the direction of the print that points along the carrier's forward, x to its right, y down it; without this the
     /// mount yaw is not measured.
@@ -96,8 +98,10 @@ const CAMERA_UNKNOWN: &str = "the camera file does not say how well the camera i
 
 /// Runs the command.
 pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
-    let picture_path = picture_path(&arguments.output)?;
-    for path in [&arguments.output, &picture_path] {
+    let source = arguments.sources.first().map_or("-", String::as_str);
+    let output = arguments.output.clone().unwrap_or_else(|| files::free_beside(source, "-rig.toml"));
+    let picture_path = picture_path(&output)?;
+    for path in [&output, &picture_path] {
         if path.exists() && !arguments.force {
             return Err(Error::usage(format!(
                 "{} is already there; choose another name or give --force",
@@ -111,7 +115,8 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
     };
     let camera = read_camera(&arguments.camera, size_of(&measured.frame))?.0;
     let drawn = picture::drawn(&camera, &measured)?;
-    files::write(&arguments.output, rig_file::write_measured(&measured.rig).as_bytes())?;
+    files::make_folder_of(&output)?;
+    files::write(&output, rig_file::write_measured(&measured.rig).as_bytes())?;
     files::write(&picture_path, &drawn)?;
     measured.warnings.iter().for_each(|warning| console::warn(warning));
     if !arguments.quiet {
@@ -119,7 +124,7 @@ pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
             "{}{}\nWrote {}; look at {}\n",
             figures(&measured),
             measured.summary,
-            arguments.output.display(),
+            output.display(),
             picture_path.display()
         ))?;
     }
@@ -204,17 +209,6 @@ fn figures(measured: &Measured) -> String {
         degrees(rig.roll_rad, deviations.roll_rad),
         degrees(rig.pitch_rad, deviations.pitch_rad),
     )
-}
-
-/// A length with its unit, in metres.
-fn length(text: &str) -> std::result::Result<f64, String> {
-    let wrong = || format!("`{text}` is not a length with its unit, such as 5mm");
-    let (number, metres) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
-        .iter()
-        .find_map(|(unit, metres)| Some((text.strip_suffix(unit)?, metres)))
-        .ok_or_else(wrong)?;
-    let number: f64 = number.trim().parse().map_err(|_| wrong())?;
-    if number.is_finite() && number >= 0.0 { Ok(number * metres) } else { Err(wrong()) }
 }
 
 fn direction(text: &str) -> std::result::Result<BoardDirection, String> {

@@ -6,13 +6,14 @@ mod photographs;
 mod scene;
 pub(super) mod y4m;
 
-use crate::{Outcome, lengths};
+use crate::Outcome;
+use crate::lengths::{self, Height};
 use clap::ValueEnum;
 use odograph::error::Result;
 use odograph::simulation::Simulation;
 use output::Output;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Render a drive over a floor and write the recording, its exact truth, the camera and the rig
 ///
@@ -20,8 +21,10 @@ use std::path::PathBuf;
 #[derive(clap::Args, Debug)]
 pub struct SimulateArguments {
     /// Folder to write to
+    ///
+    /// [default: simulation, with a number where that is there already]
     #[arg(short, long, value_name = "FOLDER")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// Ground: asphalt, carpet, tiles, bricks, grass, concrete, bare, or a photograph of a floor (PNG, JPEG); given twice,
     /// patches of the second lie in the first
     #[arg(long, value_name = "NAME|FILE", default_value = "asphalt", help_heading = "Ground and way")]
@@ -54,16 +57,16 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, default_value_t = 0.6, help_heading = "Ground and way")]
     spacing: f64,
     /// Stones of this height above and depth below the ground's level, millimetres, 3 cm apart where no other distance is given
-    #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
+    #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_mm_cm, help_heading = "Ground and way")]
     relief: Option<scene::Pair>,
     /// Slow ups and downs by so many centimetres, 2 m from top to top where no other distance is given
-    #[arg(long, value_name = "CM[:WAVELENGTH_M]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
+    #[arg(long, value_name = "CM[:WAVELENGTH_M]", value_parser = scene::parse_cm_m, help_heading = "Ground and way")]
     undulation: Option<scene::Pair>,
     /// A step of so many centimetres (negative: down) across the way, at x = 1 m where no other place is given
     #[arg(
         long,
         value_name = "CM[:AT_M]",
-        value_parser = scene::parse_pair,
+        value_parser = scene::parse_cm_m,
         allow_hyphen_values = true,
         help_heading = "Ground and way"
     )]
@@ -100,12 +103,12 @@ pub struct SimulateArguments {
     #[arg(
         long,
         value_name = "LENGTH",
-        value_parser = lengths::metres,
-        default_value_t = 0.9,
+        value_parser = lengths::height,
+        default_value = "0.9",
         allow_negative_numbers = true,
         help_heading = "Camera"
     )]
-    height: f64,
+    height: Height,
     /// Roll against straight down, degrees
     #[arg(
         long,
@@ -310,6 +313,9 @@ enum FormatName {
 pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
     let (config, parameters) = scene::from_arguments(&arguments)?;
     let simulation = Simulation::new(config)?;
+    if !arguments.quiet {
+        arguments.height.question();
+    }
     let parameters = match arguments.sensors {
         true => parameters.with_sensors(&simulation.sensors()?),
         false => parameters,
@@ -317,16 +323,16 @@ pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
     let output = Output::prepared(&arguments, &simulation)?;
     output.write(&simulation, &parameters)?;
     if !arguments.quiet {
-        tell(&arguments, &simulation)?;
+        tell(output.folder(), &simulation)?;
     }
     Ok(Outcome::Done)
 }
 
-fn tell(arguments: &SimulateArguments, simulation: &Simulation) -> Result<()> {
+fn tell(folder: &Path, simulation: &Simulation) -> Result<()> {
     let last_s = simulation.times_s().last().copied().unwrap_or(0.0);
     crate::console::print(&format!(
         "{}: {} frames, {last_s:.2} s, {:.2} m of path; truth.tum, camera.yaml and rig.toml lie beside them\n",
-        arguments.output.display(),
+        folder.display(),
         simulation.len(),
         simulation.config().path.length_m(),
     ))

@@ -9,7 +9,7 @@ use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
 use odograph_video::SourceOptions;
 use output::Output;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Straighten what the lens has bent: writes the frames as a pinhole would have taken them, and the pinhole's camera file.
 #[derive(Debug, clap::Args)]
@@ -22,8 +22,10 @@ pub struct UndistortArguments {
     #[arg(long, value_name = "FILE")]
     camera: PathBuf,
     /// Folder for the results.
+    ///
+    /// [default: beside the source, with its name: clip-undistorted/ for clip.mp4]
     #[arg(short, long, value_name = "FOLDER")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// How much of what the lens sees is kept.
     #[arg(long, value_name = "WHICH", default_value = "same")]
     field_of_view_kept: Kept,
@@ -120,7 +122,9 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
         )));
     }
     let correction = ImageCorrection::new(&camera, arguments.field_of_view_kept.into()).map_err(in_file)?;
-    let mut output = Output::new(&arguments.output, arguments.format, arguments.force)?;
+    let folder =
+        arguments.output.clone().unwrap_or_else(|| files::free_beside(&arguments.source, "-undistorted"));
+    let mut output = Output::new(&folder, arguments.format, arguments.force)?;
     let corrected = pipeline::correct(source, &correction, &arguments, &mut output)?;
     let Some(before_after) = &corrected.before_after else {
         return Err(corrected.failure.unwrap_or_else(|| {
@@ -129,17 +133,13 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     };
     output.finish(correction.camera(), before_after)?;
     if !arguments.quiet {
-        tell(&arguments, &correction, &corrected)?;
+        tell(&folder, &correction, &corrected)?;
     }
     // What ended the recording early is told after all before it has been written.
     corrected.failure.map_or(Ok(Outcome::Done), Err)
 }
 
-fn tell(
-    arguments: &UndistortArguments,
-    correction: &ImageCorrection,
-    corrected: &pipeline::Corrected,
-) -> Result<()> {
+fn tell(folder: &Path, correction: &ImageCorrection, corrected: &pipeline::Corrected) -> Result<()> {
     let camera = correction.camera();
     let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
     console::print(&format!(
@@ -150,7 +150,7 @@ fn tell(
         camera.focal_px().0,
         camera.focal_px().1,
         100.0 * empty,
-        arguments.output.join("before-after.png").display(),
+        folder.join("before-after.png").display(),
     ))?;
     corrected.warnings.iter().for_each(|warning| console::warn(warning));
     Ok(())

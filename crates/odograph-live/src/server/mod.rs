@@ -96,14 +96,23 @@ impl Server {
 
     /// What to type into a browser, with the token where one is needed.
     pub fn url(&self) -> String {
-        let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
-        format!("http://{}/{token}", self.address)
+        url(self.address, self.token.as_deref())
+    }
+
+    /// The same at other addresses by which the server can be reached.
+    pub fn urls_at(&self, addresses: &[SocketAddr]) -> Vec<String> {
+        addresses.iter().map(|address| url(*address, self.token.as_deref())).collect()
     }
 
     /// How many connections are open.
     pub fn connections(&self) -> usize {
         self.shared.connections.load(Ordering::Relaxed)
     }
+}
+
+fn url(address: SocketAddr, token: Option<&str>) -> String {
+    let token = token.map_or(String::new(), |token| format!("?token={token}"));
+    format!("http://{address}/{token}")
 }
 
 impl Drop for Server {

@@ -22,8 +22,10 @@ pub struct BoardArguments {
     #[arg(long, value_name = "BOARD")]
     board: Board,
     /// The file to write; its ending decides: .pdf, .svg or .png.
+    ///
+    /// [default: board.pdf, with a number where that is there already]
     #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// a5, a4, a3, a2, a1, a0, letter, legal, tabloid, or a size such as 500x700mm, upright or across. [default: the smallest of a4
     /// to a0 that fits]
     #[arg(long, value_name = "PAPER")]
@@ -66,6 +68,7 @@ enum Format {
 /// Runs the command.
 pub fn board(arguments: BoardArguments) -> Result<Outcome> {
     let BoardArguments { board, output, paper, dpi, force, quiet } = &arguments;
+    let output = &output.clone().unwrap_or_else(|| files::free_beside("board", ".pdf"));
     let format = format(output)?;
     if !force && output.exists() {
         return Err(Error::usage(format!("{} exists; give --force to overwrite it", output.display())));
@@ -76,6 +79,7 @@ pub fn board(arguments: BoardArguments) -> Result<Outcome> {
         Format::Svg => svg::svg(&page).into_bytes(),
         Format::Png => png::png(&page, *dpi)?,
     };
+    files::make_folder_of(output)?;
     files::write(output, &bytes)?;
     if !quiet {
         console::print(&format!(

@@ -5,7 +5,7 @@ use super::{CalibrateArguments, Calibrated, LEAST_VIEWS, Source, conclude, input
 use crate::commands::live::pipeline::{FAREWELL, PATIENCE, QUEUE, STATUS_EVERY, capture};
 use crate::commands::live::{CaptureArguments, Offer, Serving, open};
 use crate::commands::run::SourcePlan;
-use crate::{Outcome, console, interrupt};
+use crate::{Outcome, interrupt};
 use odograph::calibration::selection::{Coverage, Guidance, SelectionConfig, ViewSelector};
 use odograph::calibration::{self, Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph::error::{Error, Result};
@@ -64,10 +64,8 @@ pub fn calibrate(
     };
     let no_ground = Mutex::new(Mosaic::new(Default::default()));
     let serving = Serving::start(&arguments.serve, introduction, no_ground, offer(output))?;
-    if let Some(url) = serving.url()
-        && !arguments.quiet
-    {
-        console::complain(&format!("look at {url}"));
+    if !arguments.quiet {
+        serving.tell_where("");
     }
     let started = Instant::now();
     let queue = Arc::new(Newest::new(opened.policy, QUEUE));

@@ -7,7 +7,7 @@ mod search;
 mod summary;
 
 use super::live::{CaptureArguments, ServeArguments};
-use crate::{Outcome, console, interrupt};
+use crate::{Outcome, console, files, interrupt};
 use input::Input;
 use odograph::calibration::selection::{Guidance, SelectionConfig, Sighting};
 use odograph::calibration::{Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict};
@@ -30,8 +30,11 @@ pub struct CalibrateArguments {
     #[arg(short, long, value_name = "BOARD")]
     board: String,
     /// The camera file to write (OpenCV YAML).
+    ///
+    /// [default: beside the first source, with its name: board-camera.yaml for board.mp4; with
+    /// --live, camera.yaml in the working folder]
     #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// Folder for the report. [default: beside the camera file, its name with -report]
     #[arg(long, value_name = "FOLDER")]
     report: Option<PathBuf>,
@@ -144,7 +147,7 @@ struct Calibrated {
 /// Runs the command.
 pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     let board: Board = arguments.board.parse()?;
-    let output = Output::new(&arguments.output, arguments.report.as_deref(), arguments.force)?;
+    let output = Output::new(&arguments.camera_file(), arguments.report.as_deref(), arguments.force)?;
     let selection =
         SelectionConfig { most_views: usize::from(arguments.max_views), ..SelectionConfig::default() };
     if live::is_asked(&arguments)? {
@@ -178,6 +181,16 @@ struct Source {
 }
 
 impl CalibrateArguments {
+    /// The camera file to write.
+    fn camera_file(&self) -> PathBuf {
+        let source = self.sources.first().map_or("-", String::as_str);
+        match &self.output {
+            Some(file) => file.clone(),
+            None if self.live || source == "-" => files::free_beside("camera", ".yaml"),
+            None => files::free_beside(source, "-camera.yaml"),
+        }
+    }
+
     fn config(&self) -> CalibrationConfig {
         CalibrationConfig {
             model: self.model.lens(),

@@ -1,5 +1,6 @@
 //! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with a page in the browser.
 
+mod address;
 mod ground;
 mod latency;
 mod laying;
@@ -13,7 +14,7 @@ mod straight;
 
 use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
 use crate::lengths::{self, Height};
-use crate::{Outcome, console, files, interrupt};
+use crate::{Outcome, files, interrupt};
 use mcap::McapLog;
 use odograph::error::Result;
 use odograph::formats::camera_file;
@@ -92,7 +93,7 @@ Examples:
   odograph cameras
   odograph live /dev/video0 --camera camera.yaml --height 1.20 --serve
   odograph live http://192.168.1.20:8080/video --camera phone.yaml --height 1.20 --serve -o walk/
-  odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 127.0.0.1:8080
+  odograph live drive.mp4 --realtime --camera camera.yaml --height 1.20 --serve 8080
   odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
   odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/";
 
@@ -171,10 +172,8 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let laying = ground::LiveGround::new(plan.camera.clone(), folder.path(), arguments.serve.serve.is_some());
     let serving =
         Serving::start(&arguments.serve, introduction, laying.clone(), Offer::of_run(folder.path()))?;
-    if let Some(url) = serving.url()
-        && !arguments.quiet
-    {
-        console::complain(&format!("look at {url}"));
+    if !arguments.quiet {
+        serving.tell_where("");
     }
     let mapping = run::mapping::Mapping::new(&plan, &folder, &run_arguments.output)?;
     let recorder = Recorder::new(folder, &plan)?;

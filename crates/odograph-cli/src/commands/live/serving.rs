@@ -1,5 +1,6 @@
 //! The page of a run: begins, tells how it goes, and stays as long as somebody looks.
 
+use super::address;
 use crate::commands::run::folder::FILES;
 use crate::{console, interrupt};
 use odograph::error::{Error, Result};
@@ -14,8 +15,10 @@ use std::time::{Duration, Instant};
 /// Where the page is, and for whom.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ServeArguments {
-    /// Show a page in the browser, at this address. [with no address: 127.0.0.1:8080]
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
+    /// Show a page in the browser, at a port or address of this machine. [with no address: 8080]
+    ///
+    /// 8080 and localhost:8080 are for this machine only, 0.0.0.0:8080 is for others, too.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "8080", value_parser = address::parse)]
     pub serve: Option<SocketAddr>,
     /// What a browser must know to be let in. Beyond this machine's own addresses there is always one: made up and told, if not given.
     #[arg(long, value_name = "TOKEN")]
@@ -77,9 +80,16 @@ impl Serving {
         &self.hub
     }
 
-    /// Where to look, if anywhere.
-    pub fn url(&self) -> Option<String> {
-        self.server.as_ref().map(Server::url)
+    /// Tells what to type into a browser, if anything: a line for each address of the page, the
+    /// first with `more` at its end.
+    pub fn tell_where(&self, more: &str) {
+        let Some(server) = &self.server else { return };
+        for (number, url) in server.urls_at(&address::reachable(server.address())).iter().enumerate() {
+            console::note(&match number {
+                0 => format!("look at {url}{more}"),
+                _ => format!("or at {url}"),
+            });
+        }
     }
 
     /// Tells where the run stands.
@@ -98,7 +108,7 @@ impl Serving {
             return;
         }
         if !quiet {
-            console::complain("the page stays while it is open in a browser; Ctrl-C ends at once");
+            console::note("the page stays while it is open in a browser; Ctrl-C ends at once");
         }
         let mut last_seen = Instant::now();
         while !interrupt::asked() && last_seen.elapsed() < GRACE {

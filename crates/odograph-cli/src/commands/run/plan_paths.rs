@@ -34,6 +34,7 @@ impl RunPlan {
         let sensors = &mut self.sensors;
         let files = [
             &mut self.reference,
+            &mut self.mask,
             &mut self.source.timestamps,
             &mut sensors.gyro,
             &mut sensors.heading,

@@ -50,7 +50,7 @@ pub struct Output {
 impl Output {
     /// Makes the folder, and refuses to go on where an earlier run's files would be lost, unless they may be.
     pub fn prepared(arguments: &SimulateArguments, simulation: &Simulation) -> Result<Self> {
-        let folder = arguments.output.clone();
+        let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));
         let timing = simulation.config().effects.timing;
         if arguments.format != FormatName::Png && (timing.dropped > 0.0 || timing.jitter_s > 0.0) {
             return Err(Error::usage(
@@ -87,6 +87,11 @@ impl Output {
             threads,
             bar,
         })
+    }
+
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// Renders and writes everything; the frames come last into their place, so that a folder with frames is a whole one.

@@ -4,7 +4,7 @@ pub(super) mod map;
 
 use super::live::{Offer, ServeArguments, Serving};
 use super::run::RunPlan;
-use crate::{Outcome, console, files};
+use crate::{Outcome, files};
 use odograph::error::{Error, Result};
 use odograph::mapping::{Mosaic, Placement};
 use odograph_live::{Ground, GroundPicture, Introduction, Mark, Phase, Status, TrackRecord};
@@ -42,10 +42,8 @@ pub fn view(arguments: ViewArguments) -> Result<Outcome> {
     } else {
         serve_run(&arguments.folder, &serve)?
     };
-    if let Some(url) = serving.url()
-        && !arguments.quiet
-    {
-        console::complain(&format!("look at {url} (Ctrl-C ends)"));
+    if !arguments.quiet {
+        serving.tell_where(" (Ctrl-C ends)");
     }
     serving.stay();
     ended.store(true, Ordering::Relaxed);

@@ -9,7 +9,7 @@ mod ply;
 mod trajectory;
 
 use super::check_free;
-use crate::{Outcome, console};
+use crate::{Outcome, console, files};
 use anchor::{Anchor, AnchorArgument};
 use geographic::GeographicForm;
 use odograph::error::{Error, Result};
@@ -125,6 +125,7 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     }
     let mut file = MapFile::open_read_only(&arguments.map)?;
     let output = arguments.output.as_path();
+    files::make_folder_of(output)?;
     let told = match form {
         Form::Picture(form) => write_picture(&file, output, form, anchor.as_ref())?,
         Form::Ply => ply::write(&file, output, arguments.max_points)?,

@@ -1,0 +1,103 @@
+//! What a newcomer meets: defaults, addresses, and a demo whose commands can be pasted.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn odograph(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_odograph")).args(arguments).current_dir(folder).output().unwrap()
+}
+
+fn told(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn done(folder: &Path, arguments: &[&str]) -> String {
+    let output = odograph(folder, arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", told(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// A short drive in `sim/`.
+fn drive(folder: &Path) {
+    let simulate = "simulate --path straight --length 40cm --speed 1 --size 160x120 --height 50cm -q -o sim";
+    done(folder, &simulate.split(' ').collect::<Vec<_>>());
+}
+
+#[test]
+fn results_go_beside_the_recording_and_replace_nothing() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    drive(folder);
+    let run = ["run", "sim/frames", "--camera", "sim/camera.yaml", "--rig", "sim/rig.toml", "--fps", "30"];
+    let first = odograph(folder, &run);
+    assert!(first.status.success() && told(&first).contains("the results go to sim/frames-run"), "{first:?}");
+    let before = fs::read(folder.join("sim/frames-run/trajectory.tum")).unwrap();
+    done(folder, &run);
+    let second = fs::read(folder.join("sim/frames-run-2/trajectory.tum")).unwrap();
+    assert!(before == second, "the second run is the first");
+    done(folder, &["run", "sim/frames-run/run.toml", "-q"]);
+    assert!(before == fs::read(folder.join("sim/frames-run-again/trajectory.tum")).unwrap());
+
+    for expected in ["board.pdf", "board-2.pdf"] {
+        done(folder, &["board", "--board", "chessboard:9x6:25mm", "-q"]);
+        assert!(folder.join(expected).is_file(), "{expected}");
+    }
+    done(folder, &["board", "--board", "chessboard:9x6:25mm", "-q", "-o", "new/folder/board.svg"]);
+    assert!(folder.join("new/folder/board.svg").is_file());
+    done(folder, &["undistort", "sim/frames", "--camera", "sim/camera.yaml", "-q", "--fps", "30"]);
+    assert!(folder.join("sim/frames-undistorted/camera.yaml").is_file());
+}
+
+#[test]
+fn a_page_is_served_at_what_people_type() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    drive(folder);
+    let run = "run sim/frames --camera sim/camera.yaml --rig sim/rig.toml --fps 30 -q -o drive";
+    done(folder, &run.split(' ').collect::<Vec<_>>());
+    for (address, begins) in [
+        (":0", "note: look at http://127.0.0.1:"),
+        ("localhost:0", "note: look at http://127.0.0.1:"),
+        ("0.0.0.0:0", "note: look at http://"),
+    ] {
+        let mut view = Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(["view", "drive", "--serve", address])
+            .current_dir(folder)
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(view.stderr.take().unwrap()).read_line(&mut line).unwrap();
+        view.kill().unwrap();
+        view.wait().unwrap();
+        assert!(line.starts_with(begins) && !line.contains("0.0.0.0"), "{address}: {line}");
+    }
+    for address in ["hello", "99999", "http://localhost:8080"] {
+        let refused = odograph(folder, &["view", "drive", "--serve", address]);
+        let told = told(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{told}");
+        assert!(told.contains("is no address to serve at; give a port as 8080"), "{told}");
+    }
+}
+
+#[test]
+fn the_command_that_the_demo_prints_can_be_pasted() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    let said = done(folder, &["demo"]);
+    let command = said.lines().find(|line| line.contains(" run ")).unwrap().trim();
+    let pasted = Command::new("sh").args(["-c", command]).current_dir(folder).output().unwrap();
+    assert!(pasted.status.success(), "{command}: {}", told(&pasted));
+    let path = |run: &str| fs::read(folder.join(run).join("trajectory.tum")).unwrap();
+    assert!(path("odograph-demo") == path("odograph-demo-again"));
+    // A second demo replaces nothing unasked.
+    let again = odograph(folder, &["demo"]);
+    assert_eq!(again.status.code(), Some(2));
+    assert!(
+        told(&again).contains("is already there; choose another folder with -o, or --force"),
+        "{again:?}"
+    );
+    done(folder, &["demo", "--force", "-q"]);
+}
