@@ -1,5 +1,6 @@
 //! What the program says: results on standard output, everything else on standard error.
 
+use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use std::borrow::Cow;
 use std::io::{self, Write};
@@ -44,6 +45,21 @@ pub fn note(sentence: &str) {
 /// A line on standard error. Where it cannot be written, nobody can be told.
 fn to_person(kind: &str, sentence: &str) {
     let _ = writeln!(io::stderr(), "{kind}: {}", harmless(sentence));
+}
+
+/// A bar where the number of frames is known, a count where not; `doing` stands before it. Nothing
+/// is shown where standard error is no terminal.
+pub fn progress(doing: &str, frames: Option<u64>, quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+    let counted = if frames.is_some() { "{bar:30} {pos}/{len} frames, {eta} left" } else { "{pos} frames" };
+    if let Ok(style) = ProgressStyle::with_template(&format!("{{prefix}}{counted}")) {
+        bar.set_style(style);
+    }
+    bar.set_prefix(doing.to_owned());
+    bar
 }
 
 #[cfg(test)]

@@ -76,6 +76,25 @@ impl Height {
     }
 }
 
+/// A length as it was typed, with how far it may have been rounded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Typed {
+    pub metres: f64,
+    /// Standard deviation of the rounding to the last digit that was typed.
+    pub rounding_m: f64,
+}
+
+/// A length as [`metres`] reads it, and what its digits say: 6.2 is known less well than 6.20.
+pub fn typed(text: &str) -> Result<Typed, String> {
+    let metres = metres(text)?;
+    let number = text.trim().trim_end_matches(|c: char| c.is_ascii_alphabetic() || c.is_whitespace());
+    let decimals = number.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    let unit_m = number.parse::<f64>().ok().filter(|number| *number != 0.0).map_or(1.0, |n| metres / n);
+    let last_digit_m = unit_m.abs() * 10_f64.powi(-i32::try_from(decimals).unwrap_or(i32::MAX));
+    // Rounding is spread evenly over one unit of the last digit.
+    Ok(Typed { metres, rounding_m: last_digit_m / 12_f64.sqrt() })
+}
+
 /// The rig in a file; a height that is probably in another unit is questioned unless `quiet`.
 pub fn read_rig(path: &Path, quiet: bool) -> OdographResult<Rig> {
     let rig = rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?;
@@ -125,6 +144,10 @@ mod tests {
             assert!(metres(text).unwrap_err().contains("90cm"), "{text}");
         }
         assert_eq!(in_unit("7", 1e-2), Ok(7.0));
+        for (text, last_digit_m) in [("6.2", 0.1), ("6.20", 0.01), ("620cm", 0.01), ("12", 1.0)] {
+            let rounding_m = typed(text).unwrap().rounding_m;
+            assert!((rounding_m * 12_f64.sqrt() - last_digit_m).abs() < 1e-12, "{text}: {rounding_m}");
+        }
         assert_eq!(in_unit("1cm", 1e-3), Ok(10.0));
         assert_eq!(with_unit("5mm"), Ok(5e-3));
         for text in ["5", "-5mm", "nanmm", "mm"] {

@@ -4,7 +4,7 @@ mod board;
 mod driving;
 mod picture;
 
-use crate::lengths::{self, Height};
+use crate::lengths::{self, Height, Typed};
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -44,9 +44,9 @@ pub struct GroundArguments {
     #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "board")]
     height: Option<Height>,
     /// Without --board: how far the camera was driven in the recording, metres along its path or
-    /// with a unit; tells the height.
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
-    distance: Option<f64>,
+    /// with a unit; tells the height. Its last digit counts: 6.20 is known better than 6.2.
+    #[arg(long, value_name = "LENGTH", value_parser = lengths::typed, allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
+    distance: Option<Typed>,
     /// Without --board: a rig file to begin with, where the camera is tilted by more than ten degrees.
     #[arg(long, value_name = "FILE", conflicts_with = "board")]
     rig: Option<PathBuf>,

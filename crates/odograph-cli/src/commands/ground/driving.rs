@@ -1,9 +1,12 @@
 //! Roll and pitch, and with a known distance the height, from a recording of driving.
 
 use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
-use crate::{interrupt, lengths};
+use crate::lengths::{self, Typed};
+use crate::{console, interrupt};
+use indicatif::ProgressStyle;
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
+use odograph::geometry::GroundPose;
 use odograph::image::RgbImage;
 use odograph::mounting::{
     CameraUncertainty, DrivenTilt, DrivingConfig, LensMeasurement, MeasuredRig, Revealed, RigDeviations,
@@ -19,6 +22,8 @@ struct Pass {
     lens: Option<LensMeasurement>,
     frame: RgbImage,
     warnings: Vec<String>,
+    /// Length of the path from each frame to the next, metres at the assumed height.
+    length_by_frames_m: f64,
 }
 
 /// The tracks are followed once more where the first pass began further off than this, degrees: the shapes in which patches were
@@ -43,8 +48,8 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
             }
             height.metres
         }
-        (None, Some(distance_m)) if distance_m.is_finite() && distance_m > 0.0 => 1.0,
-        (None, Some(distance_m)) => {
+        (None, Some(distance)) if distance.metres.is_finite() && distance.metres > 0.0 => 1.0,
+        (None, Some(Typed { metres: distance_m, .. })) => {
             return Err(Error::usage(format!(
                 "a distance of {distance_m} m is not usable; it must be a positive number of metres"
             )));
@@ -66,18 +71,18 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
         (source.info().width, source.info().height)
     };
     let (mut camera, uncertainty) = read_camera(&arguments.camera, size)?;
-    let mut pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig)?;
+    let mut pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig, 1)?;
     let mut lens_off_px = None;
-    for _ in 0..MOST_PASSES {
+    for number in 0..MOST_PASSES {
         let off_rad = (pass.found.roll_rad - rig.roll_rad).hypot(pass.found.pitch_rad - rig.pitch_rad);
-        if let Some(lens) = pass.lens.filter(|_| lens_off_px.is_none()) {
+        if let Some(lens) = pass.lens.take().filter(|_| lens_off_px.is_none()) {
             lens_off_px = Some(lens.off_px);
             camera = lens.camera;
         } else if off_rad < AGAIN_DEG.to_radians() {
             break;
         }
         rig = Rig { roll_rad: pass.found.roll_rad, pitch_rad: pass.found.pitch_rad, ..rig };
-        pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig)?;
+        pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig, number + 2)?;
     }
     let found = &pass.found;
     if let Revealed::NotAll { worst, deviation_rad } = found.revealed {
@@ -85,7 +90,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     }
     let (height_m, height_deviation_m) = match arguments.distance {
         None => (given_m, None),
-        Some(distance_m) => by_distance(path, &pass.driven, distance_m)?,
+        Some(distance) => by_distance(path, &pass, distance)?,
     };
     let mut warnings = pass.warnings;
     warnings.extend(uncertainty.is_none().then(|| CAMERA_UNKNOWN.to_owned()));
@@ -133,11 +138,15 @@ fn follow(
     camera: &Camera,
     uncertainty: Option<&CameraUncertainty>,
     rig: Rig,
+    number: usize,
 ) -> Result<Pass> {
     let mut source = odograph_video::open(path, &arguments.source_options())?;
     let mut odometry = Odometry::new(camera.clone(), rig, OdometryConfig::default())?;
     let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
+    let doing = format!("pass {number} of at most {}: ", MOST_PASSES + 1);
+    let progress = console::progress(&doing, source.info().frame_count, arguments.quiet);
     let mut last = None;
+    let (mut before, mut length_by_frames_m) = (None::<GroundPose>, 0.0);
     while let Some(frame) = source.next_frame()? {
         if interrupt::asked() {
             return Err(Error::usage("interrupted; nothing was written"));
@@ -147,12 +156,20 @@ fn follow(
         }
         let estimate = odometry.process(frame.gray, frame.time_s)?;
         driven.watch(&estimate, &odometry.global_tracks());
+        if let Some(pose) = estimate.estimate.map(|estimate| estimate.pose) {
+            let from = before.replace(pose).unwrap_or(pose);
+            length_by_frames_m += (pose.x_m - from.x_m).hypot(pose.y_m - from.y_m);
+        }
+        progress.inc(1);
     }
+    progress.set_style(ProgressStyle::default_spinner());
+    progress.set_message("solving for the tilt");
     let frame = last.ok_or_else(|| Error::input(format!("{path} has no frame in the chosen range")))?;
     let found = driven.solve(&rig, uncertainty).map_err(|error| error.at(path))?;
     let lens = driven.self_calibration(&rig, 0).ok().and_then(|calibration| calibration.lens);
     let lens = lens.map(|(lens, _)| lens).filter(LensMeasurement::is_another);
-    Ok(Pass { driven, found, lens, frame, warnings: source.take_warnings() })
+    progress.finish_and_clear();
+    Ok(Pass { driven, found, lens, frame, warnings: source.take_warnings(), length_by_frames_m })
 }
 
 fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
@@ -170,20 +187,29 @@ fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
     )
 }
 
-fn by_distance(path: &str, driven: &DrivenTilt, distance_m: f64) -> Result<(f64, Option<f64>)> {
-    let (length, deviation) = driven.path_length_m().ok_or_else(|| {
+/// The height from the length of the path, and its standard deviation.
+///
+/// A path has no length by itself: measured from frame to frame it has all the shaking of the
+/// mount, along chords of a twentieth of the height it cuts the curves. The distance that was driven
+/// lies between; the middle is taken, with half of what lies between as its standard deviation.
+fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<f64>)> {
+    let (by_chords, deviation) = pass.driven.path_length_m().ok_or_else(|| {
         Error::input(format!(
             "{path}: the camera's path is broken where it could not be followed, so its length is not known; give --height, or \
              --start and --end around a part without a break"
         ))
     })?;
+    let between = (pass.length_by_frames_m - by_chords).max(0.0);
+    let length = by_chords + 0.5 * between;
     if length < LEAST_HEIGHTS {
         return Err(Error::input(format!(
             "{path}: the camera moved by {length:.2} of its height only; a distance tells the height from {LEAST_HEIGHTS:.0} heights on"
         )));
     }
-    let height_m = distance_m / length;
-    Ok((height_m, Some(height_m * deviation / length)))
+    let height_m = distance.metres / length;
+    let relative =
+        (deviation / length).hypot(0.5 * between / length).hypot(distance.rounding_m / distance.metres);
+    Ok((height_m, Some(height_m * relative)))
 }
 
 /// A shorter path is a poor measure.
