@@ -50,7 +50,8 @@ fn a_table_with_units_is_printed() {
     assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
     for part in [
         "101 compared",
-        "10.000 m true, 10.200 m estimated",
+        "10.000 m true, 10.200 m estimated, ups and downs included",
+        "10.000 m true, 10.200 m estimated over the ground",
         "absolute position (m)",
         "position over 1 m (m)",
         "position %",

@@ -1,5 +1,6 @@
 //! `odograph demo`: the bundled drive, end to end.
 
+use super::evaluate::over_ground_m;
 use super::run::{self, OutputArguments, RunArguments};
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
@@ -20,7 +21,7 @@ const INPUTS: [(&str, &[u8]); 4] = [
     ("truth.tum", TRUTH.as_bytes()),
 ];
 
-/// Follow the bundled drive and show what comes out.
+/// Follow a bundled recording and show what comes out.
 ///
 /// The clip is rendered over photographed floors (a shaky, turning, lens-distorted camera), so its truth is known exactly and the result is
 /// compared with it.
@@ -133,12 +134,13 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
 fn compare(folder: &Path, truth: &Path) -> Result<()> {
     let estimate = trajectory_file::parse_tum(&files::read_text(&folder.join("trajectory.tum"))?)?;
     let options = EvaluationOptions { alignment: Alignment::Origin, ..Default::default() };
-    let found = evaluation::evaluate(&estimate, &trajectory_file::parse_tum(TRUTH)?, &options)?;
+    let true_path = trajectory_file::parse_tum(TRUTH)?;
+    let found = evaluation::evaluate(&estimate, &true_path, &options)?;
     console::print(&format!(
-        "Against the truth: {:.1} mm off on average, {:.1} mm at the end of {:.1} m.\n  {} evaluate {} {}\n",
+        "Against the truth, a path of {:.2} m: {:.1} mm off on average, {:.1} mm at the end.\n  {} evaluate {} {}\n",
+        over_ground_m(&true_path),
         1e3 * found.absolute.translation.mean,
         1e3 * found.final_position_error_m,
-        found.truth_length_m,
         program(),
         quoted(&folder.join("trajectory.tum")),
         quoted(truth)

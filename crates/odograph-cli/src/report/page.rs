@@ -110,7 +110,7 @@ fn lead(figures: &Figures) -> String {
     }
     let way = format!(
         "The camera travelled <b>{}</b> in {}.",
-        length_text(figures.distance_m),
+        distance_text(figures.distance_m),
         duration_text(figures.duration_s)
     );
     let kept = match figures.lost.len() {
@@ -127,11 +127,16 @@ fn lead(figures: &Figures) -> String {
     format!("{way} {kept}")
 }
 
+/// The length of the path, to the centimetre as the program prints it.
+fn distance_text(distance_m: f64) -> String {
+    if (1.0..10_000.0).contains(&distance_m) { format!("{distance_m:.2} m") } else { length_text(distance_m) }
+}
+
 fn cards(figures: &Figures, page: &mut String) {
     page.push_str("<div class=\"cards\">\n");
     card(
         "Distance",
-        &length_text(figures.distance_m),
+        &distance_text(figures.distance_m),
         "Length of the measured path; lost stretches do not count.",
         page,
     );

@@ -11,12 +11,15 @@ use odograph::evaluation::{Alignment, Delta, Evaluation, EvaluationOptions, eval
 use odograph::formats::trajectory_file::{
     Trajectory, TrajectoryFormat, guess_format, parse_kitti, parse_times, parse_tum,
 };
+use odograph::trajectory::StampedPose;
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// Compare a trajectory with the truth: absolute and relative errors, drift per metre
+/// Compare a trajectory with the truth
+///
+/// Tells absolute and relative errors, and the drift over each metre.
 #[derive(clap::Args)]
 #[command(
     after_help = "Definitions are those of evo, so that figures can be put side by side; docs/evaluation.md tells them."
@@ -35,7 +38,9 @@ pub struct EvaluateArguments {
     /// Form of both files [default: told by the count of columns]
     #[arg(long, value_enum)]
     format: Option<Format>,
-    /// Times of the poses of KITTI files, a number of seconds a line [default: the number of the pose]
+    /// Times of the poses of KITTI files, a number of seconds a line
+    ///
+    /// [default: the number of the pose]
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
     /// Stretches of the relative errors: lengths (1m, 50cm) or poses (10f); several with commas
@@ -44,7 +49,9 @@ pub struct EvaluateArguments {
     /// Start a relative error at every pose, not only where the one before ended
     #[arg(long)]
     all_pairs: bool,
-    /// Segment lengths for the drift; several with commas [default: 1, 10, 100, … up to the path's length]
+    /// Segment lengths for the drift; several with commas
+    ///
+    /// [default: 1, 10, 100, … up to the length of the path]
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, value_delimiter = ',')]
     segments: Vec<f64>,
     /// Draw the paths and the errors over time into this SVG file
@@ -158,17 +165,25 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         let title = format!("{} against {}", name(&arguments.estimate), name(&arguments.truth));
         files::write(path, plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;
     }
-    tell(&arguments, &options, &evaluation)?;
+    // The ground of KITTI's poses is not x and y.
+    let over_ground_m =
+        (estimate.timed && truth.timed).then(|| [&truth.trajectory, &estimate.trajectory].map(over_ground_m));
+    tell(&arguments, &options, &evaluation, over_ground_m)?;
     Ok(Outcome::Done)
 }
 
-fn tell(arguments: &EvaluateArguments, options: &EvaluationOptions, evaluation: &Evaluation) -> Result<()> {
+fn tell(
+    arguments: &EvaluateArguments,
+    options: &EvaluationOptions,
+    evaluation: &Evaluation,
+    over_ground_m: Option<[f64; 2]>,
+) -> Result<()> {
     let text = if arguments.json {
         figures::json(&arguments.estimate, &arguments.truth, options, evaluation)?
     } else if arguments.quiet {
         return Ok(());
     } else {
-        table::text(&arguments.estimate, &arguments.truth, options, evaluation)
+        table::text(&arguments.estimate, &arguments.truth, options, evaluation, over_ground_m)
     };
     match std::io::stdout().lock().write_all(text.as_bytes()) {
         // Whoever reads the output may stop when they have seen enough.
@@ -177,6 +192,12 @@ fn tell(arguments: &EvaluateArguments, options: &EvaluationOptions, evaluation: 
         }
         _ => Ok(()),
     }
+}
+
+/// Length of a path over the ground (x and y), metres: what `odograph run` calls its distance.
+pub fn over_ground_m(trajectory: &Trajectory) -> f64 {
+    let place = |pose: &StampedPose| pose.world_from_camera.translation.vector.xy();
+    trajectory.poses.windows(2).map(|two| (place(&two[1]) - place(&two[0])).norm()).sum()
 }
 
 fn name(path: &Path) -> String {

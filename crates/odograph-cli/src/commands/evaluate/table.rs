@@ -4,8 +4,15 @@ use odograph::evaluation::{Evaluation, EvaluationOptions, Statistics};
 use std::fmt::Write;
 use std::path::Path;
 
-/// The whole table; metres and degrees.
-pub fn text(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Evaluation) -> String {
+/// The whole table; metres and degrees. `over_ground_m` are the lengths of the true and the
+/// estimated path without their ups and downs.
+pub fn text(
+    estimate: &Path,
+    truth: &Path,
+    options: &EvaluationOptions,
+    e: &Evaluation,
+    over_ground_m: Option<[f64; 2]>,
+) -> String {
     let mut out = String::new();
     let _ =
         writeln!(out, "{} against {}, alignment {}", estimate.display(), truth.display(), options.alignment);
@@ -19,7 +26,14 @@ pub fn text(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Eval
         e.truth_poses,
         e.pairs.len()
     );
-    let _ = writeln!(out, "path     {:.3} m true, {:.3} m estimated", e.truth_length_m, e.estimate_length_m);
+    let _ = writeln!(
+        out,
+        "path     {:.3} m true, {:.3} m estimated, ups and downs included",
+        e.truth_length_m, e.estimate_length_m
+    );
+    if let Some([truth_m, estimate_m]) = over_ground_m {
+        let _ = writeln!(out, "         {truth_m:.3} m true, {estimate_m:.3} m estimated over the ground");
+    }
     let scale = match e.scale {
         Some(scale) => format!("truth is {scale:.6} times the estimate ({:+.3} %)", 100.0 * (scale - 1.0)),
         None => "not told by these paths".to_owned(),
