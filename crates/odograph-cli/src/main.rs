@@ -7,13 +7,13 @@ mod interrupt;
 mod lengths;
 mod report;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};
 use std::process::ExitCode;
 
 /// One video camera in, a metric trajectory and map out.
 #[derive(Parser)]
-#[command(name = "odograph", version, about, max_term_width = 100)]
+#[command(name = "odograph", version, max_term_width = 100)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -36,6 +36,32 @@ enum Command {
     Camera(commands::camera::CameraArguments),
     Ground(commands::ground::GroundArguments),
     Map(commands::map::MapArguments),
+    Completions(commands::completions::CompletionsArguments),
+}
+
+/// The commands as the first help shows them: grouped by what a person wants to do.
+const GROUPS: [(&str, &[&str]); 5] = [
+    ("Follow a camera", &["demo", "run", "live", "view"]),
+    ("Use maps", &["localize", "map"]),
+    ("Set up a camera", &["board", "calibrate", "ground", "camera", "cameras"]),
+    ("Try and judge", &["simulate", "evaluate", "undistort"]),
+    ("More", &["completions"]),
+];
+
+/// The program's command with its commands grouped in the help.
+fn command() -> clap::Command {
+    let command = Arguments::command();
+    let mut groups = String::new();
+    for (heading, names) in GROUPS {
+        groups.push_str(&format!("{heading}:\n"));
+        for inner in names.iter().filter_map(|name| command.find_subcommand(name)) {
+            let about = inner.get_about().map(ToString::to_string).unwrap_or_default();
+            groups.push_str(&format!("  {:<12} {about}\n", inner.get_name()));
+        }
+        groups.push('\n');
+    }
+    groups.push_str("`odograph COMMAND -h` tells a command's options in a line each, --help in full.");
+    command.help_template("{about}\n\n{usage-heading} {usage}{after-help}\n\n{options}\n").after_help(groups)
 }
 
 /// How a command that did not fail ended.
@@ -53,7 +79,8 @@ pub enum Outcome {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments =
+        Arguments::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     interrupt::listen();
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
@@ -70,6 +97,7 @@ fn main() -> ExitCode {
         Command::Camera(arguments) => commands::camera::camera(arguments),
         Command::Ground(arguments) => commands::ground::ground(arguments),
         Command::Map(arguments) => commands::map::map(arguments),
+        Command::Completions(arguments) => commands::completions::completions(arguments),
     };
     match outcome {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -83,5 +111,36 @@ fn main() -> ExitCode {
                 _ => 3,
             })
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_help_shows_every_command_in_a_line() {
+        let help = command().render_help().to_string();
+        for inner in Arguments::command().get_subcommands() {
+            let name = inner.get_name();
+            let line = help.lines().find(|line| line.trim_start().starts_with(&format!("{name} ")));
+            assert!(line.is_some_and(|line| line.chars().count() <= 80), "{name}: {line:?}");
+        }
+    }
+
+    #[test]
+    fn every_option_begins_with_one_short_line() {
+        fn check(command: &clap::Command, name: &str) {
+            for argument in command.get_arguments().filter(|argument| !argument.is_hide_set()) {
+                let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
+                let id = argument.get_id();
+                assert!(!help.is_empty(), "{name} {id} has no help");
+                assert!(help.chars().count() <= 100, "{name} {id}: {help}");
+            }
+            for inner in command.get_subcommands() {
+                check(inner, &format!("{name} {}", inner.get_name()));
+            }
+        }
+        check(&Arguments::command(), "odograph");
     }
 }

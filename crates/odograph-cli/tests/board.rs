@@ -106,7 +106,7 @@ fn what_cannot_be_printed_is_refused_in_one_sentence() {
         ("b.pdf", &["--board", "chessboard:9x6:25mm", "--paper", "a9"], "`a9` is no paper"),
         ("b.jpg", &["--board", "chessboard:9x6:25mm"], "does not end in .pdf, .svg or .png"),
         ("b.png", &["--board", "aprilgrid:6x6:88mm", "--dpi", "2400"], "take a lower --dpi, or a .pdf"),
-        ("no/b.pdf", &["--board", "chessboard:9x6:25mm"], "cannot be written"),
+        ("/dev/null/b.pdf", &["--board", "chessboard:9x6:25mm"], "cannot be made"),
     ] {
         let refused = board(temporary.path(), name, more);
         assert!([Some(2), Some(3)].contains(&refused.status.code()), "{refused:?}");

@@ -1,5 +1,7 @@
 //! What a newcomer meets: defaults, addresses, and a demo whose commands can be pasted.
 
+#![allow(clippy::unwrap_used)] // a test fails by panicking
+
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -100,4 +102,30 @@ fn the_command_that_the_demo_prints_can_be_pasted() {
         "{again:?}"
     );
     done(folder, &["demo", "--force", "-q"]);
+}
+
+#[test]
+fn help_fits_the_terminal_and_groups_commands_and_options() {
+    let temporary = tempfile::tempdir().unwrap();
+    let lines = |arguments: &[&str], columns: &str| {
+        let mut help = Command::new(env!("CARGO_BIN_EXE_odograph"));
+        let output = help.args(arguments).env("COLUMNS", columns).output().unwrap();
+        String::from_utf8(output.stdout).unwrap().lines().map(str::to_owned).collect::<Vec<_>>()
+    };
+    for heading in ["Follow a camera:", "Use maps:", "Set up a camera:"] {
+        assert!(lines(&["--help"], "80").iter().any(|line| line == heading), "{heading}");
+    }
+    for command in ["run", "live", "localize", "ground", "calibrate", "undistort", "simulate", "view"] {
+        let help = lines(&[command, "-h"], "80");
+        let examples = help.iter().position(|line| line == "Examples:").unwrap_or(help.len());
+        let long = help[..examples].iter().find(|line| line.chars().count() > 80);
+        assert!(long.is_none(), "{command}: {long:?}");
+        assert!(command == "view" || help.iter().any(|line| line == "Results:"), "{command}");
+    }
+
+    done(temporary.path(), &["completions", "man"]);
+    let page = fs::read_to_string(temporary.path().join("man/odograph-run.1")).unwrap();
+    assert!(page.contains("run.toml of an earlier run"));
+    assert!(temporary.path().join("man/odograph-map-merge.1").is_file());
+    assert!(done(temporary.path(), &["completions", "bash"]).contains("--field-of-view"));
 }

@@ -8,7 +8,7 @@ use odograph::geometry::Pixel;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Bring camera files into the form of another program, or tell what is in them.
+/// Convert or show camera files.
 #[derive(Debug, clap::Args)]
 pub struct CameraArguments {
     #[command(subcommand)]
@@ -21,7 +21,9 @@ enum CameraCommand {
     Show(ShowArguments),
 }
 
-/// Write a camera file in the form of another program; refuses what that form cannot express.
+/// Write a camera file in the form of another program.
+///
+/// Refuses what that form cannot express.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 struct ConvertArguments {
@@ -48,7 +50,7 @@ Examples:
   odograph camera convert camera.yaml -o robot-camchain.yaml   # Kalibr
   odograph camera convert camera.yaml --to ros                 # to standard output";
 
-/// Tell what a camera file says: size, focal lengths, lens and fields of view.
+/// Show size, focal lengths, lens and fields of view.
 #[derive(Debug, clap::Args)]
 struct ShowArguments {
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).

@@ -4,7 +4,9 @@ use crate::{Outcome, console};
 use odograph::error::Result;
 use std::fmt::Write;
 
-/// List the cameras of this machine and what they can do.
+/// List the cameras of this machine.
+///
+/// With the sizes, rates and formats of each.
 #[derive(Debug, clap::Args)]
 pub struct CamerasArguments {}
 

@@ -15,61 +15,65 @@ use odograph::mounting::{BoardDirection, CameraUncertainty, MeasuredRig};
 use odograph_video::SourceOptions;
 use std::path::{Path, PathBuf};
 
-/// Measure how the camera sits over the floor: height, roll, pitch and mount yaw, from pictures of a board that lies on it or from driving.
+/// Measure height, roll, pitch and yaw of the mounted camera.
+///
+/// From pictures of a board that lies on the floor, or from driving.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct GroundArguments {
-    /// With --board, pictures, folders or clips in which the board lies on the floor; otherwise one recording of driving.
+    /// Pictures, folders or clips of a board on the floor; or one recording of driving.
     #[arg(value_name = "SOURCE", required = true)]
     sources: Vec<String>,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
     camera: PathBuf,
     /// Rig file to write; a picture of the same name that ends in .png is put beside it.
     ///
     /// [default: beside the first source, with its name: drive-rig.toml for drive.mp4]
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(help_heading = "Results", short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// The board on the floor, such as charuco:8x11:20mm or chessboard:9x6:25mm.
-    #[arg(long, value_name = "BOARD")]
+    #[arg(help_heading = "With a board", long, value_name = "BOARD")]
     board: Option<String>,
     /// With --board: how far its printed side is above the floor, such as 5mm. [default: 0mm]
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::with_unit, requires = "board")]
+    #[arg(help_heading = "With a board", long, value_name = "LENGTH", value_parser = lengths::with_unit, requires = "board")]
     thickness: Option<f64>,
-    /// With --board: the direction of the print that points along the carrier's forward, x to its right, y down it; without this the
-    /// mount yaw is not measured.
-    #[arg(long, value_name = "x|-x|y|-y", value_parser = direction, allow_hyphen_values = true, requires = "board")]
+    /// With --board: the direction of the print that points forward on the carrier.
+    ///
+    /// x is to the right of the print, y down it. Without this the mount yaw is not measured.
+    #[arg(help_heading = "With a board", long, value_name = "x|-x|y|-y", value_parser = direction, allow_hyphen_values = true, requires = "board")]
     forward: Option<BoardDirection>,
     /// Without --board: the height of the camera above the floor, as 0.9 (metres) or 90cm.
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "board")]
+    #[arg(help_heading = "From driving", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "board")]
     height: Option<Height>,
-    /// Without --board: how far the camera was driven in the recording, metres along its path or
-    /// with a unit; tells the height. Its last digit counts: 6.20 is known better than 6.2.
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::typed, allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
+    /// Without --board: how far the camera was driven, such as 6.20 (metres); gives the height.
+    ///
+    /// The last digit counts: 6.20 is known better than 6.2.
+    #[arg(help_heading = "From driving", long, value_name = "LENGTH", value_parser = lengths::typed, allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
     distance: Option<Typed>,
-    /// Without --board: a rig file to begin with, where the camera is tilted by more than ten degrees.
-    #[arg(long, value_name = "FILE", conflicts_with = "board")]
+    /// Without --board: a rig file to start from, for tilts of more than ten degrees.
+    #[arg(help_heading = "From driving", long, value_name = "FILE", conflicts_with = "board")]
     rig: Option<PathBuf>,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Recording", long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
     /// Frames a second, where the source does not say.
-    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     fps: Option<f64>,
     /// Begin so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
     /// End so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
     /// Take every n-th frame.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
     /// Overwrite results that are already there.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     force: bool,
     /// Say nothing but errors and warnings.
-    #[arg(short, long)]
+    #[arg(help_heading = "Results", short, long)]
     quiet: bool,
 }
 

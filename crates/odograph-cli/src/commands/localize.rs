@@ -13,7 +13,7 @@ use odograph_map::MapFile;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Find a recording, or a single picture, in a map that was made before, and follow it there.
+/// Find where a picture or a recording was taken in a map.
 ///
 /// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known
 /// of where it is. Tells where it was last, in the frame of the map, with one standard deviation.
@@ -22,47 +22,49 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct LocalizeArguments {
-    /// A video, a folder of pictures, or `-` for Y4M on standard input; of the camera that the map was made with.
+    /// A picture, a video, a folder of pictures, or `-` for Y4M on standard input.
+    ///
+    /// It must be of the camera that the map was made with.
     #[arg(value_name = "SOURCE")]
     pub source: String,
     /// The map.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub map: PathBuf,
     /// Let the map grow by what the recording shows. Without this it is only looked into.
-    #[arg(long)]
+    #[arg(help_heading = "Map", long)]
     pub extend: bool,
     /// Look into the map only; that is so without it, too.
     #[arg(long, hide = true, conflicts_with = "extend")]
     pub read_only: bool,
     /// Rig file (TOML), where the camera is not mounted as it was when the map was begun.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
     /// What may change between frames.
-    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    #[arg(help_heading = "Map", long, value_name = "MODEL", default_value = "auto")]
     pub motion: run::Motion,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
     /// Frames a second, where the source does not say.
-    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Take at most so many frames.
-    #[arg(long, value_name = "N")]
+    #[arg(help_heading = "Recording", long, value_name = "N")]
     pub max_frames: Option<u64>,
     /// Folder for all the files of a run. [default: only the place is told]
-    #[arg(short, long, value_name = "FOLDER")]
+    #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
     /// Overwrite results that are already there.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     pub force: bool,
     /// Threads to use; the results are the same for any number. [default: as many as help]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(help_heading = "Results", long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
     /// Say nothing but errors.
-    #[arg(short, long)]
+    #[arg(help_heading = "Results", short, long)]
     pub quiet: bool,
     /// Print the place as JSON.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     pub json: bool,
 }
 
@@ -72,7 +74,7 @@ Examples:
   odograph localize tuesday.mp4 --map hall.gpkg -o tuesday/
   odograph localize tuesday.mp4 --map hall.gpkg --extend -o tuesday/
 
-Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when it was not recognised
+Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when it was not recognised \
 (the message says whether the ground was never mapped, or that this cannot be told, and why).";
 
 /// Runs the command.

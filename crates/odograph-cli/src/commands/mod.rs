@@ -4,6 +4,7 @@ pub mod board;
 pub mod calibrate;
 pub mod camera;
 pub mod cameras;
+pub mod completions;
 pub mod demo;
 pub mod evaluate;
 pub mod ground;

@@ -15,7 +15,9 @@ use output::Output;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Render a drive over a floor and write the recording, its exact truth, the camera and the rig
+/// Render a recording over a floor, with its exact truth
+///
+/// Writes the frames, the truth, the camera file and the rig file.
 ///
 /// The same options always write the same bytes. Without options: a square of 2 m without turning, over asphalt, seen from 0.9 m.
 #[derive(clap::Args, Debug)]
@@ -23,22 +25,29 @@ pub struct SimulateArguments {
     /// Folder to write to
     ///
     /// [default: simulation, with a number where that is there already]
-    #[arg(short, long, value_name = "FOLDER")]
+    #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
-    /// Ground: asphalt, carpet, tiles, bricks, grass, concrete, bare, or a photograph of a floor (PNG, JPEG); given twice,
-    /// patches of the second lie in the first
+    /// Ground: asphalt, carpet, tiles, bricks, grass, concrete, bare, or a photograph
+    ///
+    /// A photograph of a floor is a PNG or JPEG. Given twice, patches of the second lie in the
+    /// first.
     #[arg(long, value_name = "NAME|FILE", default_value = "asphalt", help_heading = "Ground and way")]
     texture: Vec<String>,
     /// Width of the ground that a photograph shows, metres; one for each photograph
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, default_value = "2", help_heading = "Ground and way")]
     photo_width: Vec<f64>,
-    /// How a photograph covers the plane: mirror (seamless), repeat (where its edges fit), scatter (asphalt, grass: nothing repeats)
+    /// How a photograph covers the plane: mirror, repeat or scatter
+    ///
+    /// mirror is seamless, repeat is for photographs whose edges fit, scatter for asphalt and
+    /// grass: nothing repeats.
     #[arg(long, value_name = "HOW", default_value = "mirror", help_heading = "Ground and way")]
     tiling: Vec<TilingName>,
     /// Shape of the path
     #[arg(long, value_name = "NAME", value_enum, default_value = "square", help_heading = "Ground and way")]
     path: PathName,
-    /// Length of the path: of a straight or a walk in all, of a side, of a lane, of the eight from tip to tip; metres
+    /// Length of the path, of a side, of a lane or of the eight, metres or with a unit
+    ///
+    /// Of a straight or a walk in all, of an eight from tip to tip.
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, help_heading = "Ground and way")]
     length: Option<f64>,
     /// Speed over ground, metres per second
@@ -56,13 +65,19 @@ pub struct SimulateArguments {
     /// Distance between lanes, metres
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, default_value_t = 0.6, help_heading = "Ground and way")]
     spacing: f64,
-    /// Stones of this height above and depth below the ground's level, millimetres, 3 cm apart where no other distance is given
+    /// Stones of this height and depth, millimetres, and their distance, centimetres
+    ///
+    /// [default distance: 3 cm] Both take units: 8mm:3cm.
     #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_mm_cm, help_heading = "Ground and way")]
     relief: Option<scene::Pair>,
-    /// Slow ups and downs by so many centimetres, 2 m from top to top where no other distance is given
+    /// Slow ups and downs by so many centimetres, and their wavelength, metres
+    ///
+    /// [default wavelength: 2 m] Both take units: 5cm:2m.
     #[arg(long, value_name = "CM[:WAVELENGTH_M]", value_parser = scene::parse_cm_m, help_heading = "Ground and way")]
     undulation: Option<scene::Pair>,
-    /// A step of so many centimetres (negative: down) across the way, at x = 1 m where no other place is given
+    /// A step across the path, centimetres (negative: down), and its x, metres
+    ///
+    /// [default x: 1 m] Both take units: 5cm:1m.
     #[arg(
         long,
         value_name = "CM[:AT_M]",
@@ -71,7 +86,9 @@ pub struct SimulateArguments {
         help_heading = "Ground and way"
     )]
     kerb: Option<scene::Pair>,
-    /// An incline of so many percent (negative: down), from x = 1 m where no other place is given
+    /// An incline in percent (negative: down), and the x where it begins, metres
+    ///
+    /// [default x: 1 m]
     #[arg(
         long,
         value_name = "PERCENT[:AT_M]",
@@ -80,13 +97,19 @@ pub struct SimulateArguments {
         help_heading = "Ground and way"
     )]
     ramp: Option<scene::Pair>,
-    /// The camera follows undulation, kerb and ramp on wheels 0.5 m apart, instead of keeping its height and staying upright
+    /// The camera follows undulation, kerb and ramp on wheels 0.5 m apart
+    ///
+    /// Otherwise it keeps its height and stays upright.
     #[arg(long, help_heading = "Ground and way")]
     ride: bool,
-    /// Grass in the wind: a share of the ground (0.3 where it is left out) swings by so many pixels to either side
+    /// Grass in the wind: pixels of swing to either side, and the share of the ground
+    ///
+    /// [default share: 0.3]
     #[arg(long, value_name = "PX[:SHARE]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
     sway: Option<scene::Pair>,
-    /// Record this long, seconds, instead of to the end of the path; before and after, the camera stands
+    /// Record this many seconds instead of to the end of the path
+    ///
+    /// Before and after the path the camera stands.
     #[arg(long, value_name = "SECONDS", help_heading = "Ground and way")]
     duration: Option<f64>,
     /// Be at full speed in the first and the last frame instead of starting and ending at rest
@@ -127,7 +150,7 @@ pub struct SimulateArguments {
         help_heading = "Camera"
     )]
     pitch: f64,
-    /// Direction of the top of the image against the carrier's forward, degrees counter-clockwise
+    /// Yaw: top of the image against forward, degrees counter-clockwise
     #[arg(
         long,
         value_name = "DEGREES",
@@ -173,7 +196,9 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     vignetting: f64,
-    /// Shaking, in millimetres, degrees and hertz; 0.1 degrees per millimetre and 8 Hz where they are left out
+    /// Shaking in millimetres, degrees and hertz
+    ///
+    /// [default: 0.1 degrees for each millimetre, and 8 Hz]
     #[arg(long, value_name = "MM[:DEG[:HZ]]", value_parser = scene::parse_vibration, help_heading = "Effects")]
     vibration: Option<scene::VibrationOption>,
     /// Darkness of the carrier's shadow, which stands still in the image, 0 to 1
@@ -200,7 +225,9 @@ pub struct SimulateArguments {
     /// The lens is covered from one time to another, seconds; may be given more than once
     #[arg(long, value_name = "FROM:TO", value_parser = scene::parse_blackout, help_heading = "Effects")]
     blackout: Vec<odograph::simulation::Blackout>,
-    /// Rolling shutter: time from the first row to the last, milliseconds; a timestamp is that of the middle row
+    /// Rolling shutter: time from the first row to the last, milliseconds
+    ///
+    /// A timestamp is that of the middle row.
     #[arg(
         long,
         value_name = "MS",
@@ -212,7 +239,9 @@ pub struct SimulateArguments {
     /// Write the readout time into camera.yaml; otherwise nobody is told
     #[arg(long, help_heading = "Effects")]
     tell_readout: bool,
-    /// The focal length goes to and fro by so many percent, every 5 seconds where no other time is given
+    /// The focal length changes by so many percent to either side, in a time of seconds
+    ///
+    /// [default time: 5 s]
     #[arg(long, value_name = "PERCENT[:SECONDS]", value_parser = scene::parse_pair, help_heading = "Effects")]
     breathing: Option<scene::Pair>,
     /// A bumper covers this share of the image from its bottom edge and stands still in it
@@ -221,7 +250,9 @@ pub struct SimulateArguments {
     /// So many dark specks lie on the lens
     #[arg(long, value_name = "COUNT", num_args = 0..=1, default_missing_value = "6", help_heading = "Effects")]
     dirt: Option<u32>,
-    /// The carrier's own lamp gives this share of the light, 0 to 1: a bright spot with a highlight, dark around it
+    /// The carrier's own lamp gives this share of the light, 0 to 1
+    ///
+    /// It makes a bright spot with a highlight, and dark around it.
     #[arg(long, value_name = "STRENGTH", num_args = 0..=1, default_missing_value = "0.7", help_heading = "Effects")]
     lamp: Option<f64>,
     /// Share of frames that are missing
@@ -233,7 +264,9 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     dropped: f64,
-    /// Frames are taken early or late by this, standard deviation in milliseconds; their timestamps say so
+    /// Frames are early or late by this standard deviation, milliseconds
+    ///
+    /// Their timestamps say so.
     #[arg(
         long,
         value_name = "MS",
@@ -246,24 +279,28 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64), help_heading = "Effects")]
     seed: u64,
 
-    /// Write what a gyroscope, a compass, a wheel and a range finder on the carrier tell: gyro.csv, heading.csv, wheel.csv, range.csv
+    /// Write readings of gyroscope, compass, wheel and range finder
+    ///
+    /// gyro.csv, heading.csv, wheel.csv and range.csv.
     #[arg(long, help_heading = "Other sensors")]
     sensors: bool,
 
     /// png: a folder of pictures; y4m: uncompressed video; mjpeg: an AVI of JPEG pictures
-    #[arg(long, value_enum, default_value = "png")]
+    #[arg(help_heading = "Results", long, value_enum, default_value = "png")]
     format: FormatName,
     /// Colour instead of gray
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     color: bool,
     /// Overwrite what an earlier run has written
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     force: bool,
     /// Say nothing
-    #[arg(short, long)]
+    #[arg(help_heading = "Results", short, long)]
     quiet: bool,
-    /// Number of threads; as many as the machine has, where left out. Changes nothing in the result
-    #[arg(long, value_name = "COUNT")]
+    /// Threads to use; the results are the same for any number
+    ///
+    /// [default: as many as the machine has]
+    #[arg(help_heading = "Results", long, value_name = "COUNT")]
     threads: Option<std::num::NonZeroUsize>,
 }
 

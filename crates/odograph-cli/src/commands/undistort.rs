@@ -11,7 +11,9 @@ use odograph_video::SourceOptions;
 use output::Output;
 use std::path::{Path, PathBuf};
 
-/// Straighten what the lens has bent: writes the frames as a pinhole would have taken them, and the pinhole's camera file.
+/// Remove the lens distortion from a recording.
+///
+/// Writes the frames as a pinhole camera would have taken them, and that camera's file.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct UndistortArguments {
@@ -19,48 +21,50 @@ pub struct UndistortArguments {
     #[arg(value_name = "SOURCE")]
     source: String,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
     camera: PathBuf,
     /// Folder for the results.
     ///
     /// [default: beside the source, with its name: clip-undistorted/ for clip.mp4]
-    #[arg(short, long, value_name = "FOLDER")]
+    #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
     /// How much of what the lens sees is kept.
-    #[arg(long, value_name = "WHICH", default_value = "same")]
+    #[arg(help_heading = "Camera", long, value_name = "WHICH", default_value = "same")]
     field_of_view_kept: Kept,
     /// png: a folder of pictures; y4m: uncompressed video.
-    #[arg(long, value_name = "FORMAT", default_value = "png")]
+    #[arg(help_heading = "Results", long, value_name = "FORMAT", default_value = "png")]
     format: Format,
     /// Gray frames, also where the source has colour.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     gray: bool,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Recording", long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
     /// Frames a second, where the source does not say.
-    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     fps: Option<f64>,
     /// Begin so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
     /// End so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
     /// Take every n-th frame.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
     /// Take at most so many frames.
-    #[arg(long, value_name = "N")]
+    #[arg(help_heading = "Recording", long, value_name = "N")]
     max_frames: Option<u64>,
     /// Overwrite results that are already there.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     force: bool,
-    /// Threads to use; the results are the same for any number. [default: as many as the machine has]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    /// Threads to use; the results are the same for any number.
+    ///
+    /// [default: as many as the machine has]
+    #[arg(help_heading = "Results", long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// Say nothing but errors.
-    #[arg(short, long)]
+    #[arg(help_heading = "Results", short, long)]
     quiet: bool,
 }
 

@@ -13,12 +13,13 @@ use page::Page;
 use paper::Paper;
 use std::path::{Path, PathBuf};
 
-/// Make a calibration board to print, at true size, with a ruler to measure the print by.
+/// Make a calibration board to print.
+///
+/// It is at true size, with a ruler to measure the print by.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct BoardArguments {
-    /// What to print: a kind, a count and lengths, such as chessboard:9x6:25mm, charuco:8x11:20mm, aprilgrid:6x6:88mm,
-    /// circles:7x5:20mm or asymmetric-circles:4x11:20mm.
+    /// The board to print, such as chessboard:9x6:25mm; the kinds are below.
     #[arg(long, value_name = "BOARD")]
     board: Board,
     /// The file to write; its ending decides: .pdf, .svg or .png.
@@ -26,8 +27,9 @@ pub struct BoardArguments {
     /// [default: board.pdf, with a number where that is there already]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// a5, a4, a3, a2, a1, a0, letter, legal, tabloid, or a size such as 500x700mm, upright or across. [default: the smallest of a4
-    /// to a0 that fits]
+    /// Paper: a5 to a0, letter, legal, tabloid, or a size such as 500x700mm.
+    ///
+    /// [default: the smallest of a4 to a0 that fits]
     #[arg(long, value_name = "PAPER")]
     paper: Option<Paper>,
     /// Resolution of a PNG, pixels per inch.

@@ -18,68 +18,76 @@ use search::Search;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Calibrate a camera: from a video of a board that is waved before it, or from pictures of one.
+/// Calibrate a camera with pictures or a video of a board.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct CalibrateArguments {
-    /// A video, a folder of pictures, pictures, or `-` for Y4M on standard input; with --live a camera, as `odograph live` takes it.
+    /// A video, a folder of pictures, pictures, or `-` for Y4M on standard input.
+    ///
+    /// With --live a camera, as `odograph live` takes it.
     #[arg(value_name = "SOURCE", required = true)]
     sources: Vec<String>,
-    /// The board: chessboard:9x6:25mm (inner corners, side of a square), charuco:8x11:20mm, aprilgrid:6x6:88mm,
-    /// circles:7x5:20mm, asymmetric-circles:4x11:20mm.
-    #[arg(short, long, value_name = "BOARD")]
+    /// The board, such as chessboard:9x6:25mm (inner corners, side of a square).
+    ///
+    /// Also charuco:8x11:20mm, aprilgrid:6x6:88mm, circles:7x5:20mm and
+    /// asymmetric-circles:4x11:20mm.
+    #[arg(help_heading = "Board and lens", short, long, value_name = "BOARD")]
     board: String,
     /// The camera file to write (OpenCV YAML).
     ///
     /// [default: beside the first source, with its name: board-camera.yaml for board.mp4; with
     /// --live, camera.yaml in the working folder]
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(help_heading = "Results", short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Folder for the report. [default: beside the camera file, its name with -report]
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(help_heading = "Results", long, value_name = "FOLDER")]
     report: Option<PathBuf>,
-    /// Look through a camera as it comes, say what to show next (on a page, with --serve), and end when the calibration is good.
-    #[arg(long)]
+    /// Calibrate with a camera while it films, and end when the result is good.
+    ///
+    /// It says what to show next, on a page with --serve.
+    #[arg(help_heading = "Source", long)]
     live: bool,
     #[command(flatten)]
     serve: ServeArguments,
     #[command(flatten)]
     capture: CaptureArguments,
-    /// The lens model; auto tries them all and takes the one that foretells views it has not seen.
-    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    /// Lens model; auto takes the one that predicts unseen views best.
+    #[arg(help_heading = "Board and lens", long, value_name = "MODEL", default_value = "auto")]
     model: Model,
     /// Take pixels as square: one focal length for both directions.
-    #[arg(long)]
+    #[arg(help_heading = "Board and lens", long)]
     square_pixels: bool,
     /// Take the principal point as the middle of the image.
-    #[arg(long)]
+    #[arg(help_heading = "Board and lens", long)]
     centred: bool,
     /// The board may be bent a little, or its print stretched: that is estimated too.
-    #[arg(long)]
+    #[arg(help_heading = "Board and lens", long)]
     bent_board: bool,
     /// Look at every n-th frame only.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
     /// Begin so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
     /// End so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
     /// Calibrate with at most so many views: the ones that tell most.
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(3..=500))]
+    #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(3..=500))]
     max_views: u16,
     /// Overwrite results that are already there.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     force: bool,
-    /// Threads to use; the results are the same for any number. [default: as many as the machine has]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    /// Threads to use; the results are the same for any number.
+    ///
+    /// [default: as many as the machine has]
+    #[arg(help_heading = "Results", long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// Say nothing but errors and warnings.
-    #[arg(short, long)]
+    #[arg(help_heading = "Results", short, long)]
     quiet: bool,
     /// Print the figures as JSON to standard output instead of a summary.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     json: bool,
 }
 
@@ -90,7 +98,7 @@ Examples:
   odograph calibrate --live /dev/video0 --serve --board charuco:8x11:20mm -o camera.yaml
   odograph calibrate left*.jpg --board chessboard:9x6:25mm --model brown5 -o left.yaml
 
-Ends with 0 when the calibration is good or usable, 2 on wrong usage, 3 on bad input, 4 when it had better be done again (the
+Ends with 0 when the calibration is good or usable, 2 on wrong usage, 3 on bad input, 4 when it had better be done again (the \
 files have been written and say why).";
 
 /// The lens models by their names on the command line.

@@ -26,65 +26,71 @@ use recorder::Recorder;
 pub use serving::{Offer, ServeArguments, Serving};
 use std::path::{Path, PathBuf};
 
-/// Follow a camera as it moves, and show it in the browser.
+/// Follow a camera as it moves, with a page in the browser.
 ///
 /// Takes a camera (/dev/video0), a phone or network camera (http://… Motion JPEG, rtsp://…), frames on standard input (-), and every
 /// recording that `run` takes. Writes the same folder as `run` when it ends: at Ctrl-C, at the page's button, or with the source.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct LiveArguments {
-    /// A camera as /dev/video0, an address as http://192.168.1.20:8080/video or rtsp://…, `-` for Y4M on standard input, or a recording.
+    /// A camera (/dev/video0), an address (http://…, rtsp://…), `-`, or a recording.
+    ///
+    /// `-` is Y4M on standard input.
     #[arg(value_name = "SOURCE")]
     pub source: String,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft; the camera looks
-    /// straight down.
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
+    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
+    ///
+    /// The camera is taken to look straight down; a tilt is found in the recording.
+    #[arg(help_heading = "Camera", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
     pub height: Option<Height>,
     /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Ground seen by the whole image, as 1.20x0.90 (metres) or 120cmx90cm: stands in for a camera
-    /// file.
-    #[arg(long, value_name = "WxH", value_parser = run::field_of_view, conflicts_with = "camera")]
+    /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
+    ///
+    /// Stands in for a camera file; height and tilt are then taken as steady.
+    #[arg(help_heading = "Camera", long, value_name = "WxH", value_parser = run::field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
-    /// Readout time of the image, milliseconds: from the exposure of the first row to that of the last.
-    /// 0 is a global shutter. [default: the camera file's readout_time_s; otherwise it is learned]
-    #[arg(long, value_name = "MS", value_parser = run::readout_ms, allow_negative_numbers = true)]
+    /// Readout time of the image in milliseconds, first row to last; 0 is a global shutter.
+    ///
+    /// [default: the camera file's readout_time_s; otherwise it is learned]
+    #[arg(help_heading = "Camera", long, value_name = "MS", value_parser = run::readout_ms, allow_negative_numbers = true)]
     pub readout_ms: Option<f64>,
-    /// Picture of what is not ground, the size of the frames: black is ignored (bumper, wheel, own shadow), white is ground. What is found on the way comes to
-    /// that.
-    #[arg(long, value_name = "PICTURE")]
+    /// Picture of what is not ground (black), of the size of the frames.
+    ///
+    /// Bumper, wheel, own shadow. What is found while running is ignored as well.
+    #[arg(help_heading = "Camera", long, value_name = "PICTURE")]
     pub mask: Option<PathBuf>,
     /// What may change between frames.
-    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
     #[command(flatten)]
     pub capture: CaptureArguments,
     #[command(flatten)]
     pub serve: ServeArguments,
     /// Print a line of JSON for each frame to standard output.
-    #[arg(long, value_name = "WHAT")]
+    #[arg(help_heading = "Results", long, value_name = "WHAT")]
     pub print: Option<Print>,
     /// Send a line of JSON for each frame as a datagram.
-    #[arg(long, value_name = "HOST:PORT")]
+    #[arg(help_heading = "Results", long, value_name = "HOST:PORT")]
     pub udp: Option<String>,
-    /// Write poses, pictures with tracks, and the path into an MCAP file too, which Foxglove and others open.
-    #[arg(long, value_name = "FILE")]
+    /// Write poses, pictures and path into an MCAP file, for Foxglove and others.
+    #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub mcap: Option<PathBuf>,
     /// Folder for the results. [default: live- and the date and time]
-    #[arg(short, long, value_name = "FOLDER")]
+    #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
     /// Overwrite results that are already there.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     pub force: bool,
     /// Say nothing but errors.
-    #[arg(short, long)]
+    #[arg(help_heading = "Results", short, long)]
     pub quiet: bool,
     /// Print stats.json to standard output instead of a summary.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     pub json: bool,
 }
 

@@ -12,27 +12,33 @@ use std::time::Duration;
 /// How frames are had from a source that gives them as they come.
 #[derive(Debug, Clone, PartialEq, clap::Args)]
 pub struct CaptureArguments {
-    /// Play a recording at its own pace, or at SPEED times that; frames that come too fast are dropped. Without it every frame is taken,
-    /// as fast as can be. Frames on standard input are taken as they come, and the newest win.
-    #[arg(long, value_name = "SPEED", num_args = 0..=1, default_missing_value = "1", value_parser = speed)]
+    /// Play a recording at its own pace, or at SPEED times that.
+    ///
+    /// Frames that come too fast are dropped. Without this every frame is taken, as fast as
+    /// possible. Of frames on standard input the newest win.
+    #[arg(help_heading = "Source", long, value_name = "SPEED", num_args = 0..=1, default_missing_value = "1", value_parser = speed)]
     pub realtime: Option<f64>,
-    /// Frames a second: of a recording that does not say, or wished of a camera.
-    #[arg(long, value_name = "RATE")]
+    /// Frame rate: of a recording that does not say, or asked of a camera.
+    #[arg(help_heading = "Source", long, value_name = "RATE")]
     pub fps: Option<f64>,
-    /// Size wished of a camera, pixels, e.g. 640x480. [default: the camera file's]
-    #[arg(long, value_name = "WxH", value_parser = pixels)]
+    /// Image size asked of a camera, pixels, such as 640x480.
+    ///
+    /// [default: the camera file's]
+    #[arg(help_heading = "Source", long, value_name = "WxH", value_parser = pixels)]
     pub size: Option<(u32, u32)>,
-    /// Format wished of a camera: grey, yuyv or mjpeg.
-    #[arg(long, value_name = "FORMAT")]
+    /// Pixel format asked of a camera: grey, yuyv or mjpeg.
+    #[arg(help_heading = "Source", long, value_name = "FORMAT")]
     pub format: Option<PixelFormat>,
     /// Leave a camera's exposure to itself; otherwise it is held once it has settled.
-    #[arg(long)]
+    #[arg(help_heading = "Source", long)]
     pub auto_exposure: bool,
     /// Standard input has bare frames: gray:640x480@30, yuyv:… or rgb:….
-    #[arg(long, value_name = "FORMAT")]
+    #[arg(help_heading = "Source", long, value_name = "FORMAT")]
     pub raw: Option<RawFormat>,
-    /// How long to wait for a network camera that has gone to come back, seconds. [default: 60]
-    #[arg(long, value_name = "SECONDS")]
+    /// Seconds to wait for a network camera to come back.
+    ///
+    /// [default: 60]
+    #[arg(help_heading = "Source", long, value_name = "SECONDS")]
     pub patience: Option<u64>,
 }
 

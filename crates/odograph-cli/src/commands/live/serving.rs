@@ -15,13 +15,17 @@ use std::time::{Duration, Instant};
 /// Where the page is, and for whom.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ServeArguments {
-    /// Show a page in the browser, at a port or address of this machine. [with no address: 8080]
+    /// Serve a page for the browser, at a port or address of this machine.
     ///
-    /// 8080 and localhost:8080 are for this machine only, 0.0.0.0:8080 is for others, too.
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "8080", value_parser = address::parse)]
+    /// [with no address: 8080] 8080 and localhost:8080 are for this machine only, 0.0.0.0:8080 is
+    /// for others, too.
+    #[arg(help_heading = "Page", long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "8080", value_parser = address::parse)]
     pub serve: Option<SocketAddr>,
-    /// What a browser must know to be let in. Beyond this machine's own addresses there is always one: made up and told, if not given.
-    #[arg(long, value_name = "TOKEN")]
+    /// Token that a browser must give to be let in.
+    ///
+    /// For addresses that others can reach there always is one; it is made up and printed, if not
+    /// given.
+    #[arg(help_heading = "Page", long, value_name = "TOKEN")]
     pub token: Option<String>,
 }
 

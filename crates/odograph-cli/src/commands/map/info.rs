@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Tell what a map holds.
+/// Show what a map holds.
 #[derive(Debug, clap::Args)]
 pub struct InfoArguments {
     /// The map.

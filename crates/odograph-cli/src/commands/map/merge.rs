@@ -10,7 +10,9 @@ use odograph_map::{KeyframeMove, MapClaim, MapFile, carried};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Join maps that show some of the same ground, made with the same camera. The first one's frame is kept; the others are recognised in it.
+/// Join maps of one camera that show some of the same ground.
+///
+/// The first one's frame is kept; the others are recognised in it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MergeArguments {

@@ -11,7 +11,7 @@ use crate::Outcome;
 use odograph::error::{Error, Result};
 use std::path::Path;
 
-/// Look into a map, join it with others, write it for other programs, lay its mosaic, straighten it, make it smaller.
+/// Show, join, export, straighten or thin a map.
 #[derive(Debug, clap::Args)]
 pub struct MapArguments {
     #[command(subcommand)]

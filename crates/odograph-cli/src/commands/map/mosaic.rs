@@ -7,7 +7,9 @@ use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
 use std::path::PathBuf;
 
-/// Lay the mosaic of a map anew, at the resolution that is asked for, and keep it in the map.
+/// Lay the mosaic of a map anew, at a chosen resolution.
+///
+/// It is kept in the map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MosaicArguments {
@@ -17,8 +19,9 @@ pub struct MosaicArguments {
     /// Write the picture too: .tif (GeoTIFF) or .png (with a world file).
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Side of a ground pixel, as 0.002 (metres) or 2mm. [default: what a pixel in the middle of an
-    /// image sees]
+    /// Side of a ground pixel, as 0.002 (metres) or 2mm.
+    ///
+    /// [default: what a pixel in the middle of an image sees]
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true)]
     resolution: Option<f64>,
     /// Overwrite the picture where it is there.

@@ -10,7 +10,9 @@ use odograph_map::{MapClaim, MapFile};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Put the keyframes of a map where all that was measured between them agrees best, and the paths and the mosaic with them.
+/// Adjust all keyframes of a map to all that was measured between them.
+///
+/// The paths and the mosaic go with them.
 ///
 /// A run does this at its end; a run that was killed did not, nor does a map hold together as well as it could after it was thinned.
 #[derive(Debug, clap::Args)]

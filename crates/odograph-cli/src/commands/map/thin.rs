@@ -5,7 +5,9 @@ use odograph::error::{Error, Result};
 use odograph_map::MapFile;
 use std::path::{Path, PathBuf};
 
-/// Take out the keyframes that a map can best do without: those whose ground others show too. What they tied together stays tied.
+/// Remove the keyframes that a map can best do without.
+///
+/// Those whose ground others show, too. What they tied together stays tied.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ThinArguments {

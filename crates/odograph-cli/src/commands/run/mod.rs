@@ -38,78 +38,90 @@ pub use statistics::Statistics;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Follow a recorded drive: writes the trajectory, the map, a mosaic of the ground and a report.
+/// Follow a recording: trajectory, map, mosaic of the ground, report.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct RunArguments {
-    /// A video, a folder of pictures, `-` for Y4M on standard input, or the run.toml of an earlier run.
+    /// A video, a folder of pictures, `-` for Y4M, or the run.toml of an earlier run.
+    ///
+    /// `-` is standard input.
     #[arg(value_name = "SOURCE")]
     pub source: String,
-    /// More recordings by the same camera, or SOURCE a folder of videos: each goes into a folder of its own in -o, as many at a time as
-    /// there are cores.
+    /// More recordings of the same camera, or one folder of videos as SOURCE.
+    ///
+    /// Each gets a folder of its own in -o; as many run at a time as there are cores.
     #[arg(value_name = "MORE")]
     pub more: Vec<String>,
-    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP). A map that is continued has one, and how the camera sits.
-    #[arg(long, value_name = "FILE")]
+    /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
+    ///
+    /// Not needed to continue a map, which has the camera and how it sits.
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft; the camera looks
-    /// straight down.
-    #[arg(long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
+    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
+    ///
+    /// The camera is taken to look straight down; a tilt is found in the recording.
+    #[arg(help_heading = "Camera", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
     pub height: Option<Height>,
     /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Ground seen by the whole image, as 1.20x0.90 (metres) or 120cmx90cm: stands in for a camera
-    /// file.
-    #[arg(long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
+    /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
+    ///
+    /// Stands in for a camera file; height and tilt are then taken as steady.
+    #[arg(help_heading = "Camera", long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
     pub field_of_view: Option<FieldOfView>,
-    /// Readout time of the image, milliseconds: from the exposure of the first row to that of the last.
-    /// 0 is a global shutter. [default: the camera file's readout_time_s; otherwise it is learned]
-    #[arg(long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true)]
+    /// Readout time of the image in milliseconds, first row to last; 0 is a global shutter.
+    ///
+    /// [default: the camera file's readout_time_s; otherwise it is learned]
+    #[arg(help_heading = "Camera", long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true)]
     pub readout_ms: Option<f64>,
-    /// Picture of what is not ground, the size of the frames: black is ignored (bumper, wheel, own shadow), white is ground. What is found on the way comes to
-    /// that.
-    #[arg(long, value_name = "PICTURE")]
+    /// Picture of what is not ground (black), of the size of the frames.
+    ///
+    /// Bumper, wheel, own shadow. What is found while running is ignored as well.
+    #[arg(help_heading = "Camera", long, value_name = "PICTURE")]
     pub mask: Option<PathBuf>,
     /// What may change between frames.
-    #[arg(long, value_name = "MODEL", default_value = "auto")]
+    #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
     /// Frames a second, where the source does not say.
-    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Begin so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub start: Option<f64>,
     /// End so many seconds after the first frame.
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub end: Option<f64>,
     /// Take every n-th frame.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     pub every: u64,
     /// Take at most so many frames.
-    #[arg(long, value_name = "N")]
+    #[arg(help_heading = "Recording", long, value_name = "N")]
     pub max_frames: Option<u64>,
-    /// What a frame may take, milliseconds: fewer corners are followed where that is needed. Measures the machine once; run.toml and
-    /// stats.json say what was given up.
-    #[arg(long, value_name = "MS", allow_negative_numbers = true)]
+    /// Time that a frame may take, milliseconds; fewer corners are followed if needed.
+    ///
+    /// Measures the machine once. run.toml and stats.json say what was given up.
+    #[arg(help_heading = "Estimation", long, value_name = "MS", allow_negative_numbers = true)]
     pub budget_ms: Option<f64>,
     #[command(flatten)]
     pub sensors: SensorPlan,
     /// Do not look for ground that was seen before: the path is what odometry alone has.
-    #[arg(long)]
+    #[arg(help_heading = "Estimation", long)]
     pub no_loops: bool,
-    /// A path from elsewhere, such as a satellite receiver's or the truth (TUM: time x y z qx qy qz qw, times as the frames'): the report shows it
-    /// beside the path of the run, laid onto each other by a turn, a shift and a scale. Nothing else is made of it.
-    #[arg(long, value_name = "FILE")]
+    /// A path from elsewhere (TUM) to show beside that of the run in the report.
+    ///
+    /// Such as a satellite receiver's, or the truth: lines of time x y z qx qy qz qw, times as
+    /// the frames'. It is aligned by rotation, shift and scale; nothing else is made of it.
+    #[arg(help_heading = "Estimation", long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
     /// Folder for the results.
     ///
     /// [default: beside the recording, with its name: drive/ for drive.mp4, frames-run/ for the
     /// folder frames/; with a number where that is there already]
-    #[arg(short = 'o', long = "output", value_name = "FOLDER")]
+    #[arg(help_heading = "Results", short = 'o', long = "output", value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
@@ -122,10 +134,12 @@ pub struct OutputArguments {
     #[arg(skip)]
     pub output: PathBuf,
     /// Overwrite results that are already there.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     pub force: bool,
-    /// The map: continued where there is one, otherwise begun. [default: a new map.gpkg in the folder]
-    #[arg(long, value_name = "FILE")]
+    /// Map file: continued where it exists, otherwise begun.
+    ///
+    /// [default: a new map.gpkg in the folder]
+    #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub map: Option<PathBuf>,
     /// The map is looked into, not written: a command that only asks where the camera is.
     #[arg(skip)]
@@ -134,13 +148,13 @@ pub struct OutputArguments {
     #[arg(skip = 2_usize)]
     pub least_frames: usize,
     /// Threads to use; the results are the same for any number. [default: as many as help]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(help_heading = "Results", long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
     /// Say nothing but errors.
-    #[arg(short, long)]
+    #[arg(help_heading = "Results", short, long)]
     pub quiet: bool,
     /// Print stats.json to standard output instead of a summary.
-    #[arg(long)]
+    #[arg(help_heading = "Results", long)]
     pub json: bool,
 }
 
@@ -149,12 +163,12 @@ Examples:
   odograph run drive.mp4 --camera camera.yaml --height 1.20 -o drive/
   odograph run frames/ --timestamps frames.txt --camera camera.yaml --rig rig.toml -o drive/
   odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
-  odograph run drive.mp4 --camera camera.yaml --height 1.20 --gyro gyro.csv --wheel wheel.csv -o drive/
+  odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
 
-Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the
+Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the \
 recording, 130 when interrupted by Ctrl-C (what there is has been written in both cases).";
 
 /// A field of view on the ground: width and height in metres.

@@ -14,7 +14,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// Look at a finished run or a map in the browser: the path on the mosaic, plots, and a slider over its time.
+/// Look at a finished run or a map in the browser.
+///
+/// Shows the path on the mosaic, plots, and a slider over its time.
 #[derive(Debug, clap::Args)]
 pub struct ViewArguments {
     /// The folder of a run, of `run` or `live`, also of one that was killed; or a map file.

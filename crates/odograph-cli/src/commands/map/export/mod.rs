@@ -24,11 +24,15 @@ pub struct ExportArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// .tif, .png or .ply: the mosaic; .tum, .kitti or .csv: the path; .geojson, .kml or .gpx: the path on Earth; a folder: COLMAP's text model with
-    /// its images.
+    /// File or folder to write; its ending chooses the form.
+    ///
+    /// .tif, .png or .ply: the mosaic; .tum, .kitti or .csv: the path; .geojson, .kml or .gpx:
+    /// the path on Earth; a folder: COLMAP's text model with its images.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Where the map is on Earth: "LAT,LON,HEADING" of its origin (heading: compass degrees of the map's x), or twice "X,Y=LAT,LON".
+    /// Where the map is on Earth: "LAT,LON,HEADING", or twice "X,Y=LAT,LON".
+    ///
+    /// LAT,LON,HEADING is of the map's origin; HEADING are the compass degrees of the map's x.
     #[arg(long, value_name = "ANCHOR", allow_hyphen_values = true, value_parser = clap::value_parser!(AnchorArgument))]
     anchor: Vec<AnchorArgument>,
     /// The session whose path is written. [default: the only one]
