@@ -29,7 +29,7 @@ def main():
             options = ["--budget-ms", str(budget_ms), "--threads", "1", "--json", "--force", "-o", run]
             done = subprocess.run(command + options, capture_output=True, text=True)
             if done.returncode:
-                print(f"| {budget_ms:g} ms | refused: {done.stderr.strip().removeprefix('odograph: ')} | | | | |")
+                print(f"| {budget_ms:g} ms | refused: {done.stderr.strip().removeprefix('error: ')} | | | | |")
                 continue
             stats = json.loads(done.stdout)
             budget = stats["budget"]
