@@ -1,12 +1,11 @@
-//! What the program says: results on standard output, everything else on standard error.
+//! Output: results on standard output, everything else on standard error.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use std::borrow::Cow;
 use std::io::{self, Write};
 
-/// The text without what a terminal would act upon: names and keys come from files that anybody may
-/// have made.
+/// The text with control characters escaped: names and keys come from files of any origin.
 fn harmless(text: &str) -> Cow<'_, str> {
     let acts = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     if !text.contains(acts) {
@@ -16,7 +15,7 @@ fn harmless(text: &str) -> Cow<'_, str> {
     Cow::Owned(text.chars().map(escaped).collect())
 }
 
-/// Prints results. A reader that has gone (`odograph … | head`) wants no more of them and is no failure.
+/// Prints results. A closed pipe (`odograph … | head`) is not an error.
 pub fn print(text: &str) -> Result<()> {
     let mut output = io::stdout().lock();
     match output.write_all(harmless(text).as_bytes()).and_then(|()| output.flush()) {

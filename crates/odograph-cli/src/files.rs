@@ -1,4 +1,4 @@
-//! Files are written beside their place and then renamed, so that nobody ever sees half of one.
+//! Files are written under a temporary name and then renamed, so that no half-written file is seen.
 
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
@@ -7,7 +7,7 @@ use std::fs;
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Writes a whole file beside its place, then renames it there. On failure nothing is left behind.
+/// Writes a whole file under a temporary name and renames it. On failure nothing is left behind.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     let beside = beside(path);
     let written = fs::File::create(&beside)
@@ -19,7 +19,8 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     })
 }
 
-/// Writes a file that need not fit into memory: `fill` writes it beside its place, then it is renamed there. On failure nothing is left behind.
+/// Writes a file that need not fit into memory: `fill` writes it under a temporary name, then it is
+/// renamed. On failure nothing is left behind.
 pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>) -> Result<()> {
     let beside = beside(path);
     let cannot =
@@ -81,10 +82,10 @@ pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     Ok(text)
 }
 
-/// No camera, rig or parameter file is larger, bytes.
+/// Greatest size of camera, rig and parameter files, bytes.
 const MOST_TEXT: u64 = 16 << 20;
 
-/// The name under which `path` is written before it is renamed into place.
+/// The temporary name under which `path` is written.
 pub fn beside(path: &Path) -> PathBuf {
     let mut name: OsString = path.file_name().unwrap_or_default().to_owned();
     name.push(".part");
@@ -96,7 +97,7 @@ pub fn png_from_gray(image: &GrayImage) -> Result<Vec<u8>> {
     encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples(), None)
 }
 
-/// A gray image as the bytes of a PNG file that says how large it is to be printed.
+/// A gray image as the bytes of a PNG file with its print resolution.
 pub fn png_to_print(image: &GrayImage, pixels_per_metre: u32) -> Result<Vec<u8>> {
     let unit = png::Unit::Meter;
     let resolution = png::PixelDimensions { xppu: pixels_per_metre, yppu: pixels_per_metre, unit };
@@ -113,12 +114,14 @@ pub fn png_from_rgb_samples(width: usize, height: usize, rgb: &[u8]) -> Result<V
     encode_png(width, height, png::ColorType::Rgb, rgb, None)
 }
 
-/// A picture with opacity, interleaved red, green, blue and opacity in row order, as the bytes of a PNG file.
+/// A picture with opacity, interleaved red, green, blue and opacity in row order, as the bytes of a
+/// PNG file.
 pub fn png_from_rgba(width: usize, height: usize, rgba: &[u8]) -> Result<Vec<u8>> {
     encode_png(width, height, png::ColorType::Rgba, rgba, None)
 }
 
-/// A picture with opacity that comes in bands of whole rows from top to bottom, as the bytes of a PNG file.
+/// A picture with opacity that comes in bands of whole rows from top to bottom, as the bytes of a
+/// PNG file.
 pub fn png_from_rgba_bands(
     width: usize,
     height: usize,

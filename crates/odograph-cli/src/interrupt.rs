@@ -1,15 +1,14 @@
-//! Ctrl-C (and SIGTERM) asks a run to end; it then writes everything and ends by itself. A second one ends at once.
+//! Ctrl-C or SIGTERM ends a run early: it writes its results and exits. A second one exits at once.
 
 use odograph::error::{Error, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What the program ends with when it was interrupted: 128 and the number of SIGINT, as shells have
-/// it.
+/// Exit code after an interrupt: 128 and the number of SIGINT, as in shells.
 pub const EXIT_CODE: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
 
-/// Listens from now on. Where the system gives no way to listen, an interrupt ends the program as usual.
+/// Installs the handler. Without one, an interrupt ends the program as usual.
 pub fn listen() {
     let _ = ctrlc::set_handler(|| {
         if ASKED.swap(true, Ordering::Relaxed) {
@@ -18,13 +17,12 @@ pub fn listen() {
     });
 }
 
-/// Fails once the program was asked to end: for commands that have nothing to show before their
-/// end.
+/// Fails after an interrupt: for commands without partial results.
 pub fn check() -> Result<()> {
     if asked() { Err(Error::output("interrupted; nothing was written")) } else { Ok(()) }
 }
 
-/// Whether the program was asked to end.
+/// Whether the program was interrupted.
 pub fn asked() -> bool {
     ASKED.load(Ordering::Relaxed)
 }

@@ -48,7 +48,7 @@ pub struct Height {
 /// A height as [`metres`] reads it.
 pub fn height(text: &str) -> Result<Height, String> {
     let (metres, has_unit) = parse(text)?;
-    // What is no number is told with the rig.
+    // Values that are not finite are refused with the rig.
     if metres.is_finite() && metres > GREATEST_HEIGHT_M {
         return Err(format!("a height of {metres} m is more than any camera over ground has"));
     }

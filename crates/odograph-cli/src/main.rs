@@ -64,17 +64,16 @@ fn command() -> clap::Command {
     command.help_template("{about}\n\n{usage-heading} {usage}{after-help}\n\n{options}\n").after_help(groups)
 }
 
-/// How a command that did not fail ended.
+/// The outcome of a command that did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// All was done.
+    /// Completed.
     Done,
-    /// The camera's movement could not be measured for so much of the recording that the result is not what was asked for;
-    /// what there is has been written.
+    /// Tracking failed in most of the recording; the partial results have been written.
     TrackingFailed,
-    /// Ctrl-C or SIGTERM ended it before its end; what there is has been written.
+    /// Interrupted by Ctrl-C or SIGTERM; the partial results have been written.
     Interrupted,
-    /// The camera was calibrated, but had better not be used; what there is has been written.
+    /// The calibration is not good enough to be used; the results have been written.
     NotToBeTrusted,
 }
 

@@ -23,8 +23,8 @@ const INPUTS: [(&str, &[u8]); 4] = [
 
 /// Follow a bundled recording and show what comes out.
 ///
-/// The clip is rendered over photographed floors (a shaky, turning, lens-distorted camera), so its truth is known exactly and the result is
-/// compared with it.
+/// The clip is rendered over photographed floors (a shaky, turning, lens-distorted camera), so its
+/// truth is known exactly and the result is compared with it.
 #[derive(Debug, clap::Args)]
 pub struct DemoArguments {
     /// Folder for the clip and the results.

@@ -132,7 +132,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         sensors: SensorPlan::default(),
         odometry,
         budget: None,
-        // Where nothing is written that a mistake could bend, the first sure sighting is the answer.
+        // A read-only look-up cannot corrupt the map, so a single certain sighting is enough.
         slam: SlamConfig { sightings: if read_only { 1 } else { 2 }, ..SlamConfig::default() },
     };
     let report = run::follow(&plan, source, folder, &output)?;

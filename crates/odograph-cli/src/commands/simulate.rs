@@ -19,7 +19,8 @@ use std::path::{Path, PathBuf};
 ///
 /// Writes the frames, the truth, the camera file and the rig file.
 ///
-/// The same options always write the same bytes. Without options: a square of 2 m without turning, over asphalt, seen from 0.9 m.
+/// The same options always write the same bytes. Without options: a square of 2 m without turning,
+/// over asphalt, seen from 0.9 m.
 #[derive(clap::Args, Debug)]
 pub struct SimulateArguments {
     /// Folder to write to
@@ -316,7 +317,8 @@ enum PathName {
     Square,
     /// A square with turns on the spot at its corners
     SquareTurns,
-    /// One turn about the ground point that the top left corner of the image sees (the paper's figure 14a)
+    /// One turn about the ground point that the top left corner of the image sees (the paper's
+    /// figure 14a)
     Pivot,
     /// Five turns about that point
     Spin,

@@ -7,7 +7,8 @@ use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus, 
 pub struct LostStretch {
     /// From the first lost frame, seconds since the first frame of the run.
     pub from_s: f64,
-    /// To the next frame with a pose (the last frame where there is none), seconds since the first frame of the run.
+    /// To the next frame with a pose (the last frame where there is none), seconds since the first
+    /// frame of the run.
     pub to_s: f64,
     /// Number of frames without a pose.
     pub frames: usize,
@@ -93,8 +94,9 @@ pub fn lost_stretches(frames: &[FrameSummary]) -> Vec<LostStretch> {
     stretches
 }
 
-/// The frames with a pose that the fewest corners speak for, weakest first, spread over the run so that one bad moment
-/// does not fill the list. The first frame of a stretch has nothing to be compared with and does not count.
+/// The frames with a pose that the fewest corners speak for, weakest first, spread over the run so
+/// that one bad moment does not fill the list. The first frame of a stretch has nothing to be
+/// compared with and does not count.
 pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
     let follows = |pair: &[FrameSummary]| pair[0].place.is_some() && pair[1].place.is_some();
     let mut candidates: Vec<&FrameSummary> =

@@ -7,7 +7,8 @@ use std::fmt::Write;
 /// The style sheet of every page.
 pub const STYLE: &str = include_str!("style.css");
 
-/// A page up to its title and what it was made from; `style` is added to the style sheet. The page ends with `</main></body></html>`.
+/// A page up to its title and what it was made from; `style` is added to the style sheet. The page
+/// ends with `</main></body></html>`.
 pub fn head(title: &str, source: &str, style: &str) -> String {
     let title = escape(title);
     format!(

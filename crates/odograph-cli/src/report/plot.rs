@@ -37,7 +37,8 @@ pub struct TimeAxis<'a> {
 }
 
 impl<'a> TimeAxis<'a> {
-    /// An axis over the frames' times, with stretches from–to to be shaded; all in seconds since the first frame.
+    /// An axis over the frames' times, with stretches from–to to be shaded; all in seconds since
+    /// the first frame.
     pub fn new(times_s: &'a [f64], shaded_s: &'a [(f64, f64)]) -> Self {
         let longest = times_s.iter().copied().filter(|t| t.is_finite()).fold(0.0, f64::max);
         Self { times_s, shaded_s, span_s: if longest > 0.0 { longest } else { 1.0 } }
@@ -143,8 +144,8 @@ fn vertical(series: &[Series<'_>], range: Range) -> (f64, f64, f64) {
     (low, high, round_step(high - low, 5.0))
 }
 
-/// A line through the points, broken where there is none. Where there are many points to a column, the column's first,
-/// least, greatest and last stand for them: the eye sees the same.
+/// A line through the points, broken where there is none. Where there are many points to a column,
+/// the column's first, least, greatest and last stand for them: the eye sees the same.
 fn outline(points: impl Iterator<Item = Option<(f64, f64)>> + Clone) -> String {
     let dense = points.clone().count() > 2 * COLUMNS;
     let column = |x: f64| ((x - LEFT) / (RIGHT - LEFT) * COLUMNS as f64) as i64;

@@ -10,8 +10,9 @@ const MEDIUM: &[u8] = include_bytes!("fonts/Roboto-Medium.ttf");
 /// Width of `map.png`, pixels.
 pub const MAP_WIDTH_PX: u32 = 1600;
 
-/// An SVG drawing as the bytes of a PNG file, `width_px` wide. The same on every machine: only the program's own fonts are
-/// used, and nothing that the drawing might refer to outside itself is opened.
+/// An SVG drawing as the bytes of a PNG file, `width_px` wide. The same on every machine: only the
+/// program's own fonts are used, and nothing that the drawing might refer to outside itself is
+/// opened.
 pub fn drawing_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
     let pixels = picture(svg, width_px)?;
     // The page is opaque, so the colours are not premultiplied by anything.
@@ -42,7 +43,8 @@ fn picture(svg: &str, width_px: u32) -> Result<tiny_skia::Pixmap> {
             resolve_data: usvg::ImageHrefResolver::default_data_resolver(),
             resolve_string: Box::new(|_, _| None),
         },
-        // Pictures in it are made smaller, where cubics between four by four of their pixels show nothing that two by two do not.
+        // Pictures in it are made smaller, where cubics between four by four of their pixels show
+        // nothing that two by two do not.
         image_rendering: usvg::ImageRendering::Smooth,
         ..usvg::Options::default()
     };

@@ -210,7 +210,8 @@ fn odd_paths() -> Vec<(&'static str, Vec<FrameSummary>)> {
     ]
 }
 
-/// Writes what a person would look at into the folder named by `ODOGRAPH_LOOK`; does nothing where it is not set.
+/// Writes what a person would look at into the folder named by `ODOGRAPH_LOOK`; does nothing where
+/// it is not set.
 #[test]
 fn a_look() {
     let Some(folder) = std::env::var_os("ODOGRAPH_LOOK").map(std::path::PathBuf::from) else {

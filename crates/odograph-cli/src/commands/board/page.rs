@@ -55,13 +55,14 @@ const GAP_MM: f64 = 6.0;
 const FOOTER_MM: f64 = 15.0;
 const RULERS_MM: [u32; 4] = [100, 50, 20, 10];
 const TEXT_MM: f64 = 2.8;
-/// A digit is so wide for its size, and no usual letter of the caption wider than the second on the average.
+/// A digit is so wide for its size, and no usual letter of the caption wider than the second on the
+/// average.
 const DIGIT_WIDTH: f64 = 0.556;
 const LETTER_WIDTH: f64 = 0.56;
 
 impl Page {
-    /// Lays a board out on the paper that is asked for, or else on the smallest of the usual sizes that is large enough; whichever
-    /// way up it fits.
+    /// Lays a board out on the paper that is asked for, or else on the smallest of the usual sizes
+    /// that is large enough; whichever way up it fits.
     ///
     /// Fails where it does not fit, with what would.
     pub fn new(board: &Board, paper: Option<Paper>) -> Result<Self> {
@@ -93,7 +94,8 @@ impl Page {
         let pattern_mm = (pattern.width_m() * mm, pattern.height_m() * mm);
         let left = (paper.width_mm - pattern_mm.0) / 2.0;
         let footer = paper.height_mm - MARGIN_MM - FOOTER_MM;
-        // In the middle of what the footer leaves, if there is room, and not nearer to an edge than to the ruler.
+        // In the middle of what the footer leaves, if there is room, and not nearer to an edge than
+        // to the ruler.
         let top = ((footer - GAP_MM + margin_mm(drawing) - pattern_mm.1) / 2.0).max(margin_mm(drawing));
         let (x, y) = (left - pattern.from.x_m * mm, top - pattern.from.y_m * mm);
         let (mut rectangles, mut discs) = (Vec::new(), Vec::new());
@@ -196,8 +198,8 @@ impl Page {
     }
 }
 
-/// White at the edge of the paper: that of printers, and some of what the board needs around it, since a print does not always
-/// lie on something white.
+/// White at the edge of the paper: that of printers, and some of what the board needs around it,
+/// since a print does not always lie on something white.
 fn margin_mm(drawing: &Drawing) -> f64 {
     MARGIN_MM.max(0.25e3 * drawing.quiet_m())
 }
@@ -236,13 +238,15 @@ fn does_not_fit(board: &Board, drawing: &Drawing, paper: Option<Paper>, larger: 
     ))
 }
 
-/// The board with the largest squares, in whole millimetres if possible, that fits on a paper, upright or across.
+/// The board with the largest squares, in whole millimetres if possible, that fits on a paper,
+/// upright or across.
 fn shrunk(board: &Board, paper: Paper) -> Option<Board> {
     let fits = |board: &Board| {
         let (width_mm, height_mm) = needed_mm(&Drawing::new(board));
         [paper, paper.across()].iter().any(|paper| paper.width_mm >= width_mm && paper.height_mm >= height_mm)
     };
-    // What a user gives for a board is its side of a tag for an AprilGrid, its spacing for all others.
+    // What a user gives for a board is its side of a tag for an AprilGrid, its spacing for all
+    // others.
     let (length_m, count) = match board.kind() {
         BoardKind::AprilGrid { tag_m } => (tag_m, board.columns().max(board.rows())),
         _ => (board.spacing_m(), board.columns().max(board.rows())),

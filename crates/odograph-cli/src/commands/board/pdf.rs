@@ -5,8 +5,9 @@ use pdf_writer::{Content, Finish, Name, Pdf, Rect, Ref, Str};
 
 /// Points to a millimetre.
 const POINTS: f64 = 72.0 / 25.4;
-/// How far the control points of a quarter of a circle are from its ends, in radii: the curve leaves the circle by less than 3 parts
-/// in 10 000 (M. Goldapp, "Approximation of circular arcs by cubic polynomials", 1991).
+/// How far the control points of a quarter of a circle are from its ends, in radii: the curve
+/// leaves the circle by less than 3 parts in 10 000 (M. Goldapp, "Approximation of circular arcs by
+/// cubic polynomials", 1991).
 const QUARTER: f64 = 0.552_284_749_830_793_6;
 
 /// The document: one page of the paper's size, which asks not to be scaled when it is printed.

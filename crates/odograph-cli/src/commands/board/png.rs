@@ -9,7 +9,8 @@ use odograph::image::GrayImage;
 /// The most pixels of a picture: A0 at 500 per inch.
 const MOST_PIXELS: f64 = 400e6;
 
-/// The picture, with its resolution in the file. Every pixel is as dark as the share of it that is black.
+/// The picture, with its resolution in the file. Every pixel is as dark as the share of it that is
+/// black.
 pub fn png(page: &Page, dpi: u16) -> Result<Vec<u8>> {
     let scale = f64::from(dpi) / 25.4;
     let (width, height) = ((page.paper.width_mm * scale).round(), (page.paper.height_mm * scale).round());

@@ -37,7 +37,8 @@ pub struct Input {
 }
 
 impl Input {
-    /// Opens the first of the sources; the others when it is their turn, so that thousands of pictures can be given.
+    /// Opens the first of the sources; the others when it is their turn, so that thousands of
+    /// pictures can be given.
     pub fn open(sources: &[String], options: &SourceOptions) -> Result<Self> {
         let mut waiting: VecDeque<String> = sources.iter().cloned().collect();
         let first = waiting.pop_front().ok_or_else(|| Error::usage("there is nothing to calibrate with"))?;
@@ -112,7 +113,8 @@ impl Input {
         Ok(source)
     }
 
-    /// What was noticed about the sources, one sentence each. That nothing says when pictures were taken is no matter here.
+    /// What was noticed about the sources, one sentence each. That nothing says when pictures were
+    /// taken is no matter here.
     pub fn take_warnings(&mut self) -> Vec<String> {
         if let Some((source, _)) = &mut self.open {
             self.warnings.append(&mut source.take_warnings());

@@ -1,4 +1,5 @@
-//! `odograph calibrate --live`: the board before a camera as it looks, with a page that says what to show next, until it is good.
+//! `odograph calibrate --live`: the board before a camera as it looks, with a page that says what
+//! to show next, until it is good.
 
 use super::search::{Gathering, look};
 use super::{CalibrateArguments, Calibrated, LEAST_VIEWS, Source, conclude, input::Look, output::Output};

@@ -1,4 +1,5 @@
-//! `odograph calibrate`: views of a board go in, a camera file and a report of how far it can be trusted come out.
+//! `odograph calibrate`: views of a board go in, a camera file and a report of how far it can be
+//! trusted come out.
 
 mod input;
 mod live;
@@ -244,7 +245,8 @@ fn tell(arguments: &CalibrateArguments, calibrated: &Calibrated, output: &Output
     })
 }
 
-/// The views to calibrate with: all pictures, if there are not too many of them; otherwise those that tell most.
+/// The views to calibrate with: all pictures, if there are not too many of them; otherwise those
+/// that tell most.
 fn choose<'a>(
     search: &'a Search,
     most_views: usize,

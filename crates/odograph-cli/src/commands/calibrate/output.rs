@@ -29,7 +29,8 @@ impl Drop for Output {
 }
 
 impl Output {
-    /// Fails where results are already there and `force` does not allow to replace them, or where they cannot be written.
+    /// Fails where results are already there and `force` does not allow to replace them, or where
+    /// they cannot be written.
     pub fn new(camera_file: &Path, report: Option<&Path>, force: bool) -> Result<Self> {
         let Some(stem) = camera_file.file_stem().filter(|_| !camera_file.is_dir()) else {
             return Err(Error::usage(format!(
@@ -71,7 +72,8 @@ impl Output {
         self.report.join(PAGE)
     }
 
-    /// Writes the report and then the camera file, so that where there is a camera file there is all of it.
+    /// Writes the report and then the camera file, so that where there is a camera file there is
+    /// all of it.
     pub fn write(&self, calibrated: &Calibrated) -> Result<()> {
         let calibration = &calibrated.calibration;
         let views = shown_views(calibrated);

@@ -1,4 +1,5 @@
-//! Decode | find the board | choose, side by side. The order of frames is kept, so any number of threads gives the same result.
+//! Decode | find the board | choose, side by side. The order of frames is kept, so any number of
+//! threads gives the same result.
 
 use super::input::{Input, Look};
 use crate::interrupt;
@@ -42,7 +43,8 @@ impl Looked {
 
 /// So many pictures without the board are named.
 const MOST_NAMED: usize = 100;
-/// So many different reasons are counted: boards of other sizes could be as many as there are frames.
+/// So many different reasons are counted: boards of other sizes could be as many as there are
+/// frames.
 const MOST_REASONS: usize = 8;
 
 /// Looks for the board in every frame.
@@ -141,7 +143,8 @@ pub fn look(finder: &BoardFinder, frame: Look) -> Looked {
 pub struct Gathering {
     search: Search,
     most_views: usize,
-    /// Whether pictures are so few that they were taken one by one, and their times say nothing about how the board moved.
+    /// Whether pictures are so few that they were taken one by one, and their times say nothing
+    /// about how the board moved.
     photographs: bool,
     /// The first of each kind, and how often it came.
     reasons: Vec<(NotFound, u64)>,
@@ -243,7 +246,8 @@ impl Gathering {
     }
 }
 
-/// Whether two reasons are one to a person. A board of another size is one each time it is seen whole.
+/// Whether two reasons are one to a person. A board of another size is one each time it is seen
+/// whole.
 fn alike(one: &NotFound, other: &NotFound) -> bool {
     match one {
         NotFound::OtherSize { .. } => one == other,
@@ -251,7 +255,8 @@ fn alike(one: &NotFound, other: &NotFound) -> bool {
     }
 }
 
-/// A bar where the number of frames is known, a count where not; nothing where standard error is no terminal.
+/// A bar where the number of frames is known, a count where not; nothing where standard error is no
+/// terminal.
 fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();

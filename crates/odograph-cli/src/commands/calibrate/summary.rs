@@ -98,9 +98,11 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
     text
 }
 
-/// Pixels per tangent on the axis across the image, and their standard deviation: what people mean by the focal length.
+/// Pixels per tangent on the axis across the image, and their standard deviation: what people mean
+/// by the focal length.
 ///
-/// The double sphere's own focal length is `1 + ξ` times as large, and hardly known by itself (V. Usenko et al., 2018, section 3.5).
+/// The double sphere's own focal length is `1 + ξ` times as large, and hardly known by itself (V.
+/// Usenko et al., 2018, section 3.5).
 pub fn focal_px(calibration: &Calibration) -> (f64, f64) {
     let place = |names: &[&str]| calibration.parameters.iter().position(|p| names.contains(&p.name));
     let Some(focal) = place(&["fx", "f"]) else { return (calibration.camera.focal_px().0, 0.0) };

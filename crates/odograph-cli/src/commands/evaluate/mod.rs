@@ -243,7 +243,8 @@ fn read_trajectory(path: &Path, format: Option<Format>, times_s: Option<&[f64]>)
     parse().map_err(|error: Error| error.at(path.display()))
 }
 
-/// No trajectory of text is larger: a day at a thousand poses a second is 10 GB, an hour at 100 is 40 MB.
+/// No trajectory of text is larger: a day at a thousand poses a second is 10 GB, an hour at 100 is
+/// 40 MB.
 const MAX_BYTES: u64 = 1 << 30;
 
 fn read_text(path: &Path) -> Result<String> {

@@ -13,8 +13,9 @@ const TRUTH: &str = "#444444";
 const ESTIMATE: &str = "#d1495b";
 const ROTATION: &str = "#2a6f97";
 
-/// A whole SVG document. The path is seen along the axis in which it has least to show (from above for a camera over ground),
-/// at the same scale both ways; below it the position and the rotation error of each compared pose.
+/// A whole SVG document. The path is seen along the axis in which it has least to show (from above
+/// for a camera over ground), at the same scale both ways; below it the position and the rotation
+/// error of each compared pose.
 pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
     let view = View::of(evaluation, truth);
     let below = view.bottom + 60.0;
@@ -87,7 +88,8 @@ impl Axis {
         self.from_px + (value - self.low) / (self.high - self.low) * (self.to_px - self.from_px)
     }
 
-    /// The step of round numbers (1, 2 or 5 times a power of ten) that cuts the range into about `count` parts.
+    /// The step of round numbers (1, 2 or 5 times a power of ten) that cuts the range into about
+    /// `count` parts.
     fn step(&self, count: f64) -> f64 {
         let rough = 0.75 * (self.high - self.low) / count;
         let power = 10f64.powf(rough.log10().floor());
@@ -107,7 +109,8 @@ impl Axis {
     }
 }
 
-/// The paths and how they are seen: along the axis in which they have least to show, at one scale both ways.
+/// The paths and how they are seen: along the axis in which they have least to show, at one scale
+/// both ways.
 struct View {
     truth: Vec<[f64; 3]>,
     estimate: Vec<[f64; 3]>,
@@ -300,7 +303,8 @@ fn seen_axes(extent: [f64; 3]) -> (usize, usize) {
     }
 }
 
-/// Where the estimate pauses: indices of pairs that follow on the one before after more than five times the usual interval.
+/// Where the estimate pauses: indices of pairs that follow on the one before after more than five
+/// times the usual interval.
 fn gaps(pairs: &[PosePair]) -> impl Iterator<Item = usize> {
     let mut steps: Vec<f64> = pairs.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
     steps.sort_by(f64::total_cmp);
@@ -322,7 +326,8 @@ fn thinned<T>(points: &[T]) -> impl Iterator<Item = &T> {
     points.iter().enumerate().filter(move |(i, _)| i % step == 0 || *i == last).map(|(_, point)| point)
 }
 
-/// Points of a part of a curve of `all` points, thinned so that no peak is lost: of each bundle the lowest and the highest.
+/// Points of a part of a curve of `all` points, thinned so that no peak is lost: of each bundle the
+/// lowest and the highest.
 fn envelope(points: &[(f64, f64)], all: usize) -> Vec<(f64, f64)> {
     let step = (2 * all).div_ceil(MOST_POINTS).max(1);
     if step <= 2 {

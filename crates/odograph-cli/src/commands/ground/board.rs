@@ -10,7 +10,7 @@ use odograph::mounting::{BoardMounting, FloorBoard, rig_from_boards};
 /// More views than this tell no more.
 const MOST_VIEWS: usize = 100;
 
-/// A frame in which the board has moved by less than this since the last view shows the same again, pixels.
+/// Views in which the board moved by less than this since the last one are duplicates, pixels.
 const MOVED_PX: f64 = 3.0;
 
 /// Why a picture did not help is told for at most so many.

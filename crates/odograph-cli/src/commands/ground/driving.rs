@@ -18,7 +18,7 @@ use odograph::odometry::{Odometry, OdometryConfig};
 struct Pass {
     driven: DrivenTilt,
     found: TiltMeasurement,
-    /// The lens, where it is another than was told.
+    /// The lens, if it was found to differ from the camera file.
     lens: Option<LensMeasurement>,
     frame: RgbImage,
     warnings: Vec<String>,
@@ -26,8 +26,8 @@ struct Pass {
     length_by_frames_m: f64,
 }
 
-/// The tracks are followed once more where the first pass began further off than this, degrees: the shapes in which patches were
-/// expected depend on the tilt.
+/// The tracks are followed once more where the first pass began further off than this, degrees: the
+/// shapes in which patches were expected depend on the tilt.
 const AGAIN_DEG: f64 = 0.1;
 
 pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
@@ -128,7 +128,8 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     })
 }
 
-/// After so many more passes the lens is known, and the tilt has settled to a hundredth of what is asked.
+/// Number of further passes: then the lens is known, and the tilt has converged to a hundredth of
+/// the tolerance.
 const MOST_PASSES: usize = 3;
 
 /// Follows the whole recording and solves for its tilt.
@@ -190,8 +191,9 @@ fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
 /// The height from the length of the path, and its standard deviation.
 ///
 /// A path has no length by itself: measured from frame to frame it has all the shaking of the
-/// mount, along chords of a twentieth of the height it cuts the curves. The distance that was driven
-/// lies between; the middle is taken, with half of what lies between as its standard deviation.
+/// mount, along chords of a twentieth of the height it cuts the curves. The distance that was
+/// driven lies between; the middle is taken, with half of what lies between as its standard
+/// deviation.
 fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<f64>)> {
     let (by_chords, deviation) = pass.driven.path_length_m().ok_or_else(|| {
         Error::input(format!(

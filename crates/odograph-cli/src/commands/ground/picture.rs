@@ -1,4 +1,5 @@
-//! A picture of what was measured: the frame with the plumb point, angles about it, the carrier's directions and the board's points.
+//! A picture of what was measured: the frame with the plumb point, angles about it, the carrier's
+//! directions and the board's points.
 
 use super::Measured;
 use crate::files;

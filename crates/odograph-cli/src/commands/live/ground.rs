@@ -13,7 +13,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The ground of a live run: laid by one thread, looked at by those of the page, and laid anew by a third.
+/// The ground of a live run: laid by one thread, looked at by those of the page, and laid anew by a
+/// third.
 #[derive(Clone)]
 pub struct LiveGround {
     camera: Camera,
@@ -23,7 +24,8 @@ pub struct LiveGround {
 
 struct State {
     mosaic: Stage,
-    /// How often all was laid anew; the revisions of each time begin beyond those of the time before.
+    /// How often all was laid anew; the revisions of each time begin beyond those of the time
+    /// before.
     generation: u64,
     /// Squares of the time before that have no ground any more.
     bare: BTreeSet<MosaicSquare>,
@@ -50,7 +52,8 @@ impl State {
 }
 
 impl LiveGround {
-    /// Of a run that writes into `folder`. Where nobody can look (`shown` is false) nothing is laid before the end.
+    /// Of a run that writes into `folder`. Where nobody can look (`shown` is false) nothing is laid
+    /// before the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         let laying = Laying::new(camera.clone(), folder, shown);
         let state = State { mosaic: Stage::Growing(Box::new(laying)), generation: 0, bare: BTreeSet::new() };
@@ -73,7 +76,8 @@ impl LiveGround {
         }
     }
 
-    /// Lays everything anew from the keyframes in the map file, and what comes where the newest of them is. Meanwhile the old ground is there.
+    /// Lays everything anew from the keyframes in the map file, and what comes where the newest of
+    /// them is. Meanwhile the old ground is there.
     pub fn lay_again(&self, relaying: &Relaying) -> Result<()> {
         let mut file = MapFile::open_read_only(&relaying.file)?;
         let mut fresh = Mosaic::new(Default::default());
@@ -94,7 +98,8 @@ impl LiveGround {
         Ok(())
     }
 
-    /// Ends the laying: nothing grows any more, and those who look see the ground as it is. `None` where it has ended before.
+    /// Ends the laying: nothing grows any more, and those who look see the ground as it is. `None`
+    /// where it has ended before.
     pub fn finish(&self) -> Option<Kept> {
         let mut state = self.state();
         let Stage::Growing(laying) = std::mem::replace(&mut state.mosaic, Stage::Away) else { return None };

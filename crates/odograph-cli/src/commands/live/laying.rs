@@ -21,7 +21,8 @@ pub struct Laying {
     /// Of the first frame that could not be kept.
     failure: Option<Error>,
     times: Timings,
-    /// The frame before, where it was not laid: laid after all when it turns out to be the last of its stretch.
+    /// The frame before, where it was not laid: laid after all when it turns out to be the last of
+    /// its stretch.
     before: Option<Posed>,
 }
 

@@ -12,7 +12,8 @@ use std::time::Duration;
 
 /// Frames that wait to be written: a disk may pause for two seconds.
 const QUEUE: usize = 64;
-/// A picture every so often, seconds of the recording: each takes some 50 kB, so ten a second are 2 GB an hour.
+/// A picture every so often, seconds of the recording: each takes some 50 kB, so ten a second are 2
+/// GB an hour.
 const PICTURE_EVERY_S: f64 = 0.1;
 
 /// The file of a run, if one was asked for.
@@ -31,7 +32,8 @@ struct Entry {
 }
 
 impl McapLog {
-    /// The file that the arguments ask for. What is there already is overwritten only where that was asked for too.
+    /// The file that the arguments ask for. What is there already is overwritten only where that
+    /// was asked for too.
     pub fn new(arguments: &LiveArguments, source: &str, policy: Policy) -> Result<Option<Self>> {
         let Some(path) = arguments.mcap.as_deref() else { return Ok(None) };
         let file = McapFile::create(path, source).map_err(|error| Error::usage(error.to_string()))?;
@@ -44,7 +46,8 @@ impl McapLog {
         }))
     }
 
-    /// Whether a file may be written where the arguments want it; told before anything else is begun.
+    /// Whether a file may be written where the arguments want it; told before anything else is
+    /// begun.
     pub fn check(path: &Path, force: bool) -> Result<()> {
         if path.exists() && !force {
             return Err(Error::usage(format!(
@@ -55,7 +58,8 @@ impl McapLog {
         Ok(())
     }
 
-    /// Takes a frame without waiting longer than the run's policy allows; `picture` is asked only where one is due.
+    /// Takes a frame without waiting longer than the run's policy allows; `picture` is asked only
+    /// where one is due.
     pub fn give(&self, frame: &FrameEstimate, latency_ms: f64, picture: impl FnOnce() -> Picture) {
         let mut next_s = self.next_picture_s.lock().unwrap_or_else(PoisonError::into_inner);
         // Frames do not come evenly: one that is nearly due is due.
@@ -76,7 +80,8 @@ impl McapLog {
         self.queue.close();
     }
 
-    /// Writes what comes until no more does, then ends the file. Where the disk is full it stops, and tracking goes on.
+    /// Writes what comes until no more does, then ends the file. Where the disk is full it stops,
+    /// and tracking goes on.
     pub fn write_all(&self) {
         let Some(mut file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         loop {

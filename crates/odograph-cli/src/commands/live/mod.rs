@@ -1,4 +1,5 @@
-//! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with a page in the browser.
+//! `odograph live`: a camera, a stream, or a recording at its own pace, followed as it comes, with
+//! a page in the browser.
 
 mod address;
 mod ground;
@@ -28,8 +29,9 @@ use std::path::{Path, PathBuf};
 
 /// Follow a camera as it moves, with a page in the browser.
 ///
-/// Takes a camera (/dev/video0), a phone or network camera (http://… Motion JPEG, rtsp://…), frames on standard input (-), and every
-/// recording that `run` takes. Writes the same folder as `run` when it ends: at Ctrl-C, at the page's button, or with the source.
+/// Takes a camera (/dev/video0), a phone or network camera (http://… Motion JPEG, rtsp://…), frames
+/// on standard input (-), and every recording that `run` takes. Writes the same folder as `run`
+/// when it ends: at Ctrl-C, at the page's button, or with the source.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct LiveArguments {

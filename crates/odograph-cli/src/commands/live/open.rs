@@ -73,7 +73,8 @@ pub struct Opened {
     pub policy: Policy,
 }
 
-/// Opens a source by its name. Of a camera, pictures of the size `calibrated` are wanted where nothing else is wished.
+/// Opens a source by its name. Of a camera, pictures of the size `calibrated` are wanted where
+/// nothing else is wished.
 pub fn open(
     plan: &SourcePlan,
     arguments: &CaptureArguments,

@@ -1,4 +1,5 @@
-//! Capture | track | map and show, side by side. Only tracking is waited for; everything else gets what it can carry.
+//! Capture | track | map and show, side by side. Only tracking is waited for; everything else gets
+//! what it can carry.
 
 use super::ground::LiveGround;
 use super::latency::Latencies;
@@ -32,16 +33,18 @@ use std::time::{Duration, Instant};
 pub const QUEUE: usize = 2;
 /// Frames that wait to be laid on the ground.
 const LAYING_QUEUE: usize = 4;
-/// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is waited for.
+/// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is
+/// waited for.
 const MAPPING_QUEUE: usize = 32;
-/// With so many waiting, the map of a camera takes keyframes without looking for loops, until none waits any more: in that it is faster than keyframes can
-/// come.
+/// With so many waiting, the map of a camera takes keyframes without looking for loops, until none
+/// waits any more: in that it is faster than keyframes can come.
 const BEHIND: usize = 8;
 /// How long to wait for a frame before looking at everything else.
 pub const PATIENCE: Duration = Duration::from_millis(100);
 /// How often the page hears how the run goes.
 pub const STATUS_EVERY: Duration = Duration::from_millis(250);
-/// A source that is asked to end is waited for so long; one that hangs in the system is left behind.
+/// A source that is asked to end is waited for so long; one that hangs in the system is left
+/// behind.
 pub const FAREWELL: Duration = Duration::from_secs(2);
 
 /// Follows a source until it ends or the run is asked to end, then writes everything.
@@ -120,8 +123,8 @@ pub struct Farewell {
     pub failure: Option<Error>,
 }
 
-/// Takes frames from the source on a thread of its own, which ends with the queue or the source. It is not joined: reading a pipe or a
-/// device may hang as long as its other end wills.
+/// Takes frames from the source on a thread of its own, which ends with the queue or the source. It
+/// is not joined: reading a pipe or a device may hang as long as its other end wills.
 pub fn capture(
     mut source: Box<dyn LiveSource>,
     queue: Arc<Newest<(Captured, Duration)>>,

@@ -13,13 +13,15 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 const FLUSHED_EVERY: Duration = Duration::from_millis(500);
 /// How often to look how full the disk is.
 const SPACE_EVERY: Duration = Duration::from_secs(10);
-/// With less left on the disk than this it is time to say so, bytes: the pictures at the end of a run take tens of megabytes.
+/// With less left on the disk than this it is time to say so, bytes: the pictures at the end of a
+/// run take tens of megabytes.
 const LITTLE_SPACE: u64 = 200 << 20;
 
 /// The folder of a live run.
 pub struct Recorder {
     folder: OutputFolder,
-    /// `run.toml`, until it is written with the first frame: a run without any leaves nothing behind.
+    /// `run.toml`, until it is written with the first frame: a run without any leaves nothing
+    /// behind.
     plan: Option<String>,
     flushed: Instant,
     space_looked: Option<Instant>,
@@ -136,7 +138,8 @@ pub fn folder_name_now() -> String {
     folder_name(seconds)
 }
 
-/// Days to a date by Howard Hinnant's `civil_from_days` (chrono-compatible low-level date algorithms).
+/// Days to a date by Howard Hinnant's `civil_from_days` (chrono-compatible low-level date
+/// algorithms).
 fn folder_name(seconds: u64) -> String {
     let (day, second) = (seconds / 86_400 + 719_468, seconds % 86_400);
     let (era, day_of_era) = (day / 146_097, day % 146_097);

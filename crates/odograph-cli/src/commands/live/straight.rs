@@ -1,7 +1,7 @@
 //! The path and the ground on the page where loops have put them.
 //!
-//! Odometry's own path never jumps: what is printed, sent and recorded stays as it was measured. The page shows the map frame instead, in
-//! which a loop moves what lies behind.
+//! Odometry's own path never jumps: what is printed, sent and recorded stays as it was measured.
+//! The page shows the map frame instead, in which a loop moves what lies behind.
 
 use super::ground::LiveGround;
 use crate::commands::run::mapping::Mapping;
@@ -83,7 +83,8 @@ impl<'a> Straightening<'a> {
         Self { hub, relaying, loops: 0, told: None }
     }
 
-    /// Looks whether ground was seen again since the last time, and tells where everything lies now.
+    /// Looks whether ground was seen again since the last time, and tells where everything lies
+    /// now.
     pub fn look(&mut self, mapping: &Mapping) {
         let mapper = mapping.mapper();
         let map = mapper.map();
@@ -107,7 +108,8 @@ impl<'a> Straightening<'a> {
     }
 }
 
-/// Keyframes and loops, and what takes the frames of each keyframe of a session from the odometry frame to the map.
+/// Keyframes and loops, and what takes the frames of each keyframe of a session from the odometry
+/// frame to the map.
 fn told(map: &GroundMap, session: u32) -> Value {
     let mut value = crate::commands::view::map::graph(map);
     let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session);
@@ -116,7 +118,8 @@ fn told(map: &GroundMap, session: u32) -> Value {
     value
 }
 
-/// Lays the ground anew whenever that is asked for, but for its rests, until nothing more is asked for.
+/// Lays the ground anew whenever that is asked for, but for its rests, until nothing more is asked
+/// for.
 pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
     let (mut waiting, mut rest_until) = (None, Instant::now());
     loop {

@@ -73,7 +73,8 @@ fn coarser(asked_m: f64, laid_m: f64) -> String {
     )
 }
 
-/// Lays the mosaic of a map and keeps it there, with a bar for people. Fails where it is interrupted, and where no keyframe looks at the ground.
+/// Lays the mosaic of a map and keeps it there, with a bar for people. Fails where it is
+/// interrupted, and where no keyframe looks at the ground.
 pub fn laid(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Result<MosaicLayer> {
     let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::no_length() };
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} patches, {eta} left") {

@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 ///
 /// The paths and the mosaic go with them.
 ///
-/// A run does this at its end; a run that was killed did not, nor does a map hold together as well as it could after it was thinned.
+/// A run does this at its end; a run that was killed did not, nor does a map hold together as well
+/// as it could after it was thinned.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct OptimizeArguments {

@@ -73,8 +73,8 @@ pub fn thin(arguments: &ThinArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Thins until the file is small enough; as the keyframes differ in size, that may take more than one turn. What share of the ground is kept is the
-/// product of what each turn kept.
+/// Thins until the file is small enough; as the keyframes differ in size, that may take more than
+/// one turn. What share of the ground is kept is the product of what each turn kept.
 fn thin_to_size(file: &mut MapFile, most: u64) -> Result<f64> {
     let mut ground_kept = 1.0;
     file.compact()?;

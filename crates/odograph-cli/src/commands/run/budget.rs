@@ -1,7 +1,8 @@
 //! A bound on the time of a frame, kept by following fewer corners.
 //!
-//! How fast the machine is, is measured once before the run, on a picture of the recording's size, and rounded to steps of √2. What follows from it
-//! is a number of corners and of pyramid levels, which stand in `run.toml` as any other parameter: the run itself never looks at a clock, and
+//! How fast the machine is, is measured once before the run, on a picture of the recording's size,
+//! and rounded to steps of √2. What follows from it is a number of corners and of pyramid levels,
+//! which stand in `run.toml` as any other parameter: the run itself never looks at a clock, and
 //! repeated from its `run.toml` it gives the same bytes on any machine.
 
 use odograph::detection::{DetectionConfig, detect};
@@ -32,7 +33,8 @@ pub struct Budget {
 struct Cost {
     /// Of a frame that becomes a keyframe, whatever the number of its corners.
     image_ms: f64,
-    /// Of a corner in such a frame: it is followed, twice where the first time was not enough, back, and one more is prepared.
+    /// Of a corner in such a frame: it is followed, twice where the first time was not enough,
+    /// back, and one more is prepared.
     corner_ms: f64,
 }
 
@@ -45,7 +47,8 @@ const FEWEST_LEVELS: usize = 2;
 /// Parts of the budget that are left for what differs from frame to frame.
 const SPARE: f64 = 0.2;
 
-/// Makes the parameters such that a frame of `size` takes at most `frame_ms`, keyframes included. Fails where no parameters do.
+/// Makes the parameters such that a frame of `size` takes at most `frame_ms`, keyframes included.
+/// Fails where no parameters do.
 pub fn fit(config: &mut OdometryConfig, size: (usize, usize), frame_ms: f64) -> Result<Budget> {
     if !(frame_ms.is_finite() && frame_ms > 0.0) {
         return Err(Error::usage(format!(

@@ -9,7 +9,8 @@ use odograph::motion::MotionModel;
 use odograph::mounting::{Found, Untold};
 use odograph_map::MapFile;
 
-/// Looks after the camera while a recording is followed, which is begun again when the camera is known better.
+/// Looks after the camera while a recording is followed, which is begun again when the camera is
+/// known better.
 pub struct CameraWatch {
     camera: Camera,
     rig: Rig,
@@ -24,7 +25,8 @@ pub struct CameraWatch {
 const LOOKED_AT: usize = 32;
 
 impl CameraWatch {
-    /// Of a recording that is followed by a plan. Where the plan says what may move, or the recording can be read only once, nothing is looked for.
+    /// Of a recording that is followed by a plan. Where the plan says what may move, or the
+    /// recording can be read only once, nothing is looked for.
     pub fn new(plan: &RunPlan) -> Self {
         let chosen = plan.odometry.motion.model == MotionModel::Auto;
         let readable_again =
@@ -63,8 +65,8 @@ impl CameraWatch {
         self.found = Some(found);
     }
 
-    /// A map that is continued holds what a run has put into it: there the beginning of the recording is looked at before the run. The lens is that of the
-    /// map.
+    /// A map that is continued holds what a run has put into it: there the beginning of the
+    /// recording is looked at before the run. The lens is that of the map.
     pub fn look_first(&mut self, plan: &mut RunPlan, arguments: &OutputArguments) -> Result<()> {
         if !arguments.map.as_ref().is_some_and(|map| MapFile::is_there(map)) {
             return Ok(());

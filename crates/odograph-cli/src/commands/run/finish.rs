@@ -1,5 +1,6 @@
-//! The end of a run: what was tracked is improved by what came after it, written, and drawn. The trajectories come first: they are what cannot be had
-//! again without the recording. Whatever else fails is told in the end, when all the rest is there.
+//! The end of a run: what was tracked is improved by what came after it, written, and drawn. The
+//! trajectories come first: they are what cannot be had again without the recording. Whatever else
+//! fails is told in the end, when all the rest is there.
 
 use super::found::{FoundLens, FoundReadout};
 use super::kept_frames::KeptFrames;
@@ -55,11 +56,11 @@ struct Finishing<'a> {
     failure: Option<Error>,
 }
 
-/// What other sensors and loops made of the frames.
+/// The frames after sensor fusion and loop closure.
 struct Improved {
-    /// The frames where they are in the end; `None` where that is where odometry has them.
+    /// The final frames; `None` if they equal the odometry's.
     laid: Option<KeptFrames>,
-    /// Frames without a pose, where the sensors tell one.
+    /// Frames without a measured pose, as dead-reckoned from the sensors.
     reckoned: Reckoned,
     sensors: Vec<SensorReport>,
     loops: LoopStatistics,
@@ -78,7 +79,7 @@ impl Improved {
     }
 }
 
-/// Fails where there is no movement to be told.
+/// Fails if there are too few frames for a movement.
 fn enough(plan: &RunPlan, tracked: &mut Tracked, arguments: &OutputArguments) -> Result<()> {
     if tracked.frames.count() >= arguments.least_frames || tracked.interrupted {
         return Ok(());
@@ -112,7 +113,7 @@ impl Finishing<'_> {
         self.failure.get_or_insert(error);
     }
 
-    /// How the camera sits and its lens bends, where not as was told.
+    /// Warns where mount, lens or readout time were found to differ from the plan.
     fn tell_camera(&mut self) -> Result<()> {
         let told = match &self.tracked.mount {
             Some(found) => Some(found.sentence()),
@@ -126,12 +127,12 @@ impl Finishing<'_> {
         Ok(())
     }
 
-    /// What other sensors tell comes first; loops then pull at the path that they have set right.
+    /// Fuses other sensors first; loop closures then correct the fused path.
     fn improve(&mut self, sensors: &Sensors) -> Result<Improved> {
         let tracked = &mut self.tracked;
         let (mut fused, mut reckoned, mut reports) = (None, Reckoned::default(), Vec::new());
         if *sensors != Sensors::default() {
-            // Sensors are compared with all of the recording at once: only then it is all in memory.
+            // Sensor fusion needs the whole recording at once; only then is all of it in memory.
             let (raw, mut references) = tracked.frames.all()?;
             let fusion = fusion::fuse(&raw, sensors);
             if fusion.moved {
@@ -174,7 +175,8 @@ impl Finishing<'_> {
                 .frames
                 .each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
-        // Only now the map, which may not fit on its disk any more: the trajectories are there all the same, and so is all that follows.
+        // The map comes after the trajectories, because it may not fit on the disk; what follows is
+        // written even then.
         let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
         if let Err(error) = self.tracked.mapping.save(frames) {
             self.fail("the map is not where the trajectories are", error);
@@ -182,7 +184,8 @@ impl Finishing<'_> {
         self.write_smoothed(improved)
     }
 
-    /// The smoothed path and that of the carrier: made in one piece, of the few numbers that they need, and written frame by frame.
+    /// Computes the smoothed path and the carrier's path in memory, from few numbers a frame, and
+    /// writes them frame by frame.
     fn write_smoothed(&mut self, improved: &mut Improved) -> Result<()> {
         let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
         let mut smoother = Smoother::for_frames(frames.count());
@@ -294,7 +297,7 @@ struct Smoothed<'a> {
 }
 
 impl Smoothed<'_> {
-    /// Goes through the path. Fails where the frames cannot be read back, and with what `take` fails with.
+    /// Visits every frame of the path. Fails if frames cannot be read back, or if `take` fails.
     fn each(&mut self, mut take: impl FnMut(&SmoothedFrame) -> Result<()>) -> Result<()> {
         let (mut walk, mut merge) = (self.path.walk(), self.reckoned.merge());
         let mut taken = Ok(());

@@ -1,4 +1,5 @@
-//! The output folder: nothing in it is overwritten unasked, nothing in it is half written, and what was computed is in it when the program dies.
+//! The output folder: nothing is overwritten unasked, nothing is half written, and what was
+//! computed is on disk if the program is killed.
 
 use super::kept_frames::KeptFrames;
 use super::{OutputArguments, Statistics};
@@ -35,7 +36,7 @@ pub const FILES: [&str; 16] = [
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
-    /// The trajectory as it grows; becomes `trajectory.csv` at the end.
+    /// The incremental trajectory; replaced by `trajectory.csv` at the end.
     growing: File,
     pending: Vec<FrameEstimate>,
     /// Whether the header and some frames are on disk.
@@ -121,7 +122,7 @@ impl OutputFolder {
         self.claims.iter().find(|claim| claim.is_on(map))
     }
 
-    /// Takes back what was recorded: the run is begun again.
+    /// Discards what was recorded, because the run starts again.
     pub fn begin_again(&mut self) -> Result<()> {
         self.growing.set_len(0).and_then(|()| self.growing.rewind()).map_err(|error| {
             Error::output(format!(
@@ -164,7 +165,7 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Takes away a file of an earlier run that this run has nothing for.
+    /// Removes a file of an earlier run that this run does not write.
     pub fn remove(&mut self, name: &str) -> Result<()> {
         let path = self.path.join(name);
         match fs::remove_file(&path) {
@@ -204,10 +205,11 @@ impl OutputFolder {
         self.write_lines(name, TUM_HEADER, |put| fill(&mut |pose| put(&tum_line(pose))))
     }
 
-    /// Writes the trajectories and the parameters: what cannot be had again without the recording comes before any picture. Takes
-    /// away what was only there in case of a crash.
+    /// Writes the trajectories and the parameters: what cannot be had again without the recording
+    /// comes before any picture. Takes away what was only there in case of a crash.
     pub fn write_trajectories(&mut self, frames: &mut KeptFrames, run_toml: &str) -> Result<()> {
-        // Written under a third name: where the disk is full what was recorded as it came must stay, with its last second as far as it goes.
+        // Written under a third name: on a full disk the incremental record must stay, with as much
+        // of its last second as fits.
         let _ = self.flush();
         let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
         write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(frame))))?;

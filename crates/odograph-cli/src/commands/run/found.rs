@@ -1,4 +1,5 @@
-//! What a recording said of its camera that was not as it was told, for people and for `stats.json`.
+//! What a recording said of its camera that was not as it was told, for people and for
+//! `stats.json`.
 
 use odograph::camera::{Camera, Rig};
 use odograph::image::GrayImage;
@@ -72,12 +73,14 @@ impl FoundMount {
 pub struct FoundLens {
     /// The coefficients that were looked for.
     pub coefficients: Vec<FoundCoefficient>,
-    /// By how much the calibration was off at the edge of the image where it was most, and one standard deviation of that, pixels.
+    /// By how much the calibration was off at the edge of the image where it was most, and one
+    /// standard deviation of that, pixels.
     pub off_px: f64,
     pub deviation_px: f64,
 }
 
-/// A coefficient of the lens: as the camera file has it, as the recording has it, and one standard deviation.
+/// A coefficient of the lens: as the camera file has it, as the recording has it, and one standard
+/// deviation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FoundCoefficient {
     pub name: &'static str,
@@ -132,8 +135,8 @@ pub struct FoundReadout {
     pub given: bool,
 }
 
-/// A readout time whose standard deviation is larger than this is not known, milliseconds: at half a
-/// metre a second over a view of half a metre it makes distances uncertain by a thousandth.
+/// A readout time whose standard deviation is larger than this is not known, milliseconds: at half
+/// a metre a second over a view of half a metre it makes distances uncertain by a thousandth.
 const UNKNOWN_MS: f64 = 1.0;
 
 impl FoundReadout {

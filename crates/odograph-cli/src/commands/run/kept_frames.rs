@@ -1,4 +1,5 @@
-//! The frames of a run until it ends: in a file without a name, so that memory does not grow with the hours.
+//! The frames of a run until it ends: in a file without a name, so that memory does not grow with
+//! the hours.
 
 use nalgebra::{Matrix3, Matrix6};
 use odograph::error::{Error, Result};
@@ -21,7 +22,8 @@ const CHUNK: usize = 256;
 /// The numbers of so many frames are at hand: more than go by before a frame can become a keyframe.
 const NUMBERS: usize = 1024;
 
-/// Frames in the order in which they came, on disk but for the last. Where that cannot be written the rest stays in memory.
+/// Frames in the order in which they came, on disk but for the last. Where that cannot be written
+/// the rest stays in memory.
 #[derive(Debug)]
 pub struct KeptFrames {
     folder: PathBuf,
@@ -92,13 +94,15 @@ impl KeptFrames {
         self.last.as_ref()
     }
 
-    /// Which number a frame has in the source, of which it was the `index`th that was kept; of the last thousand.
+    /// Which number a frame has in the source, of which it was the `index`th that was kept; of the
+    /// last thousand.
     pub fn number_in_source(&self, index: u64) -> Option<u64> {
         let first = self.count - self.numbers.len() as u64;
         self.numbers.get(index.checked_sub(first)? as usize).copied()
     }
 
-    /// Goes through all frames in order, each with what it was measured against. Fails where they cannot be read back, and with what `take` fails with.
+    /// Goes through all frames in order, each with what it was measured against. Fails where they
+    /// cannot be read back, and with what `take` fails with.
     pub fn each(
         &mut self,
         mut take: impl FnMut(&FrameEstimate, Option<&FrameReference>) -> Result<()>,
@@ -157,7 +161,8 @@ impl KeptFrames {
     }
 }
 
-/// Nine of the frame, its pose, velocity, covariance and measurement, and ten of what it was measured against.
+/// Nine of the frame, its pose, velocity, covariance and measurement, and ten of what it was
+/// measured against.
 const NUMBERS_OF_A_FRAME: usize = 9 + 6 + 3 + 36 + 12 + 10;
 const FRAME_BYTES: usize = 8 * NUMBERS_OF_A_FRAME;
 

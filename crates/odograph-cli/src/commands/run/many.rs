@@ -1,4 +1,5 @@
-//! Many recordings in one call: each into a folder of its own, as many at a time as there are cores, each as if it had been run alone.
+//! Many recordings in one call: each gets a folder of its own and the result that it would have
+//! alone; as many run at a time as there are cores.
 
 use super::folder::OutputFolder;
 use super::{OutputArguments, RunArguments, RunPlan, RunReport, Statistics, follow};
@@ -29,7 +30,8 @@ pub struct Recording {
     name: String,
 }
 
-/// The recordings that are asked for, where they are many: more than one source, or a folder of videos. `None` where there is one.
+/// The recordings of a call with more than one source or with a folder of videos; `None` for a
+/// single one.
 pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
     let given = || std::iter::once(&arguments.source).chain(&arguments.more);
     let mut sources = Vec::new();
@@ -62,7 +64,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
     Ok(Some(named(sources)))
 }
 
-/// The videos in a folder that has no pictures, in the order of their names; none where it is something else.
+/// The videos in a folder without pictures, in the order of their names; none for anything else.
 fn videos_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let files: Vec<PathBuf> =
@@ -81,7 +83,8 @@ fn videos_in(folder: &Path) -> Vec<PathBuf> {
     videos
 }
 
-/// Each recording's folder is named after it, without its ending; of several alike, with a number from the second on.
+/// Names each folder after its recording, without the ending; equal names get a number from the
+/// second on.
 fn named(sources: Vec<String>) -> Vec<Recording> {
     let mut taken = HashSet::new();
     let name = |source: &String| {
@@ -104,7 +107,7 @@ enum End {
     NotBegun,
 }
 
-/// Runs all of them and tells how they ended. One that fails does not stop the others.
+/// Runs all recordings and prints how each ended. A failure does not stop the others.
 pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome> {
     let cores = arguments
         .output
@@ -112,7 +115,8 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome
         .map_or_else(|| thread::available_parallelism().map_or(1, NonZero::get), usize::from);
     let workers = cores.min(recordings.len());
     let share = u16::try_from(cores / workers).unwrap_or(u16::MAX);
-    // The longest first, so that none is left over for one core at the end; the results do not depend on it.
+    // The longest first, so that no core works alone at the end; the results do not depend on the
+    // order.
     let mut order: Vec<usize> = (0..recordings.len()).collect();
     let bytes = |index: usize| std::fs::metadata(&recordings[index].source).map_or(0, |file| file.len());
     order.sort_by_key(|&index| std::cmp::Reverse(bytes(index)));
@@ -142,7 +146,7 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome
     worst(&ends)
 }
 
-/// One of them, as it would be by itself but silent.
+/// Runs one recording as it would run alone, but silently.
 fn one(recording: &Recording, arguments: &RunArguments, threads: u16) -> Result<RunReport> {
     let output = OutputArguments {
         output: arguments.output.output.join(&recording.name),
@@ -226,7 +230,8 @@ fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments) -> Res
 
 const NOT_BEGUN: &str = "not begun: the program was asked to end";
 
-/// What all of them together end with: bad input is worse than wrong usage, and that than a movement that could not be measured.
+/// The outcome of all together is the worst one: bad input, then wrong usage, then tracking that
+/// failed.
 fn worst(ends: &[End]) -> Result<Outcome> {
     let failed = |kind: fn(ErrorKind) -> bool| {
         ends.iter().filter(|end| matches!(end, End::Failed(error) if kind(error.kind()))).count()

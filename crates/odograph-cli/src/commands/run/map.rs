@@ -36,7 +36,8 @@ pub struct Drawn {
     pub ground: Result<Option<String>>,
 }
 
-/// Writes mosaic and map, and puts the ground into the map file: the ground beside the drawings where there are `threads` for both.
+/// Writes mosaic and map, and puts the ground into the map file: the ground beside the drawings
+/// where there are `threads` for both.
 pub fn write(
     plan: &RunPlan,
     shown: &Shown<'_>,
@@ -72,7 +73,8 @@ pub fn write(
     Ok(Drawn { small, path_svg, ground })
 }
 
-/// Writes the map, with a small picture of the mosaic that lies at this placement. Gives that, and the map without it.
+/// Writes the map, with a small picture of the mosaic that lies at this placement. Gives that, and
+/// the map without it.
 #[expect(clippy::type_complexity, reason = "two parts of `Drawn`")]
 fn draw(
     plan: &RunPlan,

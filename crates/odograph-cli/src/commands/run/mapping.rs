@@ -1,4 +1,5 @@
-//! The map of a run: grows in its file while the run goes on, and pulls the path straight at the end.
+//! The map of a run: grows in its file while the run goes on, and pulls the path straight at the
+//! end.
 
 use super::kept_frames::KeptFrames;
 use super::statistics::StageTime;
@@ -25,7 +26,8 @@ pub struct Mapping {
     times: Timings,
 }
 
-/// A ground pixel of the mosaic that a run lays into a map that it continues is so many times as wide as what a pixel in the middle of an image sees.
+/// Ground pixel of the mosaic of a continued map, in footprints of a pixel in the middle of an
+/// image.
 const COARSER: f64 = 2.0;
 
 /// A map with more than so many times the keyframes of this run is not laid anew.
@@ -41,14 +43,15 @@ pub struct LoopStatistics {
     /// How far poses were moved by it, metres: root mean square over the frames, and the most.
     pub correction_rms_m: f64,
     pub correction_most_m: f64,
-    /// Turn for each metre ahead and to the left that the loops have shown the mount to make, radians.
+    /// Heading drift for each metre ahead and to the left as the loops show it, radians.
     pub turn_per_m: [f64; 2],
     /// Time a keyframe.
     pub keyframe: StageTime,
 }
 
 impl Mapping {
-    /// The map that the arguments ask for: one that is continued, or a new one. Fails where there is a file that is no map of this camera.
+    /// Opens the map to be continued, or begins a new one. Fails where the file is not a map of
+    /// this camera.
     pub fn new(plan: &RunPlan, folder: &OutputFolder, arguments: &OutputArguments) -> Result<Self> {
         let path = arguments.map.clone().unwrap_or_else(|| folder.path().join("map.gpkg"));
         let continued = arguments.map.is_some() && MapFile::is_there(&path);
@@ -133,7 +136,8 @@ impl Mapping {
         &self.times
     }
 
-    /// Takes over what other sensors made of the path: the frames before and after, and what they were measured against, which is brought along.
+    /// Takes over the path as fused with other sensors: the frames before and after, and their
+    /// references, which are moved along.
     pub fn take_over(
         &mut self,
         raw: &[FrameEstimate],
@@ -143,8 +147,8 @@ impl Mapping {
         self.mapper.take_over(raw, fused, references);
     }
 
-    /// Ends the map, and lays the frames where it has them; with how each moves where `moves` are asked for. Of the output nothing is written. Fails where
-    /// the frames cannot be read back.
+    /// Ends the map, and lays the frames where it has them; with how each moves where `moves` are
+    /// asked for. Of the output nothing is written. Fails where the frames cannot be read back.
     pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
         self.mapper.finish();
         let kept = self.mapper.is_straightened().then(|| KeptFrames::new(folder));
@@ -243,9 +247,11 @@ impl Mapping {
         })
     }
 
-    /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the camera sees it. Where all ground is this run's, that is
-    /// its `mosaic`, which is laid already. Gives a sentence where the file has no picture of all of its ground: because the run was interrupted, or because
-    /// most of a map that was continued is ground of earlier runs, which is not to be laid again for every short one.
+    /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the
+    /// camera sees it. Where all ground is this run's, that is its `mosaic`, which is laid already.
+    /// Gives a sentence where the file has no picture of all of its ground: because the run was
+    /// interrupted, or because most of a map that was continued is ground of earlier runs, which is
+    /// not to be laid again for every short one.
     pub fn lay_ground(&mut self, mosaic: &Mosaic) -> Result<Option<String>> {
         let map = self.mapper.map();
         let session = self.mapper.session();
@@ -283,7 +289,8 @@ impl Mapping {
         }
     }
 
-    /// Ends the file. Takes away the map of an earlier run where this one is in its place and saw no ground.
+    /// Closes the file. Removes the map of an earlier run that this one replaces if no ground was
+    /// seen.
     pub fn close(&mut self) -> Result<()> {
         match (self.file.file.take(), &self.file.claim) {
             (Some(file), _) => file.close(),
@@ -298,7 +305,8 @@ impl Mapping {
 pub struct Straight {
     /// `None` where they are what they were.
     pub frames: Option<KeptFrames>,
-    /// The times of the frames with a pose, each with that pose before and after, where that was asked for.
+    /// The times of the frames with a pose, each with that pose before and after, where that was
+    /// asked for.
     pub moves: Vec<(f64, GroundPose, GroundPose)>,
     /// How far the poses moved: squares and the most, metres.
     squares_m2: f64,

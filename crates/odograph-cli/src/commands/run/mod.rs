@@ -252,7 +252,7 @@ impl RunArguments {
 }
 
 impl OutputArguments {
-    /// Threads that a run may have: decoding, tracking and mapping side by side where nothing else is asked for.
+    /// Number of threads: three by default, for decoding, tracking and mapping.
     pub fn threads(&self) -> usize {
         self.threads.map_or(3, usize::from)
     }
@@ -307,8 +307,8 @@ pub struct RunReport {
     pub resemblance: Option<Resemblance>,
 }
 
-/// Follows a source by a plan and writes everything into the folder. What ends the recording early is an error only after all that was
-/// computed has been written.
+/// Follows a source by a plan and writes everything into the folder. What ends the recording early
+/// is an error only after all that was computed has been written.
 pub fn follow(
     plan: &RunPlan,
     source: odograph_video::Source,
@@ -325,7 +325,8 @@ pub fn follow(
     finish(&plan, &description, tracked, &sensors, &mut folder, arguments, started)
 }
 
-/// Tracks all of the source; once more from its beginning where the camera is found not to be as the plan says, which then says how it is.
+/// Tracks the whole source. Starts again with a corrected plan if mount or lens are found to differ
+/// from it.
 fn track(
     plan: &mut RunPlan,
     mut source: odograph_video::Source,

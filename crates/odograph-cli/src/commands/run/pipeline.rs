@@ -1,4 +1,5 @@
-//! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any number of threads gives the same bytes.
+//! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any
+//! number of threads gives the same bytes.
 
 use super::folder::OutputFolder;
 use super::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
@@ -40,7 +41,7 @@ pub struct Tracked {
     pub live: Option<LiveStatistics>,
     /// What ended the recording before its end, if anything did.
     pub failure: Option<Error>,
-    /// What ended the map before that, if anything did: a disk that is full. The path does not need it.
+    /// What ended the mapping early, such as a full disk. The path does not need the map.
     pub unmapped: Option<Error>,
     /// How the camera sits, where that is not what was told.
     pub mount: Option<FoundMount>,
@@ -66,7 +67,8 @@ pub struct StageTimes {
     pub map: Timings,
 }
 
-/// Frames that wait between two stages: enough to even out a keyframe, which takes as long as decoding ten frames, few enough not to need much memory.
+/// Frames that wait between two stages: enough to even out a keyframe, which takes as long as
+/// decoding ten frames, and few enough to need little memory.
 const LONGEST_QUEUE: usize = 24;
 const SHORTEST_QUEUE: usize = 4;
 /// Bytes of samples that the frames of a queue may have, in gray and colour.
@@ -78,7 +80,8 @@ fn queue(camera: &Camera) -> usize {
     (QUEUE_BYTES / frame_bytes.max(1)).clamp(SHORTEST_QUEUE, LONGEST_QUEUE)
 }
 
-/// Follows every frame of the source, or until `untold` is sure. Each frame's result is in the folder within a second of video.
+/// Follows every frame of the source, or until `untold` is sure. Each frame's result is in the
+/// folder within a second of video.
 pub fn track(
     plan: &RunPlan,
     source: Source,
@@ -147,7 +150,7 @@ fn one_by_one(decoding: &mut Decoding, tracking: &mut Tracking<'_>, ground: &mut
     Ok(())
 }
 
-/// The three stages on two or three threads: the mapping shares the tracking's where there are only two.
+/// The three stages on two or three threads; with two, tracking and mapping share one.
 fn side_by_side(
     decoding: &mut Decoding,
     tracking: &mut Tracking<'_>,
@@ -263,7 +266,7 @@ impl Tracking<'_> {
     }
 }
 
-/// Odometry counts the frames that it was given; the map tells those of the source, whose numbers `in_source` knows.
+/// Renumbers frames from their count in the odometry to their numbers in the source (`in_source`).
 pub fn number_as_source(events: &mut [KeyframeEvent], in_source: impl Fn(u64) -> Option<u64>) {
     for event in events {
         if let KeyframeEvent::Made(new) = event
@@ -301,7 +304,8 @@ impl Ground {
     }
 }
 
-/// A bar where the number of frames is known, a count where not; nothing where standard error is no terminal.
+/// A bar if the number of frames is known, otherwise a count; nothing if standard error is not a
+/// terminal.
 fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();

@@ -77,7 +77,8 @@ const HEADER: &str =
     "# Every parameter of this run. Repeat it with:  odograph run run.toml -o another-folder\n\n";
 
 impl RunPlan {
-    /// The plan that the arguments ask for, and its opened source. A source that is itself a `run.toml` is repeated as it was.
+    /// The plan of the arguments, and its opened source. A `run.toml` as the source is repeated
+    /// unchanged.
     pub fn new(arguments: &RunArguments) -> Result<(Self, Source)> {
         if arguments.source.ends_with(".toml") {
             let plan = Self::read(arguments)?;
@@ -91,7 +92,8 @@ impl RunPlan {
         })
     }
 
-    /// The plan that the arguments ask for, over a source that `open` opens and tells the size of, pixels.
+    /// The plan of the arguments over a source that `open` opens; it also returns the size in
+    /// pixels.
     pub fn over<S>(
         arguments: &RunArguments,
         open: impl FnOnce(&SourcePlan) -> Result<(S, (usize, usize))>,
@@ -127,7 +129,8 @@ impl RunPlan {
         }
         let mut odometry = OdometryConfig::default();
         odometry.motion.model = match MotionModel::from(arguments.motion) {
-            // How much a lens bends is not known from a tape measure, and what it bends looks like height and tilt that change.
+            // A tape measure does not give the lens distortion, and unmodelled distortion looks
+            // like changing height and tilt.
             MotionModel::Auto if by_field => MotionModel::Rigid,
             model => model,
         };
@@ -204,8 +207,9 @@ impl RunPlan {
         Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
     }
 
-    /// Takes the camera of a map that is continued where it is the plan's with a lens that an earlier run has found. A run that finds a lens leaves the focal length
-    /// as it is, to the bit, and no two calibrations agree in that.
+    /// Takes the camera of a map that is continued where it is the plan's with a lens that an
+    /// earlier run has found. A run that finds a lens leaves the focal length as it is, to the bit,
+    /// and no two calibrations agree in that.
     pub fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
         let Some(map) = map.filter(|map| MapFile::is_there(map)) else { return Ok(()) };
         let found = MapFile::open_read_only(map)?.camera().clone();

@@ -13,7 +13,8 @@ pub fn read(plan: &RunPlan) -> Result<Option<Trajectory>> {
     plan.reference.as_deref().map(trajectory_in).transpose()
 }
 
-/// The path of the run in `folder` and that one, laid onto each other by a turn, a shift and a scale. Fails where they have no times in common.
+/// The path of the run in `folder` and that one, laid onto each other by a turn, a shift and a
+/// scale. Fails where they have no times in common.
 pub fn compared(path: &Path, reference: &Trajectory, folder: &Path) -> Result<ReportReference> {
     let estimate = trajectory_in(&folder.join("trajectory.tum"))?;
     let options = EvaluationOptions {
@@ -35,6 +36,6 @@ pub fn compared(path: &Path, reference: &Trajectory, folder: &Path) -> Result<Re
     })
 }
 
-/// A receiver's second and a camera's frame belong together where they are no further apart than this, seconds: half of the time between the
-/// fixes of a receiver that gives ten a second.
+/// A receiver's second and a camera's frame belong together where they are no further apart than
+/// this, seconds: half of the time between the fixes of a receiver that gives ten a second.
 const TOLERANCE_S: f64 = 0.05;

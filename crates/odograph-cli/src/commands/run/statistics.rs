@@ -37,13 +37,13 @@ pub struct Statistics {
     pub loops: LoopStatistics,
     /// The most memory the program had, bytes; `null` where the system does not tell.
     pub peak_memory_bytes: Option<u64>,
-    /// What was given up for a budget, and whether it was kept; left out where there is none.
+    /// What was reduced for a time budget, and whether it was kept; left out without a budget.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub budget: Option<BudgetStatistics>,
-    /// How the camera sits, where that was found not to be what was told; left out otherwise.
+    /// The mount, if it was found to differ from what was given; left out otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mount: Option<FoundMount>,
-    /// How the lens bends, where that was found not to be as the camera file says; left out otherwise.
+    /// The lens distortion, if it was found to differ from the camera file; left out otherwise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lens: Option<FoundLens>,
     /// The readout time of the image, and whether it was given or learned; left out where neither.
@@ -60,7 +60,7 @@ pub struct Statistics {
     /// How the run kept up with its source; left out of runs over recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveStatistics>,
-    /// What became of the sensors beside the camera; left out where there are none.
+    /// Results of the other sensors; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<SensorStatistics>,
 }
@@ -102,7 +102,7 @@ impl BudgetStatistics {
     }
 }
 
-/// What became of a sensor beside the camera.
+/// The result of a sensor beside the camera.
 #[derive(Debug, Clone, Serialize)]
 pub struct SensorStatistics {
     /// Which one.
@@ -117,7 +117,8 @@ pub struct SensorStatistics {
     pub time_offset_sigma_s: Option<f64>,
     /// Scale, bias and mounting as found.
     pub parameters: Vec<SensorParameter>,
-    /// Standard deviation of its integral over a second (gyro, wheel) or of a second's reading (heading, range), radians or metres.
+    /// Standard deviation of its integral over a second (gyro, wheel) or of a second's reading
+    /// (heading, range), radians or metres.
     pub noise: Option<f64>,
     /// Seconds in which it was compared with the camera.
     pub seconds: usize,
@@ -161,7 +162,7 @@ impl StageTime {
 }
 
 impl Statistics {
-    /// The figures of what was tracked in `elapsed`, with the frames where they are in the end, beside the sensors.
+    /// The statistics of a run that took `elapsed`, from its final frames and its sensors.
     pub fn new(
         tracked: &Tracked,
         frames: &[FrameSummary],

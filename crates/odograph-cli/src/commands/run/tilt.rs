@@ -7,13 +7,16 @@ use odograph::motion::MotionModel;
 
 /// Fewer posed frames than this, in the second half of a recording, tell nothing.
 const LEAST_FRAMES: usize = 60;
-/// A smaller tilt than this is not worth a word: from a metre up it turns the path by a tenth of a degree a metre, radians.
+/// A smaller tilt than this is not worth a word: from a metre up it turns the path by a tenth of a
+/// degree a metre, radians.
 const WORTH_TELLING_RAD: f64 = 0.0035;
-/// A tilt is that of the mount, and not of a hand, where it scatters by less than this part of itself.
+/// A tilt is that of the mount, and not of a hand, where it scatters by less than this part of
+/// itself.
 const STEADY: f64 = 1.0 / 3.0;
 
-/// A sentence where the camera sat otherwise than was told, all through the second half of a recording. While that is learned, in the first metres, it bends and
-/// stretches the path, and nothing that comes later makes that good. Fails where the frames cannot be read back.
+/// A sentence where the camera sat otherwise than was told, all through the second half of a
+/// recording. While that is learned, in the first metres, it bends and stretches the path, and
+/// nothing that comes later makes that good. Fails where the frames cannot be read back.
 pub fn untold(frames: &mut KeptFrames, rig: &Rig, model: MotionModel) -> Result<Option<String>> {
     if model != MotionModel::Auto {
         return Ok(None); // either held, or the recording's own affair

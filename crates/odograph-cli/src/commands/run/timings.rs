@@ -1,4 +1,5 @@
-//! How long things took, however often they were done: counted, not listed, so that an hour needs no more memory than a minute.
+//! How long things took, however often they were done: counted, not listed, so that an hour needs
+//! no more memory than a minute.
 
 use std::time::Duration;
 

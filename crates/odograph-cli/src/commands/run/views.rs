@@ -1,7 +1,8 @@
 //! Of which frames the mosaic is made.
 //!
-//! The keyframes show nearly all of the ground and are in the map anyway; besides them a few frames are kept that show what no keyframe does.
-//! So a frame costs a look at what is covered, and the mosaic is laid once, at the end, where loops and other sensors say that the frames are.
+//! The keyframes show nearly all of the ground and are in the map anyway; besides them a few frames
+//! are kept that show what no keyframe does. So a frame costs a look at what is covered, and the
+//! mosaic is laid once, at the end, where loops and other sensors say that the frames are.
 
 use super::kept_frames::KeptFrames;
 use super::mapping::Mapping;
@@ -26,8 +27,8 @@ pub struct Posed {
     pub is_keyframe: bool,
 }
 
-/// A frame waits for the next keyframe where so much of it is new, and is kept where so much of it still is new then: on a bend that is the
-/// strip along its outer side that no keyframe reaches.
+/// A frame waits for the next keyframe where so much of it is new, and is kept where so much of it
+/// still is new then: on a bend that is the strip along its outer side that no keyframe reaches.
 const WAITS_WHERE_NEW: f64 = 0.08;
 const KEPT_WHERE_NEW: f64 = 0.01;
 /// Frames that wait for a keyframe; more of them than this means that none is coming.
@@ -75,7 +76,8 @@ impl Views {
         if self.waiting.len() > MOST_WAITING { self.keep_waiting() } else { Ok(()) }
     }
 
-    /// Lays the keyframes and the frames kept, where `frames` now has them: one is decoded while another is laid where there are `threads` for both.
+    /// Lays the keyframes and the frames kept, where `frames` now has them: one is decoded while
+    /// another is laid where there are `threads` for both.
     pub fn lay(
         &mut self,
         camera: &Camera,

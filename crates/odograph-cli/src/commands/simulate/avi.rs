@@ -1,4 +1,5 @@
-//! An AVI file of JPEG pictures (Microsoft, "AVI RIFF File Reference": one video stream, `00dc` chunks, `idx1` index).
+//! An AVI file of JPEG pictures (Microsoft, "AVI RIFF File Reference": one video stream, `00dc`
+//! chunks, `idx1` index).
 
 use odograph::error::{Error, Result};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -90,11 +91,13 @@ fn header(format: Format, after_header: u32, largest: u32) -> Vec<u8> {
     let frames = format.frames as u32;
     let microseconds = (1e6 * f64::from(scale) / f64::from(rate)).round() as u32;
     let mut main = vec![];
-    // Microseconds a frame, bytes a second, padding, flags (has an index), frames, initial, streams, buffer, size, reserved.
+    // Microseconds a frame, bytes a second, padding, flags (has an index), frames, initial,
+    // streams, buffer, size, reserved.
     let numbers = [microseconds, 0, 0, 0x10, frames, 0, 1, largest, width, height, 0, 0, 0, 0];
     numbers.iter().for_each(|n: &u32| main.extend_from_slice(&n.to_le_bytes()));
     let mut stream = b"vidsMJPG".to_vec();
-    // Flags, priority and language, initial, scale, rate, start, length, buffer, quality (default), sample size.
+    // Flags, priority and language, initial, scale, rate, start, length, buffer, quality (default),
+    // sample size.
     let numbers = [0, 0, 0, scale, rate, 0, frames, largest, u32::MAX, 0];
     numbers.iter().for_each(|n: &u32| stream.extend_from_slice(&n.to_le_bytes()));
     [0, 0, width as u16, height as u16].iter().for_each(|n| stream.extend_from_slice(&n.to_le_bytes()));

@@ -48,7 +48,8 @@ pub struct Output {
 }
 
 impl Output {
-    /// Makes the folder, and refuses to go on where an earlier run's files would be lost, unless they may be.
+    /// Makes the folder, and refuses to go on where an earlier run's files would be lost, unless
+    /// they may be.
     pub fn prepared(arguments: &SimulateArguments, simulation: &Simulation) -> Result<Self> {
         let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));
         let timing = simulation.config().effects.timing;
@@ -94,7 +95,8 @@ impl Output {
         &self.folder
     }
 
-    /// Renders and writes everything; the frames come last into their place, so that a folder with frames is a whole one.
+    /// Renders and writes everything; the frames come last into their place, so that a folder with
+    /// frames is a whole one.
     pub fn write(&self, simulation: &Simulation, parameters: &Parameters) -> Result<()> {
         let parameters = toml::to_string(parameters)
             .map_err(|error| Error::output(format!("the parameters cannot be told as TOML: {error}")))?;
@@ -292,7 +294,8 @@ impl Output {
                 });
             }
             drop(sender);
-            // Goes away with this closure, whichever way it ends: threads that wait to send are set free.
+            // Goes away with this closure, whichever way it ends: threads that wait to send are set
+            // free.
             let receiver = receiver;
             let mut waiting = BTreeMap::new();
             for number in 0..frames {
@@ -332,7 +335,8 @@ fn is_picture_name(name: &str) -> bool {
     name.strip_suffix(".png").is_some_and(|stem| stem.len() >= 6 && stem.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// A frame rate as a fraction: of 1001 where it is one of the television rates, else in millionths, reduced.
+/// A frame rate as a fraction: of 1001 where it is one of the television rates, else in millionths,
+/// reduced.
 fn fraction(fps: f64) -> Result<(u64, u64)> {
     let television = (fps * 1.001).round();
     if (fps - television / 1.001).abs() < 0.0005 && (fps - fps.round()).abs() > 0.005 {

@@ -71,8 +71,8 @@ impl Drop for Output {
 }
 
 impl Output {
-    /// Makes the folder ready. Fails where results are already there and `force` does not allow to replace them, or where it cannot
-    /// be written.
+    /// Makes the folder ready. Fails where results are already there and `force` does not allow to
+    /// replace them, or where it cannot be written.
     pub fn new(folder: &Path, format: Format, force: bool) -> Result<Self> {
         if folder.exists() && !folder.is_dir() {
             return Err(Error::usage(format!("{} is a file; the results need a folder", folder.display())));
@@ -186,7 +186,8 @@ impl Output {
         files::write(&self.folder.join("before-after.png"), &files::png_from_rgb(before_after)?)
     }
 
-    /// Removes an earlier run's frames in the other format: they would not belong to the new times and camera.
+    /// Removes an earlier run's frames in the other format: they would not belong to the new times
+    /// and camera.
     fn remove_other_format(&self) -> io::Result<()> {
         let (stream, pictures) = (self.folder.join(STREAM), self.folder.join(PICTURES));
         match self.frames {
@@ -202,7 +203,8 @@ impl Output {
     }
 }
 
-/// Brings finished pictures from `part` to `place`, instead of those of an earlier run; other files there stay.
+/// Brings finished pictures from `part` to `place`, instead of those of an earlier run; other files
+/// there stay.
 fn place_pictures(part: &Path, place: &Path) -> io::Result<()> {
     if !place.exists() {
         return fs::rename(part, place);
@@ -227,7 +229,8 @@ fn remove_own_pictures(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// The line that a stream begins with. Its length does not depend on the frame rate, which is known only at the end.
+/// The line that a stream begins with. Its length does not depend on the frame rate, which is known
+/// only at the end.
 fn stream_header(kind: StreamKind, frames_per_second: f64) -> String {
     let StreamKind { size: (width, height), colored } = kind;
     let millionths = (frames_per_second * 1e6).round().clamp(1.0, 4e9) as u64;

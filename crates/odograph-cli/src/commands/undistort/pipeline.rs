@@ -1,4 +1,5 @@
-//! Decode | correct and encode | write, side by side. The order of frames is kept, so any number of threads gives the same bytes.
+//! Decode | correct and encode | write, side by side. The order of frames is kept, so any number of
+//! threads gives the same bytes.
 
 use super::output::{Encoded, Output};
 use super::{Format, UndistortArguments};
@@ -23,8 +24,8 @@ pub struct Corrected {
     pub failure: Option<Error>,
 }
 
-/// Corrects every frame of the source and hands it to the output. Fails where a frame cannot be corrected or written; a source that
-/// ends early is told in the result.
+/// Corrects every frame of the source and hands it to the output. Fails where a frame cannot be
+/// corrected or written; a source that ends early is told in the result.
 pub fn correct(
     mut source: Source,
     correction: &ImageCorrection,
@@ -147,7 +148,8 @@ fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
     both
 }
 
-/// A bar where the number of frames is known, a count where not; nothing where standard error is no terminal.
+/// A bar where the number of frames is known, a count where not; nothing where standard error is no
+/// terminal.
 fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();

@@ -1,4 +1,5 @@
-//! A map file in the browser: the paths of its sessions, its keyframes and what ties them, and its mosaic.
+//! A map file in the browser: the paths of its sessions, its keyframes and what ties them, and its
+//! mosaic.
 
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
@@ -13,7 +14,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-/// A ground that is laid while it is looked at has no more squares: 256 MB of memory. One that would have is made coarser.
+/// A ground that is laid while it is looked at has no more squares: 256 MB of memory. One that
+/// would have is made coarser.
 const MOST_SQUARES: usize = 1024;
 /// Between two sessions on the slider, seconds.
 const PAUSE_S: f64 = 1.0;

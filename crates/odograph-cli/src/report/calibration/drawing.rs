@@ -1,4 +1,5 @@
-//! Drawings that stand in the page, where its style sheet colours them, and alone as a picture, where they carry their own.
+//! Drawings that stand in the page, where its style sheet colours them, and alone as a picture,
+//! where they carry their own.
 
 use crate::report::parts::STYLE;
 use odograph::geometry::Pixel;
@@ -72,7 +73,8 @@ fn lines(text: &str, width: f64) -> Vec<String> {
     lines
 }
 
-/// The rules of the page's style sheets that colour drawings, with the light values of their variables.
+/// The rules of the page's style sheets that colour drawings, with the light values of their
+/// variables.
 fn light_style() -> String {
     let sheets = [STYLE, super::STYLE];
     let lines = || sheets.iter().flat_map(|sheet| sheet.lines());
@@ -122,7 +124,8 @@ impl ImageFrame {
         (self.left, self.right, TOP, self.bottom)
     }
 
-    /// The drawing with the frame and its labels over `content`; `more` is room below, in drawing units.
+    /// The drawing with the frame and its labels over `content`; `more` is room below, in drawing
+    /// units.
     pub fn drawing(&self, content: &str, more: f64) -> Drawing {
         let mut body = content.to_owned();
         let (left, right, bottom) = (self.left, self.right, self.bottom);

@@ -91,7 +91,8 @@ fn reach(camera: &Camera) -> (f64, f64) {
     (furthest(|ray| ray.x).max(0.01), furthest(|ray| ray.y).max(0.01))
 }
 
-/// How far the lens moves a point at the border of the image at most, pixels, against a pinhole that shows the middle alike.
+/// How far the lens moves a point at the border of the image at most, pixels, against a pinhole
+/// that shows the middle alike.
 pub fn greatest_displacement_px(camera: &Camera) -> Option<f64> {
     let (focal, middle) = (focal_on_axis_px(camera), camera.principal_px());
     border(camera)
@@ -113,7 +114,8 @@ pub fn field_of_view_rad(camera: &Camera) -> Option<(f64, f64)> {
     Some((angle(-0.5, cy)? + angle(right, cy)?, angle(cx, -0.5)? + angle(cx, bottom)?))
 }
 
-/// The expected error of a point in the image, pixels, in every cell of a grid; from the covariance of the calibration.
+/// The expected error of a point in the image, pixels, in every cell of a grid; from the covariance
+/// of the calibration.
 pub struct ExpectedError {
     size: (usize, usize),
     columns: usize,
@@ -157,7 +159,8 @@ impl ExpectedError {
     pub fn drawing(&self) -> Drawing {
         let frame = ImageFrame::new(self.size);
         let known = self.known();
-        // A few cells at the rim of what the lens sees may be a thousand times worse: they do not make all others one colour.
+        // A few cells at the rim of what the lens sees may be a thousand times worse: they do not
+        // make all others one colour.
         let quantile = |hundredths: usize| known.get(known.len() * hundredths / 100).copied();
         let low = quantile(1).unwrap_or(0.01).max(1e-4);
         let high = quantile(98).unwrap_or(1.0).max(2.0 * low);
@@ -252,8 +255,8 @@ pub fn pixels_text(pixels: f64) -> String {
     format!("{} px", label(pixels, step))
 }
 
-/// A colour from dark blue (0) over green to yellow (1): equal steps look equal, also in gray and to the colour-blind (the stops lie on
-/// matplotlib's viridis).
+/// A colour from dark blue (0) over green to yellow (1): equal steps look equal, also in gray and
+/// to the colour-blind (the stops lie on matplotlib's viridis).
 fn heat(share: f64) -> String {
     const STOPS: [[f64; 3]; 6] = [
         [68.0, 1.0, 84.0],

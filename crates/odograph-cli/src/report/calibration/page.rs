@@ -42,7 +42,8 @@ pub struct CalibrationReport<'a> {
     pub found: &'a Found,
     pub camera: &'a Camera,
     pub model: LensModel,
-    /// Pixels per tangent on the axis across the image and their standard deviation: what people mean by the focal length.
+    /// Pixels per tangent on the axis across the image and their standard deviation: what people
+    /// mean by the focal length.
     pub focal_px: (f64, f64),
     pub parameters: &'a [Parameter],
     pub rms_px: f64,

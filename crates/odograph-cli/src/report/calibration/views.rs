@@ -26,7 +26,8 @@ pub struct ShownView {
     pub why_not: Option<String>,
 }
 
-/// More arrows or dots than this are thinned evenly: the eye sees the same, and the page stays small.
+/// More arrows or dots than this are thinned evenly: the eye sees the same, and the page stays
+/// small.
 const MOST_MARKS: usize = 5000;
 
 fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &Residual> + Clone {
@@ -70,8 +71,9 @@ pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) 
     frame.drawing(&content, 0.0)
 }
 
-/// Every used corner with an arrow from where the calibration has it to where it was seen, made longer; and the mean arrows of the
-/// cells of a grid, which stay small where the lens model fits. The numbers are how much longer.
+/// Every used corner with an arrow from where the calibration has it to where it was seen, made
+/// longer; and the mean arrows of the cells of a grid, which stay small where the lens model fits.
+/// The numbers are how much longer.
 pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f64) {
     let frame = ImageFrame::new(size);
     let lengths = |of: &[(f64, f64)]| {
@@ -131,7 +133,8 @@ fn limited(dx: f64, dy: f64, longest: f64) -> (f64, f64) {
     (dx * by, dy * by)
 }
 
-/// The mean residual of the used points of each cell that has enough of them: where they lie on average, dx and dy.
+/// The mean residual of the used points of each cell that has enough of them: where they lie on
+/// average, dx and dy.
 fn means(size: (usize, usize), views: &[ShownView]) -> Vec<(Pixel, f64, f64)> {
     const COLUMNS: usize = 12;
     /// Fewer say nothing about their mean.

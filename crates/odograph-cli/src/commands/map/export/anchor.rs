@@ -1,4 +1,5 @@
-//! Where on Earth a map is: its plane laid on the ellipsoid's tangent plane, from there to longitude and latitude, and to UTM.
+//! Where on Earth a map is: its plane laid on the ellipsoid's tangent plane, from there to
+//! longitude and latitude, and to UTM.
 
 use odograph::error::{Error, Result};
 use std::str::FromStr;
@@ -60,8 +61,9 @@ impl FromStr for AnchorArgument {
     }
 }
 
-/// A map's place on Earth: a similarity from the map to metres east and north of a reference, in the plane that touches the ellipsoid there. A
-/// kilometre from the reference that plane is 0.08 m above the ground, and distances in it are exact to a hundredth of a millimetre.
+/// A map's place on Earth: a similarity from the map to metres east and north of a reference, in
+/// the plane that touches the ellipsoid there. A kilometre from the reference that plane is 0.08 m
+/// above the ground, and distances in it are exact to a hundredth of a millimetre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Anchor {
     reference: Place,
@@ -157,7 +159,8 @@ impl Place {
         self.east_and_north().map(|axis| (0..3).map(|k| axis[k] * (there[k] - here[k])).sum())
     }
 
-    /// The place below a point of that plane (Bowring's iteration for the latitude; two steps are exact to a nanometre this near the ground).
+    /// The place below a point of that plane (Bowring's iteration for the latitude; two steps are
+    /// exact to a nanometre this near the ground).
     fn of_tangent_plane(self, [east, north]: [f64; 2]) -> Self {
         let (here, [along_east, along_north]) = (self.geocentric(), self.east_and_north());
         let at = |k: usize| here[k] + east * along_east[k] + north * along_north[k];
@@ -176,8 +179,10 @@ impl Place {
         Self { latitude_rad, longitude_rad: y.atan2(x) }
     }
 
-    /// East and north in metres on a transverse Mercator projection with UTM's scale of 0.9996 (L. Krüger, "Konforme Abbildung des Erdellipsoids in
-    /// der Ebene", 1912, to the fourth power of n: C. F. F. Karney, "Transverse Mercator with an accuracy of a few nanometers", 2011, equations 7 to 12).
+    /// East and north in metres on a transverse Mercator projection with UTM's scale of 0.9996 (L.
+    /// Krüger, "Konforme Abbildung des Erdellipsoids in der Ebene", 1912, to the fourth power of n:
+    /// C. F. F. Karney, "Transverse Mercator with an accuracy of a few nanometers", 2011, equations
+    /// 7 to 12).
     fn transverse_mercator(&self, central_rad: f64) -> (f64, f64) {
         const SCALE: f64 = 0.9996;
         let n = FLATTENING / (2.0 - FLATTENING);
@@ -215,7 +220,8 @@ mod tests {
 
     #[test]
     fn utm_is_that_of_the_standard_projection() {
-        // GDAL 3.6.2: `echo 16.3738 48.2082 | gdaltransform -s_srs EPSG:4326 -t_srs EPSG:32633`, and the same for zone 56 south.
+        // GDAL 3.6.2: `echo 16.3738 48.2082 | gdaltransform -s_srs EPSG:4326 -t_srs EPSG:32633`,
+        // and the same for zone 56 south.
         for (text, code, expected) in [
             ("48.2082,16.3738,0", 32_633, (602_065.207, 5_340_353.594)),
             ("-33.8568,151.2153,0", 32_756, (334_900.570, 6_252_288.753)),

@@ -1,7 +1,8 @@
-//! A map as COLMAP's text model: `cameras.txt`, `images.txt`, `points3D.txt` (its documentation, "Output Format"), and the images.
+//! A map as COLMAP's text model: `cameras.txt`, `images.txt`, `points3D.txt` (its documentation,
+//! "Output Format"), and the images.
 //!
-//! The points are the features that keyframes are recognised by; two keyframes that an edge ties see the same point where their features lie in the
-//! same place of the ground and look alike.
+//! The points are the features that keyframes are recognised by; two keyframes that an edge ties
+//! see the same point where their features lie in the same place of the ground and look alike.
 
 use crate::{files, interrupt};
 use odograph::camera::Camera;
@@ -81,7 +82,8 @@ fn name(keyframe: KeyframeId) -> String {
 
 /// The features of a keyframe that lie inside its image.
 fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<Feature> {
-    // A signature holds where things lie for a camera over the origin that is as high and tilted as this one.
+    // A signature holds where things lie for a camera over the origin that is as high and tilted as
+    // this one.
     let pose = &keyframe.pose;
     let (sin, cos) = pose.heading_rad.sin_cos();
     let feature = |feature: &odograph::mapping::places::GroundFeature| {
@@ -98,11 +100,13 @@ fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<Feature> {
     keyframe.signature.features.iter().filter_map(feature).collect()
 }
 
-/// Joins the features that show the same point; gives the features of each point as (keyframe, feature).
+/// Joins the features that show the same point; gives the features of each point as (keyframe,
+/// feature).
 fn tracks(map: &GroundMap, features: &mut [Vec<Feature>]) -> Vec<Vec<(usize, usize)>> {
     let place: BTreeMap<KeyframeId, usize> =
         map.keyframes.iter().enumerate().map(|(index, keyframe)| (keyframe.id, index)).collect();
-    // The features of all keyframes in a row, each led by the first one known to show the same point.
+    // The features of all keyframes in a row, each led by the first one known to show the same
+    // point.
     let starts: Vec<usize> = features
         .iter()
         .scan(0, |sum, features| {

@@ -1,4 +1,5 @@
-//! The paths and keyframes of a map in longitude and latitude: GeoJSON (RFC 7946), KML 2.2, GPX 1.1.
+//! The paths and keyframes of a map in longitude and latitude: GeoJSON (RFC 7946), KML 2.2, GPX
+//! 1.1.
 
 use super::anchor::{Anchor, Place};
 use crate::files;

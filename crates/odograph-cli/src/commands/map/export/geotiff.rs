@@ -1,4 +1,5 @@
-//! The mosaic as a GeoTIFF (OGC 19-008): the tiles as they are in the map, so that no more than one is in memory.
+//! The mosaic as a GeoTIFF (OGC 19-008): the tiles as they are in the map, so that no more than one
+//! is in memory.
 
 use super::anchor::Anchor;
 use super::coarser;
@@ -110,7 +111,8 @@ fn describe<W: std::io::Write + std::io::Seek, K: TiffKind>(
     directory.write_tag(Tag::ExtraSamples, UNASSOCIATED_OPACITY)
 }
 
-/// Where the picture lies: in metres of the map, or, where the map is anchored, in the UTM zone of its place.
+/// Where the picture lies: in metres of the map, or, where the map is anchored, in the UTM zone of
+/// its place.
 fn place<W: std::io::Write + std::io::Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<'_, W, K>,
     (left_m, top_m): (f64, f64),
@@ -133,7 +135,8 @@ fn place<W: std::io::Write + std::io::Seek, K: TiffKind>(
             [(MODEL, USER_DEFINED), (RASTER, PIXEL_IS_AREA), (PROJECTED_UNITS, METRE)]
         }
         Some(anchor) => {
-            // Over the size of a map the projection is a straight line: east and north of the corner, and a step along x and y of the map.
+            // Over the size of a map the projection is a straight line: east and north of the
+            // corner, and a step along x and y of the map.
             let at = |x_m: f64, y_m: f64| anchor.utm(x_m, y_m);
             let ((east, north), (right, down)) =
                 (at(left_m, top_m), (at(left_m + 1.0, top_m), at(left_m, top_m - 1.0)));

@@ -1,4 +1,5 @@
-//! `odograph map export`: a map as other programs read it, in the form that the output's name asks for.
+//! `odograph map export`: a map as other programs read it, in the form that the output's name asks
+//! for.
 
 mod anchor;
 mod colmap;
@@ -182,7 +183,8 @@ fn coarser(layer: &MosaicLayer, level: u32) -> String {
     )
 }
 
-/// The path of the session asked for, or of the only one; of the keyframes where the map has no path yet.
+/// The path of the session asked for, or of the only one; of the keyframes where the map has no
+/// path yet.
 fn path_asked(file: &MapFile, session: Option<u32>) -> Result<Vec<PathFrame>> {
     let sessions = file.sessions()?;
     let session = match (session, sessions.as_slice()) {

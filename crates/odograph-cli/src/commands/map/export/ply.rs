@@ -1,4 +1,5 @@
-//! The mosaic as coloured points (PLY, binary): the ground where it was seen, and above it the cameras.
+//! The mosaic as coloured points (PLY, binary): the ground where it was seen, and above it the
+//! cameras.
 
 use crate::{files, interrupt};
 use odograph::error::{Error, Result};
@@ -10,7 +11,8 @@ use std::path::Path;
 /// The colour of the points that are cameras.
 const CAMERA: [u8; 3] = [255, 0, 0];
 
-/// Writes at most so many points of ground, one for each keyframe besides, and says what was written.
+/// Writes at most so many points of ground, one for each keyframe besides, and says what was
+/// written.
 pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> {
     let keyframes = file.map()?.keyframes;
     let layer = file.mosaic()?;
