@@ -261,21 +261,23 @@ impl OutputArguments {
 /// Runs the command.
 pub fn run(mut arguments: RunArguments) -> Result<Outcome> {
     let recordings = many::recordings(&arguments)?;
-    arguments.output.output = match arguments.folder.take() {
-        Some(folder) => folder,
-        None => {
-            let folder = default_folder(&arguments.source, recordings.is_some());
-            if !arguments.output.quiet {
-                console::note(&format!("the results go to {} (-o chooses)", folder.display()));
-            }
-            folder
+    let chosen = arguments.folder.take();
+    let is_told = chosen.is_none() && !arguments.output.quiet;
+    arguments.output.output =
+        chosen.unwrap_or_else(|| default_folder(&arguments.source, recordings.is_some()));
+    let tell_folder = || {
+        if is_told {
+            let folder = arguments.output.output.display();
+            console::note(&format!("the results go to {folder} (-o chooses)"));
         }
     };
     if let Some(recordings) = recordings {
+        tell_folder();
         return many::run(&recordings, &arguments);
     }
     let folder = OutputFolder::new(&arguments.output)?;
     let (plan, source) = RunPlan::new(&arguments)?;
+    tell_folder();
     let report = follow(&plan, source, folder, &arguments.output)?;
     report.tell(&arguments.output)?;
     Ok(report.outcome())
