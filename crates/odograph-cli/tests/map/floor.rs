@@ -164,3 +164,44 @@ fn a_picture_is_found_in_a_map_which_stays_as_it_is() {
     let sessions = MapFile::open_read_only(&folder.path().join("out/map.gpkg")).unwrap().sessions().unwrap();
     assert_eq!(sessions.len(), 2);
 }
+
+#[test]
+fn places_that_look_alike_are_listed_and_none_is_claimed() {
+    let folder = tempfile::tempdir().unwrap();
+    let photograph = "simulate --texture asphalt --path still --duration 0.1 --size 640x640 --height 60cm --noise 0 -q -o photo";
+    assert_eq!(odograph(photograph, folder.path()), (0, String::new()));
+    let repeated = "simulate --texture photo/frames/000000.png --photo-width 70cm --tiling repeat --path straight \
+                    --length 1.6 --speed 0.8 --size 320x240 --fps 20 --height 30cm -q -o sim";
+    assert_eq!(odograph(repeated, folder.path()), (0, String::new()));
+    let run = "run sim/frames --timestamps sim/frames.txt --camera sim/camera.yaml --rig sim/rig.toml -o out --quiet";
+    assert_eq!(odograph(run, folder.path()), (0, String::new()));
+    let map = fs::read(folder.path().join("out/map.gpkg")).unwrap();
+    let localize = |more: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_odograph"))
+            .args(["localize", "sim/frames/000012.png", "--map", "out/map.gpkg"])
+            .args(more)
+            .current_dir(folder.path())
+            .output()
+            .unwrap()
+    };
+    let listed = localize(&[]);
+    let (places, told) =
+        (String::from_utf8(listed.stdout).unwrap(), String::from_utf8(listed.stderr).unwrap());
+    assert_eq!(listed.status.code(), Some(4), "{told}");
+    assert!(told.starts_with("error: cannot tell: ") && told.contains("none of them is certain"), "{told}");
+    assert!(
+        places.lines().count() >= 2 && places.lines().all(|line| line.starts_with("perhaps ")),
+        "{places}"
+    );
+
+    let json: serde_json::Value = serde_json::from_slice(&localize(&["--json"]).stdout).unwrap();
+    assert_eq!((json["verdict"].as_str(), json["recognised"].as_bool()), (Some("ambiguous"), Some(false)));
+    let trajectory = fs::read_to_string(folder.path().join("out/trajectory.tum")).unwrap();
+    let line = trajectory.lines().filter(|line| !line.starts_with('#')).nth(12).unwrap();
+    let true_x_m: f64 = line.split(' ').nth(1).unwrap().parse().unwrap();
+    let alike = json["alike"].as_array().unwrap();
+    assert!(alike.iter().any(|place| (place["x_m"].as_f64().unwrap() - true_x_m).abs() < 0.01), "{json}");
+    let all: f64 = alike.iter().map(|place| place["probability"].as_f64().unwrap()).sum();
+    assert!((all - 1.0).abs() < 1e-9, "{json}");
+    assert!(fs::read(folder.path().join("out/map.gpkg")).unwrap() == map, "the map was changed");
+}
