@@ -5,8 +5,7 @@ use crate::file::MapFile;
 use crate::geopackage::{self, Extent, line_geometry};
 use crate::keyframes::pose_from;
 use odograph::error::Result;
-use odograph::geometry::{GroundPose, wrap_angle};
-use odograph::mapping::plane_motion::{laid_from, seen_from};
+use odograph::geometry::GroundPose;
 use rusqlite::{CachedStatement, Connection, Row, params};
 
 /// Where the camera was at one frame.
@@ -80,14 +79,7 @@ pub struct KeyframeMove {
 
 impl KeyframeMove {
     fn take(&self, pose: &GroundPose) -> GroundPose {
-        if self.before == self.after {
-            return *pose;
-        }
-        let scale = self.after.height_m / self.before.height_m;
-        let laid = laid_from(&self.after, &seen_from(&self.before, pose), scale);
-        // Whole turns are kept, and how the camera leaned.
-        let heading_rad = pose.heading_rad + self.after.heading_rad - self.before.heading_rad;
-        GroundPose { heading_rad, roll_rad: pose.roll_rad, pitch_rad: pose.pitch_rad, ..laid }
+        self.before.similarity_to(&self.after).apply_to_pose(pose)
     }
 }
 
@@ -102,7 +94,7 @@ pub fn carried(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame>
         let pose = match (before, after) {
             (Some(before), Some(after)) => {
                 let share = (frame.time_s - before.time_s) / (after.time_s - before.time_s);
-                between(&before.take(&frame.pose), &after.take(&frame.pose), share)
+                before.take(&frame.pose).interpolated(&after.take(&frame.pose), share)
             }
             (Some(keyframe), None) | (None, Some(keyframe)) => keyframe.take(&frame.pose),
             // A segment that has no keyframe goes with the one before.
@@ -111,17 +103,6 @@ pub fn carried(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame>
         PathFrame { pose, ..*frame }
     };
     path.iter().map(carry).collect()
-}
-
-fn between(a: &GroundPose, b: &GroundPose, share: f64) -> GroundPose {
-    let mean = |a: f64, b: f64| a + share * (b - a);
-    GroundPose {
-        x_m: mean(a.x_m, b.x_m),
-        y_m: mean(a.y_m, b.y_m),
-        heading_rad: a.heading_rad + share * wrap_angle(b.heading_rad - a.heading_rad),
-        height_m: mean(a.height_m, b.height_m),
-        ..*a
-    }
 }
 
 pub(crate) fn write(connection: &Connection, session: u32, frames: &[PathFrame]) -> rusqlite::Result<()> {

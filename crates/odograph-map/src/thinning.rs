@@ -3,10 +3,11 @@
 //! The ground is divided into cells, and each keyframe covers some of them. Again and again the keyframe goes whose cells are covered by the most
 //! others. What tied the map together through it is composed into edges between its neighbours, so that no piece comes apart.
 
-use nalgebra::{Matrix4, Matrix4x2, Vector2, Vector4};
+use nalgebra::Vector4;
 use odograph::camera::Camera;
-use odograph::geometry::{GroundPose, Pixel};
-use odograph::mapping::{EdgeKind, GroundMap, KeyframeId, MapEdge};
+use odograph::geometry::pose_index::{LN_SCALE, X, Y};
+use odograph::geometry::{GroundPose, Pixel, Sim2, WithCovariance};
+use odograph::mapping::{EdgeKind, GroundMap, KeyframeId, MapEdge, plane_motion};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
@@ -185,49 +186,32 @@ impl Ties {
         self.edges.into_iter().skip(self.before).flatten().collect()
     }
 
-    /// How many of the metres that `from` measures are one that `to` measures.
-    fn metres_of(&self, edge: &MapEdge) -> f64 {
-        let height = |keyframe| self.measured_at_m.get(keyframe).copied().unwrap_or(1.0);
-        edge.motion[3].exp() * height(&edge.from) / height(&edge.to)
+    /// The heights at which the two ends of an edge measure.
+    fn measured_m(&self, edge: &MapEdge) -> [f64; 2] {
+        [edge.from, edge.to].map(|keyframe| self.measured_at_m.get(&keyframe).copied().unwrap_or(1.0))
+    }
+
+    /// Between the metres of the two ends of an edge.
+    fn similarity(&self, edge: &MapEdge) -> WithCovariance<Sim2, 4> {
+        let transform = plane_motion::similarity(&edge.motion, self.measured_m(edge));
+        WithCovariance { transform, covariance: edge.covariance }
     }
 
     /// The same edge seen from its other end.
     fn reversed(&self, edge: &MapEdge) -> MapEdge {
-        let metres = self.metres_of(edge);
-        let (sin, cos) = edge.motion[2].sin_cos();
-        let back = |v: Vector2<f64>| Vector2::new(cos * v.x + sin * v.y, cos * v.y - sin * v.x) / metres;
-        let there = Vector2::new(edge.motion[0], edge.motion[1]);
-        let here = -back(there);
-        let mut by = Matrix4::identity() * -1.0;
-        let (along, across) = (-back(Vector2::x()), -back(Vector2::y()));
-        by.fixed_view_mut::<2, 1>(0, 0).copy_from(&along);
-        by.fixed_view_mut::<2, 1>(0, 1).copy_from(&across);
-        // Turned by a little more, the way back turns the other way; seen from higher, it is shorter.
-        by.fixed_view_mut::<2, 1>(0, 2).copy_from(&Vector2::new(here.y, -here.x));
-        by.fixed_view_mut::<2, 1>(0, 3).copy_from(&-here);
         MapEdge {
             from: edge.to,
             to: edge.from,
             kind: edge.kind,
-            motion: Vector4::new(here.x, here.y, -edge.motion[2], -edge.motion[3]),
-            covariance: by * edge.covariance * by.transpose(),
+            motion: plane_motion::inverse(&edge.motion, self.measured_m(edge)),
+            covariance: self.similarity(edge).inverse().covariance,
         }
     }
 
     /// One edge after another: from where the first begins to where the second ends.
     fn composed_of(&self, first: &MapEdge, second: &MapEdge) -> MapEdge {
-        let metres = self.metres_of(first);
-        let (sin, cos) = first.motion[2].sin_cos();
-        let turned = |v: Vector2<f64>| metres * Vector2::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y);
-        let further = turned(Vector2::new(second.motion[0], second.motion[1]));
-        let mut by_first = Matrix4::identity();
-        by_first.fixed_view_mut::<2, 1>(0, 2).copy_from(&Vector2::new(-further.y, further.x));
-        by_first.fixed_view_mut::<2, 1>(0, 3).copy_from(&further);
-        let mut by_second = Matrix4::identity();
-        let mut corner = Matrix4x2::zeros();
-        corner.fixed_view_mut::<2, 1>(0, 0).copy_from(&turned(Vector2::x()));
-        corner.fixed_view_mut::<2, 1>(0, 1).copy_from(&turned(Vector2::y()));
-        by_second.fixed_columns_mut::<2>(0).copy_from(&corner);
+        let WithCovariance { transform: way, covariance } = self.similarity(first) * self.similarity(second);
+        let ln_heights = first.motion[LN_SCALE] + second.motion[LN_SCALE];
         let kind = match (first.kind, second.kind) {
             (EdgeKind::Gap, _) | (_, EdgeKind::Gap) => EdgeKind::Gap,
             (EdgeKind::Odometry, EdgeKind::Odometry) => EdgeKind::Odometry,
@@ -237,21 +221,15 @@ impl Ties {
             from: first.from,
             to: second.to,
             kind,
-            motion: Vector4::new(
-                first.motion[0] + further.x,
-                first.motion[1] + further.y,
-                first.motion[2] + second.motion[2],
-                first.motion[3] + second.motion[3],
-            ),
-            covariance: by_first * first.covariance * by_first.transpose()
-                + by_second * second.covariance * by_second.transpose(),
+            motion: Vector4::new(way.x_m, way.y_m, way.heading_rad, ln_heights),
+            covariance,
         }
     }
 }
 
 /// How badly an edge knows where its other end is, m².
 fn spread(edge: &MapEdge) -> f64 {
-    edge.covariance[(0, 0)] + edge.covariance[(1, 1)]
+    edge.covariance[(X, X)] + edge.covariance[(Y, Y)]
 }
 
 #[cfg(test)]

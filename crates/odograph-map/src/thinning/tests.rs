@@ -1,5 +1,5 @@
 use super::*;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix4, Matrix6};
 use odograph::camera::Rig;
 use odograph::geometry::wrap_angle;
 use odograph::mapping::MapKeyframe;
@@ -19,19 +19,12 @@ fn pose(number: u64) -> GroundPose {
 /// The exact edge between two poses, with a covariance that is none too simple.
 fn edge(from: u64, to: u64) -> MapEdge {
     let (a, b) = (pose(from), pose(to));
-    let (sin, cos) = a.heading_rad.sin_cos();
-    let (dx, dy) = (b.x_m - a.x_m, b.y_m - a.y_m);
     let half = Matrix4::from_fn(|row, column| 1e-3 * ((3 * row + column) as f64 + to as f64).sin());
     MapEdge {
         from: KeyframeId(from),
         to: KeyframeId(to),
         kind: if to < from { EdgeKind::Loop } else { EdgeKind::Odometry },
-        motion: Vector4::new(
-            cos * dx + sin * dy,
-            cos * dy - sin * dx,
-            wrap_angle(b.heading_rad - a.heading_rad),
-            (b.height_m / a.height_m).ln(),
-        ),
+        motion: plane_motion::seen_from(&a, &b),
         covariance: half * half.transpose() + Matrix4::identity() * 1e-8,
     }
 }

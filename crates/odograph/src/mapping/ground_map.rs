@@ -5,7 +5,7 @@
 use super::places::Signature;
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
-use crate::geometry::GroundPose;
+use crate::geometry::{GroundPose, Sim2};
 use crate::image::{GrayImage, RgbImage};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
@@ -34,6 +34,13 @@ pub struct MapKeyframe {
     pub covariance: Matrix6<f64>,
     /// What it is recognised by.
     pub signature: Signature,
+}
+
+impl MapKeyframe {
+    /// Takes poses near it from the odometry frame to the map frame.
+    pub fn map_from_odometry(&self) -> Sim2 {
+        self.odometry_pose.similarity_to(&self.pose)
+    }
 }
 
 /// How two keyframes came to be tied.

@@ -1,42 +1,57 @@
 //! How one pose over the plane lies to another: the motions of Sim(2) that tie keyframes.
 
-use crate::geometry::{GroundPose, wrap_angle};
+use crate::geometry::pose_index::{HEADING, LN_SCALE, X, Y};
+use crate::geometry::{GroundPoint, GroundPose, PlaneTransform, Sim2, propagated, wrap_angle};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
 /// Where `to` is as `from` sees it: (x, y) in metres in the frame of `from`, heading, and the logarithm of the ratio of heights, as
 /// [`super::MapEdge::motion`] has them.
 pub fn seen_from(from: &GroundPose, to: &GroundPose) -> Vector4<f64> {
-    let (sin, cos) = from.heading_rad.sin_cos();
-    let (dx, dy) = (to.x_m - from.x_m, to.y_m - from.y_m);
-    Vector4::new(
-        cos * dx + sin * dy,
-        cos * dy - sin * dx,
-        wrap_angle(to.heading_rad - from.heading_rad),
-        (to.height_m / from.height_m).ln(),
-    )
+    let seen = from.se2().between(&to.se2());
+    Vector4::new(seen.x_m, seen.y_m, wrap_angle(seen.heading_rad), (to.height_m / from.height_m).ln())
 }
 
 /// The pose that `from` sees at `motion`: the inverse of [`seen_from`]. Roll and pitch are those of `from`.
 ///
 /// `scale` is how many of `from`'s present metres one metre of the motion is: its height now over its height when the motion was measured.
 pub fn laid_from(from: &GroundPose, motion: &Vector4<f64>, scale: f64) -> GroundPose {
-    let (sin, cos) = from.heading_rad.sin_cos();
+    let world_from_measured = Sim2 { scale, ..Sim2::rigid(&from.se2()) };
+    let GroundPoint { x_m, y_m } = world_from_measured.apply(GroundPoint::new(motion[X], motion[Y]));
     GroundPose {
-        x_m: from.x_m + scale * (cos * motion[0] - sin * motion[1]),
-        y_m: from.y_m + scale * (sin * motion[0] + cos * motion[1]),
-        heading_rad: from.heading_rad + motion[2],
-        height_m: from.height_m * motion[3].exp(),
+        x_m,
+        y_m,
+        heading_rad: from.heading_rad + motion[HEADING],
+        height_m: from.height_m * motion[LN_SCALE].exp(),
         ..*from
     }
 }
 
 /// Covariance of a motion measured by `from` from that of the pose of `to` in the world, (x, y, heading, height, roll, pitch).
 pub fn motion_covariance(from: &GroundPose, to: &GroundPose, covariance: &Matrix6<f64>) -> Matrix4<f64> {
-    let (sin, cos) = from.heading_rad.sin_cos();
-    let mut turn = Matrix4::identity();
-    (turn[(0, 0)], turn[(0, 1)], turn[(1, 0)], turn[(1, 1)]) = (cos, sin, -sin, cos);
-    turn[(3, 3)] = 1.0 / to.height_m;
-    turn * covariance.fixed_view::<4, 4>(0, 0) * turn.transpose()
+    let mut by_to = Sim2::rigid(&from.se2()).between_by_to();
+    by_to[(LN_SCALE, LN_SCALE)] = 1.0 / to.height_m;
+    propagated(&by_to, &covariance.fixed_view::<4, 4>(0, 0).into_owned())
+}
+
+/// The similarity from the metres of the keyframe that is seen to those of the one that sees, of a
+/// motion measured at their heights `measured_m`, of `from` and of `to`. A motion holds the ratio of
+/// true heights; where both were measured at their true heights both have the same metres.
+pub fn similarity(motion: &Vector4<f64>, measured_m: [f64; 2]) -> Sim2 {
+    let mut similarity = Sim2::from_vector(motion);
+    similarity.scale *= measured_m[0] / measured_m[1];
+    similarity
+}
+
+/// The motion at which `to` sees `from`, where `from` sees `to` at `motion`; both were measured at
+/// the heights `measured_m`.
+pub fn inverse(motion: &Vector4<f64>, measured_m: [f64; 2]) -> Vector4<f64> {
+    let inverse = similarity(motion, measured_m).inverse();
+    Vector4::new(inverse.x_m, inverse.y_m, inverse.heading_rad, -motion[LN_SCALE])
+}
+
+/// Standard deviation of a position along one axis, metres.
+pub fn position_sigma_m(covariance: &Matrix4<f64>) -> f64 {
+    (0.5 * (covariance[(X, X)] + covariance[(Y, Y)])).sqrt()
 }
 
 #[cfg(test)]
@@ -57,6 +72,18 @@ mod tests {
             prop_assert!((back.x_m - to.x_m).hypot(back.y_m - to.y_m) < 1e-12 * 10.0);
             prop_assert!(wrap_angle(back.heading_rad - to.heading_rad).abs() < 1e-12);
             prop_assert!((back.height_m - to.height_m).abs() < 1e-12 * 10.0);
+        }
+
+        #[test]
+        fn the_inverse_of_a_motion_is_how_the_other_sees_it(from in poses(), to in poses(), drift in 0.5..2.0) {
+            // Odometry that has drifted holds `to` for higher than it is, and its metres are longer by as much.
+            let measured_m = [from.height_m, drift * to.height_m];
+            let inverse = inverse(&seen_from(&from, &to), measured_m);
+            let mut expected = seen_from(&to, &from);
+            expected[0] *= drift;
+            expected[1] *= drift;
+            let off = inverse - expected;
+            prop_assert!(off[0].hypot(off[1]) < 1e-10 && wrap_angle(off[2]).abs() < 1e-12 && off[3].abs() < 1e-12);
         }
     }
 }

@@ -7,8 +7,8 @@ mod motion;
 use super::noise::Wobble;
 use crate::camera::Rig;
 use crate::error::{Error, Result};
-use crate::geometry::{GroundPoint, GroundPose};
-use motion::{Bend, Law, Motion, Place, curve};
+use crate::geometry::{GroundPoint, GroundPose, PlaneTransform, Se2};
+use motion::{Bend, Law, Motion, curve};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -93,7 +93,7 @@ pub struct Path {
 #[derive(Debug, Clone)]
 struct Segment {
     start_s: f64,
-    start: Place,
+    start: Se2,
     law: Law,
     motion: Motion,
 }
@@ -107,7 +107,7 @@ impl Path {
         positive("speed", speed_m_s, "metres per second")?;
         positive("turn rate", turn_rate_rad_s, "radians per second")?;
         let mut path =
-            Builder { speed_m_s, turn_rate_rad_s, segments: vec![], end: Place::ORIGIN, end_s: 0.0 };
+            Builder { speed_m_s, turn_rate_rad_s, segments: vec![], end: Se2::IDENTITY, end_s: 0.0 };
         let line = |direction_rad: f64| Motion::Line { direction_rad };
         match kind {
             PathKind::Still { duration_s } => {
@@ -219,20 +219,15 @@ impl Path {
         let place = self.place(time_s);
         // The world's x is where the image's top points, which the mount yaw turns away from the carrier's forward.
         let forward_rad = if self.in_world { 0.0 } else { -rig.yaw_rad };
-        let (sin, cos) = forward_rad.sin_cos();
-        GroundPose {
-            x_m: cos * place.x_m - sin * place.y_m,
-            y_m: sin * place.x_m + cos * place.y_m,
-            heading_rad: place.heading_rad,
-            ..rig.first_pose()
-        }
+        let (x_m, y_m) = Se2::rotation(forward_rad).rotate(place.x_m, place.y_m);
+        GroundPose { x_m, y_m, heading_rad: place.heading_rad, ..rig.first_pose() }
     }
 
-    fn place(&self, time_s: f64) -> Place {
+    fn place(&self, time_s: f64) -> Se2 {
         let time_s = time_s.clamp(0.0, self.duration_s);
         let next = self.segments.partition_point(|segment| segment.start_s <= time_s);
         let segment = &self.segments[next.saturating_sub(1)];
-        segment.start.then(segment.motion.end(segment.law.progress(time_s - segment.start_s)))
+        segment.start * segment.motion.end(segment.law.progress(time_s - segment.start_s))
     }
 
     fn measured_length_m(&self) -> f64 {
@@ -258,7 +253,7 @@ struct Builder {
     speed_m_s: f64,
     turn_rate_rad_s: f64,
     segments: Vec<Segment>,
-    end: Place,
+    end: Se2,
     end_s: f64,
 }
 
@@ -273,7 +268,7 @@ impl Builder {
 
     fn add(&mut self, motion: Motion, law: Law) {
         let start = self.end;
-        self.end = start.then(motion.end(law.amount));
+        self.end = start * motion.end(law.amount);
         self.segments.push(Segment { start_s: self.end_s, start, law, motion });
         self.end_s += law.duration_s();
     }

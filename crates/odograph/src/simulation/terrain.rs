@@ -2,7 +2,7 @@
 
 use super::noise::{cell, mix, smooth_step};
 use crate::error::{Error, Result};
-use crate::geometry::{GroundPose, wrap_angle};
+use crate::geometry::{GroundPoint, GroundPose, wrap_angle};
 use nalgebra::Rotation3;
 use serde::{Deserialize, Serialize};
 
@@ -292,10 +292,9 @@ impl Surface {
 
     /// The mean level under four wheels, metres, and the slopes between them along the heading and to its left.
     fn wheels(&self, carrier: &GroundPose) -> (f64, f64, f64) {
-        let (sin, cos) = carrier.heading_rad.sin_cos();
         let level = |forward: f64, left: f64| {
-            let (x_m, y_m) = (forward * cos - left * sin, forward * sin + left * cos);
-            self.level_with_face(carrier.x_m + x_m, carrier.y_m + y_m, KERB_CLIMB_M)
+            let GroundPoint { x_m, y_m } = carrier.se2().apply(GroundPoint::new(forward, left));
+            self.level_with_face(x_m, y_m, KERB_CLIMB_M)
         };
         let half = HALF_WHEELBASE_M;
         let [front, back, left, right] =

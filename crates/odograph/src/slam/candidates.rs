@@ -2,8 +2,10 @@
 
 use super::SlamConfig;
 use crate::geometry::GroundPose;
+use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::mapping::KeyframeId;
 use crate::mapping::graph::{PoseGraph, Reach, Reached};
+use crate::mapping::plane_motion::position_sigma_m;
 use crate::odometry::matching::Matcher;
 use nalgebra::Vector4;
 
@@ -48,10 +50,10 @@ const HOPELESS_VIEWS: f64 = 3.0;
 
 impl Prior {
     pub fn new(reached: Reached, matcher: &Matcher, pose: &GroundPose) -> Self {
-        let covariance = &reached.covariance;
-        let sigma_m = (0.5 * (covariance[(0, 0)] + covariance[(1, 1)])).sqrt();
+        let sigma_m = position_sigma_m(&reached.covariance);
         let view_m = matcher.view_m(pose);
-        let sigma_px = (sigma_m + 0.5 * view_m * covariance[(2, 2)].sqrt()) / matcher.pixel_m(pose);
+        let sigma_px =
+            (sigma_m + 0.5 * view_m * reached.covariance[(HEADING, HEADING)].sqrt()) / matcher.pixel_m(pose);
         let strength = if reached.across_gap || sigma_m > DOUBTFUL_VIEWS * view_m {
             Strength::Weak
         } else if 3.0 * sigma_px > SURE_PX {
@@ -87,7 +89,7 @@ pub fn candidates(
         }
         left -= 1;
         let Some(reached) = reach.to(id) else { continue };
-        let sigma_m = (0.5 * (reached.covariance[(0, 0)] + reached.covariance[(1, 1)])).sqrt();
+        let sigma_m = position_sigma_m(&reached.covariance);
         if sigma_m > HOPELESS_VIEWS * view_m {
             break;
         }
@@ -117,7 +119,7 @@ fn rank(candidate: &Candidate) -> f64 {
 
 /// The motion as near as it may be where it is off by `by_m`.
 fn shortened(motion: &Vector4<f64>, by_m: f64) -> Vector4<f64> {
-    let length_m = motion[0].hypot(motion[1]);
+    let length_m = motion[X].hypot(motion[Y]);
     let left = if length_m > by_m { 1.0 - by_m / length_m } else { 0.0 };
-    Vector4::new(left * motion[0], left * motion[1], motion[2], motion[3])
+    motion.component_mul(&Vector4::new(left, left, 1.0, 1.0))
 }

@@ -4,11 +4,13 @@ use super::Mapper;
 use super::candidates::{self, Strength};
 use super::closure::{self, LoopClosure};
 use super::images::KeyframeStore;
-use super::recognition::{recognise, the_other_way};
+use super::recognition::recognise;
 use crate::error::Result;
-use crate::mapping::plane_motion::laid_from;
+use crate::geometry::WithCovariance;
+use crate::mapping::plane_motion::{inverse, laid_from, similarity};
 use crate::mapping::{KeyframeId, MapEdge};
 use crate::odometry::matching::{Pictured, Sought};
+use nalgebra::{Matrix4, Vector4};
 
 /// Two sightings speak for each other only when they are of different ground: so many views apart at least.
 const APART_VIEWS: f64 = 0.3;
@@ -145,21 +147,33 @@ impl Mapper {
         if (here.x_m - there.x_m).hypot(here.y_m - there.y_m) < APART_VIEWS * view_m {
             return false;
         }
-        let way = |from: KeyframeId, to: KeyframeId| {
-            let reached = self.graph.reach(from)?.to(to)?;
-            (!reached.across_gap).then_some((reached.motion, reached.covariance))
+        let known = |from: KeyframeId, to: KeyframeId, motion: &Vector4<f64>, covariance: Matrix4<f64>| {
+            let transform = similarity(motion, self.measured_m(from, to)?);
+            Some(WithCovariance { transform, covariance })
         };
-        let (Some(back), Some(on)) = (way(b.from, a.from), way(a.to, b.to)) else { return false };
-        let composed = closure::composed(&[back, (a.motion, a.covariance), on]);
-        closure::agrees(b, &composed, view_m)
+        let way = |from: KeyframeId, to: KeyframeId| {
+            let reached = self.graph.reach(from)?.to(to).filter(|reached| !reached.across_gap)?;
+            known(from, to, &reached.motion, reached.covariance)
+        };
+        let sighting = known(a.from, a.to, &a.motion, a.covariance);
+        let (Some(back), Some(sighting), Some(on)) = (way(b.from, a.from), sighting, way(a.to, b.to)) else {
+            return false;
+        };
+        closure::agrees(b, &(back * sighting * on), view_m)
+    }
+
+    /// The heights at which two keyframes measure.
+    fn measured_m(&self, from: KeyframeId, to: KeyframeId) -> Option<[f64; 2]> {
+        let height_m = |id| self.keyframe(id).map(|keyframe| keyframe.odometry_pose.height_m);
+        Some([height_m(from)?, height_m(to)?])
     }
 
     fn accept(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
         let edge = closure.edge;
-        if let Some(old) = self.graph.pose(edge.to) {
+        if let (Some(old), Some(measured_m)) = (self.graph.pose(edge.to), self.measured_m(edge.from, edge.to))
+        {
             // A part that nothing measured connects comes to where it is seen.
-            let scale = self.keyframe(edge.to).map_or(1.0, |k| k.pose.height_m / k.odometry_pose.height_m);
-            let seen = laid_from(&old, &the_other_way(&edge.motion), scale);
+            let seen = laid_from(&old, &inverse(&edge.motion, measured_m), old.height_m / measured_m[1]);
             self.graph.bring(edge.from, &seen, edge.to);
         }
         self.closures.push(closure);

@@ -6,8 +6,9 @@
 use super::SlamConfig;
 use super::candidates::{Candidate, Prior, Strength};
 use super::recognition::Recognised;
-use crate::geometry::{GroundPose, wrap_angle};
-use crate::mapping::plane_motion::{laid_from, seen_from};
+use crate::geometry::pose_index::{HEADING, X, Y};
+use crate::geometry::{Sim2, WithCovariance, wrap_angle};
+use crate::mapping::plane_motion::position_sigma_m;
 use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
 use crate::odometry::matching::{Matcher, Pictured, Sighting, Sought};
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
@@ -77,7 +78,7 @@ fn misses(sighting: &Sighting, prior: &Prior) -> f64 {
 
 pub fn squared(motion: &Vector4<f64>, covariance: &Matrix4<f64>, expected: &Vector4<f64>) -> f64 {
     let off = motion - expected;
-    let off = Vector3::new(off[0], off[1], wrap_angle(off[2]));
+    let off = Vector3::new(off[X], off[Y], wrap_angle(off[HEADING]));
     let covariance = covariance.fixed_view::<3, 3>(0, 0) + Matrix3::identity() * UNMODELLED.powi(2);
     covariance.try_inverse().map_or(f64::INFINITY, |information| off.dot(&(information * off)))
 }
@@ -91,7 +92,7 @@ fn only_one(
     config: &SlamConfig,
 ) -> Option<Sighting> {
     let reached = &prior.reached;
-    let heading_off_rad = 0.1 + 3.0 * reached.covariance[(2, 2)].sqrt();
+    let heading_off_rad = 0.1 + 3.0 * reached.covariance[(HEADING, HEADING)].sqrt();
     let guesses = matcher.guess(sought, pictured, &reached.motion, heading_off_rad);
     let best_score = guesses.first()?.score;
     let mut found: Option<Sighting> = None;
@@ -115,7 +116,7 @@ fn only_one(
 /// Whether two sightings are of different places: two centimetres at a height of a metre are more than any noise.
 fn elsewhere(a: &Sighting, b: &Sighting) -> bool {
     let off = a.motion - b.motion;
-    off[0].hypot(off[1]) > 0.01 || wrap_angle(off[2]).abs() > 0.02
+    off[X].hypot(off[Y]) > 0.01 || wrap_angle(off[HEADING]).abs() > 0.02
 }
 
 /// Looks for a place that was recognised by what it looks like. `None` where the corners are not there, or it is not where it may be.
@@ -146,32 +147,14 @@ fn closure(new: KeyframeId, old: KeyframeId, found: &Sighting, off: Vector4<f64>
         edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },
         inliers: found.inliers,
         presence: found.presence,
-        correction_m: off[0].hypot(off[1]),
+        correction_m: off[X].hypot(off[Y]),
     }
-}
-
-/// A way of several motions, each with its covariance: where it ends as its beginning sees it.
-pub fn composed(parts: &[(Vector4<f64>, Matrix4<f64>)]) -> (Vector4<f64>, Matrix4<f64>) {
-    let start = GroundPose::level(1.0);
-    let (mut pose, mut covariance) = (start, Matrix4::zeros());
-    for (motion, own) in parts {
-        let next = laid_from(&pose, motion, 1.0);
-        let (dx, dy) = (next.x_m - pose.x_m, next.y_m - pose.y_m);
-        let mut swing = Matrix4::identity();
-        (swing[(0, 2)], swing[(0, 3)], swing[(1, 2)], swing[(1, 3)]) = (-dy, dx, dx, dy);
-        let (sin, cos) = pose.heading_rad.sin_cos();
-        let mut turn = Matrix4::identity();
-        (turn[(0, 0)], turn[(0, 1)], turn[(1, 0)], turn[(1, 1)]) = (cos, -sin, sin, cos);
-        covariance = swing * covariance * swing.transpose() + turn * own * turn.transpose();
-        pose = next;
-    }
-    (seen_from(&start, &pose), covariance)
 }
 
 /// Whether an edge is where a way that is sure enough to tell one place from another has it.
-pub fn agrees(edge: &MapEdge, (motion, covariance): &(Vector4<f64>, Matrix4<f64>), view_m: f64) -> bool {
-    let sigma_m = (0.5 * (covariance[(0, 0)] + covariance[(1, 1)])).sqrt();
-    sigma_m < AGREE_VIEWS * view_m && squared(&edge.motion, &(covariance + edge.covariance), motion) < GATE
+pub fn agrees(edge: &MapEdge, way: &WithCovariance<Sim2, 4>, view_m: f64) -> bool {
+    position_sigma_m(&way.covariance) < AGREE_VIEWS * view_m
+        && squared(&edge.motion, &(way.covariance + edge.covariance), &way.transform.to_vector()) < GATE
 }
 
 /// A way less sure than this part of a view cannot tell one place from another.

@@ -4,50 +4,12 @@
 //! the map says changes a little; that is shared out over the frames between, so that the path has no steps.
 
 use super::Mapper;
-use crate::geometry::GroundPose;
+use crate::geometry::pose_index::{HEIGHT, X, Y};
+use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
 use crate::mapping::{KeyframeId, MapKeyframe};
 use crate::odometry::FrameReference;
 use crate::trajectory::{FrameEstimate, PoseEstimate};
-use nalgebra::{Matrix3, Matrix6};
-
-/// Takes poses in the odometry frame to the map: a turn and a scale about a point, and a shift.
-#[derive(Debug, Clone, Copy)]
-struct Correction {
-    from: GroundPose,
-    to: GroundPose,
-}
-
-impl Correction {
-    fn of(keyframe: &MapKeyframe) -> Self {
-        Self { from: keyframe.odometry_pose, to: keyframe.pose }
-    }
-
-    fn turn_rad(&self) -> f64 {
-        self.to.heading_rad - self.from.heading_rad
-    }
-
-    fn scale(&self) -> f64 {
-        self.to.height_m / self.from.height_m
-    }
-
-    fn place(&self, x_m: f64, y_m: f64) -> (f64, f64) {
-        let (sin, cos) = self.turn_rad().sin_cos();
-        let (dx, dy) = (x_m - self.from.x_m, y_m - self.from.y_m);
-        let scale = self.scale();
-        (self.to.x_m + scale * (cos * dx - sin * dy), self.to.y_m + scale * (sin * dx + cos * dy))
-    }
-
-    fn pose(&self, pose: &GroundPose) -> GroundPose {
-        let (x_m, y_m) = self.place(pose.x_m, pose.y_m);
-        GroundPose {
-            x_m,
-            y_m,
-            heading_rad: pose.heading_rad + self.turn_rad(),
-            height_m: pose.height_m * self.scale(),
-            ..*pose
-        }
-    }
-}
+use nalgebra::Matrix6;
 
 /// The frames in the map frame, from those in the odometry frame and what each was measured against. Without loops they are what they were.
 pub fn map_frames(
@@ -125,7 +87,7 @@ pub struct Straightening<'a> {
 struct Laid<'a> {
     /// The keyframe; `None` where it is not in the map.
     here: Option<&'a MapKeyframe>,
-    end: Option<Correction>,
+    end: Option<Sim2>,
 }
 
 impl<'a> Straightening<'a> {
@@ -142,7 +104,7 @@ impl<'a> Straightening<'a> {
         if let (Some(known), Some(here)) = (&mut frame.estimate, laid.here) {
             // The last of a stretch is where the next keyframe has it.
             let share = (index - stretch.first + 1) as f64 / stretch.count as f64;
-            corrected(known, &Correction::of(here), laid.end.as_ref().map(|end| (end, share)), here);
+            corrected(known, &here.map_from_odometry(), laid.end.as_ref().map(|end| (end, share)), here);
         }
         if index + 1 == stretch.first + stretch.count {
             (self.rest, self.laid) = (&self.rest[1..], None);
@@ -154,13 +116,9 @@ impl<'a> Straightening<'a> {
 impl<'a> Laid<'a> {
     fn new(mapper: &'a Mapper, stretch: &Stretch) -> Self {
         let here = mapper.of_run(stretch.keyframe);
-        let end = here.zip(stretch.end).and_then(|(here, (next, in_next, measured))| {
-            let begin = Correction::of(here);
-            let to = Correction::of(mapper.of_run(next)?).pose(&in_next);
-            let turns =
-                ((to.heading_rad - measured.heading_rad - begin.turn_rad()) / std::f64::consts::TAU).round();
-            let to = GroundPose { heading_rad: to.heading_rad - turns * std::f64::consts::TAU, ..to };
-            Some(Correction { from: measured, to })
+        let end = here.zip(stretch.end).and_then(|(_, (next, in_next, measured))| {
+            let to = mapper.of_run(next)?.map_from_odometry().apply_to_pose(&in_next);
+            Some(measured.similarity_to(&to))
         });
         Self { here, end }
     }
@@ -173,38 +131,18 @@ pub(super) fn measured(known: &PoseEstimate) -> GroundPose {
 }
 
 /// Corrects a frame: between what its own keyframe says and, with a share, the next one.
-fn corrected(
-    known: &mut PoseEstimate,
-    begin: &Correction,
-    end: Option<(&Correction, f64)>,
-    keyframe: &MapKeyframe,
-) {
-    let blend = |of: &dyn Fn(&Correction) -> GroundPose| {
-        let a = of(begin);
-        let Some((end, share)) = end else { return a };
-        let b = of(end);
-        let between = |a: f64, b: f64| a + share * (b - a);
-        GroundPose {
-            x_m: between(a.x_m, b.x_m),
-            y_m: between(a.y_m, b.y_m),
-            heading_rad: between(a.heading_rad, b.heading_rad),
-            height_m: between(a.height_m, b.height_m),
-            ..a
-        }
+fn corrected(known: &mut PoseEstimate, begin: &Sim2, end: Option<(&Sim2, f64)>, keyframe: &MapKeyframe) {
+    let blend = |pose: &GroundPose| {
+        let here = begin.apply_to_pose(pose);
+        end.map_or(here, |(end, share)| here.interpolated(&end.apply_to_pose(pose), share))
     };
-    let pose = blend(&|correction| correction.pose(&known.pose));
-    let plane = measured(known);
-    let plane = blend(&|correction| correction.pose(&plane));
+    let pose = blend(&known.pose);
+    let plane = blend(&measured(known));
     let turn_rad = plane.heading_rad - known.measured.heading_rad;
-    let scale = pose.height_m / known.pose.height_m;
-    let (sin, cos) = turn_rad.sin_cos();
-    let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-    let own = turn * known.measured.covariance * turn.transpose();
+    let turned = Sim2::about_origin(turn_rad, pose.height_m / known.pose.height_m);
+    let own = propagated(&Se2::rotation(turn_rad).product_by_right(), &known.measured.covariance);
     let velocity = &mut known.velocity;
-    (velocity.x_m_s, velocity.y_m_s) = (
-        scale * (cos * velocity.x_m_s - sin * velocity.y_m_s),
-        scale * (sin * velocity.x_m_s + cos * velocity.y_m_s),
-    );
+    (velocity.x_m_s, velocity.y_m_s) = turned.rotate(velocity.x_m_s, velocity.y_m_s);
     known.pose = pose;
     (known.measured.x_m, known.measured.y_m) = (plane.x_m, plane.y_m);
     known.measured.heading_rad = plane.heading_rad;
@@ -217,13 +155,15 @@ fn corrected(
 /// What the keyframe's own uncertainty does to a pose measured against it; of height and tilt, where the map does not know them better, what
 /// odometry knows.
 fn carried(keyframe: &MapKeyframe, pose: &GroundPose, odometry: &Matrix6<f64>) -> Matrix6<f64> {
-    let (dx, dy) = (pose.x_m - keyframe.pose.x_m, pose.y_m - keyframe.pose.y_m);
-    let height_m = keyframe.pose.height_m;
-    let mut carry = Matrix6::identity();
-    (carry[(0, 2)], carry[(1, 2)]) = (-dy, dx);
-    (carry[(0, 3)], carry[(1, 3)]) = (dx / height_m, dy / height_m);
-    let mut carried = carry * keyframe.covariance * carry.transpose();
-    for i in 3..6 {
+    let from = &keyframe.pose;
+    let mut by_keyframe = Matrix6::identity();
+    let arm = Sim2::lever_arm(pose.x_m - from.x_m, pose.y_m - from.y_m);
+    by_keyframe.fixed_view_mut::<4, 4>(0, 0).copy_from(&arm);
+    // By the height, not by its logarithm.
+    by_keyframe[(X, HEIGHT)] /= from.height_m;
+    by_keyframe[(Y, HEIGHT)] /= from.height_m;
+    let mut carried = propagated(&by_keyframe, &keyframe.covariance);
+    for i in HEIGHT..6 {
         carried[(i, i)] = odometry[(i, i)];
     }
     carried

@@ -2,7 +2,8 @@
 
 use super::Mapper;
 use super::correction::measured;
-use crate::geometry::GroundPose;
+use crate::geometry::pose_index::{X, Y};
+use crate::geometry::{GroundPose, Sim2};
 use crate::mapping::plane_motion::seen_from;
 use crate::mapping::{EdgeKind, KeyframeId};
 use crate::odometry::FrameReference;
@@ -19,25 +20,25 @@ impl Mapper {
         fused: &[FrameEstimate],
         references: &mut [Option<FrameReference>],
     ) {
-        let mut moves: BTreeMap<KeyframeId, Moved> = BTreeMap::new();
+        let mut moves: BTreeMap<KeyframeId, Sim2> = BTreeMap::new();
         for ((raw, fused), reference) in raw.iter().zip(fused).zip(references.iter_mut()) {
             let (Some(from), Some(to), Some(reference)) = (&raw.estimate, &fused.estimate, reference) else {
                 continue;
             };
-            let moved = Moved { from: measured(from), to: measured(to) };
+            let moved = measured(from).similarity_to(&measured(to));
             moves.entry(reference.keyframe).or_insert(moved);
             if let Some((id, pose)) = &mut reference.next {
                 // A keyframe that this frame became lies with it; one that was taken up again where it always lay.
                 let by = *moves.entry(*id).or_insert(moved);
-                *pose = by.of(pose);
+                *pose = by.apply_to_pose(pose);
             }
         }
         let before: BTreeMap<KeyframeId, GroundPose> =
             self.map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.odometry_pose)).collect();
         for keyframe in &mut self.map.keyframes {
             if let Some(moved) = moves.get(&keyframe.id) {
-                keyframe.odometry_pose = moved.of(&keyframe.odometry_pose);
-                keyframe.pose = moved.of(&keyframe.pose);
+                keyframe.odometry_pose = moved.apply_to_pose(&keyframe.odometry_pose);
+                keyframe.pose = moved.apply_to_pose(&keyframe.pose);
             }
         }
         let now: BTreeMap<KeyframeId, GroundPose> =
@@ -50,35 +51,12 @@ impl Mapper {
             };
             if edge.kind == EdgeKind::Loop {
                 let scale = from.height_m / was.height_m;
-                edge.motion[0] *= scale;
-                edge.motion[1] *= scale;
+                edge.motion[X] *= scale;
+                edge.motion[Y] *= scale;
             } else {
                 edge.motion = seen_from(from, to);
             }
         }
         self.rebuild();
-    }
-}
-
-/// Where a frame was and where it is: what lies to it moves along.
-#[derive(Debug, Clone, Copy)]
-struct Moved {
-    from: GroundPose,
-    to: GroundPose,
-}
-
-impl Moved {
-    fn of(&self, pose: &GroundPose) -> GroundPose {
-        let turn_rad = self.to.heading_rad - self.from.heading_rad;
-        let scale = self.to.height_m / self.from.height_m;
-        let (sin, cos) = turn_rad.sin_cos();
-        let (dx, dy) = (pose.x_m - self.from.x_m, pose.y_m - self.from.y_m);
-        GroundPose {
-            x_m: self.to.x_m + scale * (cos * dx - sin * dy),
-            y_m: self.to.y_m + scale * (sin * dx + cos * dy),
-            heading_rad: pose.heading_rad + turn_rad,
-            height_m: pose.height_m * scale,
-            ..*pose
-        }
     }
 }

@@ -2,11 +2,11 @@
 
 use super::Mapper;
 use super::closure;
-use super::recognition::{recognise, the_other_way};
+use super::recognition::recognise;
 use crate::error::Result;
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
-use crate::mapping::plane_motion::laid_from;
+use crate::mapping::plane_motion::{inverse, laid_from};
 use crate::mapping::{KeyframeId, KeyframeImages};
 use nalgebra::Matrix4;
 
@@ -66,7 +66,8 @@ impl Mapper {
             let seen = closure::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
             if let Some(seen) = seen {
                 let scale = known.pose.height_m / known.odometry_pose.height_m;
-                let laid = laid_from(&known.pose, &the_other_way(&seen.edge.motion), scale);
+                let measured_m = [leaning.height_m, known.odometry_pose.height_m];
+                let laid = laid_from(&known.pose, &inverse(&seen.edge.motion, measured_m), scale);
                 return Ok(Some(Located {
                     pose: GroundPose { roll_rad: leaning.roll_rad, pitch_rad: leaning.pitch_rad, ..laid },
                     keyframe: place.id,

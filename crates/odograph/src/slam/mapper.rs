@@ -6,11 +6,11 @@ use super::closure::LoopClosure;
 use super::images::KeyframeStore;
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
-use crate::geometry::GroundPose;
+use crate::geometry::pose_index::{HEIGHT, ROLL};
+use crate::geometry::{GroundPose, propagated};
 use crate::image::RgbImage;
 use crate::mapping::graph::{Heights, PoseGraph};
 use crate::mapping::places::{PlaceIndex, PlacesConfig, Signature};
-use crate::mapping::plane_motion::{laid_from, seen_from};
 use crate::mapping::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, MapEdge, MapKeyframe};
 use crate::motion::MotionModel;
 use crate::odometry::matching::Matcher;
@@ -211,16 +211,16 @@ impl Mapper {
         for keyframe in &mut self.map.keyframes {
             let Some(covariance) = found.get(&keyframe.id) else { continue };
             let height_m = keyframe.pose.height_m;
-            let tilt = keyframe.covariance.fixed_view::<2, 2>(4, 4).into_owned();
-            let height_variance = keyframe.covariance[(3, 3)];
+            let tilt = keyframe.covariance.fixed_view::<2, 2>(ROLL, ROLL).into_owned();
+            let height_variance = keyframe.covariance[(HEIGHT, HEIGHT)];
             let mut whole = Matrix6::zeros();
             let mut by_height = nalgebra::Matrix4::identity();
-            by_height[(3, 3)] = height_m;
-            whole.fixed_view_mut::<4, 4>(0, 0).copy_from(&(by_height * covariance * by_height));
-            if whole[(3, 3)] == 0.0 {
-                whole[(3, 3)] = height_variance; // held by the rig, or what odometry knows of it
+            by_height[(HEIGHT, HEIGHT)] = height_m;
+            whole.fixed_view_mut::<4, 4>(0, 0).copy_from(&propagated(&by_height, &covariance));
+            if whole[(HEIGHT, HEIGHT)] == 0.0 {
+                whole[(HEIGHT, HEIGHT)] = height_variance; // held by the rig, or what odometry knows of it
             }
-            whole.fixed_view_mut::<2, 2>(4, 4).copy_from(&tilt);
+            whole.fixed_view_mut::<2, 2>(ROLL, ROLL).copy_from(&tilt);
             keyframe.covariance = whole;
         }
     }
@@ -252,24 +252,7 @@ impl Mapper {
 
     /// Where a pose that was measured against a keyframe is in the map as known now; `None` where there is no such keyframe.
     pub fn in_map(&self, keyframe: KeyframeId, odometry: &GroundPose) -> Option<GroundPose> {
-        Some(Self::in_map_beside(self.of_run(keyframe)?, odometry))
-    }
-
-    /// Where a pose in the odometry frame of a keyframe is in the map, as that keyframe has it.
-    fn in_map_beside(keyframe: &MapKeyframe, odometry: &GroundPose) -> GroundPose {
-        if keyframe.pose == keyframe.odometry_pose {
-            return *odometry;
-        }
-        let scale = keyframe.pose.height_m / keyframe.odometry_pose.height_m;
-        let laid = laid_from(&keyframe.pose, &seen_from(&keyframe.odometry_pose, odometry), scale);
-        let turned = keyframe.pose.heading_rad - keyframe.odometry_pose.heading_rad;
-        GroundPose {
-            // Whole turns are kept.
-            heading_rad: odometry.heading_rad + turned,
-            roll_rad: odometry.roll_rad,
-            pitch_rad: odometry.pitch_rad,
-            ..laid
-        }
+        Some(self.of_run(keyframe)?.map_from_odometry().apply_to_pose(odometry))
     }
 
     /// A keyframe by its number in the run.
@@ -309,7 +292,7 @@ impl Mapper {
         let id = KeyframeId(self.first + new.id.0);
         let known = ties.first().map(|tie| if tie.from == id { tie.to } else { tie.from });
         let pose = match known.and_then(|known| self.keyframe(known)) {
-            Some(known) if self.is_straightened() => Self::in_map_beside(known, &new.pose),
+            Some(known) if self.is_straightened() => known.map_from_odometry().apply_to_pose(&new.pose),
             _ => new.pose,
         };
         self.graph.insert(id, pose, new.pose.height_m);

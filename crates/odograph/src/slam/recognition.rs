@@ -6,7 +6,7 @@ use crate::geometry::{GroundPose, wrap_angle};
 use crate::mapping::KeyframeId;
 use crate::mapping::graph::{PoseGraph, Reach};
 use crate::mapping::places::{PlaceHypothesis, PlaceIndex, Signature};
-use crate::mapping::plane_motion::laid_from;
+use crate::mapping::plane_motion::{inverse, laid_from};
 use crate::odometry::matching::Matcher;
 use nalgebra::Vector4;
 
@@ -26,6 +26,9 @@ impl Recognised {
         self.prior.as_ref().is_some_and(|prior| prior.strength != Strength::Weak)
     }
 }
+
+/// The scale of a [`PlaceHypothesis`] is that of its metres: nothing is to be added for heights.
+const SAME_METRES: [f64; 2] = [1.0; 2];
 
 /// So many places are looked up.
 const MOST_PLACES: usize = 4;
@@ -52,7 +55,7 @@ pub fn recognise(
         if hypothesis.keyframe == new.0 || there.as_ref().is_some_and(|one| one.edges < least_edges) {
             continue;
         }
-        let motion = the_other_way(&hypothesis.motion);
+        let motion = inverse(&hypothesis.motion, SAME_METRES);
         let prior = there.map(|one| Prior::new(one, matcher, new.1));
         // What was extrapolated over a gap does not bind: the camera may have been carried anywhere meanwhile.
         let possible = prior.as_ref().filter(|prior| !prior.reached.across_gap).is_none_or(|prior| {
@@ -77,16 +80,4 @@ pub fn recognise(
     });
     let keep = |one: &(Recognised, &PlaceHypothesis)| one.0.stands_alone() || (!rival && one.1.is_sure());
     found.into_iter().filter(keep).map(|(recognised, _)| recognised).take(MOST_PLACES).collect()
-}
-
-/// The first as the second sees it, from the second as the first sees it.
-pub fn the_other_way(motion: &Vector4<f64>) -> Vector4<f64> {
-    let (sin, cos) = motion[2].sin_cos();
-    let per = (-motion[3]).exp();
-    Vector4::new(
-        -per * (cos * motion[0] + sin * motion[1]),
-        -per * (cos * motion[1] - sin * motion[0]),
-        -motion[2],
-        -motion[3],
-    )
 }

@@ -136,7 +136,6 @@ impl Ground for LiveGround {
 mod tests {
     #![allow(clippy::unwrap_used)] // a test fails by panicking
 
-    use super::super::straight::Correction;
     use super::*;
     use odograph::camera::{Distortion, Rig};
     use odograph::geometry::GroundPose;
@@ -212,7 +211,7 @@ mod tests {
         let before = Ground::state(&ground).unwrap().revision;
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), None, Some(90)]);
         let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
-        let correction = Correction::of(&second);
+        let correction = second.map_from_odometry();
         ground.lay_again(&Relaying { file: path, keyframes, correction }).unwrap();
         // Who looked before hears of every square, of those too that are bare now.
         let changed = ground.changed_since(before);

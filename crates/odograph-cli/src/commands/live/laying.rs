@@ -1,10 +1,10 @@
 //! The mosaic as it is laid while the frames come.
 
-use super::straight::Correction;
 use crate::commands::run::timings::Timings;
 use crate::commands::run::views::{Posed, Views};
 use odograph::camera::Camera;
 use odograph::error::Error;
+use odograph::geometry::{PlaneTransform, Sim2};
 use odograph::mapping::Mosaic;
 use std::path::Path;
 use std::time::Instant;
@@ -16,7 +16,7 @@ pub struct Laying {
     shown: bool,
     mosaic: Mosaic,
     /// Where frames are laid: as odometry has them, until a loop has moved that.
-    correction: Correction,
+    correction: Sim2,
     views: Views,
     /// Of the first frame that could not be kept.
     failure: Option<Error>,
@@ -43,7 +43,7 @@ impl Laying {
             camera,
             shown,
             mosaic: Mosaic::new(Default::default()),
-            correction: Correction::NONE,
+            correction: Sim2::IDENTITY,
             failure: None,
             times: Timings::default(),
             before: None,
@@ -56,7 +56,7 @@ impl Laying {
     }
 
     /// Goes on upon a ground that was laid anew, with frames corrected from now on.
-    pub fn go_on(&mut self, mosaic: Mosaic, correction: Correction) {
+    pub fn go_on(&mut self, mosaic: Mosaic, correction: Sim2) {
         (self.mosaic, self.correction) = (mosaic, correction);
     }
 
@@ -70,7 +70,7 @@ impl Laying {
             self.failure = self.views.next(posed.clone()).err();
         }
         if self.shown {
-            if self.mosaic.wants(&self.camera, &self.correction.pose(&posed.pose)) {
+            if self.mosaic.wants(&self.camera, &self.correction.apply_to_pose(&posed.pose)) {
                 self.lay(&posed);
             } else {
                 self.before = Some(posed);
@@ -80,7 +80,7 @@ impl Laying {
     }
 
     fn lay(&mut self, posed: &Posed) {
-        let pose = self.correction.pose(&posed.pose);
+        let pose = self.correction.apply_to_pose(&posed.pose);
         if posed.frame.has_color() {
             self.mosaic.add(&posed.frame.rgb(), &self.camera, &pose);
         } else {

@@ -5,55 +5,20 @@
 
 use super::ground::LiveGround;
 use crate::commands::run::mapping::Mapping;
-use odograph::geometry::GroundPose;
-use odograph::mapping::{EdgeKind, GroundMap, KeyframeId, MapKeyframe};
+use odograph::geometry::{GroundPose, Sim2};
+use odograph::mapping::{EdgeKind, GroundMap, KeyframeId};
 use odograph_live::Hub;
 use odograph_live::capture::{Newest, Taken};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Poses in the odometry frame to the map frame, as at a keyframe: a turn with scale, and a shift.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Correction {
-    /// Scale times cosine and sine of the turn.
-    turn: [f64; 2],
-    shift_m: [f64; 2],
-}
-
-impl Correction {
-    /// Nothing is moved.
-    pub const NONE: Self = Self { turn: [1.0, 0.0], shift_m: [0.0, 0.0] };
-
-    /// What the map has made of a keyframe.
-    pub fn of(keyframe: &MapKeyframe) -> Self {
-        let (from, to) = (keyframe.odometry_pose, keyframe.pose);
-        let scale = to.height_m / from.height_m;
-        let (sin, cos) = (to.heading_rad - from.heading_rad).sin_cos();
-        let turn = [scale * cos, scale * sin];
-        let [a, b] = turn;
-        let shift_m = [to.x_m - (a * from.x_m - b * from.y_m), to.y_m - (b * from.x_m + a * from.y_m)];
-        Self { turn, shift_m }
-    }
-
-    /// A pose in the map frame.
-    pub fn pose(&self, pose: &GroundPose) -> GroundPose {
-        let ([a, b], [x_m, y_m]) = (self.turn, self.shift_m);
-        GroundPose {
-            x_m: a * pose.x_m - b * pose.y_m + x_m,
-            y_m: b * pose.x_m + a * pose.y_m + y_m,
-            heading_rad: pose.heading_rad + b.atan2(a),
-            height_m: a.hypot(b) * pose.height_m,
-            ..*pose
-        }
-    }
-
-    /// As the page takes it: millionths of the turn, tenths of a millimetre.
-    fn numbers(&self) -> [f64; 4] {
-        let rounded = |value: f64, steps: f64| (value * steps).round() / steps;
-        let ([a, b], [x, y]) = (self.turn, self.shift_m);
-        [rounded(a, 1e6), rounded(b, 1e6), rounded(x, 1e4), rounded(y, 1e4)]
-    }
+/// A correction as the page takes it: scale times cosine and sine of the turn in millionths, the
+/// translation in tenths of a millimetre.
+fn numbers(correction: &Sim2) -> [f64; 4] {
+    let rounded = |value: f64, steps: f64| (value * steps).round() / steps;
+    let (cos, sin) = correction.rotate(1.0, 0.0);
+    [rounded(cos, 1e6), rounded(sin, 1e6), rounded(correction.x_m, 1e4), rounded(correction.y_m, 1e4)]
 }
 
 /// A ground to be laid anew.
@@ -62,7 +27,7 @@ pub struct Relaying {
     pub file: PathBuf,
     pub keyframes: Vec<(KeyframeId, GroundPose)>,
     /// Of the newest keyframe: frames that come are laid under it from now on.
-    pub correction: Correction,
+    pub correction: Sim2,
 }
 
 /// Between two tellings at least, for each thousand keyframes besides.
@@ -103,7 +68,7 @@ impl<'a> Straightening<'a> {
         self.relaying.give(Relaying {
             file: mapping.path().to_owned(),
             keyframes: own.map(|keyframe| (keyframe.id, keyframe.pose)).collect(),
-            correction: Correction::of(newest),
+            correction: newest.map_from_odometry(),
         });
     }
 }
@@ -114,7 +79,7 @@ fn told(map: &GroundMap, session: u32) -> Value {
     let mut value = crate::commands::view::map::graph(map);
     let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session);
     value["corrections"] =
-        json!(own.flat_map(|keyframe| Correction::of(keyframe).numbers()).collect::<Vec<_>>());
+        json!(own.flat_map(|keyframe| numbers(&keyframe.map_from_odometry())).collect::<Vec<_>>());
     value
 }
 
@@ -142,6 +107,8 @@ pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use odograph::geometry::PlaneTransform;
+    use odograph::mapping::MapKeyframe;
 
     #[test]
     fn a_correction_takes_its_keyframe_to_where_the_map_has_it_and_the_rest_with_it() {
@@ -158,22 +125,22 @@ mod tests {
             covariance: nalgebra::Matrix6::zeros(),
             signature: Default::default(),
         };
-        let correction = Correction::of(&keyframe);
+        let correction = keyframe.map_from_odometry();
         let near = |a: &GroundPose, b: &GroundPose| {
             let differences =
                 [a.x_m - b.x_m, a.y_m - b.y_m, a.heading_rad - b.heading_rad, a.height_m - b.height_m];
             differences.iter().all(|difference| difference.abs() < 1e-12)
         };
-        assert!(near(&correction.pose(&odometry_pose), &pose));
+        assert!(near(&correction.apply_to_pose(&odometry_pose), &pose));
         // A frame a metre ahead of it stays ahead of it, by a metre in the map's scale.
         let (sin, cos) = 0.4_f64.sin_cos();
         let ahead = GroundPose { x_m: 3.0 + cos, y_m: -1.0 + sin, ..odometry_pose };
-        let moved = correction.pose(&ahead);
+        let moved = correction.apply_to_pose(&ahead);
         let (sin, cos) = 0.9_f64.sin_cos();
         assert!(
             near(&moved, &GroundPose { x_m: 2.9 + 1.05 * cos, y_m: -1.3 + 1.05 * sin, ..pose }),
             "{moved:?}"
         );
-        assert_eq!(Correction::NONE.pose(&ahead), ahead);
+        assert_eq!(Sim2::IDENTITY.apply_to_pose(&ahead), ahead);
     }
 }

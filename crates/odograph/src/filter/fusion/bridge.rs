@@ -3,9 +3,10 @@
 use super::camera_motion::{Node, Step};
 use super::reckoning::{BodyRates, Reckoned};
 use crate::filter::smoother::{PoseSource, SmoothedFrame};
-use crate::geometry::GroundPose;
+use crate::geometry::pose_index::HEADING;
+use crate::geometry::{GroundPose, PlaneTransform, Se2, propagated};
 use crate::trajectory::{FrameEstimate, PoseEstimate, Velocity};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 /// A stretch of frames without a pose, as the sensors tell it.
 pub struct Bridge {
@@ -54,8 +55,7 @@ impl Bridge {
             Vector3::new(known.measured.x_m, known.measured.y_m, known.measured.heading_rad)
         };
         let origin = plane(start);
-        let (sin, cos) = origin[2].sin_cos();
-        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        let turn = Se2::rotation(origin[HEADING]).product_by_right();
         // What the reckoning misses the far end by is spread over the gap.
         let missed =
             finish.map_or(Vector3::zeros(), |finish| plane(finish) - (origin + turn * self.end.pose));
@@ -66,7 +66,7 @@ impl Bridge {
             let frame = &frames[*index];
             let share = ((frame.time_s - before.time_s) / self.duration_s).clamp(0.0, 1.0);
             let at = origin + turn * reckoned.pose + missed * share;
-            let own = turn * reckoned.covariance * turn.transpose();
+            let own = propagated(&turn, &reckoned.covariance);
             let between = |of: fn(&GroundPose) -> f64| {
                 let from = of(&start.pose);
                 finish.map_or(from, |finish| from + share * (of(&finish.pose) - from))
@@ -79,7 +79,7 @@ impl Bridge {
                 _ => covariance(start) + own,
             };
             let (then_s, then) = laid.last().map_or((before.time_s, origin), |last: &SmoothedFrame| {
-                (last.time_s, Vector3::new(last.pose.x_m, last.pose.y_m, last.pose.heading_rad))
+                (last.time_s, last.pose.to_vector().xyz())
             });
             let rates =
                 if frame.time_s > then_s { (at - then) / (frame.time_s - then_s) } else { Vector3::zeros() };

@@ -1,5 +1,7 @@
 //! The camera's movement in the form in which sensors are compared with it.
 
+use crate::geometry::pose_index::HEIGHT;
+use crate::geometry::{PlaneTransform, Se2};
 use crate::trajectory::FrameEstimate;
 use nalgebra::Matrix3;
 
@@ -62,7 +64,7 @@ pub fn nodes(frames: &[FrameEstimate]) -> Vec<Node> {
             height_m: pose.height_m,
             tilt_cosine: pose.roll_rad.cos() * pose.pitch_rad.cos(),
             carried: known.covariance.fixed_view::<3, 3>(0, 0) - plane.covariance,
-            height_variance: known.covariance[(3, 3)].max(0.0),
+            height_variance: known.covariance[(HEIGHT, HEIGHT)].max(0.0),
         });
     }
     nodes
@@ -78,14 +80,14 @@ pub fn steps(nodes: &[Node]) -> Vec<Step> {
             let (a, b) = (&pair[0], &pair[1]);
             let turn_rad = b.heading_rad - a.heading_rad;
             // A short arc is its chord seen from half way.
-            let (sin, cos) = (a.heading_rad + 0.5 * turn_rad).sin_cos();
-            let (dx, dy) = (b.x_m - a.x_m, b.y_m - a.y_m);
+            let half_way = Se2::new(a.x_m, a.y_m, a.heading_rad + 0.5 * turn_rad);
+            let chord = half_way.between(&Se2::new(b.x_m, b.y_m, b.heading_rad));
             Step {
                 from,
                 from_s: a.time_s,
                 to_s: b.time_s,
-                ahead_m: cos * dx + sin * dy,
-                left_m: cos * dy - sin * dx,
+                ahead_m: chord.x_m,
+                left_m: chord.y_m,
                 turn_rad,
                 segment: a.segment,
             }

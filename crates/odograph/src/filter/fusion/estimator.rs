@@ -7,13 +7,18 @@
 use super::calibration::{CONSISTENT_NIS, Sight};
 use super::camera_motion::Node;
 use super::reckoning::Reckoned;
-use crate::geometry::wrap_angle;
+use crate::geometry::pose_index::{HEADING, LN_SCALE, X, Y};
+use crate::geometry::{PlaneTransform, Se2, Sim2, propagated, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// x, y (metres), the correction of the heading (radians), the logarithm of the correction of the scale, the compass's zero (radians) and
 /// the range finder's (metres).
 type State = SVector<f64, 6>;
 type Square = SMatrix<f64, 6, 6>;
+
+/// Where the zeros of the compass and of the range finder stand in the state.
+const COMPASS: usize = 4;
+const RANGE: usize = 5;
 
 /// A measured frame set right.
 #[derive(Debug, Clone, Copy)]
@@ -76,16 +81,16 @@ pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], ra
         }
         while let Some(sight) = headings.next_if(|sight| sight.node <= k) {
             let mut row = State::zeros();
-            (row[2], row[4]) = (1.0, 1.0);
-            let expected = node.heading_rad + forward.state[2] + forward.state[4];
+            (row[HEADING], row[COMPASS]) = (1.0, 1.0);
+            let expected = node.heading_rad + forward.state[HEADING] + forward.state[COMPASS];
             let innovation = wrap_angle(sight.reading - expected);
             forward.measure(row, innovation, sight.variance, |forward| &mut forward.heading);
         }
         while let Some(sight) = ranges.next_if(|sight| sight.node <= k) {
-            let height_m = node.height_m * forward.state[3].exp();
+            let height_m = node.height_m * forward.state[LN_SCALE].exp();
             let mut row = State::zeros();
-            (row[3], row[5]) = (height_m, -1.0);
-            let innovation = sight.reading - (height_m - forward.state[5]);
+            (row[LN_SCALE], row[RANGE]) = (height_m, -1.0);
+            let innovation = sight.reading - (height_m - forward.state[RANGE]);
             forward.measure(row, innovation, sight.variance, |forward| &mut forward.range);
         }
         forward.events.push(Event::Node(forward.state, forward.covariance));
@@ -106,11 +111,11 @@ struct Forward {
 impl Forward {
     fn new(first: &Node) -> Self {
         let mut state = State::zeros();
-        (state[0], state[1]) = (first.x_m, first.y_m);
+        (state[X], state[Y]) = (first.x_m, first.y_m);
         let mut covariance = Square::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&first.carried);
         // Any direction, any mounting.
-        (covariance[(4, 4)], covariance[(5, 5)]) = (10.0, 10.0);
+        (covariance[(COMPASS, COMPASS)], covariance[(RANGE, RANGE)]) = (10.0, 10.0);
         let (heading, range) = Default::default();
         let height_variance = first.height_variance / first.height_m.powi(2);
         Self { state, covariance, height_variance, events: Vec::new(), heading, range }
@@ -119,52 +124,47 @@ impl Forward {
     /// The camera's own movement.
     fn follow(&mut self, before: &Node, node: &Node) {
         let (dx, dy) = (node.x_m - before.x_m, node.y_m - before.y_m);
-        let (sin, cos) = self.state[2].sin_cos();
-        let scale = self.state[3].exp();
-        let (mx, my) = (scale * (cos * dx - sin * dy), scale * (sin * dx + cos * dy));
+        let corrected = Sim2::about_origin(self.state[HEADING], self.state[LN_SCALE].exp());
+        let (mx, my) = corrected.rotate(dx, dy);
         let mut transition = Square::identity();
-        (transition[(0, 2)], transition[(1, 2)]) = (-my, mx);
-        (transition[(0, 3)], transition[(1, 3)]) = (mx, my);
-        self.state[0] += mx;
-        self.state[1] += my;
+        transition.fixed_view_mut::<4, 4>(0, 0).copy_from(&Sim2::lever_arm(mx, my));
+        self.state[X] += mx;
+        self.state[Y] += my;
         // What the camera's covariance has grown by, beyond what the turning and scaling of known errors makes of it.
-        let mut carry = Matrix3::identity();
-        (carry[(0, 2)], carry[(1, 2)]) = (-dy, dx);
-        let grown = node.carried - carry * before.carried * carry.transpose();
+        let grown = node.carried - propagated(&Se2::lever_arm(dx, dy), &before.carried);
         let mut noise = Square::zeros();
         for i in 0..3 {
             noise[(i, i)] = grown[(i, i)].max(0.0);
         }
         // The variance of a frame's own noise goes up and down; what it was known to before it stays known to.
         let height_variance = self.height_variance.max(node.height_variance / node.height_m.powi(2));
-        noise[(3, 3)] = height_variance - self.height_variance;
+        noise[(LN_SCALE, LN_SCALE)] = height_variance - self.height_variance;
         self.height_variance = height_variance;
         self.moved(transition, noise);
     }
 
     /// A gap, by what the sensors tell of it.
     fn cross(&mut self, before: &Node, node: &Node, reckoned: &Reckoned, height_change: f64) {
-        let heading_rad = before.heading_rad + self.state[2];
-        let (sin, cos) = heading_rad.sin_cos();
-        let (ahead, left) = (reckoned.pose[0], reckoned.pose[1]);
-        let (mx, my) = (cos * ahead - sin * left, sin * ahead + cos * left);
+        let heading_rad = before.heading_rad + self.state[HEADING];
+        let turned = Se2::rotation(heading_rad);
+        let (mx, my) = turned.rotate(reckoned.pose[X], reckoned.pose[Y]);
         let mut transition = Square::identity();
-        (transition[(0, 2)], transition[(1, 2)]) = (-my, mx);
-        self.state[0] += mx;
-        self.state[1] += my;
-        self.state[2] = heading_rad + reckoned.pose[2] - node.heading_rad;
-        let turned = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        transition.fixed_view_mut::<3, 3>(0, 0).copy_from(&Se2::lever_arm(mx, my));
+        self.state[X] += mx;
+        self.state[Y] += my;
+        self.state[HEADING] = heading_rad + reckoned.pose[HEADING] - node.heading_rad;
         let mut noise = Square::zeros();
-        noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&(turned * reckoned.covariance * turned.transpose()));
+        let own = propagated(&turned.product_by_right(), &reckoned.covariance);
+        noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&own);
         if node.height_variance > 0.0 {
             // Behind the gap the height is taken to be as before it.
-            noise[(3, 3)] = height_change.powi(2);
+            noise[(LN_SCALE, LN_SCALE)] = height_change.powi(2);
         }
         self.moved(transition, noise);
     }
 
     fn moved(&mut self, transition: Square, noise: Square) {
-        self.covariance = transition * self.covariance * transition.transpose() + noise;
+        self.covariance = propagated(&transition, &self.covariance) + noise;
         self.events.push(Event::Moved(transition));
     }
 
@@ -195,7 +195,8 @@ impl Forward {
     fn back(self, count: usize) -> Estimate {
         let (mut adjoint, mut information) = (State::zeros(), Square::zeros());
         let mut corrected = Vec::with_capacity(count);
-        let (heading_zero, range_zero) = ([4, 5]).map(|i| (self.state[i], self.covariance[(i, i)])).into();
+        let (heading_zero, range_zero) =
+            [COMPASS, RANGE].map(|i| (self.state[i], self.covariance[(i, i)])).into();
         for event in self.events.iter().rev() {
             match event {
                 Event::Moved(transition) => {
@@ -211,12 +212,12 @@ impl Forward {
                     let state = state - covariance * adjoint;
                     let covariance = covariance - covariance * information * covariance;
                     corrected.push(Corrected {
-                        x_m: state[0],
-                        y_m: state[1],
-                        turn_rad: state[2],
-                        scale: state[3].exp(),
+                        x_m: state[X],
+                        y_m: state[Y],
+                        turn_rad: state[HEADING],
+                        scale: state[LN_SCALE].exp(),
                         covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
-                        scale_variance: covariance[(3, 3)].max(0.0),
+                        scale_variance: covariance[(LN_SCALE, LN_SCALE)].max(0.0),
                     });
                 }
             }

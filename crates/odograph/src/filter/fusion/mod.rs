@@ -26,13 +26,13 @@ pub use series::{Quantity, SensorRecord};
 
 use super::FilterConfig;
 use super::smoother::{SmoothedFrame, smooth};
-use crate::geometry::GroundPose;
+use crate::geometry::pose_index::HEIGHT;
+use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
 use crate::trajectory::FrameEstimate;
 use bridge::{Bridge, rates_around};
 use calibration::{MOST_CONTRADICTIONS, Sighted};
 use camera_motion::{Node, Step};
 use estimator::{Consistency, Corrected, Estimate};
-use nalgebra::Matrix3;
 use reckoning::{Believed, Gap};
 use report::{gyro_report, sighted_report, wheel_report};
 
@@ -160,16 +160,11 @@ impl Reckoned {
             let ends = [next.checked_sub(1).and_then(|at| moves.get(at)), moves.get(next)];
             let [Some(before), after] = ends else { return frame };
             let share = after.map_or(0.0, |after| (frame.time_s - before.0) / (after.0 - before.0));
-            let a = carried(&before.1, &before.2, &frame.pose);
-            let b = after.map_or(a, |after| carried(&after.1, &after.2, &frame.pose));
-            let between = |a: f64, b: f64| a + share * (b - a);
-            let pose = GroundPose {
-                x_m: between(a.x_m, b.x_m),
-                y_m: between(a.y_m, b.y_m),
-                heading_rad: between(a.heading_rad, b.heading_rad),
-                height_m: between(a.height_m, b.height_m),
-                ..a
+            let carried = |(_, from, to): &(f64, GroundPose, GroundPose)| {
+                from.similarity_to(to).apply_to_pose(&frame.pose)
             };
+            let a = carried(before);
+            let pose = after.map_or(a, |after| a.interpolated(&carried(after), share));
             SmoothedFrame { pose, ..frame }
         };
         Self(self.0.into_iter().map(moved).collect())
@@ -202,21 +197,6 @@ impl Merge<'_> {
     /// Gives those behind the last frame of the path.
     pub fn end(self, take: &mut dyn FnMut(SmoothedFrame)) {
         self.rest.iter().cloned().for_each(take);
-    }
-}
-
-/// A pose that lies to `from` as it did, when that goes to `to`.
-fn carried(from: &GroundPose, to: &GroundPose, pose: &GroundPose) -> GroundPose {
-    let turn_rad = to.heading_rad - from.heading_rad;
-    let scale = to.height_m / from.height_m;
-    let (sin, cos) = turn_rad.sin_cos();
-    let (dx, dy) = (pose.x_m - from.x_m, pose.y_m - from.y_m);
-    GroundPose {
-        x_m: to.x_m + scale * (cos * dx - sin * dy),
-        y_m: to.y_m + scale * (sin * dx + cos * dy),
-        heading_rad: pose.heading_rad + turn_rad,
-        height_m: scale * pose.height_m,
-        ..*pose
     }
 }
 
@@ -303,8 +283,7 @@ fn corrected(
         let Some(known) = &mut frame.estimate else { continue };
         let (node, correction) = (&nodes[k], &corrections[k]);
         let Corrected { x_m, y_m, turn_rad, scale, .. } = *correction;
-        let (sin, cos) = turn_rad.sin_cos();
-        let turned = |x: f64, y: f64| (scale * (cos * x - sin * y), scale * (sin * x + cos * y));
+        let turned = |x: f64, y: f64| Sim2::about_origin(turn_rad, scale).rotate(x, y);
         let place = |x: f64, y: f64| {
             let (dx, dy) = turned(x - node.x_m, y - node.y_m);
             (x_m + dx, y_m + dy)
@@ -319,15 +298,14 @@ fn corrected(
         plane.heading_rad += turn_rad;
         pose.height_m *= scale;
         (velocity.x_m_s, velocity.y_m_s) = turned(velocity.x_m_s, velocity.y_m_s);
-        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        plane.covariance = turn * plane.covariance * turn.transpose();
+        plane.covariance = propagated(&Se2::rotation(turn_rad).product_by_right(), &plane.covariance);
         let own = plane.covariance;
         known.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(correction.covariance + own));
         // How position and height go astray together was the camera's alone.
         known.covariance.fixed_view_mut::<3, 3>(0, 3).fill(0.0);
         known.covariance.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
-        if known.covariance[(3, 3)] > 0.0 {
-            known.covariance[(3, 3)] = pose.height_m.powi(2) * correction.scale_variance;
+        if known.covariance[(HEIGHT, HEIGHT)] > 0.0 {
+            known.covariance[(HEIGHT, HEIGHT)] = pose.height_m.powi(2) * correction.scale_variance;
         }
     }
     if !moved {

@@ -2,6 +2,8 @@
 
 use super::calibration::{Calibrated, Sighted};
 use super::series::{Quantity, SensorRecord};
+use crate::geometry::pose_index::HEADING;
+use crate::geometry::{PlaneTransform, Se2, propagated};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// The sensors that are believed.
@@ -135,22 +137,19 @@ impl Believed<'_> {
                         (rates[0] * duration_s, rates[1] * duration_s)
                     }
                 };
-                let (sin, cos) = (pose[2] + 0.5 * turn).sin_cos();
-                let (dx, dy) = (cos * ahead - sin * left, sin * ahead + cos * left);
-                let mut carry = Matrix3::identity();
-                carry[(0, 2)] = -dy;
-                carry[(1, 2)] = dx;
+                let half_way = Se2::rotation(pose[HEADING] + 0.5 * turn);
+                let (dx, dy) = half_way.rotate(ahead, left);
+                let carry = Se2::lever_arm(dx, dy);
                 // Half the turn's error is in the direction of the step.
-                let turned = Matrix3::new(cos, -sin, -0.5 * dy, sin, cos, 0.5 * dx, 0.0, 0.0, 1.0);
+                let turned = Se2::lever_arm(0.5 * dx, 0.5 * dy) * half_way.product_by_right();
                 let own = Matrix3::from_diagonal(&Vector3::new(way_density, way_density, turn_density))
                     * duration_s;
-                noise = carry * noise * carry.transpose() + turned * own * turned.transpose();
+                noise = propagated(&carry, &noise) + propagated(&turned, &own);
                 jacobian = carry * jacobian + turned * by_parameters;
                 pose += Vector3::new(dx, dy, turn);
                 now_s = next_s;
             }
-            reckoned
-                .push(Reckoned { pose, covariance: noise + jacobian * parameters * jacobian.transpose() });
+            reckoned.push(Reckoned { pose, covariance: noise + propagated(&jacobian, &parameters) });
         }
         Some(reckoned)
     }

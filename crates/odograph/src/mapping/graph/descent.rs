@@ -4,6 +4,8 @@ use super::edge::{Linearized, Weighted};
 use super::normal_equations::NormalEquations;
 use super::pieces::{MOST_PIECES, Pieces};
 use super::{Heights, PoseGraph};
+use crate::geometry::pose_index::{HEADING, X, Y};
+use crate::geometry::{GroundPoint, PlaneTransform, Sim2};
 use crate::mapping::ground_map::{EdgeKind, MapEdge};
 use nalgebra::{DVector, Matrix4, Vector2};
 
@@ -143,11 +145,15 @@ impl PoseGraph {
         (steps, cost, false)
     }
 
+    /// What an edge misses by in units of its standard deviations, squared.
+    fn squared(&self, edge: &Weighted) -> f64 {
+        edge.squared(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m)
+    }
+
     /// Half the weighted squares of the edges that can change, loops with Cauchy's loss.
     pub(super) fn cost(&self, descent: &Descent, reach: f64) -> f64 {
         let of = |edge: &Weighted| {
-            let squared =
-                edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m).squared();
+            let squared = self.squared(edge);
             0.5 * reach_of(edge.kind, reach).map_or(squared, |reach| loss(squared, reach))
         };
         let mount = 0.5 * self.turn_per_m.norm_squared() / self.turn_sigma().powi(2);
@@ -157,11 +163,7 @@ impl PoseGraph {
     /// Beyond so many standard deviations loops count less: three times what they usually miss by, and never less than three.
     pub(super) fn loop_reach(&self) -> f64 {
         let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
-        let mut squares: Vec<f64> = loops
-            .map(|edge| {
-                edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m).squared()
-            })
-            .collect();
+        let mut squares: Vec<f64> = loops.map(|edge| self.squared(edge)).collect();
         if squares.is_empty() {
             return 3.0;
         }
@@ -227,11 +229,7 @@ impl PoseGraph {
     /// How a keyframe moves with its piece: as a whole, and about its leader.
     fn by_piece(&self, pieces: &Pieces, node: usize) -> Matrix4<f64> {
         let (own, leader) = (&self.nodes[node].pose, &self.nodes[pieces.leader(node)].pose);
-        let (dx, dy) = (own.x_m - leader.x_m, own.y_m - leader.y_m);
-        let mut by_piece = Matrix4::identity();
-        (by_piece[(0, 2)], by_piece[(1, 2)]) = (-dy, dx);
-        (by_piece[(0, 3)], by_piece[(1, 3)]) = (dx, dy);
-        by_piece
+        Sim2::lever_arm(own.x_m - leader.x_m, own.y_m - leader.y_m)
     }
 
     fn step(&mut self, descent: &Descent, change: &DVector<f64>) {
@@ -242,14 +240,14 @@ impl PoseGraph {
             let Some(change) = equations.of_node(change, node) else { continue };
             let leader = self.nodes[pieces.leader(node)].pose;
             let pose = &mut self.nodes[node].pose;
-            let (dx, dy) = (pose.x_m - leader.x_m, pose.y_m - leader.y_m);
-            let (sin, cos) = change[2].sin_cos();
-            let scale = change[3].exp();
+            let arm = GroundPoint::new(pose.x_m - leader.x_m, pose.y_m - leader.y_m);
+            let change = Sim2::from_vector(&change);
+            let moved = change.apply(arm);
             let bent = pieces.bend(node) * turned;
-            pose.x_m += change[0] + scale * (cos * dx - sin * dy) - dx + bent[0];
-            pose.y_m += change[1] + scale * (sin * dx + cos * dy) - dy + bent[1];
-            pose.heading_rad += change[2] + bent[2];
-            pose.height_m *= scale;
+            pose.x_m += moved.x_m - arm.x_m + bent[X];
+            pose.y_m += moved.y_m - arm.y_m + bent[Y];
+            pose.heading_rad += change.heading_rad + bent[HEADING];
+            pose.height_m *= change.scale;
         }
         self.turn_per_m += turned;
     }

@@ -1,9 +1,10 @@
 //! One edge: what it misses by, in units of its standard deviations, and how that changes with the poses.
 
 use super::{Heights, Node};
-use crate::geometry::wrap_angle;
+use crate::geometry::pose_index::{HEADING, X, Y};
+use crate::geometry::{PlaneTransform, wrap_angle};
 use crate::mapping::ground_map::{EdgeKind, MapEdge};
-use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
+use nalgebra::{Matrix4, Matrix4x2, Vector2, Vector4};
 
 /// An edge with the square root of its information.
 #[derive(Debug, Clone)]
@@ -57,39 +58,32 @@ impl Weighted {
         if !self.bends() {
             return Matrix4x2::zeros();
         }
-        let (x, y) = (self.motion[0], self.motion[1]);
+        let (x, y) = (self.motion[X], self.motion[Y]);
         // Turned on the way, a motion ends turned by half as much.
         Matrix4x2::new(-0.5 * y * x, -0.5 * y * y, 0.5 * x * x, 0.5 * x * y, x, y, 0.0, 0.0)
     }
 
-    /// What the edge misses by at these poses.
+    /// What the edge misses by at these poses, in units of its standard deviations.
+    fn misses(&self, from: &Node, to: &Node, turn_per_m: Vector2<f64>) -> Vector4<f64> {
+        let mut misses = from.seen(to) - self.motion - self.by_mount() * turn_per_m;
+        misses[HEADING] = wrap_angle(misses[HEADING]);
+        self.whitening * misses
+    }
+
+    /// The square of what it misses by.
+    pub fn squared(&self, from: &Node, to: &Node, turn_per_m: Vector2<f64>) -> f64 {
+        self.misses(from, to, turn_per_m).norm_squared()
+    }
+
+    /// What it misses by, with the derivatives.
     pub fn linearized(&self, from: &Node, to: &Node, turn_per_m: Vector2<f64>) -> Linearized {
-        let (sin, cos) = from.pose.heading_rad.sin_cos();
-        let scale = from.scale();
-        let into = Matrix2::new(cos, sin, -sin, cos) / scale;
-        let apart = Vector2::new(to.pose.x_m - from.pose.x_m, to.pose.y_m - from.pose.y_m);
-        let seen = into * apart;
-        let by_mount = self.by_mount();
-        let expected = self.motion + by_mount * turn_per_m;
-        let misses = Vector4::new(
-            seen.x - expected[0],
-            seen.y - expected[1],
-            wrap_angle(to.pose.heading_rad - from.pose.heading_rad - expected[2]),
-            (to.pose.height_m / from.pose.height_m).ln() - expected[3],
-        );
-        let mut by_from = -Matrix4::identity();
-        by_from.fixed_view_mut::<2, 2>(0, 0).copy_from(&-into);
-        by_from[(0, 2)] = seen.y;
-        by_from[(1, 2)] = -seen.x;
-        by_from[(0, 3)] = -seen.x;
-        by_from[(1, 3)] = -seen.y;
-        let mut by_to = Matrix4::identity();
-        by_to.fixed_view_mut::<2, 2>(0, 0).copy_from(&into);
+        let (world_from_a, world_from_b) = (from.world_from_node(), to.world_from_node());
+        let by_from = world_from_a.between_by_from(&world_from_a.between(&world_from_b));
         Linearized {
-            misses: self.whitening * misses,
+            misses: self.misses(from, to, turn_per_m),
             by_from: self.whitening * by_from,
-            by_to: self.whitening * by_to,
-            by_mount: self.whitening * -by_mount,
+            by_to: self.whitening * world_from_a.between_by_to(),
+            by_mount: self.whitening * -self.by_mount(),
         }
     }
 }

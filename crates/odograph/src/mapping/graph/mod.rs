@@ -26,8 +26,7 @@ pub use descent::Optimization;
 pub use reach::{Reach, Reached};
 
 use super::ground_map::{EdgeKind, KeyframeId, MapEdge};
-use super::plane_motion::seen_from;
-use crate::geometry::GroundPose;
+use crate::geometry::{GroundPose, PlaneTransform, Sim2, wrap_angle};
 use edge::Weighted;
 use nalgebra::{Vector2, Vector4};
 use std::collections::BTreeMap;
@@ -77,6 +76,18 @@ impl Node {
     /// How many of the present metres one measured metre is.
     fn scale(&self) -> f64 {
         self.pose.height_m / self.measured_at_m
+    }
+
+    /// From its measured metres to the world.
+    fn world_from_node(&self) -> Sim2 {
+        Sim2 { scale: self.scale(), ..Sim2::rigid(&self.pose.se2()) }
+    }
+
+    /// Where another node is as this one sees it, metres as measured at the height of this one.
+    fn seen(&self, other: &Self) -> Vector4<f64> {
+        let seen = self.world_from_node().between(&other.world_from_node());
+        let ln_heights = (other.pose.height_m / self.pose.height_m).ln();
+        Vector4::new(seen.x_m, seen.y_m, wrap_angle(seen.heading_rad), ln_heights)
     }
 }
 
@@ -164,16 +175,13 @@ impl PoseGraph {
     pub fn misfit(&self, edge: &MapEdge) -> Option<f64> {
         let (from, to) = (*self.index.get(&edge.from)?, *self.index.get(&edge.to)?);
         let weighted = Weighted::new(from, to, edge, self.heights)?;
-        Some(weighted.linearized(&self.nodes[from], &self.nodes[to], self.turn_per_m).squared())
+        Some(weighted.squared(&self.nodes[from], &self.nodes[to], self.turn_per_m))
     }
 
     /// Where one keyframe is as another sees it, metres as measured at the height of that one.
     pub fn seen(&self, from: KeyframeId, to: KeyframeId) -> Option<Vector4<f64>> {
         let (a, b) = (&self.nodes[*self.index.get(&from)?], &self.nodes[*self.index.get(&to)?]);
-        let mut motion = seen_from(&a.pose, &b.pose);
-        motion[0] /= a.scale();
-        motion[1] /= a.scale();
-        Some(motion)
+        Some(a.seen(b))
     }
 }
 

@@ -3,7 +3,6 @@
 use super::{Heights, PoseGraph};
 use crate::geometry::GroundPose;
 use crate::mapping::ground_map::{EdgeKind, KeyframeId};
-use crate::mapping::plane_motion::{laid_from, seen_from};
 
 impl PoseGraph {
     /// Takes a keyframe, and all that is connected with it by measurement, to `pose`, unless `fixed` is among them; says whether anything was moved.
@@ -31,20 +30,13 @@ impl PoseGraph {
             }
         }
         let before = self.nodes[start].pose;
-        let scale = match self.heights {
-            Heights::Held => 1.0,
-            Heights::Free => pose.height_m / before.height_m,
+        let height_m = match self.heights {
+            Heights::Held => before.height_m,
+            Heights::Free => pose.height_m,
         };
+        let moved = before.similarity_to(&GroundPose { height_m, ..*pose });
         for (node, _) in self.nodes.iter_mut().zip(part).filter(|(_, part)| *part) {
-            let laid = laid_from(pose, &seen_from(&before, &node.pose), scale);
-            let height_m = node.pose.height_m * scale;
-            node.pose = GroundPose {
-                x_m: laid.x_m,
-                y_m: laid.y_m,
-                heading_rad: laid.heading_rad,
-                height_m,
-                ..node.pose
-            };
+            node.pose = moved.apply_to_pose(&node.pose);
         }
         true
     }

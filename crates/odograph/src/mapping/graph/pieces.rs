@@ -9,7 +9,7 @@
 
 use super::PoseGraph;
 use super::edge::Weighted;
-use super::reach::{swing, turn};
+use crate::geometry::{PlaneTransform, Sim2};
 use crate::mapping::ground_map::EdgeKind;
 use nalgebra::Matrix4x2;
 use std::collections::VecDeque;
@@ -132,12 +132,8 @@ impl PoseGraph {
     fn bent_along(&self, bend: &Matrix4x2<f64>, node: usize, edge: &Weighted) -> Matrix4x2<f64> {
         let (here, there) = (&self.nodes[node].pose, &self.nodes[edge.other(node)].pose);
         let from = &self.nodes[edge.from];
-        let (sin, cos) = from.pose.heading_rad.sin_cos();
-        let mut own = edge.by_mount();
-        turn(&mut own, from.scale() * cos, from.scale() * sin);
-        let back = edge.from != node;
-        let mut bend = if back { bend - own } else { *bend };
-        swing(&mut bend, there.x_m - here.x_m, there.y_m - here.y_m);
-        if back { bend } else { bend + own }
+        let own = from.world_from_node().product_by_right() * edge.by_mount();
+        let arm = Sim2::lever_arm(there.x_m - here.x_m, there.y_m - here.y_m);
+        if edge.from == node { arm * bend + own } else { arm * (bend - own) }
     }
 }

@@ -4,8 +4,10 @@
 //! "Robust and efficient robotic mapping", 2008, §3.4, Dijkstra projection).
 
 use super::PoseGraph;
+use crate::geometry::pose_index::{HEADING, X, Y};
+use crate::geometry::{PlaneTransform, Sim2, propagated};
 use crate::mapping::ground_map::{EdgeKind, KeyframeId};
-use nalgebra::{Matrix4, Matrix4x2, SMatrix, Vector4};
+use nalgebra::{Matrix4, Matrix4x2, Vector4};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
@@ -126,13 +128,11 @@ impl Reach<'_> {
         let way = &self.ways[self.way_to[node]? as usize];
         let root = &self.graph.nodes[self.root];
         let whole = way.noise + way.by_mount * way.by_mount.transpose() * self.graph.turn_sigma.powi(2);
-        let (sin, cos) = root.pose.heading_rad.sin_cos();
-        let per = 1.0 / root.scale();
         let id = self.graph.nodes[node].id;
         Some(Reached {
             id,
             motion: self.graph.seen(root.id, id)?,
-            covariance: both_sides(&whole, |columns| turn(columns, per * cos, -per * sin)),
+            covariance: propagated(&root.world_from_node().between_by_to(), &whole),
             edges: way.edges,
             across_gap: way.across_gap,
         })
@@ -143,13 +143,10 @@ impl Reach<'_> {
         let graph = self.graph;
         let edge = &graph.edges[edge];
         let (here, there) = (&graph.nodes[way.node].pose, &graph.nodes[edge.other(way.node)].pose);
-        let (dx, dy) = (there.x_m - here.x_m, there.y_m - here.y_m);
         let from = &graph.nodes[edge.from];
-        let (sin, cos) = from.pose.heading_rad.sin_cos();
-        let (sin, cos) = (from.scale() * sin, from.scale() * cos);
-        let own = both_sides(&edge.covariance, |columns| turn(columns, cos, sin));
-        let mut own_by_mount = edge.by_mount();
-        turn(&mut own_by_mount, cos, sin);
+        let by_motion = from.world_from_node().product_by_right();
+        let own = propagated(&by_motion, &edge.covariance);
+        let own_by_mount = by_motion * edge.by_mount();
         let (mut noise, mut by_mount) = (way.noise, way.by_mount);
         let back = edge.from != way.node;
         if back {
@@ -158,15 +155,16 @@ impl Reach<'_> {
             by_mount -= own_by_mount;
         }
         // A turn of what is here swings what is there about it, and a greater height moves it away.
-        noise = both_sides(&noise, |columns| swing(columns, dx, dy));
-        swing(&mut by_mount, dx, dy);
+        let arm = Sim2::lever_arm(there.x_m - here.x_m, there.y_m - here.y_m);
+        noise = propagated(&arm, &noise);
+        by_mount = arm * by_mount;
         if !back {
             noise += own;
             by_mount += own_by_mount;
         }
         let variance = |i: usize| noise[(i, i)] + graph.turn_sigma.powi(2) * by_mount.row(i).norm_squared();
         // Position, and heading over the height of the camera, that is over about what an image shows.
-        let doubt = variance(0) + variance(1) + variance(2) * here.height_m.powi(2);
+        let doubt = variance(X) + variance(Y) + variance(HEADING) * here.height_m.powi(2);
         let across_gap = way.across_gap || edge.kind == EdgeKind::Gap;
         let node = edge.other(way.node);
         (Way { node, noise, by_mount, edges: way.edges + 1, across_gap }, doubt)
@@ -179,29 +177,5 @@ impl Iterator for Reach<'_> {
     fn next(&mut self) -> Option<Reached> {
         let id = self.further()?;
         self.to(id)
-    }
-}
-
-/// A linear map on both sides of a covariance.
-fn both_sides(covariance: &Matrix4<f64>, map: impl Fn(&mut Matrix4<f64>)) -> Matrix4<f64> {
-    let mut mapped = *covariance;
-    map(&mut mapped);
-    mapped = mapped.transpose();
-    map(&mut mapped);
-    mapped
-}
-
-/// Turns and scales the first two numbers of every column.
-pub(super) fn turn<const C: usize>(columns: &mut SMatrix<f64, 4, C>, cos: f64, sin: f64) {
-    for mut column in columns.column_iter_mut() {
-        (column[0], column[1]) = (cos * column[0] - sin * column[1], sin * column[0] + cos * column[1]);
-    }
-}
-
-/// Adds to the first two numbers of every column what a turn (the third) and a greater height (the fourth) make of a way (dx, dy).
-pub(super) fn swing<const C: usize>(columns: &mut SMatrix<f64, 4, C>, dx: f64, dy: f64) {
-    for mut column in columns.column_iter_mut() {
-        column[0] += dx * column[3] - dy * column[2];
-        column[1] += dx * column[2] + dy * column[3];
     }
 }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::mapping::plane_motion::seen_from;
 use crate::motion::Random;
 use nalgebra::{Matrix4, Vector4};
 

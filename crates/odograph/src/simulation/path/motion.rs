@@ -1,16 +1,8 @@
 //! Pieces of paths: how they run and how progress along them follows time.
 
 use super::super::noise::Wobble;
-use crate::geometry::wrap_angle;
+use crate::geometry::{PlaneTransform, Se2, wrap_angle};
 use std::f64::consts::{FRAC_PI_2, TAU};
-
-/// Position and direction on the ground, in the carrier's frame at the start.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place {
-    pub(super) x_m: f64,
-    pub(super) y_m: f64,
-    pub(super) heading_rad: f64,
-}
 
 /// How a piece of the path leads from its start; progress runs from 0 to the law's amount.
 #[derive(Debug, Clone)]
@@ -61,20 +53,6 @@ pub(super) struct Law {
 /// Longest ramp between rest and full speed, seconds.
 const RAMP_S: f64 = 0.5;
 
-impl Place {
-    pub(super) const ORIGIN: Self = Self { x_m: 0.0, y_m: 0.0, heading_rad: 0.0 };
-
-    /// A place given in the frame of this one.
-    pub(super) fn then(self, local: Self) -> Self {
-        let (sin, cos) = self.heading_rad.sin_cos();
-        Self {
-            x_m: self.x_m + cos * local.x_m - sin * local.y_m,
-            y_m: self.y_m + sin * local.x_m + cos * local.y_m,
-            heading_rad: self.heading_rad + local.heading_rad,
-        }
-    }
-}
-
 impl Law {
     pub(super) fn constant(amount: f64, rate: f64) -> Self {
         Self { amount, rate, ramp_s: 0.0, from_rest: false, to_rest: false }
@@ -110,19 +88,19 @@ impl Law {
 
 impl Motion {
     /// Where this leads after that much progress, from the start of the segment.
-    pub(super) fn end(&self, progress: f64) -> Place {
+    pub(super) fn end(&self, progress: f64) -> Se2 {
         match self {
-            Self::Still => Place::ORIGIN,
-            Self::Line { direction_rad } => Place {
+            Self::Still => Se2::IDENTITY,
+            Self::Line { direction_rad } => Se2 {
                 x_m: progress * direction_rad.cos(),
                 y_m: progress * direction_rad.sin(),
                 heading_rad: 0.0,
             },
             Self::Turn { about: (x, y), sign } => {
                 let heading_rad = sign * progress;
-                let (sin, cos) = heading_rad.sin_cos();
+                let (turned_x, turned_y) = Se2::rotation(heading_rad).rotate(*x, *y);
                 // The point stays: place + R · point = point.
-                Place { x_m: x - (cos * x - sin * y), y_m: y - (sin * x + cos * y), heading_rad }
+                Se2 { x_m: x - turned_x, y_m: y - turned_y, heading_rad }
             }
             Self::Eight { half_length_m } => {
                 // x = a sin s, y = a/2 sin 2s leaves the crossing at 45°; turned so that it leaves along x.
@@ -133,14 +111,14 @@ impl Motion {
                 // The tangent turns right by 270° and then left by as much; its angle against the start never is positive.
                 let raw = dy.atan2(dx) - quarter;
                 let heading_rad = if raw > 0.1 { raw - TAU } else { raw };
-                let (sin, cos) = (-quarter).sin_cos();
-                Place { x_m: cos * x - sin * y, y_m: sin * x + cos * y, heading_rad }
+                let (x_m, y_m) = Se2::rotation(-quarter).rotate(x, y);
+                Se2 { x_m, y_m, heading_rad }
             }
             Self::Curve { bend, step_m, nodes } => {
                 let node = ((progress / step_m) as usize).min(nodes.len() - 1);
                 let from_m = node as f64 * step_m;
                 let (dx, dy) = bend.integral(from_m, progress);
-                Place {
+                Se2 {
                     x_m: nodes[node].0 + dx,
                     y_m: nodes[node].1 + dy,
                     heading_rad: bend.heading_rad(progress),

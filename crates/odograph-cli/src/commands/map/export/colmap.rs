@@ -85,10 +85,9 @@ fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<Feature> {
     // A signature holds where things lie for a camera over the origin that is as high and tilted as
     // this one.
     let pose = &keyframe.pose;
-    let (sin, cos) = pose.heading_rad.sin_cos();
     let feature = |feature: &odograph::mapping::places::GroundFeature| {
         let [x, y] = feature.position_m.map(f64::from);
-        let ground = GroundPoint::new(pose.x_m + cos * x - sin * y, pose.y_m + sin * x + cos * y);
+        let ground = pose.se2().apply(GroundPoint::new(x, y));
         let pixel = camera.pixel_from_ray(pose.ray_from_ground(ground)?)?;
         camera.contains(pixel, 0.0).then_some(Feature {
             ground,

@@ -7,6 +7,10 @@
 //!
 //! A transform is named `target_from_source`.
 
+mod planar;
+
+pub use planar::{PlaneTransform, Se2, Sim2, WithCovariance, propagated};
+
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -100,6 +104,25 @@ pub struct GroundPose {
     pub pitch_rad: f64,
 }
 
+/// Where each number stands in the vector and the covariance of a [`GroundPose`]. Those of an [`Se2`]
+/// are the first three; a [`Sim2`] has the logarithm of its scale in the place of the height.
+pub mod pose_index {
+    /// World x, metres.
+    pub const X: usize = 0;
+    /// World y, metres.
+    pub const Y: usize = 1;
+    /// Heading, radians.
+    pub const HEADING: usize = 2;
+    /// Height above the ground, metres.
+    pub const HEIGHT: usize = 3;
+    /// Logarithm of the scale of a [`Sim2`](super::Sim2).
+    pub const LN_SCALE: usize = 3;
+    /// Roll, radians.
+    pub const ROLL: usize = 4;
+    /// Pitch, radians.
+    pub const PITCH: usize = 5;
+}
+
 /// The rotation of a camera that looks straight down with the top of its image along world x.
 pub fn nadir_from_camera() -> Matrix3<f64> {
     Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0)
@@ -120,6 +143,30 @@ impl GroundPose {
     pub fn from_vector(numbers: &Vector6<f64>) -> Self {
         let [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad] = (*numbers).into();
         Self { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad }
+    }
+
+    /// The rigid transform `world_from_camera` of the plane: position and heading.
+    pub fn se2(&self) -> Se2 {
+        Se2::new(self.x_m, self.y_m, self.heading_rad)
+    }
+
+    /// The similarity of the plane that takes this pose to `to`, with the ratio of their heights for its scale.
+    pub fn similarity_to(&self, to: &Self) -> Sim2 {
+        let turned = Sim2::about_origin(to.heading_rad - self.heading_rad, to.height_m / self.height_m);
+        let (x_m, y_m) = turned.rotate(self.x_m, self.y_m);
+        Sim2 { x_m: to.x_m - x_m, y_m: to.y_m - y_m, ..turned }
+    }
+
+    /// The pose at a share of the way to `to`, 0 to 1, by the shorter turn; roll and pitch stay.
+    pub fn interpolated(&self, to: &Self, share: f64) -> Self {
+        let between = |from: f64, to: f64| from + share * (to - from);
+        Self {
+            x_m: between(self.x_m, to.x_m),
+            y_m: between(self.y_m, to.y_m),
+            heading_rad: self.heading_rad + share * wrap_angle(to.heading_rad - self.heading_rad),
+            height_m: between(self.height_m, to.height_m),
+            ..*self
+        }
     }
 
     /// The rotation that takes camera vectors to world vectors.
