@@ -163,7 +163,10 @@ fn carried(keyframe: &MapKeyframe, pose: &GroundPose, odometry: &Matrix6<f64>) -
     by_keyframe[(X, HEIGHT)] /= from.height_m;
     by_keyframe[(Y, HEIGHT)] /= from.height_m;
     let mut carried = propagated(&by_keyframe, &keyframe.covariance);
+    // Without the keyframe's correlations, which do not belong to odometry's variances.
     for i in HEIGHT..6 {
+        carried.row_mut(i).fill(0.0);
+        carried.column_mut(i).fill(0.0);
         carried[(i, i)] = odometry[(i, i)];
     }
     carried
