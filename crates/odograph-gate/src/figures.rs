@@ -1,5 +1,6 @@
 //! What is measured of a row, and by how much it may change.
 
+use odograph::numerics::median;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -120,12 +121,9 @@ impl Figures {
         let mut figures = Self::default();
         for measure in &MEASURES {
             let mut values: Vec<f64> = all.iter().filter_map(|one| one.get(measure.key)).collect();
-            values.sort_by(f64::total_cmp);
-            if values.is_empty() {
-                continue;
-            }
+            let Some(usual) = median(&mut values) else { continue };
             let counted = matches!(measure.key, "lost" | "restarts");
-            let value = if counted { values.iter().sum() } else { values[values.len() / 2] };
+            let value = if counted { values.iter().sum() } else { usual };
             figures.set(measure.key, four_digits(value));
         }
         figures

@@ -11,6 +11,7 @@ use crate::rows::{Row, rows};
 use nalgebra::Vector3;
 use odograph::error::Result;
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
+use odograph::geometry::pose_index::{X, Y};
 use odograph::geometry::{GroundPose, wrap_angle};
 use odograph::motion::MotionModel;
 use odograph::trajectory::{FrameEstimate, TrackStatus, Trajectory};
@@ -161,7 +162,7 @@ fn against_exact_truth(clip: &Clip, followed: &Followed) -> Result<Figures> {
     }
     figures.set("end_mm", 1e3 * found.final_position_error_m);
     if let Some(last) = followed.frames.iter().rev().find_map(|frame| frame.estimate.as_ref()) {
-        let variance_m2 = last.covariance[(0, 0)] + last.covariance[(1, 1)];
+        let variance_m2 = last.covariance[(X, X)] + last.covariance[(Y, Y)];
         figures.set("end_sigma_mm", 1e3 * variance_m2.sqrt());
     }
     figures.set("nees", nees(clip, &followed.frames));

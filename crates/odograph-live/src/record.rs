@@ -1,6 +1,7 @@
 //! What a page needs to know of a frame, in a few numbers.
 
 use odograph::error::{Error, Result};
+use odograph::geometry::pose_index::{HEADING, X, Y};
 use odograph::trajectory::{FrameEstimate, LossReason, TrackStatus};
 
 /// A frame on the page: position, heading and how well they are known, speed, and how the frame was measured.
@@ -54,10 +55,10 @@ impl TrackRecord {
                 pose.x_m,
                 pose.y_m,
                 pose.heading_rad,
-                covariance[(0, 0)],
-                covariance[(0, 1)],
-                covariance[(1, 1)],
-                covariance[(2, 2)].max(0.0).sqrt(),
+                covariance[(X, X)],
+                covariance[(X, Y)],
+                covariance[(Y, Y)],
+                covariance[(HEADING, HEADING)].max(0.0).sqrt(),
                 known.velocity.speed_m_s(),
             ];
             values[1..9].iter_mut().zip(numbers).for_each(|(value, number)| *value = number as f32);

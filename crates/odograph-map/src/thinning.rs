@@ -8,6 +8,7 @@ use odograph::camera::Camera;
 use odograph::geometry::pose_index::{LN_SCALE, X, Y};
 use odograph::geometry::{GroundPose, Pixel, Sim2, WithCovariance};
 use odograph::mapping::{EdgeKind, GroundMap, KeyframeId, MapEdge, plane_motion};
+use odograph::numerics::median;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
@@ -60,8 +61,7 @@ impl Coverage {
         let points: Vec<Vec<(f64, f64)>> =
             map.keyframes.iter().map(|keyframe| shown(&map.camera, &keyframe.pose)).collect();
         let mut widths: Vec<f64> = points.iter().map(|points| width(points)).collect();
-        widths.sort_by(f64::total_cmp);
-        let side = widths.get(widths.len() / 2).map_or(1.0, |width| (width / CELLS).max(1e-6));
+        let side = median(&mut widths).map_or(1.0, |width| (width / CELLS).max(1e-6));
         let mut numbers = BTreeMap::new();
         let mut counts = Vec::new();
         let cells = points

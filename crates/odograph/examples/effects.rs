@@ -228,8 +228,7 @@ fn measure(row: &Row, seed: u64) -> Result<Figures> {
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    odograph::numerics::median(&mut values).unwrap_or(f64::NAN)
 }
 
 /// A row's medians, as a line of the table.

@@ -318,8 +318,7 @@ fn rows() -> Vec<(String, Vec<Drive>)> {
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    odograph::numerics::median(&mut values).unwrap_or(f64::NAN)
 }
 
 fn main() -> Result<()> {

@@ -11,6 +11,7 @@
 pub mod error;
 pub mod buffer;
 pub mod geometry;
+pub mod numerics;
 pub mod image;
 pub mod camera;
 pub mod calibration;

@@ -1,6 +1,7 @@
 //! What is known of each frame: the values that leave the pipeline and that maps, reports and files are made of.
 
 use crate::geometry::GroundPose;
+use crate::geometry::pose_index::{HEADING, X, Y};
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -200,8 +201,8 @@ impl From<&PoseEstimate> for PlaceSummary {
             heading_rad: pose.heading_rad,
             height_m: pose.height_m,
             speed_m_s: known.velocity.speed_m_s(),
-            position_covariance: [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]],
-            heading_variance: covariance[(2, 2)],
+            position_covariance: [covariance[(X, X)], covariance[(X, Y)], covariance[(Y, Y)]],
+            heading_variance: covariance[(HEADING, HEADING)],
         }
     }
 }

@@ -1,6 +1,7 @@
 //! What is known of a frame, as messages of Foxglove's types.
 
 use odograph::geometry::GroundPose;
+use odograph::geometry::pose_index::{X, Y};
 use odograph::odometry::TrackView;
 use odograph::trajectory::PoseEstimate;
 use serde_json::{Value, json};
@@ -103,7 +104,7 @@ pub fn cleared(at: u64) -> Value {
 /// The ellipse on the ground that holds the camera with 95 %.
 pub fn ellipse(at: u64, known: &PoseEstimate) -> Value {
     let covariance = known.covariance;
-    let (a, b, d) = (covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]);
+    let (a, b, d) = (covariance[(X, X)], covariance[(X, Y)], covariance[(Y, Y)]);
     let (middle, spread) = (0.5 * (a + d), (0.5 * (a - d)).hypot(b));
     let across = |variance: f64| 2.0 * DEVIATIONS * variance.max(0.0).sqrt();
     let along = 0.5 * (2.0 * b).atan2(a - d);

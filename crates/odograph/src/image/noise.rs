@@ -1,12 +1,10 @@
 //! How much noise an image has.
 
 use super::GrayImage;
+use crate::numerics::NORMAL_MEDIAN;
 
 /// About so many rows are looked at.
 const ROWS: usize = 60;
-
-/// The median of the magnitude of normal noise, in standard deviations.
-const MEDIAN: f64 = 0.6745;
 
 /// The weights of the nine samples are 1, −2 or 4: the sum of their squares.
 const WEIGHTS_SQUARED: f64 = 36.0;
@@ -37,7 +35,7 @@ pub fn noise_variance(image: &GrayImage) -> f64 {
             // A magnitude stands for all that is rounded to it; 0 for what is on both sides of it.
             let (from, width) = if magnitude == 0 { (0.0, 0.5) } else { (magnitude as f64 - 0.5, 1.0) };
             let median = from + width * (half - below) / count;
-            return (median / MEDIAN).powi(2) / WEIGHTS_SQUARED;
+            return (median / NORMAL_MEDIAN).powi(2) / WEIGHTS_SQUARED;
         }
         below += count;
     }

@@ -13,6 +13,7 @@ use odograph::error::{Error, Result};
 use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
 use odograph::mapping::Mosaic;
+use odograph::numerics::median;
 use odograph::odometry::TrackView;
 use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};
@@ -367,7 +368,7 @@ impl Rate {
     fn recent(&self) -> [f64; 2] {
         let Some((first, _)) = self.0.front() else { return [0.0; 2] };
         let mut latencies: Vec<f64> = self.0.iter().map(|(_, ms)| *ms).collect();
-        latencies.sort_unstable_by(f64::total_cmp);
-        [self.0.len() as f64 / first.elapsed().as_secs_f64().max(0.2), latencies[latencies.len() / 2]]
+        let latency_ms = median(&mut latencies).unwrap_or(0.0);
+        [self.0.len() as f64 / first.elapsed().as_secs_f64().max(0.2), latency_ms]
     }
 }

@@ -2,6 +2,7 @@
 
 use odograph::evaluation::{Evaluation, PosePair};
 use odograph::formats::trajectory_file::Trajectory;
+use odograph::numerics::median;
 use std::fmt::Write;
 
 const WIDTH: f64 = 960.0;
@@ -307,8 +308,7 @@ fn seen_axes(extent: [f64; 3]) -> (usize, usize) {
 /// times the usual interval.
 fn gaps(pairs: &[PosePair]) -> impl Iterator<Item = usize> {
     let mut steps: Vec<f64> = pairs.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
-    steps.sort_by(f64::total_cmp);
-    let limit_s = steps.get(steps.len() / 2).map_or(f64::INFINITY, |usual_s| 5.0 * usual_s);
+    let limit_s = median(&mut steps).map_or(f64::INFINITY, |usual_s| 5.0 * usual_s);
     pairs
         .windows(2)
         .enumerate()

@@ -10,6 +10,7 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose};
 use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe, Mosaic};
+use odograph::numerics::median;
 use odograph::odometry::{FrameReference, KeyframeEvent};
 use odograph::slam::{KeyframeStore, Mapper, MemoryImages, Stretches};
 use odograph::trajectory::FrameEstimate;
@@ -257,8 +258,7 @@ impl Mapping {
         let session = self.mapper.session();
         let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session).count();
         let mut heights_m: Vec<f64> = map.keyframes.iter().map(|keyframe| keyframe.pose.height_m).collect();
-        heights_m.sort_by(f64::total_cmp);
-        let height_m = heights_m.get(heights_m.len() / 2).copied().unwrap_or(map.rig.height_m);
+        let height_m = median(&mut heights_m).unwrap_or(map.rig.height_m);
         let coarse_m = COARSER * height_m / map.camera.focal_px().0;
         let (short, alone) = (map.keyframes.len() > MOST_OLD * own, map.keyframes.len() == own);
         let writable = self.file.kept.is_none();

@@ -10,6 +10,7 @@ use super::{NotFound, response, subpixel};
 use crate::calibration::{Board, BoardView, SeenPoint};
 use crate::geometry::Pixel;
 use crate::image::{GrayImage, Pyramid};
+use crate::numerics::median;
 
 /// More corners than this, and as many again as the board has eightfold, are not looked at: noise and gravel have any number.
 const MOST_PEAKS: usize = 1500;
@@ -299,8 +300,7 @@ fn refine(
 fn is_blurred(blurs: &[(f64, f64)]) -> bool {
     let middle = |value: fn(&(f64, f64)) -> f64| {
         let mut values: Vec<f64> = blurs.iter().map(value).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
+        median(&mut values).unwrap_or(0.0)
     };
     middle(|blur| blur.0) > MOST_BLUR_PX || middle(|blur| blur.1) > MOST_BLUR_OF_SIDE
 }

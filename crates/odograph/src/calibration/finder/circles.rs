@@ -12,6 +12,7 @@ use super::{NotFound, disc};
 use crate::calibration::{Board, BoardKind, BoardView, SeenPoint};
 use crate::geometry::Pixel;
 use crate::image::{GrayImage, Pyramid};
+use crate::numerics::median;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Spots at the coordinates of some basis of their lattice.
@@ -87,8 +88,7 @@ fn refine(image: &GrayImage, grid: &[Blob]) -> Result<Vec<SeenPoint>, NotFound> 
         grid.iter().map(|blob| disc::fit(image, blob)).collect::<Option<_>>().ok_or(NotFound::NoDiscs)?;
     let middle = |value: fn(&disc::Disc) -> f64| {
         let mut values: Vec<f64> = discs.iter().map(value).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
+        median(&mut values).unwrap_or(0.0)
     };
     let contrasts = || discs.iter().map(|disc| disc.contrast);
     let (faintest, strongest) = (contrasts().fold(f64::MAX, f64::min), contrasts().fold(0.0, f64::max));

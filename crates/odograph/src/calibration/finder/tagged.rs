@@ -11,6 +11,7 @@ use super::points::{Expected, PointLook, look_at};
 use crate::calibration::{BoardPoint, BoardView, Drawing, SeenPoint};
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
+use crate::numerics::median;
 use std::collections::VecDeque;
 
 /// A board with markers, prepared for finding.
@@ -328,8 +329,7 @@ impl View<'_> {
         let tried = BLURS_PX.into_iter().filter_map(|blur_px| Some((blur_px, look(blur_px)?)));
         let (blur_px, best) = tried.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual))?;
         self.blurs.push(blur_px);
-        self.blurs.sort_by(f64::total_cmp);
-        self.blur_px = self.blurs[self.blurs.len() / 2];
+        self.blur_px = median(&mut self.blurs).unwrap_or(blur_px);
         Some(best)
     }
 

@@ -3,6 +3,7 @@
 use crate::calibration::BoardView;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
+use crate::numerics::median;
 
 /// The blur of the edges around the seen points, as the standard deviation of a Gaussian, pixels; the median over the points.
 ///
@@ -25,8 +26,7 @@ pub fn blur_px(image: &GrayImage, view: &BoardView) -> Option<f64> {
             blur_around(image, seen.pixel, (0.5 * spacing_px).clamp(3.0, 12.0) as isize)
         })
         .collect();
-    let middle = blurs.len() / 2;
-    (!blurs.is_empty()).then(|| *blurs.select_nth_unstable_by(middle, f64::total_cmp).1)
+    median(&mut blurs)
 }
 
 /// Steepest slope against contrast in a square around a pixel.

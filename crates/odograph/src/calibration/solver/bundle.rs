@@ -4,6 +4,7 @@
 //! al., "Bundle adjustment: a modern synthesis", 2000, section 6.1): time and memory grow linearly with the views.
 
 use super::lens::{Free, Lens};
+use crate::numerics::{Loss, robust_variance};
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
 };
@@ -69,12 +70,8 @@ const NOWHERE_PX: f64 = 1e4;
 
 /// Loss and weight of a residual of `square` standard deviations squared.
 fn loss(square: f64) -> (f64, f64) {
-    if square <= BEND * BEND {
-        (0.5 * square, 1.0)
-    } else {
-        let ratio = square / (BEND * BEND);
-        (BEND * BEND * 0.5 * (1.0 + ratio.ln()), 1.0 / ratio)
-    }
+    let loss = Loss::Logarithmic(BEND);
+    (0.5 * loss.of_square(square), loss.weight_of_square(square))
 }
 
 /// Whether a residual of this many standard deviations counts in full.
@@ -410,14 +407,10 @@ pub fn robust_noise_px(views: &[&[Sight]], state: &State, unknowns: usize) -> f6
         let off = residuals(&state.lens, &state.shape, pose, sights);
         squares.extend(off.map(|off| off.map_or(NOWHERE_PX * NOWHERE_PX, |(dx, dy)| dx * dx + dy * dy)));
     }
-    if squares.is_empty() {
-        return LEAST_NOISE_PX;
-    }
     let numbers = 2.0 * squares.len() as f64;
-    let middle = squares.len() / 2;
-    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
     let freedom = (numbers - unknowns as f64).max(0.1 * numbers) / numbers;
-    (*median / (2.0 * std::f64::consts::LN_2 * freedom)).sqrt().max(LEAST_NOISE_PX)
+    let variance = robust_variance::<2>(&mut squares);
+    variance.map_or(0.0, |variance| (variance / freedom).sqrt()).max(LEAST_NOISE_PX)
 }
 
 /// No corner is known better than this; exact points would otherwise have no scale.

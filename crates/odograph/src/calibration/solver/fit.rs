@@ -5,6 +5,7 @@ use super::lens::{Lens, free_numbers};
 use super::result::{CalibrationConfig, LensModel};
 use super::start::{self, coefficient_priors, translated};
 use super::zhang::mirrored_pose;
+use crate::numerics::median;
 use nalgebra::Isometry3;
 
 /// Points further off than this many standard deviations, and this many pixels, are wrong and left out.
@@ -167,9 +168,7 @@ impl Fit {
                     robust_noise_px(&[&sights[self.views[at]]], &one, 6)
                 })
                 .collect();
-            let mut sorted = noises.clone();
-            sorted.sort_by(f64::total_cmp);
-            let usual_px = sorted.get(sorted.len() / 2).copied().unwrap_or(self.noise_px);
+            let usual_px = median(&mut noises.clone()).unwrap_or(self.noise_px);
             let mut changed = false;
             let mut kept = Vec::new();
             for (at, &noise_px) in noises.iter().enumerate() {

@@ -1,9 +1,10 @@
 //! What a sensor must be multiplied with, shifted by and turned by to tell what the camera sees, and whether it then does.
 
 use super::camera_motion::{Node, Step};
-use super::fit::{Fit, Prior, Row, TimeOffset, fit, median_deviation, time_offset};
+use super::fit::{Fit, Prior, Row, TimeOffset, fit, time_offset};
 use super::report::Reason;
 use super::series::{Quantity, SensorRecord};
+use crate::numerics::{median, normal_sigma};
 use nalgebra::{Matrix4, Vector4};
 
 /// A sensor that was compared with the camera.
@@ -167,8 +168,8 @@ fn calibrated(
         // Errors that last, as those of a slipping wheel, show over a second, not over a frame; few seconds tell them poorly.
         let lasting: Vec<f64> = seconds.iter().map(Seconds::whitened).collect();
         let unsure = 1.0 + 2.0 / (lasting.len().max(1) as f64).sqrt();
-        let lasting = median_deviation(&lasting).powi(2) * unsure;
-        density = density.max(median_deviation(&whitened).powi(2)).max(lasting);
+        let lasting = normal_sigma(&lasting).powi(2) * unsure;
+        density = density.max(normal_sigma(&whitened).powi(2)).max(lasting);
         directions.push(seconds);
     }
     let nis = |second: &Seconds| second.whitened().powi(2) / density;
@@ -323,11 +324,10 @@ fn sighted(
         // The variance of few changes is itself uncertain: what the drift explains is taken three deviations large.
         let count = changes.len().max(1) as f64;
         let drift = drifts.iter().sum::<f64>() / count * (1.0 + 3.0 * (2.0 / count).sqrt());
-        0.5 * length as f64 * (median_deviation(&changes).powi(2) - drift)
+        0.5 * length as f64 * (normal_sigma(&changes).powi(2) - drift)
     };
     // Readings of a quarter of a second are taken as one: their errors are not independent of each other.
-    let middle = scatters.len() / 2;
-    let scatter = *scatters.select_nth_unstable_by(middle, f64::total_cmp).1 / 4.0;
+    let scatter = median(&mut scatters).unwrap_or(0.0) / 4.0;
     let variance = [1, 4, 16].map(lasting).into_iter().fold(scatter.max(1e-10), f64::max);
     sights.iter_mut().for_each(|sight| sight.variance = variance);
     Ok(Sighted { offset, sights, sigma: variance.sqrt(), single: variance.max(4.0 * scatter) })
@@ -337,10 +337,9 @@ fn sighted(
 fn centred(values: &[(usize, f64)]) -> Vec<f64> {
     let mut centred = Vec::with_capacity(values.len());
     for segment in values.chunk_by(|a, b| a.0 == b.0) {
-        let mut sorted: Vec<f64> = segment.iter().map(|(_, value)| *value).collect();
-        let middle = sorted.len() / 2;
-        let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
-        centred.extend(segment.iter().map(|(_, value)| value - median));
+        let mut values: Vec<f64> = segment.iter().map(|(_, value)| *value).collect();
+        let zero = median(&mut values).unwrap_or(0.0);
+        centred.extend(segment.iter().map(|(_, value)| value - zero));
     }
     centred
 }

@@ -1,5 +1,6 @@
 //! Linear least squares that outliers do not bend, and the search for a clock's offset over it.
 
+use crate::numerics::{Loss, median, normal_sigma};
 use nalgebra::{Matrix4, Vector4};
 
 /// What one step of the camera says about the parameters of a sensor: `target = design · parameters + noise`, the noise of variance
@@ -33,8 +34,7 @@ pub struct Fit {
     loss: f64,
 }
 
-/// P. Huber, "Robust estimation of a location parameter", 1964: beyond so many standard deviations residuals count in proportion, not squared.
-const HUBER: f64 = 1.5;
+const LOSS: Loss = Loss::Huber(1.5);
 
 /// Fits by iterated weights, with a scale of the noise (square root of its density) that is given or found from the median of the residuals.
 pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
@@ -61,19 +61,15 @@ pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
             // The noisier direction's: the other one's residuals are then small, not outliers of the first.
             let of = |second: bool| {
                 let of_direction = whitened.iter().zip(rows).filter(|(_, row)| row.second == second);
-                median_deviation(&of_direction.map(|(residual, _)| *residual).collect::<Vec<f64>>())
+                normal_sigma(&of_direction.map(|(residual, _)| *residual).collect::<Vec<f64>>())
             };
             deviation = of(false).max(of(true)).max(1e-9);
         }
         for (weight, residual) in weights.iter_mut().zip(&whitened) {
-            let away = residual.abs() / deviation;
-            *weight = if away <= HUBER { 1.0 } else { HUBER / away };
+            *weight = LOSS.weight_of_square((residual / deviation).powi(2));
         }
     }
-    let loss = |residual: &f64| {
-        let away = residual.abs() / deviation;
-        if away <= HUBER { away * away } else { HUBER * (2.0 * away - HUBER) }
-    };
+    let loss = |residual: &f64| LOSS.of_square((residual / deviation).powi(2));
     Fit {
         parameters,
         covariance: inverse * deviation.powi(2),
@@ -85,16 +81,6 @@ pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
         density: deviation.powi(2),
         loss: whitened.iter().map(loss).sum::<f64>() / rows.len().max(1) as f64,
     }
-}
-
-/// Standard deviation of Gaussian numbers about 0 by the median of their sizes.
-pub fn median_deviation(values: &[f64]) -> f64 {
-    let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
-    if sizes.is_empty() {
-        return 0.0;
-    }
-    let middle = sizes.len() / 2;
-    1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// How far a sensor's clock is ahead of the camera's.
@@ -135,9 +121,7 @@ pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior, independent: f
     // Where nothing moves noise alone makes one offset look better than the others. The variance of what is left scatters by √(2 / count);
     // the best of a hundred is three deviations below the middle, and as much again is asked for.
     let mut densities: Vec<f64> = looks.iter().map(|look| look.2.density).collect();
-    let middle = densities.len() / 2;
-    let usual = *densities.select_nth_unstable_by(middle, f64::total_cmp).1;
-    if usual < best.2.density * (1.0 + 6.0 * (2.0 / count).sqrt()) {
+    if median(&mut densities).unwrap_or(0.0) < best.2.density * (1.0 + 6.0 * (2.0 / count).sqrt()) {
         return unknown;
     }
     let scale = best.2.density.sqrt();

@@ -1,6 +1,7 @@
 //! What a sensor wrote down, as a function of time.
 
 use crate::error::{Error, Result};
+use crate::numerics::median;
 
 /// What the numbers of a sensor mean. Angles count counter-clockwise seen from above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,9 +75,8 @@ impl SensorRecord {
         });
         let integrals = integrals.collect();
         let mut steps: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        steps.sort_unstable_by(f64::total_cmp);
         // A few lost samples are bridged; a sensor that was silent has nothing to say.
-        let longest_step_s = (5.0 * steps[steps.len() / 2]).max(0.1);
+        let longest_step_s = (5.0 * median(&mut steps).unwrap_or(0.0)).max(0.1);
         Ok(Self { quantity, times_s, channels, integrals, longest_step_s })
     }
 

@@ -7,6 +7,7 @@ use super::{Heights, PoseGraph};
 use crate::geometry::pose_index::{HEADING, X, Y};
 use crate::geometry::{GroundPoint, PlaneTransform, Sim2};
 use crate::mapping::ground_map::{EdgeKind, MapEdge};
+use crate::numerics::{Loss, robust_variance};
 use nalgebra::{DVector, Matrix4, Vector2};
 
 /// What freeing the mount's turn must explain before it is freed: the squares of the misses, in variances, that it takes away. Chance takes away
@@ -154,7 +155,7 @@ impl PoseGraph {
     pub(super) fn cost(&self, descent: &Descent, reach: f64) -> f64 {
         let of = |edge: &Weighted| {
             let squared = self.squared(edge);
-            0.5 * reach_of(edge.kind, reach).map_or(squared, |reach| loss(squared, reach))
+            0.5 * loss_of(edge.kind, reach).map_or(squared, |loss| loss.of_square(squared))
         };
         let mount = 0.5 * self.turn_per_m.norm_squared() / self.turn_sigma().powi(2);
         descent.pieces.edges().iter().map(|&edge| of(&self.edges[edge])).sum::<f64>() + mount
@@ -164,13 +165,7 @@ impl PoseGraph {
     pub(super) fn loop_reach(&self) -> f64 {
         let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
         let mut squares: Vec<f64> = loops.map(|edge| self.squared(edge)).collect();
-        if squares.is_empty() {
-            return 3.0;
-        }
-        let middle = squares.len() / 2;
-        let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
-        // The median of a chi-square of three degrees of freedom is 2.37.
-        3.0 * (*median / 2.37).sqrt().max(1.0)
+        3.0 * robust_variance::<3>(&mut squares).map_or(1.0, |variance| variance.sqrt().max(1.0))
     }
 
     /// The way down for these pieces; `None` where nothing can move.
@@ -208,8 +203,8 @@ impl PoseGraph {
         for edge in pieces.edges().iter().map(|&edge| &self.edges[edge]) {
             let linear: Linearized =
                 edge.linearized(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m);
-            let weight = reach_of(edge.kind, reach)
-                .map_or(1.0, |reach| 1.0 / (1.0 + linear.squared() / (reach * reach)));
+            let weight = loss_of(edge.kind, reach)
+                .map_or(1.0, |loss| loss.weight_of_square(linear.misses.norm_squared()));
             let (bend_from, bend_to) = (pieces.bend(edge.from), pieces.bend(edge.to));
             let linear = Linearized {
                 by_mount: linear.by_mount + linear.by_from * bend_from + linear.by_to * bend_to,
@@ -272,17 +267,12 @@ impl PoseGraph {
 
 /// Beyond so many standard deviations an edge counts less: a loop may be wrong, and over a gap the camera may have been carried anywhere.
 /// What was measured step by step always counts in full.
-fn reach_of(kind: EdgeKind, of_loops: f64) -> Option<f64> {
+fn loss_of(kind: EdgeKind, of_loops: f64) -> Option<Loss> {
     match kind {
         EdgeKind::Odometry => None,
-        EdgeKind::Gap => Some(3.0),
-        EdgeKind::Loop => Some(of_loops),
+        EdgeKind::Gap => Some(Loss::Cauchy(3.0)),
+        EdgeKind::Loop => Some(Loss::Cauchy(of_loops)),
     }
-}
-
-/// Cauchy's loss of a squared residual.
-fn loss(squared: f64, reach: f64) -> f64 {
-    reach * reach * (squared / (reach * reach)).ln_1p()
 }
 
 /// A step that gains less, as a part of the cost and of one, is the last.

@@ -95,9 +95,3 @@ pub struct Linearized {
     pub by_to: Matrix4<f64>,
     pub by_mount: Matrix4x2<f64>,
 }
-
-impl Linearized {
-    pub fn squared(&self) -> f64 {
-        self.misses.norm_squared()
-    }
-}

@@ -6,6 +6,7 @@ use super::tiles::{Lookup, TILE};
 use crate::camera::Camera;
 use crate::geometry::GroundPoint;
 use crate::image::simd::ground::{Feather, LANES, Places, lay_eight};
+use crate::numerics::median;
 use std::ops::Range;
 
 /// Side of the blocks, in ground pixels, within which the way from the ground to the image is taken as bilinear. At a
@@ -51,7 +52,7 @@ impl Mosaic {
     /// The gain of each channel that brings the frame to the brightness of the ground already there: the median ratio in the
     /// middle of all blocks that have been seen before.
     fn gains<const N: usize>(&self, blocks: &Blocks) -> [f32; N] {
-        let mut ratios: [Vec<f32>; N] = std::array::from_fn(|_| vec![]);
+        let mut ratios: [Vec<f64>; N] = std::array::from_fn(|_| vec![]);
         for row in blocks.rows.clone() {
             for column in blocks.columns.clone() {
                 let [Some(a), Some(b), Some(c), Some(d)] = corners_of(&self.corners, blocks, column, row)
@@ -66,18 +67,14 @@ impl Mosaic {
                 for channel in 0..N {
                     let (old, new) = (f32::from(old[channel]), new[channel]);
                     if old.min(new) > 8.0 && old.max(new) < 247.0 {
-                        ratios[channel].push(old / new);
+                        ratios[channel].push(f64::from(old / new));
                     }
                 }
             }
         }
         ratios.map(|mut ratios| {
-            let middle = ratios.len() / 2;
-            if ratios.len() < 24 {
-                return 1.0;
-            }
-            let (_, median, _) = ratios.select_nth_unstable_by(middle, f32::total_cmp);
-            f64::from(*median).powf(GAIN_SHARE).clamp(0.5, 2.0) as f32
+            let usual = median(&mut ratios).filter(|_| ratios.len() >= 24);
+            usual.map_or(1.0, |ratio| ratio.powf(GAIN_SHARE).clamp(0.5, 2.0) as f32)
         })
     }
 

@@ -5,6 +5,7 @@ use super::{GroundFeature, MOST_FEATURES, PlacesConfig};
 use crate::detection::{Corner, DetectionConfig, detect};
 use crate::image::GrayImage;
 use crate::motion::Random;
+use crate::numerics::median;
 use std::sync::LazyLock;
 
 /// The comparisons reach this far around a corner, spots.
@@ -84,12 +85,8 @@ impl Smooth {
 
     /// The median of the sums without their signs, of every seventh, which is as good as of all.
     fn median(&self) -> f32 {
-        let mut sizes: Vec<u16> = self.sums.iter().step_by(7).map(|sum| sum.unsigned_abs()).collect();
-        let middle = sizes.len() / 2;
-        if sizes.is_empty() {
-            return 0.0;
-        }
-        f32::from(*sizes.select_nth_unstable(middle).1)
+        let mut sizes: Vec<f64> = self.sums.iter().step_by(7).map(|sum| sum.unsigned_abs().into()).collect();
+        median(&mut sizes).unwrap_or(0.0) as f32
     }
 
     fn feature(&self, view: &View, corner: &Corner) -> GroundFeature {

@@ -11,6 +11,7 @@ use crate::camera::Camera;
 use crate::error::Result;
 use crate::geometry::Pixel;
 use crate::mapping::{KeyframeImage, KeyframeImages};
+use crate::numerics::median;
 use std::collections::BTreeMap;
 
 /// Cells of a keyframe's thumbnail, columns and rows.
@@ -91,7 +92,7 @@ impl Gains {
                     (&keyframes[one], &keyframes[other]),
                     (&thumbnails[one], &thumbnails[other]),
                 );
-                Some(Overlap { one, other, log_ratio: median(&shared)? })
+                Some(Overlap { one, other, log_ratio: log_exposure(&shared)? })
             })
             .collect();
         let logs: [Vec<f64>; 3] = std::array::from_fn(|channel| solve(keyframes.len(), &overlaps, channel));
@@ -229,14 +230,12 @@ fn shared(
 }
 
 /// The median logarithm of each channel's ratio; `None` where too little is shared.
-fn median(shared: &[Shared]) -> Option<[f64; 3]> {
-    (shared.len() >= LEAST_CELLS).then(|| {
-        [0, 1, 2].map(|channel| {
-            let mut ratios: Vec<f64> = shared.iter().map(|spot| spot.log_ratio[channel]).collect();
-            let middle = ratios.len() / 2;
-            *ratios.select_nth_unstable_by(middle, f64::total_cmp).1
-        })
-    })
+fn log_exposure(shared: &[Shared]) -> Option<[f64; 3]> {
+    let of_channel = |channel: usize| {
+        let mut ratios: Vec<f64> = shared.iter().map(|spot| spot.log_ratio[channel]).collect();
+        median(&mut ratios).filter(|_| ratios.len() >= LEAST_CELLS)
+    };
+    Some([of_channel(0)?, of_channel(1)?, of_channel(2)?])
 }
 
 /// How much darker the lens is in the corners, as a logarithm: the slope of the ratio of brightness over the difference of the squared distances from the
@@ -252,7 +251,7 @@ fn log_at_corner(
     for &(one, other) in pairs {
         let spots =
             shared(camera, (&keyframes[one], &keyframes[other]), (&thumbnails[one], &thumbnails[other]));
-        let Some(exposure) = median(&spots) else { continue };
+        let Some(exposure) = log_exposure(&spots) else { continue };
         let apart = |spot: &Shared| {
             f64::from(
                 lens.square(spot.pixels[0][0], spot.pixels[0][1])

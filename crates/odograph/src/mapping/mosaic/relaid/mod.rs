@@ -16,6 +16,7 @@ use crate::camera::Camera;
 use crate::error::Result;
 use crate::geometry::GroundPose;
 use crate::mapping::{GroundMap, KeyframeId, KeyframeImages};
+use crate::numerics::median;
 use exposure::Gains;
 use images::Images;
 use patch::Patch;
@@ -151,8 +152,7 @@ impl MapMosaic {
 /// The resolution asked for, or that of the median keyframe, within bounds.
 fn resolution_m(keyframes: &[Laid], asked: Option<f64>) -> Option<f64> {
     let mut samples: Vec<f64> = keyframes.iter().map(|laid| laid.sample_m).collect();
-    samples.sort_by(f64::total_cmp);
-    let median = *samples.get(samples.len() / 2)?;
+    let median = median(&mut samples)?;
     let asked = asked.filter(|asked| asked.is_finite() && *asked > 0.0);
     let mut resolution_m = asked.map_or(median, |asked| asked.max(0.25 * median));
     let farthest =
