@@ -1,8 +1,9 @@
 //! The movement map as a drawing: the path over the ground in metres, as SVG text.
 //!
-//! World x runs to the right and world y up, at the same scale, as any graph of the trajectory file shows them. Only what was
-//! measured is a solid line; where the camera was lost, a thin dashed line joins the ends and says no more than that.
-//! The drawing is made for a light background; every part also has a class, so that a page around it can recolour it.
+//! World x runs to the right and world y up, at the same scale, as any graph of the trajectory file
+//! shows them. Only what was measured is a solid line; where the camera was lost, a thin dashed
+//! line joins the ends and says no more than that. The drawing is made for a light background;
+//! every part also has a class, so that a page around it can recolour it.
 
 mod markers;
 mod path;
@@ -36,7 +37,8 @@ pub struct MapDrawing<'a> {
     pub width: f64,
     /// A picture of the ground under the path.
     pub backdrop: Option<Backdrop<'a>>,
-    /// Places that were recognised: each the two positions of the camera from which the same ground was seen.
+    /// Places that were recognised: each the two positions of the camera from which the same ground
+    /// was seen.
     pub loops: &'a [[GroundPoint; 2]],
 }
 
@@ -64,8 +66,8 @@ impl Default for MapDrawing<'_> {
 impl MapDrawing<'_> {
     /// The drawing as a whole SVG document. The same input gives the same text.
     ///
-    /// Any number of frames makes a drawing, none too: polylines are thinned to what the eye can tell apart. Poses that are not
-    /// finite count as lost.
+    /// Any number of frames makes a drawing, none too: polylines are thinned to what the eye can
+    /// tell apart. Poses that are not finite count as lost.
     pub fn svg(&self, frames: &[FrameSummary]) -> String {
         let path = Path::new(frames);
         let backdrop = self.backdrop.filter(|b| b.is_drawable());
@@ -111,7 +113,8 @@ impl MapDrawing<'_> {
         )
     }
 
-    /// Title and figures over the drawing, as many lines as they need; returns where the drawn ground begins.
+    /// Title and figures over the drawing, as many lines as they need; returns where the drawn
+    /// ground begins.
     fn heading(&self, frames: &[FrameSummary], path: &Path<'_>, page_width: f64, body: &mut String) -> f64 {
         if self.title.trim().is_empty() {
             return 20.0;
@@ -177,8 +180,9 @@ impl Backdrop<'_> {
     }
 }
 
-/// The colour of a moment from 0, the start, to 1, the end, as red, green and blue: from blue over violet to orange, all
-/// of middling lightness so that they stand out on white, on black and on a picture.
+/// The colour of a moment from 0, the start, to 1, the end, as red, green and blue: from blue over
+/// violet to orange, all of middling lightness so that they stand out on white, on black and on a
+/// picture.
 fn time_colour(moment: f64) -> (u8, u8, u8) {
     const STOPS: [(f64, f64, f64); 5] = [
         (37.0, 99.0, 235.0),
@@ -200,7 +204,8 @@ fn hex((red, green, blue): (u8, u8, u8)) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 
-/// The measured stretches: a pale casing that lifts them off the ground, then the line in the colours of time.
+/// The measured stretches: a pale casing that lifts them off the ground, then the line in the
+/// colours of time.
 fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
     let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let _ = writeln!(body, "<g fill=\"none\" stroke-linejoin=\"round\" stroke-linecap=\"round\">");
@@ -227,8 +232,8 @@ fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
     let _ = writeln!(body, "</g>");
 }
 
-/// Dashed lines between stretches: nobody knows the way the camera took there. Returns where the measurement broke off and
-/// where it began again.
+/// Dashed lines between stretches: nobody knows the way the camera took there. Returns where the
+/// measurement broke off and where it began again.
 fn gaps(path: &Path<'_>, window: &Window, body: &mut String) -> Vec<(f64, f64)> {
     let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let mut breaks = vec![];

@@ -1,7 +1,8 @@
-//! Subsystem 7: the movement map in metres: the drawn path and the mosaic of the ground.
+//! Subsystem 7: the map in metres, as a drawn path and a mosaic of the ground.
 //!
-//! Both pictures stand the same way: **world x to the right, world y up**, as any graph of the trajectory file shows it. So
-//! the mosaic lies under the drawn path without turning, and its world file has no rotation terms, which every GIS reads.
+//! Both have the same axes: **world x to the right, world y up**, as any plot of the trajectory
+//! file. So the mosaic aligns with the drawn path, and its world file has no rotation terms, which
+//! every GIS reads.
 
 pub mod placement;
 pub mod drawing;

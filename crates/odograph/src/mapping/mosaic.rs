@@ -1,9 +1,10 @@
-//! The mosaic: frames laid on the ground along the path, one picture of the floor.
+//! The mosaic: frames orthorectified and blended into one picture of the ground.
 //!
-//! Frames arrive one by one and none is kept. The ground is stored as square tiles where it was seen, so that a long thin path
-//! costs its own area, not that of the rectangle around it; when the area outgrows its bound, the whole mosaic is made half as
-//! fine, as often as needed. Overlapping frames are averaged with weights that favour the middle of the image and the
-//! steeper view (feathering), after each frame's brightness has been fitted to the ground that is already there.
+//! Frames arrive one by one and none is kept. The ground is stored as square tiles, only where it
+//! was seen, so that a long thin path costs its own area and not that of its bounding box; when the
+//! area exceeds its limit, the resolution of the whole mosaic is halved, as often as needed.
+//! Overlapping frames are averaged with weights that favour the middle of the image and the steeper
+//! view (feathering), after gain compensation of each frame.
 
 mod coverage;
 mod footprint;
@@ -25,17 +26,19 @@ use std::borrow::Cow;
 use std::ops::Range;
 use tiles::{TILE, Tiles};
 
-/// Share of the footprint that must be new, or seen at least twice as well as before, for a frame to be wanted.
+/// Minimum share of the footprint that is new, or seen at least twice as well as before, for a
+/// frame to be used.
 const WANTED_NEW: f64 = 0.08;
 const WANTED_BETTER: f64 = 0.40;
 /// Ground pixels farther than this from the origin are not addressed.
 const FARTHEST_PIXEL: f64 = 1e12;
 
-/// How fine and how large a mosaic becomes.
+/// Resolution and size of a mosaic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MosaicOptions {
-    /// Side of a ground pixel, metres; by default what a pixel in the middle of the first frame sees. Never finer than a
-    /// quarter of that, and made coarser by halves when the mosaic outgrows `max_pixels`.
+    /// Side of a ground pixel, metres; by default what a pixel in the middle of the first frame
+    /// sees. Never finer than a quarter of that, and made coarser by halves when the mosaic
+    /// outgrows `max_pixels`.
     pub ground_resolution_m: Option<f64>,
     /// Bound on the stored ground pixels (4 bytes each) and on the pixels of the picture.
     pub max_pixels: usize,
@@ -47,7 +50,7 @@ impl Default for MosaicOptions {
     }
 }
 
-/// An image that can be laid on the ground.
+/// An image that a mosaic accepts.
 #[derive(Debug, Clone, Copy)]
 pub enum MosaicSource<'a> {
     /// Luminance.
@@ -75,26 +78,27 @@ pub struct MosaicPicture {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Red, green, blue and opacity of each pixel in row order. Opacity is 255 where the ground was seen; elsewhere the pixel is
-    /// white with opacity 0, so that programs that ignore opacity show paper, not a hole.
+    /// Red, green, blue and opacity of each pixel in row order. Opacity is 255 where the ground was
+    /// seen; elsewhere the pixel is white with opacity 0, so that programs that ignore opacity show
+    /// paper, not a hole.
     pub rgba: Vec<u8>,
-    /// Where it lies.
+    /// Its georeference.
     pub placement: Placement,
 }
 
-/// A picture of the ground, world x to the right and world y up, as bands of rows from top to bottom: red, green, blue and opacity of each pixel in
-/// row order, as in [`MosaicPicture::rgba`].
+/// A picture of the ground, world x to the right and world y up, as bands of rows from top to
+/// bottom: red, green, blue and opacity of each pixel in row order, as in [`MosaicPicture::rgba`].
 #[derive(Debug)]
 pub struct MosaicBands<'a> {
     /// Columns.
     pub width: usize,
     /// Rows of all bands.
     pub height: usize,
-    /// Where it lies.
+    /// Its georeference.
     pub placement: Placement,
     tiles: Cow<'a, Tiles>,
     columns: Range<i64>,
-    /// What is left.
+    /// The remaining rows.
     rows: Range<i64>,
 }
 
@@ -112,8 +116,8 @@ impl Iterator for MosaicBands<'_> {
     }
 }
 
-/// A square of the stored ground, [`Mosaic::TILE_SIDE_PX`] pixels a side: column and row count from the world's origin, columns along x and
-/// rows against y.
+/// A square of the stored ground, [`Mosaic::TILE_SIDE_PX`] pixels a side: column and row count from
+/// the world's origin, columns along x and rows against y.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MosaicSquare {
     /// Along x: its left border is at `column · side · resolution`.
@@ -155,7 +159,8 @@ impl Mosaic {
     /// Side of a [`MosaicSquare`], ground pixels.
     pub const TILE_SIDE_PX: usize = TILE as usize;
 
-    /// The same ground with ground pixels twice as wide, each the mean of the up to four that were seen.
+    /// The same ground with ground pixels twice as wide, each the mean of the up to four that were
+    /// seen.
     pub fn coarser(&self) -> Self {
         let mut coarser = Self::new(self.options);
         coarser.resolution_m = self.resolution_m.map(|resolution_m| 2.0 * resolution_m);
@@ -163,17 +168,18 @@ impl Mosaic {
         coarser
     }
 
-    /// Grows with everything that is laid; for [`Mosaic::changed_since`].
+    /// A counter that grows with every change; for [`Mosaic::changed_since`].
     pub fn revision(&self) -> u64 {
         self.tiles.revision()
     }
 
-    /// The tiles that were laid on after a revision. All of them after the resolution has changed.
+    /// The tiles changed after a revision; all of them after a change of resolution.
     pub fn changed_since(&self, revision: u64) -> impl Iterator<Item = MosaicSquare> {
         self.tiles.changed_since(revision).map(|(row, column)| MosaicSquare { column, row })
     }
 
-    /// Red, green, blue and opacity of a tile's pixels in row order, as [`MosaicPicture::rgba`]; `None` where nothing was seen.
+    /// Red, green, blue and opacity of a tile's pixels in row order, as [`MosaicPicture::rgba`];
+    /// `None` where nothing was seen.
     pub fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         self.tiles.contains(tile.row, tile.column).then(|| {
             let (left, top) = (tile.column * TILE, tile.row * TILE);
@@ -181,9 +187,9 @@ impl Mosaic {
         })
     }
 
-    /// Whether a frame from this pose would show enough that is new, or shown better than so far. Cheap (some hundred
-    /// points are looked up); ask it for every frame and lay those it wants, and the last frame of each stretch besides: what
-    /// came between it and the last one wanted is seen by no other.
+    /// Whether a frame from this pose would show enough new ground, or show it better. Cheap (some
+    /// hundred points are looked up); ask it for every frame and add those it wants, and the last
+    /// frame of each stretch: no other shows the ground between it and the last one wanted.
     pub fn wants(&mut self, camera: &Camera, pose: &GroundPose) -> bool {
         let footprint = Footprint::of(&mut self.footprint, camera);
         let Some(view) = View::new(camera, pose) else {
@@ -208,12 +214,12 @@ impl Mosaic {
         share(new) > WANTED_NEW || share(new + better) > WANTED_BETTER
     }
 
-    /// Lays a frame on the ground. Returns whether any of it could be laid: not where the size is not the camera's, where the
-    /// pose is not finite, or where the camera hardly looks at the ground.
+    /// Adds a frame. Returns whether any of it was used: not if the size is not the camera's, the
+    /// pose is not finite, or the camera hardly looks at the ground.
     ///
-    /// Frames of one mosaic are all gray or all in colour; a gray frame takes the colour from the ground it is laid on. Only the
-    /// part of the image is used where a metre of ground has at least a quarter of the pixels that it has in the
-    /// middle.
+    /// Frames of one mosaic are all gray or all in colour; a gray frame takes the colour of the
+    /// ground below it. Only the part of the image is used where a metre of ground has at least a
+    /// quarter of the pixels that it has in the middle.
     pub fn add<'a>(
         &mut self,
         image: impl Into<MosaicSource<'a>>,
@@ -233,7 +239,8 @@ impl Mosaic {
             let wished = self.options.ground_resolution_m.filter(|r| r.is_finite() && *r > 0.0);
             wished.map_or(sample_m, |wished| wished.max(0.25 * sample_m))
         });
-        // A camera that has climbed sees less detail: storing it finer than twice what it sees would be waste.
+        // A camera that has climbed sees less detail: a resolution finer than twice its own would
+        // be waste.
         let mut halvings = 0;
         while sample_m > 2.0 * resolution_m {
             resolution_m *= 2.0;
@@ -265,8 +272,8 @@ impl Mosaic {
         laid
     }
 
-    /// The whole picture, as fine as it is stored; coarser by halves where its rectangle would have more than
-    /// [`MosaicOptions::max_pixels`]. `None` while nothing has been laid.
+    /// The whole picture at the stored resolution; coarser by halves if its bounding box would have
+    /// more than [`MosaicOptions::max_pixels`]. `None` for an empty mosaic.
     pub fn picture(&self) -> Option<MosaicPicture> {
         self.picture_within(usize::MAX)
     }
@@ -280,7 +287,8 @@ impl Mosaic {
         Some(MosaicPicture { width, height, rgba, placement })
     }
 
-    /// The picture of [`Mosaic::picture_within`] from top to bottom, a band of rows at a time: for writing it without having it in memory.
+    /// The picture of [`Mosaic::picture_within`] from top to bottom, a band of rows at a time: for
+    /// writing it without having it in memory.
     pub fn bands(&self, max_side_px: usize) -> Option<MosaicBands<'_>> {
         let mut resolution_m = self.resolution_m?;
         let mut tiles = Cow::Borrowed(&self.tiles);

@@ -1,8 +1,9 @@
-//! Where a picture of the ground lies in the world.
+//! Georeference of a picture of the ground.
 
 use crate::geometry::GroundPoint;
 
-/// Where a north-up picture lies on the ground: columns run along world x, rows against world y, pixels are square.
+/// Georeference of a north-up picture: columns run along world x, rows against world y, pixels are
+/// square.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
     /// Side of a pixel on the ground, metres.
@@ -24,8 +25,9 @@ impl Placement {
         ((point.x_m - self.x_m) / self.metres_per_pixel, (self.y_m - point.y_m) / self.metres_per_pixel)
     }
 
-    /// The six lines of a world file (`.pgw` beside a `.png`): A, D, B, E, C, F of
-    /// `x = A column + B row + C`, `y = D column + E row + F`, (C, F) the centre of the top-left pixel (ESRI's definition).
+    /// The six lines of a world file (`.pgw` beside a `.png`): A, D, B, E, C, F of `x = A column +
+    /// B row + C`, `y = D column + E row + F`, (C, F) the centre of the top-left pixel (ESRI's
+    /// definition).
     pub fn world_file(&self) -> String {
         let Self { metres_per_pixel: side, x_m, y_m } = self;
         format!("{side:?}\n0.0\n0.0\n{:?}\n{x_m:?}\n{y_m:?}\n", -side)

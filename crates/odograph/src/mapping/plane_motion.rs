@@ -1,19 +1,21 @@
-//! How one pose over the plane lies to another: the motions of Sim(2) that tie keyframes.
+//! Relative motions of poses over the plane, as edges of the pose graph hold them.
 
 use crate::geometry::pose_index::{HEADING, LN_SCALE, X, Y};
 use crate::geometry::{GroundPoint, GroundPose, PlaneTransform, Sim2, propagated, wrap_angle};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 
-/// Where `to` is as `from` sees it: (x, y) in metres in the frame of `from`, heading, and the logarithm of the ratio of heights, as
-/// [`super::MapEdge::motion`] has them.
+/// The pose of `to` in the frame of `from`: (x, y) in metres, heading wrapped, and the logarithm of
+/// the ratio of heights, as in [`super::MapEdge::motion`].
 pub fn seen_from(from: &GroundPose, to: &GroundPose) -> Vector4<f64> {
     let seen = from.se2().between(&to.se2());
     Vector4::new(seen.x_m, seen.y_m, wrap_angle(seen.heading_rad), (to.height_m / from.height_m).ln())
 }
 
-/// The pose that `from` sees at `motion`: the inverse of [`seen_from`]. Roll and pitch are those of `from`.
+/// The pose at `motion` from `from`: the inverse of [`seen_from`]. Roll and pitch are those of
+/// `from`.
 ///
-/// `scale` is how many of `from`'s present metres one metre of the motion is: its height now over its height when the motion was measured.
+/// `scale` is the length now of a metre of the motion: the height of `from` now over its height
+/// when the motion was measured.
 pub fn laid_from(from: &GroundPose, motion: &Vector4<f64>, scale: f64) -> GroundPose {
     let world_from_measured = Sim2 { scale, ..Sim2::rigid(&from.se2()) };
     let GroundPoint { x_m, y_m } = world_from_measured.apply(GroundPoint::new(motion[X], motion[Y]));
@@ -26,24 +28,25 @@ pub fn laid_from(from: &GroundPose, motion: &Vector4<f64>, scale: f64) -> Ground
     }
 }
 
-/// Covariance of a motion measured by `from` from that of the pose of `to` in the world, (x, y, heading, height, roll, pitch).
+/// Covariance of a motion from the covariance of `to` in the world, (x, y, heading, height, roll,
+/// pitch).
 pub fn motion_covariance(from: &GroundPose, to: &GroundPose, covariance: &Matrix6<f64>) -> Matrix4<f64> {
     let mut by_to = Sim2::rigid(&from.se2()).between_by_to();
     by_to[(LN_SCALE, LN_SCALE)] = 1.0 / to.height_m;
     propagated(&by_to, &covariance.fixed_view::<4, 4>(0, 0).into_owned())
 }
 
-/// The similarity from the metres of the keyframe that is seen to those of the one that sees, of a
-/// motion measured at their heights `measured_m`, of `from` and of `to`. A motion holds the ratio of
-/// true heights; where both were measured at their true heights both have the same metres.
+/// A motion as a transform from the metres of `to` to those of `from`, which were measured at the
+/// heights `measured_m` of `from` and of `to`. The motion has the ratio of true heights; if both
+/// were measured at their true heights, their metres are equal and the scale is 1.
 pub fn similarity(motion: &Vector4<f64>, measured_m: [f64; 2]) -> Sim2 {
     let mut similarity = Sim2::from_vector(motion);
     similarity.scale *= measured_m[0] / measured_m[1];
     similarity
 }
 
-/// The motion at which `to` sees `from`, where `from` sees `to` at `motion`; both were measured at
-/// the heights `measured_m`.
+/// The inverse motion, of `from` in the frame of `to`; both measured at the heights `measured_m` of
+/// `from` and of `to`.
 pub fn inverse(motion: &Vector4<f64>, measured_m: [f64; 2]) -> Vector4<f64> {
     let inverse = similarity(motion, measured_m).inverse();
     Vector4::new(inverse.x_m, inverse.y_m, inverse.heading_rad, -motion[LN_SCALE])
@@ -76,7 +79,8 @@ mod tests {
 
         #[test]
         fn the_inverse_of_a_motion_is_how_the_other_sees_it(from in poses(), to in poses(), drift in 0.5..2.0) {
-            // Odometry that has drifted holds `to` for higher than it is, and its metres are longer by as much.
+            // Odometry that has drifted holds `to` for higher than it is, and its metres are longer
+            // by as much.
             let measured_m = [from.height_m, drift * to.height_m];
             let inverse = inverse(&seen_from(&from, &to), measured_m);
             let mut expected = seen_from(&to, &from);

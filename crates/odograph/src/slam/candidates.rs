@@ -1,4 +1,4 @@
-//! Which older keyframes a new one may show again, from where we think it is.
+//! Loop closure candidates from the predicted position.
 
 use super::SlamConfig;
 use crate::geometry::GroundPose;
@@ -9,43 +9,46 @@ use crate::mapping::plane_motion::position_sigma_m;
 use crate::odometry::matching::Matcher;
 use nalgebra::Vector4;
 
-/// An older keyframe that may be in view.
+/// An older keyframe that may overlap the new one.
 #[derive(Debug, Clone)]
 pub struct Candidate {
     pub id: KeyframeId,
     pub prior: Prior,
-    /// The part of the new keyframe that it would show, 0 to 1.
+    /// Expected overlap: the share of the new keyframe's view, 0 to 1.
     pub overlap: f64,
 }
 
-/// What is known about where an older keyframe is, before it is looked at.
+/// The predicted pose of an older keyframe.
 #[derive(Debug, Clone)]
 pub struct Prior {
     pub reached: Reached,
-    /// Standard deviation in the image, pixels: of the position, and of the heading over half an image.
+    /// Standard deviation in the image, pixels: of the position, and of the heading over half an
+    /// image.
     pub sigma_px: f64,
-    /// How the knowledge compares with what the camera sees at once.
+    /// How certain the prediction is, compared with the view.
     pub strength: Strength,
 }
 
-/// How well we know where a keyframe is.
+/// How certain a predicted pose is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Strength {
-    /// Within the reach of the fine tracker.
+    /// Within the convergence range of the tracker.
     Sure,
-    /// Within a part of an image: the whole pictures must be compared, but another place can be told from this one.
+    /// Within a part of the view: the whole images must be registered, but the place is
+    /// unambiguous.
     Doubtful,
-    /// A way across a gap, or so long that one place may be taken for another: one sighting is not enough.
+    /// Across a gap, or so uncertain that places may be confused: one match is not enough.
     Weak,
 }
 
-/// Up to so many pixels off (three standard deviations), the fine tracker needs no help.
+/// Convergence range of the tracker, pixels (three standard deviations).
 const SURE_PX: f64 = 8.0;
 
-/// Up to this part of what the camera sees (one standard deviation) a place is not taken for another.
+/// Maximum standard deviation of an unambiguous position, as a share of the view.
 const DOUBTFUL_VIEWS: f64 = 0.1;
 
-/// Where the way is this uncertain, as a part of what the camera sees, so are those that come after it: they are ordered by the heading's uncertainty, too.
+/// Search limit: standard deviation as a share of the view. Later ones are at least about as
+/// uncertain, since the search also orders by heading.
 const HOPELESS_VIEWS: f64 = 3.0;
 
 impl Prior {
@@ -65,8 +68,9 @@ impl Prior {
     }
 }
 
-/// The older keyframes that a new one probably shows and whose place is known well enough to look there, those that it shows most of first. `known` gives
-/// height, roll and pitch of a keyframe, `reach` begins at the new one.
+/// The older keyframes that probably overlap a new one and whose position is certain enough,
+/// largest overlap first. `known` gives height, roll and pitch of a keyframe; `reach` starts at the
+/// new one.
 pub fn candidates(
     graph: &PoseGraph,
     reach: &mut Reach<'_>,
@@ -79,7 +83,7 @@ pub fn candidates(
     let view_m = matcher.view_m(&pose);
     let reach_m = 1.5 * view_m + 2.0 * DOUBTFUL_VIEWS * view_m;
     let near = |other: &GroundPose| (other.x_m - here.x_m).hypot(other.y_m - here.y_m) < reach_m;
-    // Without anything near there is nothing to ask the graph for.
+    // With no keyframes nearby the graph is not searched.
     let mut left = graph.poses().filter(|(id, other)| *id != new && near(other)).count();
     let mut found = Vec::new();
     while left > 0 {
@@ -107,17 +111,17 @@ pub fn candidates(
             found.push(Candidate { id, prior, overlap });
         }
     }
-    // Of those that show about as much, the surest: sorting keeps their order.
+    // Equal overlaps stay ordered by certainty (stable sort).
     found.sort_by(|a, b| rank(b).total_cmp(&rank(a)));
     found
 }
 
-/// In steps of a tenth, so that a little more of a view does not outweigh being sure of it.
+/// Rounded to tenths, so that a slightly larger overlap does not outweigh certainty.
 fn rank(candidate: &Candidate) -> f64 {
     (10.0 * candidate.overlap).round()
 }
 
-/// The motion as near as it may be where it is off by `by_m`.
+/// The motion shortened by `by_m`, its possible error.
 fn shortened(motion: &Vector4<f64>, by_m: f64) -> Vector4<f64> {
     let length_m = motion[X].hypot(motion[Y]);
     let left = if length_m > by_m { 1.0 - by_m / length_m } else { 0.0 };

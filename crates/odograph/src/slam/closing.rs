@@ -1,4 +1,4 @@
-//! Closing loops: a new keyframe compared with older ones, and what is believed of what is seen.
+//! Loop closing: compares a new keyframe with older ones and decides which matches to accept.
 
 use super::Mapper;
 use super::candidates::{self, Strength};
@@ -12,35 +12,37 @@ use crate::mapping::{KeyframeId, MapEdge};
 use crate::odometry::matching::{Pictured, Sought};
 use nalgebra::{Matrix4, Vector4};
 
-/// Two sightings speak for each other only when they are of different ground: so many views apart at least.
+/// Two matches confirm each other only on different ground: minimum distance, in widths of the
+/// view.
 const APART_VIEWS: f64 = 0.3;
 
-/// Sightings that found no second are forgotten beyond this number, the oldest first.
+/// Maximum number of unconfirmed matches; the oldest are dropped.
 const MOST_PENDING: usize = 16;
 
-/// Two keyframes are tied by at most so many loops. The noise of their own two images is in every one of them, so that more would add little; and who
-/// goes the same round all day has a graph that does not grow.
+/// Maximum number of loop edges between two keyframes. All contain the noise of the same two
+/// images, so more add little, and the graph must not grow on repeated rounds.
 const MOST_SIGHTINGS: usize = 4;
 
-/// Whether to try again what takes long: after every time in a row that it led to nothing, twice as many occasions are let go by.
+/// Exponential back-off for an expensive search: after every failure in a row twice as many
+/// opportunities are skipped.
 #[derive(Debug, Default)]
 pub(super) struct Patience {
     failures: u32,
     let_go_by: u32,
 }
 
-/// At most so many occasions are let go by, about: two to the power of this.
+/// Maximum number of doublings of the skipped opportunities.
 const MOST_DOUBLINGS: u32 = 5;
 
 impl Patience {
-    /// Whether this is an occasion to try.
+    /// Whether to search at this opportunity.
     fn is_worth_it(&mut self) -> bool {
         let rest = self.let_go_by.checked_sub(1);
         self.let_go_by = rest.unwrap_or(0);
         rest.is_none()
     }
 
-    /// What came of it.
+    /// Records whether the search succeeded.
     fn learn(&mut self, succeeded: bool) {
         self.failures = if succeeded { 0 } else { (self.failures + 1).min(MOST_DOUBLINGS) };
         self.let_go_by = (1 << self.failures) - 1;
@@ -48,14 +50,15 @@ impl Patience {
 }
 
 impl Mapper {
-    /// Compares a new keyframe with the older ones that it may show again: those that are near, and where that is not sure, those that look like it.
+    /// Compares a new keyframe with older ones: those nearby, and where the position is uncertain,
+    /// those of similar appearance.
     pub(super) fn close_loops(
         &mut self,
         new: KeyframeId,
         mut sought: Sought,
         images: &mut dyn KeyframeStore,
     ) -> Result<()> {
-        // Both that ask for them walk the same ways.
+        // Both searches use the same shortest paths.
         let Some(mut reach) = self.graph.reach(new) else { return Ok(()) };
         let near = {
             let compared = |id: KeyframeId| id == new || self.own_loops || !self.is_new(id);
@@ -97,7 +100,8 @@ impl Mapper {
                 None => {}
             }
         }
-        // The whole pictures compared take longest: only where place is nearly known and appearance did not tell.
+        // Registering whole images takes longest: only if the position is nearly known and
+        // appearance found nothing.
         let doubtful = near.iter().find(|candidate| candidate.prior.strength == Strength::Doubtful);
         if let Some(candidate) = doubtful.filter(|_| self.patience.is_worth_it())
             && let Some(mut pictured) = self.pictured(candidate.id, images)?
@@ -117,7 +121,8 @@ impl Mapper {
         Ok(Some(self.matcher.pictured(images.load(id)?.gray, &pose)))
     }
 
-    /// Accepts a sighting that alone is not enough together with one before that speaks for the same.
+    /// Accepts a match together with an earlier one that confirms it; otherwise keeps it as
+    /// pending.
     fn support(&mut self, closure: LoopClosure, images: &mut dyn KeyframeStore) -> Result<()> {
         if self.config.sightings < 2 {
             return self.accept(closure, images);
@@ -136,7 +141,8 @@ impl Mapper {
         Ok(())
     }
 
-    /// Whether two sightings of different ground say the same about the map: with the first in it, the second is where it should be.
+    /// Whether two matches on different ground are consistent: with the first in the graph, the
+    /// second is where it should be.
     fn agree(&self, first: &LoopClosure, second: &LoopClosure) -> bool {
         let (a, b) = (&first.edge, &second.edge);
         let [Some(here), Some(there)] = [a.from, b.from].map(|id| self.keyframe(id).map(|k| k.odometry_pose))
@@ -162,7 +168,7 @@ impl Mapper {
         closure::agrees(b, &(back * sighting * on), view_m)
     }
 
-    /// The heights at which two keyframes measure.
+    /// The heights (odometry frame) at which two keyframes measure.
     fn measured_m(&self, from: KeyframeId, to: KeyframeId) -> Option<[f64; 2]> {
         let height_m = |id| self.keyframe(id).map(|keyframe| keyframe.odometry_pose.height_m);
         Some([height_m(from)?, height_m(to)?])
@@ -172,7 +178,7 @@ impl Mapper {
         let edge = closure.edge;
         if let (Some(old), Some(measured_m)) = (self.graph.pose(edge.to), self.measured_m(edge.from, edge.to))
         {
-            // A part that nothing measured connects comes to where it is seen.
+            // A part of the map that is not connected yet is moved to where it was seen.
             let seen = laid_from(&old, &inverse(&edge.motion, measured_m), old.height_m / measured_m[1]);
             self.graph.bring(edge.from, &seen, edge.to);
         }
@@ -180,7 +186,7 @@ impl Mapper {
         self.add(edge, images)
     }
 
-    /// Ties two keyframes, unless they have been seen from each other often enough.
+    /// Adds an edge between two keyframes, unless they have enough already.
     pub(super) fn add(&mut self, edge: MapEdge, images: &mut dyn KeyframeStore) -> Result<()> {
         let often = self.graph.loops_between(edge.from, edge.to) >= MOST_SIGHTINGS;
         if often || !self.graph.tie(&edge) {

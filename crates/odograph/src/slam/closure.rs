@@ -1,7 +1,8 @@
-//! Whether an older keyframe is in view: looked at, and judged against what is known.
+//! Verification of loop closure candidates.
 //!
-//! A false loop bends the whole map, a missed one costs nothing that the next does not bring. So a sighting must be clear by itself (most of the
-//! corners in view, found forward and backward), must lie where the way through the graph allows it, and must be the only one that does.
+//! A false loop closure distorts the whole map; a missed one costs little. So a match must have a
+//! high inlier ratio (forward–backward checked), must be consistent with the graph, and must be the
+//! only one that is.
 
 use super::SlamConfig;
 use super::candidates::{Candidate, Prior, Strength};
@@ -13,38 +14,40 @@ use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
 use crate::odometry::matching::{Matcher, Pictured, Sighting, Sought};
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
-/// A place seen again.
+/// A loop closure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopClosure {
-    /// How the older keyframe lies to the newer.
+    /// The edge from the newer to the older keyframe.
     pub edge: MapEdge,
-    /// Corners of the newer one that were found in the older.
+    /// Corners of the newer keyframe matched in the older one.
     pub inliers: usize,
-    /// How large a part they are of those that should be in view, 0 to 1.
+    /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
     pub presence: f64,
-    /// How far off the older one was from where it was thought to be before this loop, metres.
+    /// Distance between the measured and the predicted position before this loop closure, metres.
     pub correction_m: f64,
 }
 
-/// Fewer corners than this show nothing.
+/// Minimum number of matched corners.
 const LEAST_INLIERS: usize = 40;
 
-/// Of a thousand true loops one misses its expected place by more (chi-square, three degrees of freedom).
+/// Gate of the normalised innovation squared: one in a thousand true loops exceeds it (chi-square,
+/// three degrees of freedom).
 pub const GATE: f64 = 16.3;
 
-/// Another place this much further out may still be the true one, where a pattern repeats.
+/// Gate for ambiguous matches on repetitive patterns.
 const RIVAL_GATE: f64 = 9.0 * GATE;
 
-/// What lens and tilt leave over: metres and radians, a third of a pixel at usual heights. No other place is so near.
+/// Unmodelled errors of lens and tilt, metres and radians: a third of a pixel at usual heights, far
+/// less than the distance of any other match.
 const UNMODELLED: f64 = 5e-4;
 
-/// A guess from the whole pictures is off by no more than this, pixels.
+/// Maximum error of a registration of whole images, pixels.
 const GUESS_OFF_PX: f64 = 8.0;
 
-/// A guess whose score is a smaller part of the best one's is no rival.
+/// A hypothesis with a smaller share of the best score is ignored.
 const RIVAL_SCORE: f64 = 0.6;
 
-/// Looks for a candidate. `None` where it is not in view, not where it may be, or not the only one that may be.
+/// Verifies a candidate. `None` if it is not in view, not consistent with its prior, or ambiguous.
 pub fn look(
     matcher: &Matcher,
     sought: &mut Sought,
@@ -71,7 +74,7 @@ fn is_clear(found: &Sighting, config: &SlamConfig) -> bool {
     found.inliers >= LEAST_INLIERS && found.presence >= config.least_presence
 }
 
-/// How far a sighting is from where it may be: its normalised square.
+/// Normalised innovation squared of a match.
 fn misses(sighting: &Sighting, prior: &Prior) -> f64 {
     squared(&sighting.motion, &(prior.reached.covariance + sighting.covariance), &prior.reached.motion)
 }
@@ -83,7 +86,8 @@ pub fn squared(motion: &Vector4<f64>, covariance: &Matrix4<f64>, expected: &Vect
     covariance.try_inverse().map_or(f64::INFINITY, |information| off.dot(&(information * off)))
 }
 
-/// The one sighting that a comparison of the whole pictures leads to; `None` where there is none, or another one as well.
+/// The unique match that registering the whole images leads to; `None` if there is none or it is
+/// ambiguous.
 fn only_one(
     matcher: &Matcher,
     sought: &mut Sought,
@@ -113,13 +117,14 @@ fn only_one(
     found.filter(|found| is_clear(found, config))
 }
 
-/// Whether two sightings are of different places: two centimetres at a height of a metre are more than any noise.
+/// Whether two matches are of different places: more than a centimetre, or 0.02 rad, apart.
 fn elsewhere(a: &Sighting, b: &Sighting) -> bool {
     let off = a.motion - b.motion;
     off[X].hypot(off[Y]) > 0.01 || wrap_angle(off[HEADING]).abs() > 0.02
 }
 
-/// Looks for a place that was recognised by what it looks like. `None` where the corners are not there, or it is not where it may be.
+/// Verifies a place recognised by its appearance. `None` if its corners are not matched, or it is
+/// not consistent with its prior.
 pub fn look_recognised(
     matcher: &Matcher,
     sought: &Sought,
@@ -133,7 +138,7 @@ pub fn look_recognised(
         return None;
     }
     let prior = recognised.prior.as_ref();
-    // What was extrapolated over a gap does not bind.
+    // An extrapolation across a gap is no constraint.
     if prior.is_some_and(|prior| !prior.reached.across_gap && misses(&found, prior) > GATE) {
         return None;
     }
@@ -151,11 +156,12 @@ fn closure(new: KeyframeId, old: KeyframeId, found: &Sighting, off: Vector4<f64>
     }
 }
 
-/// Whether an edge is where a way that is sure enough to tell one place from another has it.
+/// Whether an edge is consistent with a path between its keyframes that is certain enough to tell
+/// places apart.
 pub fn agrees(edge: &MapEdge, way: &WithCovariance<Sim2, 4>, view_m: f64) -> bool {
     position_sigma_m(&way.covariance) < AGREE_VIEWS * view_m
         && squared(&edge.motion, &(way.covariance + edge.covariance), &way.transform.to_vector()) < GATE
 }
 
-/// A way less sure than this part of a view cannot tell one place from another.
+/// Maximum standard deviation of such a path, as a share of the view.
 const AGREE_VIEWS: f64 = 0.1;

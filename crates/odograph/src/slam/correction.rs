@@ -1,7 +1,8 @@
-//! The frames in the map frame.
+//! Transforms frames into the map frame.
 //!
-//! A frame lies to its keyframe as odometry measured it, wherever the map has moved that keyframe. On the way from one keyframe to the next what
-//! the map says changes a little; that is shared out over the frames between, so that the path has no steps.
+//! A frame keeps its measured pose relative to its keyframe, wherever the map moves that. Between
+//! one keyframe and the next the correction changes a little; it is interpolated over the frames
+//! between, so the path has no steps.
 
 use super::Mapper;
 use crate::geometry::pose_index::{HEIGHT, X, Y};
@@ -11,7 +12,8 @@ use crate::odometry::FrameReference;
 use crate::trajectory::{FrameEstimate, PoseEstimate};
 use nalgebra::Matrix6;
 
-/// The frames in the map frame, from those in the odometry frame and what each was measured against. Without loops they are what they were.
+/// The frames in the map frame, from those in the odometry frame and the keyframes they were
+/// measured against. Unchanged without loop closures.
 pub fn map_frames(
     mapper: &Mapper,
     frames: &[FrameEstimate],
@@ -25,13 +27,14 @@ pub fn map_frames(
     frames.iter().map(|frame| straightening.next(frame.clone())).collect()
 }
 
-/// The stretches of a recording in which frames were measured against one keyframe, without a loss between them: what must be known of its end before a
-/// stretch is laid. For frames that are not in memory at once: they are gone through twice, here and in [`Straightening`].
+/// The frames of a recording grouped by the keyframe they were measured against, without losses
+/// between them. The end of a group must be known before its frames are corrected; for frames that
+/// are not in memory at once, this makes two passes: here and in [`Straightening`].
 #[derive(Debug, Default)]
 pub struct Stretches {
-    /// In order; frames that were measured against nothing are in none.
+    /// In order; frames without a reference are in none.
     stretches: Vec<Stretch>,
-    /// Whether the next frame may belong to the last of them.
+    /// Whether the next frame may belong to the last one.
     open: bool,
     frames: usize,
 }
@@ -41,12 +44,12 @@ struct Stretch {
     first: usize,
     count: usize,
     keyframe: KeyframeId,
-    /// Where the next keyframe takes over: that one, the last frame's pose against it, and as it was measured here.
+    /// The next keyframe, the last frame's pose measured against it, and its pose measured here.
     end: Option<(KeyframeId, GroundPose, GroundPose)>,
 }
 
 impl Stretches {
-    /// Takes the next frame, in the odometry frame, and what it was measured against.
+    /// Adds the next frame, in the odometry frame, and its reference.
     pub fn push(&mut self, frame: &FrameEstimate, reference: Option<&FrameReference>) {
         let index = self.frames;
         self.frames += 1;
@@ -65,24 +68,24 @@ impl Stretches {
         self.open = next.is_none();
     }
 
-    /// What lays the same frames where the map has them.
+    /// The second pass over the same frames.
     pub fn straightening<'a>(&'a self, mapper: &'a Mapper) -> Straightening<'a> {
         Straightening { mapper, rest: &self.stretches, index: 0, laid: None }
     }
 }
 
-/// Takes frames to the map, one after the other.
+/// Transforms frames into the map frame, one after the other.
 #[derive(Debug)]
 pub struct Straightening<'a> {
     mapper: &'a Mapper,
-    /// The stretches that the next frame is in, or is before.
+    /// The groups from the next frame on.
     rest: &'a [Stretch],
     index: usize,
-    /// How the first of them is laid; `None` where that was not asked yet.
+    /// The correction of the first of them; `None` until it is needed.
     laid: Option<Laid<'a>>,
 }
 
-/// How the frames of a stretch are laid.
+/// The correction of a group of frames.
 #[derive(Debug, Clone, Copy)]
 struct Laid<'a> {
     /// The keyframe; `None` where it is not in the map.
@@ -91,7 +94,7 @@ struct Laid<'a> {
 }
 
 impl<'a> Straightening<'a> {
-    /// The next frame, where the map has it.
+    /// The next frame in the map frame.
     pub fn next(&mut self, mut frame: FrameEstimate) -> FrameEstimate {
         let index = self.index;
         self.index += 1;
@@ -102,7 +105,7 @@ impl<'a> Straightening<'a> {
         };
         let laid = *self.laid.get_or_insert_with(|| Laid::new(self.mapper, stretch));
         if let (Some(known), Some(here)) = (&mut frame.estimate, laid.here) {
-            // The last of a stretch is where the next keyframe has it.
+            // The last frame of a group is where the next keyframe has it.
             let share = (index - stretch.first + 1) as f64 / stretch.count as f64;
             corrected(known, &here.map_from_odometry(), laid.end.as_ref().map(|end| (end, share)), here);
         }
@@ -116,7 +119,7 @@ impl<'a> Straightening<'a> {
 impl<'a> Laid<'a> {
     fn new(mapper: &'a Mapper, stretch: &Stretch) -> Self {
         let here = mapper.of_run(stretch.keyframe);
-        let end = here.zip(stretch.end).and_then(|(_, (next, in_next, measured))| {
+        let end = stretch.end.and_then(|(next, in_next, measured)| {
             let to = mapper.of_run(next)?.map_from_odometry().apply_to_pose(&in_next);
             Some(measured.similarity_to(&to))
         });
@@ -124,13 +127,13 @@ impl<'a> Laid<'a> {
     }
 }
 
-/// A pose as its own pixels have it.
+/// A pose as measured by its own pixels.
 pub(super) fn measured(known: &PoseEstimate) -> GroundPose {
     let plane = &known.measured;
     GroundPose { x_m: plane.x_m, y_m: plane.y_m, heading_rad: plane.heading_rad, ..known.pose }
 }
 
-/// Corrects a frame: between what its own keyframe says and, with a share, the next one.
+/// Corrects a frame: interpolates between the corrections of its own and of the next keyframe.
 fn corrected(known: &mut PoseEstimate, begin: &Sim2, end: Option<(&Sim2, f64)>, keyframe: &MapKeyframe) {
     let blend = |pose: &GroundPose| {
         let here = begin.apply_to_pose(pose);
@@ -147,27 +150,27 @@ fn corrected(known: &mut PoseEstimate, begin: &Sim2, end: Option<(&Sim2, f64)>, 
     (known.measured.x_m, known.measured.y_m) = (plane.x_m, plane.y_m);
     known.measured.heading_rad = plane.heading_rad;
     known.measured.covariance = own;
-    known.covariance = carried(keyframe, &pose, &known.covariance);
+    known.covariance = propagated_from(keyframe, &pose, &known.covariance);
     let with_own = known.covariance.fixed_view::<3, 3>(0, 0) + own;
     known.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&with_own);
 }
 
-/// What the keyframe's own uncertainty does to a pose measured against it; of height and tilt, where the map does not know them better, what
-/// odometry knows.
-fn carried(keyframe: &MapKeyframe, pose: &GroundPose, odometry: &Matrix6<f64>) -> Matrix6<f64> {
+/// Propagates the keyframe's covariance to a pose measured against it. Height and tilt keep
+/// odometry's variances.
+fn propagated_from(keyframe: &MapKeyframe, pose: &GroundPose, odometry: &Matrix6<f64>) -> Matrix6<f64> {
     let from = &keyframe.pose;
     let mut by_keyframe = Matrix6::identity();
     let arm = Sim2::lever_arm(pose.x_m - from.x_m, pose.y_m - from.y_m);
     by_keyframe.fixed_view_mut::<4, 4>(0, 0).copy_from(&arm);
-    // By the height, not by its logarithm.
+    // Derivative by the height, not by its logarithm.
     by_keyframe[(X, HEIGHT)] /= from.height_m;
     by_keyframe[(Y, HEIGHT)] /= from.height_m;
-    let mut carried = propagated(&by_keyframe, &keyframe.covariance);
+    let mut covariance = propagated(&by_keyframe, &keyframe.covariance);
     // Without the keyframe's correlations, which do not belong to odometry's variances.
     for i in HEIGHT..6 {
-        carried.row_mut(i).fill(0.0);
-        carried.column_mut(i).fill(0.0);
-        carried[(i, i)] = odometry[(i, i)];
+        covariance.row_mut(i).fill(0.0);
+        covariance.column_mut(i).fill(0.0);
+        covariance[(i, i)] = odometry[(i, i)];
     }
-    carried
+    covariance
 }

@@ -1,4 +1,5 @@
-//! Other sensors in the map: the path that they have set right is what the loops then pull at.
+//! Sensor fusion in the map: the fused path replaces the odometry frame before the loops are
+//! optimised.
 
 use super::Mapper;
 use super::correction::measured;
@@ -11,9 +12,10 @@ use crate::trajectory::FrameEstimate;
 use std::collections::BTreeMap;
 
 impl Mapper {
-    /// Takes over the odometry frame as other sensors have set it right: `fused` are the frames `raw` thereafter. Keyframes move with the frames
-    /// measured against them, odometry and gap edges follow, and loops keep what was seen, in the new scale. The references are brought into the
-    /// new frame too. To be called once, before [`Mapper::finish`].
+    /// Replaces the odometry frame by the fused one: `fused` are the frames `raw` after sensor
+    /// fusion. Keyframes move with the frames measured against them; odometry and gap edges are
+    /// recomputed; loop edges keep what was measured, in the new scale. The references are
+    /// transformed too. To be called once, before [`Mapper::finish`].
     pub fn take_over(
         &mut self,
         raw: &[FrameEstimate],
@@ -28,7 +30,8 @@ impl Mapper {
             let moved = measured(from).similarity_to(&measured(to));
             moves.entry(reference.keyframe).or_insert(moved);
             if let Some((id, pose)) = &mut reference.next {
-                // A keyframe that this frame became lies with it; one that was taken up again where it always lay.
+                // A keyframe made from this frame moves with it; one that was revisited moves as
+                // before.
                 let by = *moves.entry(*id).or_insert(moved);
                 *pose = by.apply_to_pose(pose);
             }

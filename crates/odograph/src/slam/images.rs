@@ -1,19 +1,21 @@
-//! Where the map is kept as it grows.
+//! Storage of a growing map.
 
 use crate::error::{Error, Result};
 use crate::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
 use std::collections::BTreeMap;
 
-/// What a growing map is written into: in memory, or the map file.
+/// Storage of a growing map: in memory, or the map file.
 pub trait KeyframeStore: KeyframeImages + Send {
-    /// Keeps a keyframe with its image, and the edges that tie it to the ones before. Fails where it cannot be written.
+    /// Stores a keyframe with its image and its edges to earlier ones. Fails if they cannot be
+    /// written.
     fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()>;
 
-    /// Keeps an edge between keyframes that are kept already. Fails where it cannot be written.
+    /// Stores an edge between stored keyframes. Fails if it cannot be written.
     fn tie(&mut self, edge: &MapEdge) -> Result<()>;
 }
 
-/// Images in memory, as they are: a few hundred kilobytes each. The numbers of the map are with the [`super::Mapper`] anyway.
+/// Uncompressed images in memory, a few hundred kilobytes each. The numbers of the map are in the
+/// [`super::Mapper`].
 #[derive(Debug, Default)]
 pub struct MemoryImages {
     images: BTreeMap<KeyframeId, KeyframeImage>,

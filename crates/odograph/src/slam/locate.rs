@@ -1,4 +1,4 @@
-//! Where a single picture is in the map, without taking it in.
+//! Localization of a single image in a map, without changing the map.
 
 use super::Mapper;
 use super::closure;
@@ -10,26 +10,27 @@ use crate::mapping::plane_motion::{inverse, laid_from};
 use crate::mapping::{KeyframeId, KeyframeImages};
 use nalgebra::Matrix4;
 
-/// A picture found in the map.
+/// A localized image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Located {
-    /// Where the camera is, in the map frame; roll and pitch as they were given.
+    /// Pose of the camera in the map frame; roll and pitch as given.
     pub pose: GroundPose,
-    /// The keyframe that shows the same ground.
+    /// The keyframe that it was matched with.
     pub keyframe: KeyframeId,
-    /// Covariance of how the picture sees that keyframe: (x, y, heading, logarithm of the ratio of heights).
+    /// Covariance of the keyframe's pose in the image's frame: (x, y, heading, logarithm of the
+    /// ratio of heights).
     pub covariance: Matrix4<f64>,
-    /// Corners that were found again.
+    /// Number of matched corners.
     pub inliers: usize,
-    /// How large a part they are of those that should be in view, 0 to 1.
+    /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
     pub presence: f64,
 }
 
 impl Mapper {
-    /// Finds a picture of the map's camera in the map, anywhere and at any heading; of `leaning` only height, roll and pitch count. The map stays as it
-    /// is. `None` where no ground is recognised without doubt.
+    /// Localizes an image of the map's camera, at any position and heading; only height, roll and
+    /// pitch of `leaning` are used. `None` if no place is recognised unambiguously.
     ///
-    /// Fails where the picture has not the camera's size, and where a keyframe's image cannot be read.
+    /// Fails if the image size is not the camera's, or a keyframe's image cannot be loaded.
     pub fn locate(
         &self,
         image: GrayImage,
@@ -48,7 +49,7 @@ impl Mapper {
         }
         let sought = self.matcher.sought(image, leaning);
         let signature = sought.signature(camera, &self.places_config);
-        // A number that no keyframe has, and no way to any: nothing is known of where it is.
+        // No keyframe has this number: nothing connects the image to the map.
         let new = KeyframeId(u64::MAX);
         let here = (new, leaning);
         let found = recognise(

@@ -1,4 +1,4 @@
-//! The mapper: keyframes go in as they are made, loops are found, and the map is kept straight.
+//! The mapper inserts keyframes into the map, closes loops and optimises the pose graph.
 
 use super::SlamConfig;
 use super::closing::Patience;
@@ -18,7 +18,7 @@ use crate::odometry::{KeyframeEvent, NewKeyframe, OdometryConfig};
 use nalgebra::Matrix6;
 use std::collections::BTreeMap;
 
-/// Makes the map of keyframes. What comes out depends on what goes in alone.
+/// Builds the map of keyframes. The result depends only on the input.
 #[derive(Debug)]
 pub struct Mapper {
     pub(super) config: SlamConfig,
@@ -28,35 +28,37 @@ pub struct Mapper {
     pub(super) places: PlaceIndex,
     pub(super) places_config: PlacesConfig,
     pub(super) map: GroundMap,
-    /// Where in the map each keyframe is.
+    /// Index of each keyframe in the map.
     index: BTreeMap<KeyframeId, usize>,
     pub(super) closures: Vec<LoopClosure>,
-    /// Sightings for which one is not enough.
+    /// Matches that wait for a second one to confirm them.
     pub(super) pending: Vec<LoopClosure>,
-    /// With comparing whole pictures.
+    /// For registrations of whole images.
     pub(super) patience: Patience,
-    /// Loops since the last optimisation.
+    /// Loop closures since the last optimisation.
     pub(super) unsettled: usize,
-    /// The run that is being mapped, and what its keyframes' numbers begin with.
+    /// The session being mapped, and the number of its first keyframe.
     session: u32,
     first: u64,
-    /// Whether keyframes of the run are compared with each other: not where all that ties them is known.
+    /// Whether keyframes of the session are compared with each other; not while another map is
+    /// merged, whose edges are known.
     pub(super) own_loops: bool,
-    /// Whether there is no time to look for loops.
+    /// Whether loop closure is suspended to keep up with the camera.
     hurried: bool,
 }
 
-/// An optimisation while running takes at most so many steps: what is left, the next brings.
+/// Maximum number of steps of an optimisation while mapping; the next one continues it.
 const STEPS_ON_THE_WAY: usize = 2;
 
-/// At the end there is time.
+/// Maximum number of steps of the final optimisation.
 const STEPS_AT_THE_END: usize = 60;
 
-/// A loop that misses by more than this many variances is worth an optimisation at once.
+/// A loop closure with a squared residual above this (in variances) triggers an optimisation at
+/// once.
 const MISFIT: f64 = 9.0;
 
 impl Mapper {
-    /// A mapper without a map yet.
+    /// A mapper with an empty map.
     pub fn new(camera: &Camera, rig: Rig, odometry: &OdometryConfig, config: SlamConfig) -> Self {
         let heights = match odometry.motion.model {
             MotionModel::Similarity | MotionModel::Free => Heights::Free,
@@ -80,7 +82,7 @@ impl Mapper {
             pending: Vec::new(),
             patience: Patience::default(),
             unsettled: 0,
-            // A mean vector knows no heading, so nothing that it comes back to fits.
+            // A mean flow vector has no heading, so its loops cannot close.
             config: SlamConfig {
                 loops: config.loops && odometry.motion.model != MotionModel::Mean,
                 ..config
@@ -88,8 +90,10 @@ impl Mapper {
         }
     }
 
-    /// A mapper that continues a map, whose keyframes' images are where those of the new ones will be. The new session's keyframes are numbered
-    /// from `first`, and it is run number `session`; its poses are in the frame of the map as soon as it is recognised ([`Mapper::is_recognised`]).
+    /// A mapper that continues a map. The images of the old keyframes must be where the new ones
+    /// will be stored. The new session has the number `session`, its keyframes are numbered from
+    /// `first`, and its poses are in the frame of the map as soon as it is recognised
+    /// ([`Mapper::is_recognised`]).
     pub fn continuing(
         map: GroundMap,
         odometry: &OdometryConfig,
@@ -109,13 +113,13 @@ impl Mapper {
         mapper
     }
 
-    /// From now on keyframes are taken without looking whether they show ground that was seen before, until there is time again: for who must
-    /// keep up with a camera. What was not looked for is not made up for.
+    /// Suspends (`true`) or resumes (`false`) the search for loop closures, to keep up with a live
+    /// camera. Keyframes inserted meanwhile are not searched later.
     pub fn hurry(&mut self, hurried: bool) {
         self.hurried = hurried;
     }
 
-    /// Whether the session's keyframes are tied to the map that it continues; always where it continues none.
+    /// Whether the session is connected to the map that it continues; true if it continues none.
     pub fn is_recognised(&self) -> bool {
         let new = self.map.keyframes.iter().find(|keyframe| self.is_new(keyframe.id));
         match (self.map.keyframes.first(), new) {
@@ -124,7 +128,8 @@ impl Mapper {
         }
     }
 
-    /// Whether a keyframe of the session is tied to the map that it continues. Nothing is where none is continued.
+    /// Whether a keyframe of the session is connected to the map that it continues; false if it
+    /// continues none.
     pub fn is_tied_to_old(&self, keyframe: KeyframeId) -> bool {
         let Some(mut reach) = self.graph.reach(keyframe).filter(|_| self.is_new(keyframe)) else {
             return false;
@@ -133,14 +138,14 @@ impl Mapper {
         old.any(|old| reach.to(old.id).is_some())
     }
 
-    /// The run that is being mapped, from 0.
+    /// Number of the session being mapped, from 0.
     pub fn session(&self) -> u32 {
         self.session
     }
 
-    /// Takes what happened to a keyframe. Fails where an image cannot be kept or read.
+    /// Processes a keyframe event. Fails if an image cannot be stored or loaded.
     ///
-    /// `color` is the picture of a new keyframe's frame, where the source has colour and that frame is at hand.
+    /// `color` is the colour image of a new keyframe's frame, if available.
     pub fn take(
         &mut self,
         event: KeyframeEvent,
@@ -162,7 +167,7 @@ impl Mapper {
         Ok(())
     }
 
-    /// Takes a new keyframe of a session, with the edges to the keyframes of the map that are known to it.
+    /// Inserts a new keyframe of a session, with its known edges to keyframes of the map.
     pub(super) fn made(
         &mut self,
         new: NewKeyframe,
@@ -193,12 +198,12 @@ impl Mapper {
         self.config.loops && !self.hurried
     }
 
-    /// Whether a keyframe is of the run that is being mapped.
+    /// Whether a keyframe belongs to the session being mapped.
     pub(super) fn is_new(&self, id: KeyframeId) -> bool {
         id.0 >= self.first
     }
 
-    /// Ends the session: every pose is where all edges agree best, with its covariance.
+    /// Ends the session: optimises all poses and computes their covariances.
     pub fn finish(&mut self) {
         self.graph.doubt_mount();
         if !self.is_straightened() {
@@ -216,7 +221,7 @@ impl Mapper {
             let mut whole = Matrix6::zeros();
             let mut by_height = nalgebra::Matrix4::identity();
             by_height[(HEIGHT, HEIGHT)] = height_m;
-            whole.fixed_view_mut::<4, 4>(0, 0).copy_from(&propagated(&by_height, &covariance));
+            whole.fixed_view_mut::<4, 4>(0, 0).copy_from(&propagated(&by_height, covariance));
             if whole[(HEIGHT, HEIGHT)] == 0.0 {
                 whole[(HEIGHT, HEIGHT)] = height_variance; // held by the rig, or what odometry knows of it
             }
@@ -225,48 +230,50 @@ impl Mapper {
         }
     }
 
-    /// The map alone.
+    /// The map without the mapper.
     pub fn into_map(self) -> GroundMap {
         self.map
     }
 
-    /// The map as it is.
+    /// The current map.
     pub fn map(&self) -> &GroundMap {
         &self.map
     }
 
-    /// The loops that were closed, in order; those that odometry closed by itself are not among them.
+    /// The accepted loop closures in order, without those that odometry found by itself.
     pub fn closures(&self) -> &[LoopClosure] {
         &self.closures
     }
 
-    /// Whether loops have moved anything: without them the map frame is the odometry frame.
+    /// Whether there are loop closures: without them the map frame is the odometry frame.
     pub fn is_straightened(&self) -> bool {
         self.map.edges.iter().any(|edge| edge.kind == EdgeKind::Loop)
     }
 
-    /// The turn per metre ahead and to the left that the loops have shown the mount to make, radians.
+    /// The mount's rotation per metre forward and per metre to the left as estimated from the loop
+    /// closures, radians.
     pub fn turn_per_m(&self) -> (f64, f64) {
         self.graph.turn_per_m()
     }
 
-    /// Where a pose that was measured against a keyframe is in the map as known now; `None` where there is no such keyframe.
+    /// A pose measured against a keyframe, transformed into the map frame; `None` if there is no
+    /// such keyframe.
     pub fn in_map(&self, keyframe: KeyframeId, odometry: &GroundPose) -> Option<GroundPose> {
         Some(self.of_run(keyframe)?.map_from_odometry().apply_to_pose(odometry))
     }
 
-    /// A keyframe by its number in the run.
+    /// A keyframe by its number in the session.
     pub(super) fn of_run(&self, id: KeyframeId) -> Option<&MapKeyframe> {
         self.keyframe(KeyframeId(self.first + id.0))
     }
 
-    /// An edge between keyframes of the run, with their numbers in the map.
+    /// An edge between keyframes of the session, with their numbers in the map.
     pub(super) fn renumbered(&self, edge: MapEdge) -> MapEdge {
         let [from, to] = [edge.from, edge.to].map(|id| KeyframeId(self.first + id.0));
         MapEdge { from, to, ..edge }
     }
 
-    /// The graph anew from the map.
+    /// Rebuilds the graph from the map.
     pub(super) fn rebuild(&mut self) {
         self.graph = PoseGraph::new(self.heights, self.map.rig.first_pose().height_m);
         for keyframe in &self.map.keyframes {
@@ -281,7 +288,7 @@ impl Mapper {
         self.index.get(&id).map(|&at| &self.map.keyframes[at])
     }
 
-    /// Lays a new keyframe in the map, where the first that it is tied to has it.
+    /// Inserts a new keyframe at the pose that its first edge implies.
     fn insert(
         &mut self,
         new: &NewKeyframe,
@@ -315,7 +322,8 @@ impl Mapper {
         id
     }
 
-    /// Whether the loops since the last optimisation are worth one: where they show the path to be bent, and otherwise in proportion to the map.
+    /// Whether to optimise now: a loop closure shows the path to be wrong, or there are many new
+    /// ones for the size of the map.
     fn is_due(&self) -> bool {
         let last = self.map.edges.iter().rev().filter(|edge| edge.kind == EdgeKind::Loop);
         let bent = last.take(1).any(|edge| self.graph.misfit(edge).is_some_and(|misfit| misfit > MISFIT));
@@ -328,7 +336,7 @@ impl Mapper {
         }
     }
 
-    /// Brings the map about to where the loops since the last time want it, in a bounded time.
+    /// Approximately optimises the map after new loop closures, in bounded time.
     pub(super) fn relax(&mut self) {
         let last = self.map.edges.iter().rev().filter(|edge| edge.kind == EdgeKind::Loop);
         let loops: Vec<MapEdge> = last.take(self.unsettled).copied().collect();
@@ -336,10 +344,10 @@ impl Mapper {
         self.take_over_poses();
     }
 
-    /// Takes the poses of the graph over into the map.
+    /// Copies the poses of the graph into the map.
     fn take_over_poses(&mut self) {
         self.unsettled = 0;
-        // Both have the keyframes in the order in which they came.
+        // Both have the keyframes in order of insertion.
         for (keyframe, (id, pose)) in self.map.keyframes.iter_mut().zip(self.graph.poses()) {
             debug_assert_eq!(keyframe.id, id);
             keyframe.pose = pose;

@@ -1,4 +1,4 @@
-//! Maps that exist already: two that overlap joined, and one optimised anew.
+//! Operations on finished maps: merging two that overlap, and optimising one.
 
 use super::images::KeyframeStore;
 use super::{Mapper, SlamConfig};
@@ -7,21 +7,24 @@ use crate::mapping::{GroundMap, KeyframeId, KeyframeImages, MapEdge, MapKeyframe
 use crate::odometry::{NewKeyframe, OdometryConfig};
 use std::collections::BTreeSet;
 
-/// What became of a map that was joined to another.
+/// Result of merging a map into another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Merged {
-    /// How many keyframes were added.
+    /// Number of keyframes added.
     pub keyframes: usize,
-    /// How many loops tie the two. With none it is not known where one lies to the other.
+    /// Number of loop closures between the two maps; with 0 their relative pose is unknown.
     pub ties: usize,
 }
 
-/// Joins `other` to the map that `mapper` continues ([`Mapper::continuing`]). Its keyframes are laid as its own edges have them, and looked for in
-/// the map; as soon as two sightings agree, all of it moves to where they put it, and every further one pulls it straight. Numbers of the new keyframes go
-/// on from the map's; their sessions' numbers are kept and should be ones that the map has not. The mapper is finished thereafter.
+/// Merges `other` into the map that `mapper` continues ([`Mapper::continuing`]). Its keyframes are
+/// inserted at the poses of its own edges and searched for in the map; as soon as two matches
+/// agree, all of it moves to where they imply, and every further loop closure refines it. New
+/// keyframes are numbered after the map's; session numbers are kept and should not be in use in the
+/// map. This finishes the mapper.
 ///
-/// Fails where the cameras differ, and where an image cannot be read or kept. Where it fails, and where no loop ties the two, what was kept in `images` is of no
-/// use, and whoever called takes it away.
+/// Fails if the cameras differ, or an image cannot be loaded or stored. After an error, and if no
+/// loop closure connects the two, what was stored in `images` is useless and the caller must remove
+/// it.
 pub fn merge(
     mapper: &mut Mapper,
     images: &mut dyn KeyframeStore,
@@ -45,7 +48,7 @@ pub fn merge(
             frame: keyframe.frame,
             time_s: keyframe.time_s,
             segment: keyframe.segment,
-            // One frame of reference for all of its sessions: that of the other map.
+            // All its sessions share one frame of reference: that of the other map.
             pose: keyframe.pose,
             covariance: keyframe.covariance,
             tie: None,
@@ -60,13 +63,13 @@ pub fn merge(
     Ok(Merged { keyframes: other.keyframes.len(), ties: mapper.closures().len() })
 }
 
-/// Puts the keyframes of a map where all of its edges agree best, with their covariances.
+/// Optimises the poses of a map and computes their covariances.
 pub fn optimize(map: &GroundMap, odometry: &OdometryConfig) -> GroundMap {
     let without_signatures = GroundMap {
         keyframes: map
             .keyframes
             .iter()
-            // Nothing is looked up, so nothing has to be found.
+            // No places are looked up, so none must be indexed.
             .map(|keyframe| MapKeyframe { signature: Default::default(), ..keyframe.clone() })
             .collect(),
         ..map.clone()

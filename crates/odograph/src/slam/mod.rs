@@ -1,8 +1,10 @@
-//! The whole system: odometry, and a map that pulls its path straight where ground is seen again.
+//! Simultaneous localization and mapping: odometry, and a map whose loop closures correct its
+//! drift.
 //!
-//! There are two frames of reference (as in ROS's REP-105). In the **odometry frame** poses come at once and never jump, but drift. In the **map
-//! frame** every place has one pose, which changes when a loop shows where it really is. The map never feeds back into odometry: what odometry
-//! gives is the same with a map and without, and the mapping may run behind, on a thread of its own.
+//! There are two frames of reference (as in ROS's REP-105). In the **odometry frame** poses are
+//! available at once and never jump, but drift. In the **map frame** every place has one pose,
+//! which changes when a loop closure corrects it. The map never feeds back into odometry: odometry
+//! gives the same poses with and without a map, and mapping may run behind it in its own thread.
 
 mod candidates;
 mod closing;
@@ -30,22 +32,24 @@ use crate::odometry::{FrameReference, Odometry, OdometryConfig};
 use crate::trajectory::FrameEstimate;
 use serde::{Deserialize, Serialize};
 
-/// When a place counts as seen again.
+/// When a loop closure is accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SlamConfig {
-    /// Whether loops are looked for at all.
+    /// Whether to search for loop closures.
     pub loops: bool,
-    /// A keyframe is compared with at most so many older ones.
+    /// Maximum number of older keyframes that a new one is compared with.
     pub comparisons: usize,
-    /// Keyframes that fewer edges than this lie between know each other well enough.
+    /// Minimum number of edges between two keyframes for a loop closure: with fewer, odometry has
+    /// them well enough.
     pub least_edges: usize,
-    /// The part of a keyframe that must be in view of another.
+    /// Minimum overlap of two keyframes, as a share of the new one's view.
     pub least_overlap: f64,
-    /// The part of the corners in view that must be found again.
+    /// Minimum share of the corners in the overlap that must be matched.
     pub least_presence: f64,
-    /// So many sightings of different ground, one or two, must agree before parts of a map that nothing sure connects are tied. One is for
-    /// saying where a camera is; for a map that is kept, two.
+    /// Number of agreeing matches on different ground, 1 or 2, that joins parts of a map whose
+    /// relative pose is unknown or ambiguous. 1 is enough to localize a camera; a map that is kept
+    /// needs 2.
     pub sightings: usize,
 }
 
@@ -63,7 +67,8 @@ impl Default for SlamConfig {
 }
 
 impl SlamConfig {
-    /// The same parameters, when each lies where it makes sense. Fails, naming the parameter and its value, where one does not.
+    /// The same parameters if all are in range. Fails with the name and the value of one that is
+    /// not.
     pub fn validated(self) -> Result<Self> {
         for (name, share) in [("least_overlap", self.least_overlap), ("least_presence", self.least_presence)]
         {
@@ -90,15 +95,15 @@ impl SlamConfig {
 /// One frame in both frames of reference.
 #[derive(Debug, Clone)]
 pub struct SlamFrame {
-    /// As odometry has it.
+    /// In the odometry frame.
     pub odometry: FrameEstimate,
-    /// What it was measured against.
+    /// The keyframe it was measured against.
     pub reference: Option<FrameReference>,
-    /// Where it is in the map as known now; `None` where the frame was lost.
+    /// Its pose in the map frame as known now; `None` for a lost frame.
     pub map_pose: Option<GroundPose>,
 }
 
-/// Odometry with a map, one after the other on the same thread.
+/// Odometry and mapping, one after the other in the same thread.
 pub struct Slam {
     odometry: Odometry,
     mapper: Mapper,
@@ -106,7 +111,8 @@ pub struct Slam {
 }
 
 impl Slam {
-    /// A system for one recording, which keeps the images of its map in `images`. Fails where the rig or a parameter cannot be.
+    /// A system for one recording; `images` stores the keyframes' images. Fails for an invalid rig
+    /// or parameter.
     pub fn new(
         camera: Camera,
         rig: Rig,
@@ -120,8 +126,8 @@ impl Slam {
         Ok(Self { odometry, mapper, images })
     }
 
-    /// Takes the next frame. Fails where the image has not the size the camera is calibrated for, its time is not a number, or a keyframe's image
-    /// cannot be kept or read.
+    /// Processes the next frame. Fails if the image size is not the camera's, the time is not
+    /// finite, or a keyframe's image cannot be stored or loaded.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<SlamFrame> {
         let odometry = self.odometry.process(image, time_s)?;
         for event in self.odometry.take_keyframe_events() {
@@ -134,7 +140,7 @@ impl Slam {
         Ok(SlamFrame { odometry, reference, map_pose })
     }
 
-    /// Ends the recording: the whole graph is optimised. Gives the map, and the images.
+    /// Ends the recording and optimises the whole graph. Returns the map and the images.
     pub fn finish(mut self) -> (Mapper, Box<dyn KeyframeStore>) {
         self.mapper.finish();
         (self.mapper, self.images)

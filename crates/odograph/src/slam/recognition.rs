@@ -1,4 +1,4 @@
-//! Which older keyframes a new one shows, from what it looks like: where we are not sure where we are.
+//! Loop closure candidates by appearance, where the predicted position is uncertain.
 
 use super::candidates::{Prior, Strength};
 use super::closure::{self, GATE};
@@ -10,18 +10,18 @@ use crate::mapping::plane_motion::{inverse, laid_from};
 use crate::odometry::matching::Matcher;
 use nalgebra::Vector4;
 
-/// A place that looks like what the new keyframe shows.
+/// A recognised place.
 #[derive(Debug, Clone)]
 pub struct Recognised {
     pub id: KeyframeId,
-    /// The older keyframe as the new one sees it.
+    /// Pose of the older keyframe in the new one's frame.
     pub motion: Vector4<f64>,
-    /// What else is known of where it is; `None` where nothing connects the two.
+    /// Its predicted pose; `None` if nothing connects the two.
     pub prior: Option<Prior>,
 }
 
 impl Recognised {
-    /// Whether a single sighting of it may be believed.
+    /// Whether a single match is enough to accept it.
     pub fn stands_alone(&self) -> bool {
         self.prior.as_ref().is_some_and(|prior| prior.strength != Strength::Weak)
     }
@@ -30,14 +30,15 @@ impl Recognised {
 /// The scale of a [`PlaceHypothesis`] is that of its metres: nothing is to be added for heights.
 const SAME_METRES: [f64; 2] = [1.0; 2];
 
-/// So many places are looked up.
+/// Number of places looked up.
 const MOST_PLACES: usize = 4;
 
-/// A second place with this part of the best one's score leaves it open which of them it is.
+/// A second place with at least this share of the best score makes the result ambiguous.
 const RIVAL_SCORE: f64 = 0.6;
 
-/// The places that a new keyframe may show, best first: those that look like it, are not just behind it, and are where the graph allows them.
-/// Where two different places look alike and the graph does not decide, none. `reach` begins at the new keyframe; without it nothing connects it.
+/// The places that a new keyframe may show, best first: similar in appearance, not just behind it,
+/// and consistent with the graph. None if different places look alike and the graph does not
+/// decide. `reach` starts at the new keyframe; `None` if nothing connects it.
 pub fn recognise(
     places: &PlaceIndex,
     signature: &Signature,
@@ -57,7 +58,8 @@ pub fn recognise(
         }
         let motion = inverse(&hypothesis.motion, SAME_METRES);
         let prior = there.map(|one| Prior::new(one, matcher, new.1));
-        // What was extrapolated over a gap does not bind: the camera may have been carried anywhere meanwhile.
+        // An extrapolation across a gap is no constraint: the camera may have been moved anywhere
+        // meanwhile.
         let possible = prior.as_ref().filter(|prior| !prior.reached.across_gap).is_none_or(|prior| {
             closure::squared(&motion, &prior.reached.covariance, &prior.reached.motion) < 4.0 * GATE
         });
@@ -65,7 +67,7 @@ pub fn recognise(
             found.push((Recognised { id: hypothesis.keyframe, motion, prior }, hypothesis));
         }
     }
-    // Where the best would put the new keyframe, the others must too, or be far worse.
+    // All hypotheses must agree with the best on the new keyframe's pose, or score far less.
     let place = |(recognised, hypothesis): &(Recognised, &PlaceHypothesis)| {
         graph.pose(recognised.id).map(|pose| laid_from(&pose, &hypothesis.motion, 1.0))
     };

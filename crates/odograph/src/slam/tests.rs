@@ -69,7 +69,8 @@ impl World {
         image
     }
 
-    /// Drives over the poses; `None` is darkness. Odometry remembers no keyframes, so what is seen again is for the map to find.
+    /// Drives over the poses; `None` is darkness. Odometry remembers no keyframes, so what is seen
+    /// again is for the map to find.
     fn drive(&self, mapper: &mut Mapper, images: &mut MemoryImages, poses: &[Option<GroundPose>]) -> Driven {
         let mut odometry = Odometry::new(self.camera.clone(), Rig::level(HEIGHT_M), config()).unwrap();
         odometry.tell_keyframes();
@@ -113,7 +114,8 @@ fn along(from: (f64, f64), heading_rad: f64, count: usize) -> impl Iterator<Item
     (0..count).map(move |i| at(from.0 + 0.04 * i as f64 * cos, from.1 + 0.04 * i as f64 * sin, heading_rad))
 }
 
-/// How far the frames from one on are from the truth, millimetres: the most; infinite where there is none.
+/// How far the frames from one on are from the truth, millimetres: the most; infinite where there
+/// is none.
 fn worst_mm(frames: &[FrameEstimate], truth: &[Option<GroundPose>]) -> f64 {
     let off = frames.iter().zip(truth).filter_map(|(frame, truth)| {
         let (found, truth) = (frame.estimate.as_ref()?.pose, truth.as_ref()?);
@@ -149,7 +151,8 @@ fn ground_seen_again_after_darkness_ties_the_path_together() {
         worst_mm(&driven.straight[dark..], &poses[dark..]),
     );
     assert!(!mapper.closures().is_empty());
-    // A pixel is 3 mm; half a millimetre is what the worst frame of a picture of 320x240 may be off beside the loops' tenth of a pixel.
+    // A pixel is 3 mm; half a millimetre is what the worst frame of a picture of 320x240 may be off
+    // beside the loops' tenth of a pixel.
     assert!(
         before > 300.0 && after < 0.5,
         "{before} mm in the dark's wake, {after} mm after it is recognised"
@@ -180,7 +183,8 @@ fn a_second_drive_is_recognised_in_the_map_of_the_first() {
     let poses: Vec<_> = along((2.1, 0.15), -2.5, 40).collect();
     let driven = world.drive(&mut second, &mut images, &poses);
     assert!(second.is_recognised());
-    // A sixth of a pixel, at the worst frame of a drive that hangs on a few keyframes of a picture of 320x240.
+    // A sixth of a pixel, at the worst frame of a drive that hangs on a few keyframes of a picture
+    // of 320x240.
     let off_mm = worst_mm(&driven.straight, &poses);
     assert!(off_mm < 0.5, "{off_mm} mm");
     // What is seen again does not pull at a map that is right by more than it is off itself.
@@ -249,7 +253,8 @@ fn the_same_round_all_day_leaves_a_graph_that_does_not_grow_and_who_hurries_look
     assert_eq!(revisited(&mut mapper, &mut images, 5), revisited(&mut mapper, &mut images, 50));
 }
 
-/// Keyframes to and fro in four lanes, whose ties bend and stretch every step: what a poor picture and a worse mount do to a long drive, at once.
+/// Keyframes to and fro in four lanes, whose ties bend and stretch every step: what a poor picture
+/// and a worse mount do to a long drive, at once.
 fn bent_lanes() -> (Vec<GroundPose>, Vec<MapEdge>) {
     let place = |i: usize| {
         let (lane, along) = (i / 8, i % 8);

@@ -1,4 +1,5 @@
-//! What stands along the path: heading ticks, uncertainty, start and end, and the legend that explains them.
+//! What stands along the path: heading ticks, uncertainty, start and end, and the legend that
+//! explains them.
 
 use super::path::Path;
 use super::scale::{duration_text, length_text, round_step};
@@ -16,7 +17,8 @@ const LOST: &str = "#c2410c";
 const LOOP: &str = "#7c3aed";
 /// Radius of the ring around a place that was recognised.
 const RING: f64 = 5.0;
-/// The dart that points along a heading: how far its tip and its tail reach from the position, and half its width.
+/// The dart that points along a heading: how far its tip and its tail reach from the position, and
+/// half its width.
 const DART: (f64, f64, f64) = (10.0, 5.0, 4.8);
 /// Half axes smaller than this, in drawing units, would drown in the line of the path.
 const SEEN: f64 = 8.0;
@@ -62,7 +64,8 @@ pub(super) fn loops(loops: &[[GroundPoint; 2]], window: &Window, shown: &mut Sho
     }
 }
 
-/// Darts that point where the top of the image points, at regular distances and wherever the camera has turned by 45°.
+/// Darts that point where the top of the image points, at regular distances and wherever the camera
+/// has turned by 45°.
 pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
     let every_m = round_step(70.0 / window.scale, 1.0);
     let mut taken = BTreeSet::new();
@@ -80,7 +83,8 @@ pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body
             since_m = 0.0;
             heading = pose.heading_rad;
             let (x, y) = window.page(pose.x_m, pose.y_m);
-            // A camera that goes round and round would otherwise paint the same ticks over each other.
+            // A camera that goes round and round would otherwise paint the same ticks over each
+            // other.
             let octant = (wrap_angle(heading) / 0.4).round() as i64;
             if !taken.insert(((x / 8.0).round() as i64, (y / 8.0).round() as i64, octant)) {
                 continue;
@@ -107,8 +111,8 @@ fn dart(x: f64, y: f64, heading_rad: f64) -> String {
     format!("M{}L{}L{}L{}Z", at(tip, 0.0), at(-tail, half), at(-0.45 * tail, 0.0), at(-tail, -half))
 }
 
-/// Half axes of the 2-sigma ellipse of the position, metres, and the direction of the longer one, radians; `None` where the
-/// covariance is not one.
+/// Half axes of the 2-sigma ellipse of the position, metres, and the direction of the longer one,
+/// radians; `None` where the covariance is not one.
 fn two_sigma(at: &PlaceSummary) -> Option<(f64, f64, f64)> {
     let [xx, xy, yy] = at.position_covariance;
     let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
@@ -117,10 +121,12 @@ fn two_sigma(at: &PlaceSummary) -> Option<(f64, f64, f64)> {
         .then(|| (2.0 * long.sqrt(), 2.0 * short.sqrt(), 0.5 * (2.0 * xy).atan2(xx - yy)))
 }
 
-/// The 2-sigma ellipses of the position, where they are large enough to be seen and do not pile up; always that of the end.
+/// The 2-sigma ellipses of the position, where they are large enough to be seen and do not pile up;
+/// always that of the end.
 pub(super) fn ellipses(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
     let mut drawn: Vec<String> = vec![];
-    // Centres, and how far from them the next ellipse must be. The end comes first: it is always there.
+    // Centres, and how far from them the next ellipse must be. The end comes first: it is always
+    // there.
     let mut end: Option<(f64, f64, f64)> = None;
     let mut last: Option<(f64, f64, f64)> = None;
     for place in path.places().next_back().into_iter().chain(path.places()) {
@@ -222,7 +228,8 @@ pub(super) fn ends(path: &Path<'_>, window: &Window, body: &mut String) {
     }
 }
 
-/// Points along the drawn path and along its heading ticks, close enough together to find what a word would cover.
+/// Points along the drawn path and along its heading ticks, close enough together to find what a
+/// word would cover.
 fn inked(path: &Path<'_>, window: &Window) -> Vec<(f64, f64)> {
     let mut ink: Vec<(f64, f64)> = vec![];
     for stretch in &path.stretches {
@@ -248,7 +255,8 @@ fn inked(path: &Path<'_>, window: &Window) -> Vec<(f64, f64)> {
     ink
 }
 
-/// Where a word at a marker covers least: its baseline point and anchor, out of ten places around the marker.
+/// Where a word at a marker covers least: its baseline point and anchor, out of ten places around
+/// the marker.
 fn best_place(
     (x, y): (f64, f64),
     word: &str,

@@ -10,7 +10,8 @@ pub(super) struct Place<'a> {
     pub at: &'a PlaceSummary,
 }
 
-/// The measured path: poses of one stretch follow each other frame by frame; between stretches the camera was lost.
+/// The measured path: poses of one stretch follow each other frame by frame; between stretches the
+/// camera was lost.
 #[derive(Debug, Default)]
 pub(super) struct Path<'a> {
     pub stretches: Vec<Vec<Place<'a>>>,
@@ -21,7 +22,8 @@ pub(super) struct Path<'a> {
 }
 
 impl<'a> Path<'a> {
-    /// Splits frames into stretches: at every lost frame and wherever the segment changes. Poses that are not finite are lost.
+    /// Splits frames into stretches: at every lost frame and wherever the segment changes. Poses
+    /// that are not finite are lost.
     pub fn new(frames: &'a [FrameSummary]) -> Self {
         let mut path = Self::default();
         let (Some(first), Some(last)) = (frames.first(), frames.last()) else {
@@ -55,11 +57,13 @@ impl<'a> Path<'a> {
     }
 }
 
-/// A polyline with the points left out that lie within `tolerance` of the line through the kept ones.
+/// A polyline with the points left out that lie within `tolerance` of the line through the kept
+/// ones.
 ///
-/// One pass, constant work a point: from each kept point, the cone of directions that pass all points since within the
-/// tolerance is narrowed; the point before the first that leaves it is kept (the cone-intersection method of J. Sklansky and
-/// V. Gonzalez, "Fast polygonal approximation of digitized curves", 1980).
+/// One pass, constant work a point: from each kept point, the cone of directions that pass all
+/// points since within the tolerance is narrowed; the point before the first that leaves it is kept
+/// (the cone-intersection method of J. Sklansky and V. Gonzalez, "Fast polygonal approximation of
+/// digitized curves", 1980).
 pub(super) fn simplified(points: impl IntoIterator<Item = (f64, f64)>, tolerance: f64) -> Vec<(f64, f64)> {
     let mut points = points.into_iter();
     let Some(first) = points.next() else {
@@ -67,7 +71,8 @@ pub(super) fn simplified(points: impl IntoIterator<Item = (f64, f64)>, tolerance
     };
     let mut kept = vec![first];
     let mut anchor = first;
-    // The middle direction of the cone and its half angle, the last point inside, and the farthest reach from the anchor.
+    // The middle direction of the cone and its half angle, the last point inside, and the farthest
+    // reach from the anchor.
     let mut cone: Option<(f64, f64)> = None;
     let mut inside: Option<(f64, f64)> = None;
     let mut reach = 0.0;

@@ -1,7 +1,7 @@
 //! Round numbers for axes, and numbers as people read them.
 
-/// The step of 1, 2 or 5 times a power of ten that divides `span` into at most `parts` (and more than about a third of that).
-/// 1 where `span` is not a positive number.
+/// The step of 1, 2 or 5 times a power of ten that divides `span` into at most `parts` (and more
+/// than about a third of that). 1 where `span` is not a positive number.
 pub fn round_step(span: f64, parts: f64) -> f64 {
     let raw = span / parts;
     if !(raw.is_finite() && raw > 0.0) {
@@ -32,7 +32,7 @@ pub fn label(value: f64, step: f64) -> String {
     if zero { text.trim_start_matches('-').into() } else { text.replace('-', "−") }
 }
 
-/// The unit in which lengths of about `step_m` are best told: its name and its size in metres.
+/// The unit for lengths of about `step_m`: its name and its size in metres.
 pub fn length_unit(step_m: f64) -> (&'static str, f64) {
     match step_m {
         s if s >= 999.0 => ("km", 1000.0),

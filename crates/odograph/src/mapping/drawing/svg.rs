@@ -12,7 +12,8 @@ pub fn coordinate(value: f64) -> String {
     if text == "-0" { "0".into() } else { text.into() }
 }
 
-/// Text made safe between tags and inside quoted attributes of SVG and HTML. Characters that XML forbids become `�`.
+/// Text made safe between tags and inside quoted attributes of SVG and HTML. Characters that XML
+/// forbids become `�`.
 pub fn escape(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for character in text.chars() {
@@ -46,7 +47,8 @@ pub fn data_uri(media_type: &str, bytes: &[u8]) -> String {
     uri
 }
 
-/// About how wide a text is in a sans-serif face of the given size, in the same unit: enough to keep labels apart.
+/// About how wide a text is in a sans-serif face of the given size, in the same unit: enough to
+/// keep labels apart.
 pub fn text_width(text: &str, size: f64) -> f64 {
     let of = |character: char| match character {
         'i' | 'j' | 'l' | 'I' | '.' | ',' | ':' | ';' | '\'' | '|' | ' ' => 0.3,

@@ -99,7 +99,8 @@ impl Window {
         self.right() + RIGHT_MARGIN
     }
 
-    /// The name under which the clip rectangle is known; two drawings of different width can stand on one page.
+    /// The name under which the clip rectangle is known; two drawings of different width can stand
+    /// on one page.
     pub fn clip_name(&self) -> String {
         format!("map-ground-{}", coordinate(self.page_width()))
     }
@@ -179,7 +180,8 @@ impl Window {
         );
     }
 
-    /// The values of the grid lines on both axes, none so near the frame's corner that its number would run into another.
+    /// The values of the grid lines on both axes, none so near the frame's corner that its number
+    /// would run into another.
     fn grid_values(&self, step: f64) -> (Vec<f64>, Vec<f64>) {
         let half = (0.5 * self.width / self.scale, 0.5 * self.height / self.scale);
         let (x, y) = self.centre_m;

@@ -1,4 +1,4 @@
-//! The way down: Levenberg–Marquardt on all keyframes, or on pieces of the map.
+//! Levenberg–Marquardt on all keyframes, or on rigid pieces of the map.
 
 use super::edge::{Linearized, Weighted};
 use super::normal_equations::NormalEquations;
@@ -10,40 +10,43 @@ use crate::mapping::ground_map::{EdgeKind, MapEdge};
 use crate::numerics::{Loss, robust_variance};
 use nalgebra::{DVector, Matrix4, Vector2};
 
-/// What freeing the mount's turn must explain before it is freed: the squares of the misses, in variances, that it takes away. Chance takes away
-/// as much in four of a million graphs (chi-square, two degrees of freedom).
+/// Significance test of the mount's rotation: freeing it must reduce the sum of squared residuals
+/// by this. Noise does so in four of a million graphs (chi-square, two degrees of freedom).
 const MOUNT_SHOWN: f64 = 25.0;
 
-/// Standard deviation of the turn while it is held, radians per metre: bends a kilometre by half a millimetre.
+/// Standard deviation of the mount's rotation while fixed, rad/m: bends a kilometre by half a
+/// millimetre.
 const HELD_TURN_SIGMA: f64 = 1e-9;
 
-/// How an optimisation went.
+/// Result of an optimisation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optimization {
-    /// Steps taken.
+    /// Number of steps.
     pub steps: usize,
-    /// Half the weighted squares before and after, with the loss of the end, of the edges that could change.
+    /// Cost before and after, with the final loss, of the edges that could change.
     pub cost: (f64, f64),
-    /// Whether the last step changed nothing worth mentioning.
+    /// Whether it converged.
     pub converged: bool,
 }
 
-/// What is moved, and by what.
+/// The unknowns and their normal equations.
 pub(super) struct Descent {
     pieces: Pieces,
     equations: NormalEquations,
-    /// Whether the mount's turn is among the unknowns.
+    /// Whether the mount's rotation is among the unknowns.
     with_mount: bool,
 }
 
 impl PoseGraph {
-    /// Moves the keyframes to where the edges agree best, in at most `steps` steps. The first keyframe of every connected part stays.
+    /// Optimises all keyframes in at most `steps` steps. The first keyframe of every connected
+    /// component is fixed.
     pub fn optimize(&mut self, steps: usize) -> Optimization {
         let mut outcome = Optimization { steps: 0, cost: (0.0, 0.0), converged: true };
         let Some(mut descent) = self.descent(Pieces::single(self), true) else { return outcome };
         let mut reach = self.loop_reach();
         outcome.cost.0 = self.cost(&descent, reach);
-        // A second round with the loss that fits what the first left of the loops, where there is time for one, and a third where the mount turns.
+        // The second round has the loss scale that fits the residuals of the first, if there are
+        // steps left; the third frees the mount's rotation.
         for round in 0..3 {
             let left = steps - outcome.steps;
             let (taken, after, converged) = self.descend(&mut descent, reach, left);
@@ -66,8 +69,9 @@ impl PoseGraph {
         outcome
     }
 
-    /// Moves the keyframes to about where the edges agree best, in a time that hardly grows with the graph: first the whole of it in rigid stretches,
-    /// then the keyframes around `loops`, edges that are new to it, by themselves; both in at most `steps` steps. A small graph is optimised as a whole.
+    /// Approximately optimises in a time that hardly grows with the graph: first the whole of it as
+    /// rigid segments, then the keyframes around `loops`, the new edges, individually; both in at
+    /// most `steps` steps. A small graph is optimised completely.
     pub fn relax(&mut self, loops: &[MapEdge], steps: usize) {
         if self.nodes.len() <= MOST_PIECES {
             self.optimize(steps);
@@ -88,7 +92,8 @@ impl PoseGraph {
         }
     }
 
-    /// Whether there are a tenth more loops than when they were last asked: it takes as long as the optimisation itself.
+    /// Whether there are 10 % more loops than at the last test: it costs as much as the
+    /// optimisation itself.
     fn is_worth_asking(&mut self) -> bool {
         let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
         let worth = 10 * loops > 11 * self.asked_of_loops;
@@ -98,7 +103,7 @@ impl PoseGraph {
         worth
     }
 
-    /// Whether the loops would be explained far better by a mount that turns.
+    /// Whether a rotation of the mount explains the loops significantly better.
     fn shows_turn(&self, descent: &mut Descent, reach: f64) -> bool {
         let mut explained = |turn_sigma: f64| {
             self.fill(descent, reach, turn_sigma);
@@ -109,7 +114,7 @@ impl PoseGraph {
         held.zip(free).is_some_and(|(held, free)| free - held > MOUNT_SHOWN)
     }
 
-    /// Levenberg–Marquardt; gives the steps taken, the cost at the end, and whether it is the least.
+    /// Levenberg–Marquardt; returns the number of steps, the final cost, and whether it converged.
     fn descend(&mut self, descent: &mut Descent, reach: f64, steps: usize) -> (usize, f64, bool) {
         let mut cost = self.cost(descent, reach);
         let mut damping = 0.0;
@@ -138,7 +143,7 @@ impl PoseGraph {
                 (self.nodes, self.turn_per_m) = (nodes, turn_per_m);
                 damping = next_damping(damping);
                 if damping > MOST_DAMPING {
-                    // No way leads down: this is the bottom, as far as numbers can tell.
+                    // No step reduces the cost: converged to rounding.
                     return (taken + 1, cost, true);
                 }
             }
@@ -146,12 +151,13 @@ impl PoseGraph {
         (steps, cost, false)
     }
 
-    /// What an edge misses by in units of its standard deviations, squared.
+    /// Normalised residual squared of an edge.
     fn squared(&self, edge: &Weighted) -> f64 {
         edge.squared(&self.nodes[edge.from], &self.nodes[edge.to], self.turn_per_m)
     }
 
-    /// Half the weighted squares of the edges that can change, loops with Cauchy's loss.
+    /// Cost: half the weighted squared residuals of the edges that can change, with Cauchy's loss
+    /// for loops.
     pub(super) fn cost(&self, descent: &Descent, reach: f64) -> f64 {
         let of = |edge: &Weighted| {
             let squared = self.squared(edge);
@@ -161,14 +167,15 @@ impl PoseGraph {
         descent.pieces.edges().iter().map(|&edge| of(&self.edges[edge])).sum::<f64>() + mount
     }
 
-    /// Beyond so many standard deviations loops count less: three times what they usually miss by, and never less than three.
+    /// Scale of the loops' loss, in standard deviations: three times their robust scale, at least
+    /// three.
     pub(super) fn loop_reach(&self) -> f64 {
         let loops = self.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
         let mut squares: Vec<f64> = loops.map(|edge| self.squared(edge)).collect();
         3.0 * robust_variance::<3>(&mut squares).map_or(1.0, |variance| variance.sqrt().max(1.0))
     }
 
-    /// The way down for these pieces; `None` where nothing can move.
+    /// Prepares the normal equations of these pieces; `None` if nothing is free.
     fn descent(&self, pieces: Pieces, with_mount: bool) -> Option<Descent> {
         let mut unknown: Vec<Option<usize>> = vec![None; self.nodes.len()];
         let mut count = 0;
@@ -221,7 +228,7 @@ impl PoseGraph {
         }
     }
 
-    /// How a keyframe moves with its piece: as a whole, and about its leader.
+    /// Jacobian of a keyframe with respect to its piece's pose.
     fn by_piece(&self, pieces: &Pieces, node: usize) -> Matrix4<f64> {
         let (own, leader) = (&self.nodes[node].pose, &self.nodes[pieces.leader(node)].pose);
         Sim2::lever_arm(own.x_m - leader.x_m, own.y_m - leader.y_m)
@@ -230,7 +237,8 @@ impl PoseGraph {
     fn step(&mut self, descent: &Descent, change: &DVector<f64>) {
         let Descent { pieces, equations, .. } = descent;
         let turned = equations.of_mount(change);
-        // From the last to the first: the leader of a piece, its first keyframe, moves after those that turn about it.
+        // In reverse order: the leader of a piece, its first keyframe, moves after those that
+        // rotate about it.
         for node in (0..self.nodes.len()).rev() {
             let Some(change) = equations.of_node(change, node) else { continue };
             let leader = self.nodes[pieces.leader(node)].pose;
@@ -247,8 +255,9 @@ impl PoseGraph {
         self.turn_per_m += turned;
     }
 
-    /// Covariance of (x, y, heading, ln height) of every keyframe in the order in which they came, against the first of its part: the inverse of the
-    /// normal equations there, with the noise that the edges turned out to have where that is more than they claim.
+    /// Covariance of (x, y, heading, ln height) of every keyframe in order of insertion, relative
+    /// to the first of its connected component: the inverse of the normal equations, scaled by the
+    /// reduced chi-square of the edges where that exceeds 1.
     pub fn covariances(&self) -> Vec<Matrix4<f64>> {
         let none = || vec![Matrix4::zeros(); self.nodes.len()];
         let Some(mut descent) = self.descent(Pieces::single(self), true) else { return none() };
@@ -265,8 +274,8 @@ impl PoseGraph {
     }
 }
 
-/// Beyond so many standard deviations an edge counts less: a loop may be wrong, and over a gap the camera may have been carried anywhere.
-/// What was measured step by step always counts in full.
+/// Robust loss of an edge: a loop may be wrong, and across a gap the camera may have been moved
+/// anywhere. Odometry has a quadratic loss.
 fn loss_of(kind: EdgeKind, of_loops: f64) -> Option<Loss> {
     match kind {
         EdgeKind::Odometry => None,
@@ -275,7 +284,7 @@ fn loss_of(kind: EdgeKind, of_loops: f64) -> Option<Loss> {
     }
 }
 
-/// A step that gains less, as a part of the cost and of one, is the last.
+/// Convergence: a step that reduces the cost by a smaller share (of the cost plus 1) is the last.
 const LEAST_GAIN: f64 = 1e-7;
 
 const MOST_DAMPING: f64 = 1e6;

@@ -1,4 +1,4 @@
-//! One edge: what it misses by, in units of its standard deviations, and how that changes with the poses.
+//! The residual of an edge in units of its standard deviations, and its Jacobians.
 
 use super::{Heights, Node};
 use crate::geometry::pose_index::{HEADING, X, Y};
@@ -6,23 +6,24 @@ use crate::geometry::{PlaneTransform, wrap_angle};
 use crate::mapping::ground_map::{EdgeKind, MapEdge};
 use nalgebra::{Matrix4, Matrix4x2, Vector2, Vector4};
 
-/// An edge with the square root of its information.
+/// An edge with its whitening matrix.
 #[derive(Debug, Clone)]
 pub struct Weighted {
     pub from: usize,
     pub to: usize,
     pub kind: EdgeKind,
     motion: Vector4<f64>,
-    /// Upper triangular; takes what an edge misses by to units of its standard deviations.
+    /// Whitening matrix: the upper triangular square root of the information.
     whitening: Matrix4<f64>,
     pub covariance: Matrix4<f64>,
 }
 
-/// No edge is better than this: a hundredth of a millimetre, a thousandth of a degree, a hundred-thousandth of the height.
+/// Minimum standard deviations: a hundredth of a millimetre, a thousandth of a degree, a
+/// hundred-thousandth of the height.
 const LEAST_SIGMA: [f64; 4] = [1e-5, 1e-5, 2e-5, 1e-5];
 
 impl Weighted {
-    /// `None` where the covariance is none.
+    /// `None` if the covariance is not positive definite.
     pub fn new(from: usize, to: usize, edge: &MapEdge, heights: Heights) -> Option<Self> {
         let mut covariance = 0.5 * (edge.covariance + edge.covariance.transpose());
         if heights == Heights::Held {
@@ -48,34 +49,35 @@ impl Weighted {
         if self.from == at { self.to } else { self.from }
     }
 
-    /// Whether a mount that is off turns it: where it was measured.
+    /// Whether the mount's tilt affects it: whether it was measured, not extrapolated.
     pub fn bends(&self) -> bool {
         self.kind != EdgeKind::Gap
     }
 
-    /// How the motion changes with the turn per metre ahead and to the left that the mount makes.
+    /// Jacobian of the motion with respect to the mount's rotation per metre forward and to the
+    /// left.
     pub fn by_mount(&self) -> Matrix4x2<f64> {
         if !self.bends() {
             return Matrix4x2::zeros();
         }
         let (x, y) = (self.motion[X], self.motion[Y]);
-        // Turned on the way, a motion ends turned by half as much.
+        // A motion that rotates uniformly ends in a direction rotated by half as much.
         Matrix4x2::new(-0.5 * y * x, -0.5 * y * y, 0.5 * x * x, 0.5 * x * y, x, y, 0.0, 0.0)
     }
 
-    /// What the edge misses by at these poses, in units of its standard deviations.
+    /// The whitened residual at these poses.
     fn misses(&self, from: &Node, to: &Node, turn_per_m: Vector2<f64>) -> Vector4<f64> {
         let mut misses = from.seen(to) - self.motion - self.by_mount() * turn_per_m;
         misses[HEADING] = wrap_angle(misses[HEADING]);
         self.whitening * misses
     }
 
-    /// The square of what it misses by.
+    /// The squared norm of the whitened residual.
     pub fn squared(&self, from: &Node, to: &Node, turn_per_m: Vector2<f64>) -> f64 {
         self.misses(from, to, turn_per_m).norm_squared()
     }
 
-    /// What it misses by, with the derivatives.
+    /// The whitened residual with its Jacobians.
     pub fn linearized(&self, from: &Node, to: &Node, turn_per_m: Vector2<f64>) -> Linearized {
         let (world_from_a, world_from_b) = (from.world_from_node(), to.world_from_node());
         let by_from = world_from_a.between_by_from(&world_from_a.between(&world_from_b));
@@ -88,7 +90,7 @@ impl Weighted {
     }
 }
 
-/// What an edge misses by, and its derivatives, in units of its standard deviations.
+/// A whitened residual with its Jacobians.
 pub struct Linearized {
     pub misses: Vector4<f64>,
     pub by_from: Matrix4<f64>,

@@ -1,17 +1,18 @@
-//! Parts of the inverse of a sparse matrix from its Cholesky factor, without the inverse.
+//! Selected elements of the inverse of a sparse matrix, from its Cholesky factor.
 
 use nalgebra_sparse::CscMatrix;
 
-/// The inverse where the factor is not zero: K. Takahashi, J. Fagan and M. Chin, "Formation of a sparse bus impedance matrix", 1973.
+/// The inverse on the sparsity pattern of the factor: K. Takahashi, J. Fagan and M. Chin,
+/// "Formation of a sparse bus impedance matrix", 1973.
 pub struct InverseOnPattern<'a> {
     factor: &'a CscMatrix<f64>,
     values: Vec<f64>,
 }
 
-/// The inverse of L Lᵀ where L is not zero.
+/// The inverse of L Lᵀ on the pattern of L.
 ///
-/// Column by column from the last: with l = L / its diagonal, Z(i, j) = δ(i, j) / L(j, j)² − Σ l(k, j) Z(i, k) over the k > j in column j. All
-/// the Z that are needed are on the pattern.
+/// Column by column from the last: with l = L / its diagonal, Z(i, j) = δ(i, j) / L(j, j)² − Σ l(k,
+/// j) Z(i, k) over the k > j in column j. All the Z that this needs are on the pattern.
 pub fn on_pattern(factor: &CscMatrix<f64>) -> InverseOnPattern<'_> {
     let (offsets, rows, l) = factor.csc_data();
     let mut values = vec![0.0; l.len()];
@@ -45,7 +46,7 @@ pub fn on_pattern(factor: &CscMatrix<f64>) -> InverseOnPattern<'_> {
 }
 
 impl InverseOnPattern<'_> {
-    /// The inverse in a row and a column not right of it; 0 where the factor is zero.
+    /// An element of the inverse in the lower triangle; 0 off the pattern.
     pub fn get(&self, row: usize, column: usize) -> f64 {
         let (offsets, rows, _) = self.factor.csc_data();
         let (first, last) = (offsets[column], offsets[column + 1]);

@@ -1,18 +1,23 @@
-//! The pose graph: where every keyframe must be so that all that was measured between them agrees as well as it can.
+//! The pose graph: least-squares estimate of all keyframe poses from their relative measurements.
 //!
-//! A keyframe over a plane has four numbers: x, y, heading and the logarithm of its height. Every [`MapEdge`] says how one keyframe sees
-//! another; the poses are those with the least weighted squares of what the edges miss (F. Lu and E. Milios, "Globally consistent range
-//! scan alignment for environment mapping", 1997), found by Levenberg–Marquardt on sparse normal equations. Where the rig holds the height
-//! fixed, or the recording shows that it does, heights stay as they are and three numbers are left.
+//! A keyframe over a plane has four unknowns: x, y, heading and the logarithm of its height. A
+//! [`MapEdge`] is the measured pose of one keyframe in the frame of another; the poses minimise the
+//! weighted squared residuals of the edges (F. Lu and E. Milios, "Globally consistent range scan
+//! alignment for environment mapping", 1997), by Levenberg–Marquardt on sparse normal equations. If
+//! the rig holds the height, or the recording shows that it is constant, heights are fixed and
+//! three unknowns remain.
 //!
 //! Two things differ from the textbook:
 //!
-//! * **A mount that is a little off** turns every movement by the same angle per metre: a roll of ε at height h by about ε/2h. That is no
-//!   noise that averages away, it bends the whole path. So the turn per metre ahead and per metre to the left are unknowns of the graph too,
-//!   with a prior; loops tell them, and the path between the loops is straightened also where nothing was seen twice. They are held at none until
-//!   the loops show them beyond doubt: freed for nothing they turn the noise of a loop into a bend of the whole path.
-//! * **A loop may be wrong.** Loops have Cauchy's loss, whose scale is what the loops themselves show: wide while the path is still bent, and
-//!   narrow once it fits (graduated non-convexity; H. Yang et al., 2020).
+//! * **A small uncalibrated mount tilt** rotates every motion by the same angle per metre: a roll
+//!   of ε at height h by about ε/2h. That is a systematic error that bends the whole path. So the
+//!   rotations per metre forward and per metre to the left are unknowns too, with a prior; loop
+//!   closures make them observable and so also straighten the path between them. They are fixed at
+//!   zero until the loops show them significantly: freed too early, they turn the noise of a loop
+//!   into a bend of the whole path.
+//! * **A loop closure may be wrong.** Loops have Cauchy's loss, with a scale from the loops' own
+//!   residuals: wide while the path is still bent, and narrow once it fits (graduated
+//!   non-convexity; H. Yang et al., 2020).
 
 mod descent;
 mod edge;
@@ -31,59 +36,60 @@ use edge::Weighted;
 use nalgebra::{Vector2, Vector4};
 use std::collections::BTreeMap;
 
-/// Whether keyframes may change their heights.
+/// Whether the heights of keyframes are unknowns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Heights {
-    /// They are what odometry has: the rig holds them.
+    /// Fixed to odometry's: the rig holds them.
     Held,
-    /// They drift as position does: the motions are of Sim(2).
+    /// Free: scale drifts, and motions are in Sim(2).
     Free,
 }
 
-/// Standard deviation of the turn per metre that a mount a little off makes, in units of a radian over the height: half of a tilt of 0.6°.
+/// Prior standard deviation of the mount's rotation per metre, in units of 1 rad over the height:
+/// half a tilt of 0.6°.
 const TURN_OF_MOUNT: f64 = 0.005;
 
-/// Keyframes, and what ties them.
+/// Keyframes and edges.
 #[derive(Debug, Clone)]
 pub struct PoseGraph {
     heights: Heights,
     nodes: Vec<Node>,
     index: BTreeMap<KeyframeId, usize>,
     edges: Vec<Weighted>,
-    /// For each node, the edges at it.
+    /// For each node, its edges.
     edges_at: Vec<Vec<usize>>,
-    /// Turn per metre ahead and per metre to the left, radians, that the mount makes.
+    /// Rotation per metre forward and per metre to the left due to the mount's tilt, radians.
     turn_per_m: Vector2<f64>,
-    /// Standard deviation of those two where they are free.
+    /// Their prior standard deviation when free.
     turn_sigma: f64,
-    /// Whether the loops have shown that there is such a turn.
+    /// Whether the loops have shown them significantly.
     mount_turns: bool,
-    /// How many loops there were when they were last asked whether they show it.
+    /// Number of loops when that was last tested.
     asked_of_loops: usize,
 }
 
-/// A keyframe in the graph.
+/// A keyframe.
 #[derive(Debug, Clone)]
 struct Node {
     id: KeyframeId,
-    /// Roll and pitch are never changed.
+    /// Roll and pitch are not estimated here.
     pose: GroundPose,
-    /// Height at which its motions were measured.
+    /// Height at which its motions were measured, metres.
     measured_at_m: f64,
 }
 
 impl Node {
-    /// How many of the present metres one measured metre is.
+    /// Length in the map of a metre as measured: the scale drift.
     fn scale(&self) -> f64 {
         self.pose.height_m / self.measured_at_m
     }
 
-    /// From its measured metres to the world.
+    /// The transform from its measured metres to the world.
     fn world_from_node(&self) -> Sim2 {
         Sim2 { scale: self.scale(), ..Sim2::rigid(&self.pose.se2()) }
     }
 
-    /// Where another node is as this one sees it, metres as measured at the height of this one.
+    /// The motion of another node in this one's frame, metres as measured at this one's height.
     fn seen(&self, other: &Self) -> Vector4<f64> {
         let seen = self.world_from_node().between(&other.world_from_node());
         let ln_heights = (other.pose.height_m / self.pose.height_m).ln();
@@ -92,7 +98,8 @@ impl Node {
 }
 
 impl PoseGraph {
-    /// A graph without keyframes. `height_m` is about how high the camera is: a mount that is off turns the more the lower it is.
+    /// An empty graph. `height_m` is the approximate height of the camera: the lower it is, the
+    /// more a tilt rotates the motions.
     pub fn new(heights: Heights, height_m: f64) -> Self {
         Self {
             heights,
@@ -107,14 +114,15 @@ impl PoseGraph {
         }
     }
 
-    /// Takes back what the loops were thought to show of the mount's turn: the next optimisation judges it anew.
+    /// Resets the estimate of the mount's rotation: the next optimisation tests it again.
     pub fn doubt_mount(&mut self) {
         self.mount_turns = false;
         self.asked_of_loops = 0;
         self.turn_per_m = Vector2::zeros();
     }
 
-    /// Adds a keyframe at `pose`, whose motions were measured at the height `measured_at_m`. One that is there already is moved there.
+    /// Adds a keyframe at `pose`, whose motions were measured at the height `measured_at_m`; moves
+    /// it if it is there already.
     pub fn insert(&mut self, id: KeyframeId, pose: GroundPose, measured_at_m: f64) {
         if let Some(&at) = self.index.get(&id) {
             self.nodes[at].pose = pose;
@@ -125,7 +133,8 @@ impl PoseGraph {
         self.edges_at.push(Vec::new());
     }
 
-    /// Adds an edge. One whose keyframes are not both there, or whose covariance is none, is left out; says whether it was taken.
+    /// Adds an edge. Returns `false`, without adding it, if a keyframe is missing or the covariance
+    /// is not positive definite.
     pub fn tie(&mut self, edge: &MapEdge) -> bool {
         let (Some(&from), Some(&to)) = (self.index.get(&edge.from), self.index.get(&edge.to)) else {
             return false;
@@ -139,46 +148,48 @@ impl PoseGraph {
         true
     }
 
-    /// How many loops tie two keyframes to each other, whichever of them saw the other.
+    /// Number of loop edges between two keyframes, in either direction.
     pub fn loops_between(&self, one: KeyframeId, other: KeyframeId) -> usize {
         let [Some(&one), Some(&other)] = [one, other].map(|id| self.index.get(&id)) else { return 0 };
         let edges = self.edges_at[one].iter().map(|&edge| &self.edges[edge]);
         edges.filter(|edge| edge.kind == EdgeKind::Loop && edge.other(one) == other).count()
     }
 
-    /// How many keyframes there are.
+    /// Number of keyframes.
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
-    /// Whether there are none.
+    /// Whether the graph is empty.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
 
-    /// Where a keyframe is.
+    /// Pose of a keyframe.
     pub fn pose(&self, id: KeyframeId) -> Option<GroundPose> {
         self.index.get(&id).map(|&at| self.nodes[at].pose)
     }
 
-    /// All keyframes with their poses, in the order in which they came.
+    /// All keyframes with their poses, in order of insertion.
     pub fn poses(&self) -> impl Iterator<Item = (KeyframeId, GroundPose)> {
         self.nodes.iter().map(|node| (node.id, node.pose))
     }
 
-    /// The turn per metre ahead and per metre to the left that the loops have shown the mount to make, radians.
+    /// The mount's rotation per metre forward and per metre to the left as estimated from the
+    /// loops, radians.
     pub fn turn_per_m(&self) -> (f64, f64) {
         (self.turn_per_m[0], self.turn_per_m[1])
     }
 
-    /// What an edge misses by in units of its own standard deviation, squared, with the poses as they are; `None` where it is not in the graph's reach.
+    /// Normalised residual squared of an edge at the current poses; `None` if its keyframes are not
+    /// in the graph.
     pub fn misfit(&self, edge: &MapEdge) -> Option<f64> {
         let (from, to) = (*self.index.get(&edge.from)?, *self.index.get(&edge.to)?);
         let weighted = Weighted::new(from, to, edge, self.heights)?;
         Some(weighted.squared(&self.nodes[from], &self.nodes[to], self.turn_per_m))
     }
 
-    /// Where one keyframe is as another sees it, metres as measured at the height of that one.
+    /// The motion of `to` in the frame of `from`, metres as measured at the height of `from`.
     pub fn seen(&self, from: KeyframeId, to: KeyframeId) -> Option<Vector4<f64>> {
         let (a, b) = (&self.nodes[*self.index.get(&from)?], &self.nodes[*self.index.get(&to)?]);
         Some(a.seen(b))

@@ -1,7 +1,8 @@
-//! The sparse normal equations: blocks of one keyframe each, in an order that keeps the factor sparse.
+//! The sparse normal equations: a block for each keyframe, in a fill-reducing order.
 //!
-//! The order is that of approximate minimum degree (P. Amestoy, T. Davis and I. Duff, 1996) on the graph of the keyframes. Behind the
-//! keyframes stands one block more for the two unknowns of the mount, which is tied to nearly all of them and so comes last.
+//! The order is approximate minimum degree (P. Amestoy, T. Davis and I. Duff, 1996) on the graph of
+//! the keyframes. One more block holds the two unknowns of the mount; it is connected to nearly all
+//! keyframes and so comes last.
 
 use super::edge::{Linearized, Weighted};
 use super::marginals;
@@ -10,15 +11,15 @@ use nalgebra_sparse::factorization::CscCholesky;
 use nalgebra_sparse::{CscMatrix, pattern::SparsityPattern};
 
 pub struct NormalEquations {
-    /// Unknowns of a block: 3 or 4.
+    /// Unknowns per block: 3 or 4.
     size: usize,
-    /// For each node of the graph, its block; none where it is held.
+    /// For each node of the graph, its block; `None` if it is fixed.
     block_of: Vec<Option<usize>>,
-    /// For each block, where it stands in the order.
+    /// For each block, its place in the order.
     place: Vec<usize>,
-    /// For each place, the places that it is tied to, itself among them, ascending.
+    /// For each place, the places it is connected to, including itself, ascending.
     tied: Vec<Vec<usize>>,
-    /// For each place, where its values begin.
+    /// For each place, the offset of its values.
     base: Vec<usize>,
     matrix: CscMatrix<f64>,
     factor: Option<CscCholesky<f64>>,
@@ -26,8 +27,9 @@ pub struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// The pattern for `count` blocks and the ties between them; a tie has its two ends, where they are not held, and whether the mount bends it.
-    /// `None` where the order cannot be found, which well-formed ties never lead to.
+    /// The pattern for `count` blocks and their connections; a connection has its two ends (`None`
+    /// if fixed) and whether it depends on the mount. `None` if no order is found, which cannot
+    /// happen for well-formed connections.
     pub fn new(
         size: usize,
         count: usize,
@@ -88,12 +90,12 @@ impl NormalEquations {
         })
     }
 
-    /// How many keyframes are free.
+    /// Number of free keyframes.
     pub fn unknowns(&self) -> usize {
         self.place.len() - 1
     }
 
-    /// Which of the marginals is that of a node; `None` where it is held.
+    /// The index of a node's marginal; `None` if it is fixed.
     pub fn block_of(&self, node: usize) -> Option<usize> {
         self.block_of[node]
     }
@@ -107,7 +109,7 @@ impl NormalEquations {
         self.right.fill(0.0);
     }
 
-    /// Adds an edge with a weight, and whether the mount bends it.
+    /// Adds an edge with a weight, and whether it depends on the mount.
     pub fn add(&mut self, edge: &Weighted, linear: &Linearized, weight: f64, with_mount: bool) {
         let mut by_mount = Matrix4::zeros();
         by_mount.fixed_view_mut::<4, 2>(0, 0).copy_from(&linear.by_mount);
@@ -140,7 +142,7 @@ impl NormalEquations {
         }
     }
 
-    /// The prior of the mount; what else is in its block is held.
+    /// The prior of the mount; the unused unknown of its block is fixed.
     pub fn hold_mount(&mut self, turn_per_m: Vector2<f64>, sigma: f64) {
         let weight = 1.0 / (sigma * sigma);
         let mount = self.mount();
@@ -152,7 +154,8 @@ impl NormalEquations {
         }
     }
 
-    /// The step that solves the equations, with the diagonal raised by this part of itself; `None` where they have no unique solution.
+    /// The Levenberg–Marquardt step with the diagonal raised by the factor `1 + damping`; `None` if
+    /// the matrix is not positive definite.
     pub fn solve(&mut self, damping: f64) -> Option<DVector<f64>> {
         self.factorize(damping)?;
         let mut change = self.right.clone();
@@ -160,7 +163,7 @@ impl NormalEquations {
         change.iter().all(|value| value.is_finite()).then_some(change)
     }
 
-    /// How much less the weighted squares will be after the step that solves the equations.
+    /// The expected reduction of the squared residuals by a step.
     pub fn explained(&self, change: &DVector<f64>) -> f64 {
         self.right.dot(change)
     }
@@ -187,7 +190,7 @@ impl NormalEquations {
         }
     }
 
-    /// A node's part of a solution; `None` where it is held.
+    /// A node's part of a solution; `None` if it is fixed.
     pub fn of_node(&self, solution: &DVector<f64>, node: usize) -> Option<Vector4<f64>> {
         let first = self.size * self.place[self.block_of[node]?];
         Some(Vector4::from_fn(|i, _| if i < self.size { solution[first + i] } else { 0.0 }))
@@ -217,7 +220,7 @@ impl NormalEquations {
     }
 }
 
-/// The blocks in the order in which they are eliminated.
+/// The elimination order of the blocks.
 fn order(tied: &[Vec<usize>]) -> Option<Vec<usize>> {
     let mut offsets = vec![0isize];
     let mut rows = Vec::new();

@@ -1,12 +1,13 @@
-//! The parts of a graph: what edges connect, and what they do not.
+//! The connected components of the graph.
 
 use super::{Heights, PoseGraph};
 use crate::geometry::GroundPose;
 use crate::mapping::ground_map::{EdgeKind, KeyframeId};
 
 impl PoseGraph {
-    /// Takes a keyframe, and all that is connected with it by measurement, to `pose`, unless `fixed` is among them; says whether anything was moved.
-    /// So parts of a map that a recognition ties come near each other before they are optimised.
+    /// Moves a keyframe, and all that is connected to it by measurements, so that it is at `pose`;
+    /// returns `false`, without moving anything, if `fixed` is among them. Parts of a map that a
+    /// recognition connects so come near each other before they are optimised.
     pub fn bring(&mut self, keyframe: KeyframeId, pose: &GroundPose, fixed: KeyframeId) -> bool {
         let (Some(&start), Some(&fixed)) = (self.index.get(&keyframe), self.index.get(&fixed)) else {
             return false;
@@ -46,7 +47,7 @@ impl PoseGraph {
         self.reach(a).is_some_and(|mut reach| reach.to(b).is_some())
     }
 
-    /// For every keyframe, whether it is the first of those that are connected with it.
+    /// For every keyframe, whether it is the first of its connected component.
     pub(super) fn first_of_each_part(&self) -> Vec<bool> {
         let mut first = vec![false; self.nodes.len()];
         let mut seen = vec![false; self.nodes.len()];

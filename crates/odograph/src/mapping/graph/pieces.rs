@@ -1,11 +1,14 @@
-//! What moves together, where there is no time to move every keyframe by itself.
+//! Rigid pieces of the map, for optimisation in bounded time.
 //!
-//! When a loop comes in, the whole map moves first, in stretches of the path that are rigid in themselves: a coarse-grid correction, with the
-//! stretches for the grid (A. Brandt, "Multi-level adaptive solutions to boundary-value problems", 1977; for pose graphs G. Grisetti et al.,
-//! "Hierarchical optimization on manifolds for online 2D and 3D mapping", 2010). So a bend is shared out over the whole map, as it must be, and the
-//! number of unknowns does not grow with it. Then the keyframes around the loop move by themselves, and the others are held.
+//! After a loop closure the whole map moves first, as rigid segments of the path: a coarse-grid
+//! correction with the segments as the grid (A. Brandt, "Multi-level adaptive solutions to
+//! boundary-value problems", 1977; for pose graphs G. Grisetti et al., "Hierarchical optimization
+//! on manifolds for online 2D and 3D mapping", 2010). So a correction is distributed over the whole
+//! map while the number of unknowns stays bounded. Then the keyframes around the loop move
+//! individually, with the others fixed.
 //!
-//! A stretch is rigid but for the mount: how much that turns is an unknown as before, and bends the stretches as it would bend their links.
+//! Segments are rigid except for the mount's rotation, which stays an unknown and bends a segment
+//! as it would bend its edges.
 
 use super::PoseGraph;
 use super::edge::Weighted;
@@ -14,30 +17,30 @@ use crate::mapping::ground_map::EdgeKind;
 use nalgebra::Matrix4x2;
 use std::collections::VecDeque;
 
-/// So many keyframes around a loop move by themselves.
+/// Number of keyframes around a loop that move individually.
 const NEAR: usize = 150;
 
-/// The map is cut into about so many stretches, and one more for every gap in the path.
+/// Approximate number of segments, besides one for every gap in the path.
 const STRETCHES: usize = 300;
 
-/// In a graph of up to so many keyframes every one moves by itself: there is time for that.
+/// Up to this number of keyframes the whole graph is optimised.
 pub(super) const MOST_PIECES: usize = 300;
 
-/// A graph cut into pieces.
+/// A graph divided into rigid pieces.
 pub(super) struct Pieces {
-    /// For each keyframe the first one of its piece, about which that turns.
+    /// For each keyframe the first one of its piece, about which the piece rotates.
     leader: Vec<usize>,
-    /// For each keyframe whether it stays where it is.
+    /// For each keyframe whether it is fixed.
     held: Vec<bool>,
-    /// For each keyframe how its place in the piece changes with the turns per metre of the mount, in the world's axes: a stretch is as bent as they
-    /// have it.
+    /// For each keyframe the Jacobian of its pose within the piece with respect to the mount's
+    /// rotation per metre, in world axes.
     bends: Vec<Matrix4x2<f64>>,
     /// The edges that can change.
     edges: Vec<usize>,
 }
 
 impl Pieces {
-    /// Every keyframe by itself.
+    /// Every keyframe individually.
     pub fn single(graph: &PoseGraph) -> Self {
         Self::alone(graph, graph.first_of_each_part(), (0..graph.edges.len()).collect())
     }
@@ -47,11 +50,11 @@ impl Pieces {
         Self { leader: (0..graph.nodes.len()).collect(), held, bends, edges }
     }
 
-    /// All keyframes in stretches.
+    /// All keyframes in segments.
     pub fn stretches(graph: &PoseGraph) -> Self {
         let held = graph.first_of_each_part();
         let length = graph.nodes.len().div_ceil(STRETCHES);
-        // Every time the stretches begin elsewhere, so that in time every link is bent.
+        // The boundaries shift every time, so that in time every edge can bend.
         let shift = graph.edges.len();
         let mut leader: Vec<usize> = Vec::with_capacity(graph.nodes.len());
         let mut bends: Vec<Matrix4x2<f64>> = Vec::with_capacity(graph.nodes.len());
@@ -72,7 +75,7 @@ impl Pieces {
         Self { leader, held, bends, edges }
     }
 
-    /// The keyframes near `ends`, every one by itself, and the others held.
+    /// The keyframes near `ends` individually, with the others fixed.
     pub fn near(graph: &PoseGraph, ends: &[usize]) -> Self {
         let mut held = graph.first_of_each_part();
         let near = graph.near(ends, NEAR);
@@ -85,7 +88,7 @@ impl Pieces {
         Self::alone(graph, held, edges)
     }
 
-    /// Whether a keyframe stays where it is.
+    /// Whether a keyframe is fixed.
     pub fn is_held(&self, node: usize) -> bool {
         self.held[node]
     }
@@ -95,7 +98,7 @@ impl Pieces {
         self.leader[node]
     }
 
-    /// How a keyframe moves within its piece with the turns per metre of the mount.
+    /// Jacobian of a keyframe within its piece with respect to the mount's rotation per metre.
     pub fn bend(&self, node: usize) -> &Matrix4x2<f64> {
         &self.bends[node]
     }
@@ -107,7 +110,8 @@ impl Pieces {
 }
 
 impl PoseGraph {
-    /// For each keyframe, whether it is among the `most` with the fewest edges between them and the nearest of `ends`.
+    /// For each keyframe, whether it is among the `most` that are the fewest edges away from
+    /// `ends`.
     fn near(&self, ends: &[usize], most: usize) -> Vec<bool> {
         let mut near = vec![false; self.nodes.len()];
         let mut open: VecDeque<usize> = ends.iter().copied().collect();
@@ -122,13 +126,14 @@ impl PoseGraph {
         near
     }
 
-    /// The edge by which odometry measured one keyframe from the other.
+    /// The odometry edge between two keyframes.
     fn link(&self, before: usize, node: usize) -> Option<&Weighted> {
         let edges = self.edges_at[node].iter().map(|&edge| &self.edges[edge]);
         edges.into_iter().find(|edge| edge.kind == EdgeKind::Odometry && edge.other(node) == before)
     }
 
-    /// How the keyframe at the other end of an edge moves with the mount's turn, where `bend` is how the one at this end does.
+    /// The Jacobian with respect to the mount's rotation at the other end of an edge, from that at
+    /// this end.
     fn bent_along(&self, bend: &Matrix4x2<f64>, node: usize, edge: &Weighted) -> Matrix4x2<f64> {
         let (here, there) = (&self.nodes[node].pose, &self.nodes[edge.other(node)].pose);
         let from = &self.nodes[edge.from];

@@ -1,7 +1,8 @@
-//! How well one keyframe knows where another is: along the surest way through the graph.
+//! Relative pose and covariance of keyframes along the most certain path through the graph.
 //!
-//! The covariance along a single way is never smaller than that of the whole graph, so what is judged by it is judged with care (E. Olson,
-//! "Robust and efficient robotic mapping", 2008, §3.4, Dijkstra projection).
+//! The covariance along a single path is never smaller than that of the whole graph, so this is
+//! conservative (E. Olson, "Robust and efficient robotic mapping", 2008, §3.4, Dijkstra
+//! projection).
 
 use super::PoseGraph;
 use crate::geometry::pose_index::{HEADING, X, Y};
@@ -11,45 +12,45 @@ use nalgebra::{Matrix4, Matrix4x2, Vector4};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-/// A keyframe as another knows it.
+/// A keyframe relative to another.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reached {
-    /// Which.
+    /// Its number.
     pub id: KeyframeId,
-    /// Where it is, as [`PoseGraph::seen`].
+    /// Its motion, as [`PoseGraph::seen`].
     pub motion: Vector4<f64>,
-    /// Covariance of that, with what a mount that is off may do.
+    /// Covariance of the motion, including an uncalibrated mount tilt.
     pub covariance: Matrix4<f64>,
-    /// So many edges lie between.
+    /// Number of edges between them.
     pub edges: usize,
-    /// Whether one of them is a gap.
+    /// Whether one of the edges is a gap.
     pub across_gap: bool,
 }
 
-/// The keyframes from one of them, the surest first. What has been reached stays known.
+/// Dijkstra search from one keyframe, the most certain first. Reached keyframes are remembered.
 #[derive(Debug)]
 pub struct Reach<'a> {
     graph: &'a PoseGraph,
     root: usize,
     open: BinaryHeap<Open>,
     ways: Vec<Way>,
-    /// For each keyframe that has been reached, its way.
+    /// For each reached keyframe, its path.
     way_to: Vec<Option<u32>>,
 }
 
-/// A way through the graph.
+/// A path through the graph.
 #[derive(Debug, Clone)]
 struct Way {
     node: usize,
-    /// In the world's axes.
+    /// Covariance of its end in world axes, without the mount's part.
     noise: Matrix4<f64>,
-    /// Change with the turns per metre of the mount.
+    /// Jacobian of its end with respect to the mount's rotation per metre.
     by_mount: Matrix4x2<f64>,
     edges: usize,
     across_gap: bool,
 }
 
-/// A way that may be the surest to where it leads.
+/// A path that may be the most certain to its end.
 #[derive(Debug, Clone)]
 struct Open {
     doubt: f64,
@@ -70,18 +71,18 @@ impl PartialOrd for Open {
 }
 impl Ord for Open {
     fn cmp(&self, other: &Self) -> Ordering {
-        // The heap gives the greatest first.
+        // The heap returns the greatest first.
         other.doubt.total_cmp(&self.doubt).then(other.node.cmp(&self.node))
     }
 }
 
 impl PoseGraph {
-    /// The keyframes that are connected with one, the surest first, itself before all; none where it is not there.
+    /// Searches from a keyframe, itself first; `None` if it is not in the graph.
     pub fn reach(&self, from: KeyframeId) -> Option<Reach<'_>> {
         let root = *self.index.get(&from)?;
         let none = (Matrix4::zeros(), Matrix4x2::zeros());
         let start = Way { node: root, noise: none.0, by_mount: none.1, edges: 0, across_gap: false };
-        // Every edge is gone along once at most.
+        // Every edge is followed at most once.
         let mut ways = Vec::with_capacity(self.edges.len() + 1);
         ways.push(start);
         Some(Reach {
@@ -95,7 +96,7 @@ impl PoseGraph {
 }
 
 impl Reach<'_> {
-    /// A keyframe, whether it has been reached before or not; `None` where nothing connects it.
+    /// The relative pose of a keyframe; `None` if nothing connects it.
     pub fn to(&mut self, id: KeyframeId) -> Option<Reached> {
         let node = *self.graph.index.get(&id)?;
         while self.way_to[node].is_none() {
@@ -104,7 +105,7 @@ impl Reach<'_> {
         self.reached(node)
     }
 
-    /// Reaches the next keyframe, and says which; what else is known of it tells [`Reach::to`].
+    /// Reaches the next keyframe and returns its number; [`Reach::to`] has the rest.
     pub fn further(&mut self) -> Option<KeyframeId> {
         let Open { node, way, .. } = loop {
             let open = self.open.pop()?;
@@ -138,7 +139,7 @@ impl Reach<'_> {
         })
     }
 
-    /// The way on to the keyframe at the other end of an edge, and how much doubt is left there.
+    /// The path extended by an edge, and its uncertainty.
     fn along(&self, way: &Way, edge: usize) -> (Way, f64) {
         let graph = self.graph;
         let edge = &graph.edges[edge];
@@ -150,11 +151,12 @@ impl Reach<'_> {
         let (mut noise, mut by_mount) = (way.noise, way.by_mount);
         let back = edge.from != way.node;
         if back {
-            // Seen from the other end: what the motion is off moves the near end the other way.
+            // Followed backwards: the motion's error moves the near end, with the opposite sign.
             noise += own;
             by_mount -= own_by_mount;
         }
-        // A turn of what is here swings what is there about it, and a greater height moves it away.
+        // Propagates the error here to the far end: a rotation here moves it sideways, a scale
+        // error radially.
         let arm = Sim2::lever_arm(there.x_m - here.x_m, there.y_m - here.y_m);
         noise = propagated(&arm, &noise);
         by_mount = arm * by_mount;
@@ -163,7 +165,7 @@ impl Reach<'_> {
             by_mount += own_by_mount;
         }
         let variance = |i: usize| noise[(i, i)] + graph.turn_sigma.powi(2) * by_mount.row(i).norm_squared();
-        // Position, and heading over the height of the camera, that is over about what an image shows.
+        // Position, and heading at a lever arm of the camera's height, about the size of the view.
         let doubt = variance(X) + variance(Y) + variance(HEADING) * here.height_m.powi(2);
         let across_gap = way.across_gap || edge.kind == EdgeKind::Gap;
         let node = edge.other(way.node);

@@ -82,8 +82,8 @@ fn worst_m(graph: &PoseGraph, truth: &[GroundPose]) -> f64 {
 
 #[test]
 fn a_loop_closed_by_equal_links_shares_its_misclosure_equally() {
-    // Four links along a line that are each 1.00 long, and a direct measurement of 4.10 as good as one of them: by hand, each link becomes
-    // 1 + 0.1/5, so the last keyframe lies at 4.08.
+    // Four links along a line that are each 1.00 long, and a direct measurement of 4.10 as good as
+    // one of them: by hand, each link becomes 1 + 0.1/5, so the last keyframe lies at 4.08.
     let mut graph = PoseGraph::new(Heights::Held, 1.0);
     graph.turn_sigma = 1e-9; // the mount is known
     (0..5).for_each(|i| graph.insert(KeyframeId(i), pose(i as f64, 0.0, 0.0), 1.0));
@@ -96,7 +96,8 @@ fn a_loop_closed_by_equal_links_shares_its_misclosure_equally() {
     assert!(done.converged && done.cost.1 < done.cost.0, "{done:?}");
     let last = graph.pose(KeyframeId(4)).unwrap();
     assert!((last.x_m - 4.08).abs() < 1e-6 && last.y_m.abs() < 1e-9, "{last:?}");
-    // Along the line four links in a row have 4 σ², beside them the direct one with σ²: 4/5 of 0.01.
+    // Along the line four links in a row have 4 σ², beside them the direct one with σ²: 4/5 of
+    // 0.01.
     let sigma2 = graph.covariances()[4][(0, 0)];
     assert!((sigma2 - 0.008).abs() < 1e-5, "{sigma2}");
 }
@@ -111,7 +112,8 @@ fn a_noisy_grid_comes_out_as_sure_as_its_covariance_says() {
         assert!(done.converged, "{done:?}");
         let after = worst_m(&graph, &truth);
         assert!(after < 0.25 * before, "{heights:?}: {before} m without, {after} m with loops");
-        // Mean normalised square of x and y: two per keyframe were they independent; they move together, so it scatters widely.
+        // Mean normalised square of x and y: two per keyframe were they independent; they move
+        // together, so it scatters widely.
         let covariances = graph.covariances();
         let nees: f64 = (1..truth.len())
             .map(|i| {
@@ -147,7 +149,8 @@ fn a_mount_that_turns_every_metre_is_found_out() {
     let before = worst_m(&graph, &truth);
     graph.optimize(50);
     let (ahead, left) = graph.turn_per_m();
-    // Turns to the left are hard to tell from headings that alternate from row to row: only the ends of the rows do.
+    // Turns to the left are hard to tell from headings that alternate from row to row: only the
+    // ends of the rows do.
     assert!((ahead - bend).abs() < 0.15 * bend && left.abs() < 0.25 * bend, "{ahead} {left}");
     let after = worst_m(&graph, &truth);
     assert!(before > 1.0 && after < 0.05, "{before} m without, {after} m with loops");
@@ -208,7 +211,8 @@ fn a_large_graph_comes_near_its_best_by_pieces() {
     let drifted = worst_m(&dead_reckoned(&edges, &truth, Heights::Held), &truth);
     let off: Vec<GroundPose> = best.poses().map(|(_, pose)| pose).collect();
     let (by_pieces, whole) = (worst_m(&graph, &off), worst_m(&best, &truth));
-    // What is left to be done at the end is far less than what noise leaves of the best: 7 mm of 62, of 995 without loops.
+    // What is left to be done at the end is far less than what noise leaves of the best: 7 mm of
+    // 62, of 995 without loops.
     assert!(
         drifted > 10.0 * whole && by_pieces < 0.1 * whole,
         "{drifted} m without loops, {whole} m off at best, {by_pieces} m from that best"

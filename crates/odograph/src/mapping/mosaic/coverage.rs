@@ -1,4 +1,4 @@
-//! Which ground was seen, coarsely: enough to choose the few frames of which a mosaic is made.
+//! Coarse coverage of the ground: enough to choose the few frames of which a mosaic is made.
 
 use super::footprint::{Footprint, View};
 use crate::camera::Camera;
@@ -11,14 +11,16 @@ const POINTS: usize = 16;
 const CELLS: f64 = 32.0;
 /// Cells along each side of a square that shares a word.
 const SQUARE: i64 = 8;
-/// A camera that sees the ground so many times as finely or as coarsely begins anew with cells of its own size.
+/// A change of the ground resolution by this factor starts a new grid.
 const OTHER_SCALE: f64 = 4.0;
 /// Cells farther than this from the origin are not addressed.
 const FARTHEST_CELL: f64 = 1e12;
 
-/// The ground that frames of one camera have shown, as cells a thirty-second of a frame wide: a bit each, where there are any.
+/// The ground that frames of one camera have shown, as cells a thirty-second of a frame wide: a bit
+/// each, where there are any.
 ///
-/// Every frame asks whether it shows anything new; that costs some hundred looks. Cells are seen where their middle is inside an image.
+/// Every frame asks whether it shows anything new; that costs some hundred looks. Cells are seen
+/// where their middle is inside an image.
 #[derive(Debug, Clone)]
 pub struct Coverage {
     camera: Camera,
@@ -53,7 +55,8 @@ impl Coverage {
         self.seen.clear();
     }
 
-    /// The share of a frame from this pose, 0 to 1, whose ground neither this nor `other` has. 0 where the camera does not look at the ground.
+    /// The share of a frame from this pose, 0 to 1, whose ground neither this nor `other` has. 0
+    /// where the camera does not look at the ground.
     pub fn share_new(&self, other: Option<&Self>, pose: &GroundPose) -> f64 {
         let Some(view) = View::new(&self.camera, pose) else { return 0.0 };
         let (mut looks, mut new) = (0, 0);
@@ -67,7 +70,7 @@ impl Coverage {
         f64::from(new) / f64::from(looks.max(1))
     }
 
-    /// Takes in what a frame from this pose shows.
+    /// Adds what a frame from this pose shows.
     pub fn add(&mut self, pose: &GroundPose) {
         let Some(view) = View::new(&self.camera, pose) else { return };
         let own_m = view.centre_resolution_m() * self.camera.width().max(self.camera.height()) as f64 / CELLS;

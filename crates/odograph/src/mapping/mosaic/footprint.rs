@@ -9,8 +9,8 @@ const GRID: usize = 20;
 /// A metre of ground must have at least this share of the pixels it has in the middle of the image.
 const LEAST_DENSITY: f64 = 0.25;
 
-/// The rays of a grid of pixels, from border to border of the image; they cost an iteration each and change only with the
-/// camera.
+/// The rays of a grid of pixels, from border to border of the image; they cost an iteration each
+/// and change only with the camera.
 #[derive(Debug, Clone)]
 pub(super) struct Footprint {
     camera: Camera,
@@ -47,7 +47,8 @@ impl Footprint {
         self.grid(view).into_iter().flatten()
     }
 
-    /// The least and the greatest x and y of the footprint, with a margin of the widest mesh of the grid.
+    /// The least and the greatest x and y of the footprint, with a margin of the widest mesh of the
+    /// grid.
     pub fn bounds(&self, view: &View<'_>) -> Option<(GroundPoint, GroundPoint)> {
         let grid = self.grid(view);
         let mut widest: f64 = 0.0;
@@ -83,7 +84,8 @@ pub(super) struct View<'a> {
     pose: &'a GroundPose,
     camera_from_world: Matrix3<f64>,
     position: Vector3<f64>,
-    /// Pixels a metre in the middle of the image: in the direction where there are fewest, and the geometric mean of both.
+    /// Pixels a metre in the middle of the image: in the direction where there are fewest, and the
+    /// geometric mean of both.
     centre_density: (f64, f64),
 }
 
@@ -123,7 +125,8 @@ impl<'a> View<'a> {
         let point = pose.ground_from_ray(camera.ray_from_pixel(middle)?)?;
         let (_, derivative) = view.project(point)?;
         let centre = (least_stretch(&derivative), derivative.determinant().abs().sqrt());
-        // The ratio is the square root of the cosine of the tilt: beyond 85° from plumb nothing of use is seen.
+        // The ratio is the square root of the cosine of the tilt: beyond 85° from plumb nothing of
+        // use is seen.
         let usable =
             centre.0.is_finite() && centre.1.is_finite() && centre.0 > 0.29 * centre.1 && centre.1 > 1e-9;
         view.centre_density = centre;
@@ -135,7 +138,8 @@ impl<'a> View<'a> {
         self.centre_density.1.recip()
     }
 
-    /// Where a ground point is seen; `None` where it is not in front of the lens or is seen too coarsely.
+    /// Where a ground point is seen; `None` where it is not in front of the lens or is seen too
+    /// coarsely.
     pub fn look(&self, point: GroundPoint) -> Option<Look> {
         let (pixel, derivative) = self.project(point)?;
         let density = least_stretch(&derivative) / self.centre_density.0;

@@ -1,4 +1,5 @@
-//! How a frame is laid on the ground: block by block, levelled in brightness, feathered.
+//! Adding a frame to the mosaic: orthorectified block by block, with gain compensation and
+//! feathering.
 
 use super::Mosaic;
 use super::footprint::{Look, View};
@@ -9,14 +10,15 @@ use crate::image::simd::ground::{Feather, LANES, Places, lay_eight};
 use crate::numerics::median;
 use std::ops::Range;
 
-/// Side of the blocks, in ground pixels, within which the way from the ground to the image is taken as bilinear. At a
-/// strong lens distortion (k1 = −0.3) the error is below 0.02 px. A row of a block is laid at a time.
+/// Side of the blocks, in ground pixels, within which the way from the ground to the image is taken
+/// as bilinear. At a strong lens distortion (k1 = −0.3) the error is below 0.02 px. A row of a
+/// block is laid at a time.
 pub(super) const BLOCK: i64 = LANES as i64;
-/// How much of the brightness step to the ground already there is taken out; less than all, so that small errors die out
-/// along the path instead of adding up.
+/// Share of the brightness difference to the existing ground that is compensated; below 1, so that
+/// small errors decay along the path instead of adding up.
 const GAIN_SHARE: f64 = 0.95;
 
-/// What is known at a corner of a block: where it is in the image, and how well the ground is seen there.
+/// A corner of a block: where it is in the image, and how well the ground is seen there.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Corner {
     pub x: f32,
@@ -49,8 +51,8 @@ impl Mosaic {
         }
     }
 
-    /// The gain of each channel that brings the frame to the brightness of the ground already there: the median ratio in the
-    /// middle of all blocks that have been seen before.
+    /// The gain of each channel that matches the frame to the existing ground: the median ratio at
+    /// the centres of all blocks seen before.
     fn gains<const N: usize>(&self, blocks: &Blocks) -> [f32; N] {
         let mut ratios: [Vec<f64>; N] = std::array::from_fn(|_| vec![]);
         for row in blocks.rows.clone() {
@@ -78,7 +80,7 @@ impl Mosaic {
         })
     }
 
-    /// Lays the frame on all blocks. Returns whether any of it came to lie on the ground.
+    /// Adds the frame to all blocks. Returns whether any ground was changed.
     pub(super) fn lay<const N: usize>(
         &mut self,
         blocks: &Blocks,
@@ -122,12 +124,12 @@ impl Mosaic {
     }
 }
 
-/// How much a frame of this camera counts by where in the image it is.
+/// The feathering weights of this camera's images.
 pub(super) fn feather(camera: &Camera) -> Feather {
     Feather::new(camera.width(), camera.height())
 }
 
-/// The places of a row of a block of which some corner is not seen well: each looked for by itself.
+/// Image coordinates of a row of a block with an unusable corner: each computed on its own.
 fn row_by_itself(view: &View<'_>, resolution_m: f64, left: i64, row: i64) -> Places {
     let nowhere = [f32::NAN; BLOCK as usize];
     let mut places = Places { x: nowhere, y: nowhere, quality: nowhere };
@@ -155,7 +157,8 @@ impl Corner {
         Self { x: mix(self.x, other.x), y: mix(self.y, other.y), quality: mix(self.quality, other.quality) }
     }
 
-    /// The first pixel centre of row `j` in a block with the corners a b / c d, and the step to the next.
+    /// The first pixel centre of row `j` in a block with the corners a b / c d, and the step to the
+    /// next.
     pub fn row(a: Self, b: Self, c: Self, d: Self, j: usize) -> (Self, Self) {
         let down = (j as f32 + 0.5) / BLOCK as f32;
         let (left, right) = (a.mix(c, down), b.mix(d, down));

@@ -1,4 +1,4 @@
-//! The frame that is being laid, made as coarse as the ground it is laid on, and sampled between its pixels.
+//! The frame being added, reduced to the resolution of the ground, with bilinear sampling.
 
 use super::MosaicSource;
 use crate::image::simd::ground::{Feather, Laid};
@@ -30,7 +30,8 @@ impl Samples {
         self.full
     }
 
-    /// Takes a frame, halved `level` times (fewer where it has no pixels left to halve) by means of 2 × 2 pixels.
+    /// Takes a frame, halved `level` times (fewer where it has no pixels left to halve) by means of
+    /// 2 × 2 pixels.
     pub fn take(&mut self, image: MosaicSource<'_>, level: u32) {
         let (width, height, channels, samples) = match image {
             MosaicSource::Gray(gray) => (gray.width(), gray.height(), 1, gray.samples()),
@@ -49,7 +50,8 @@ impl Samples {
         (self.right, self.bottom) = (self.width as f32 - 1.0, self.height as f32 - 1.0);
     }
 
-    /// The frame ready to be laid, its samples multiplied with `gains`; `None` where it has too few of them.
+    /// The frame prepared for blending, its samples multiplied by `gains`; `None` if it has too few
+    /// of them.
     pub fn laid<const N: usize>(&self, feather: Feather, gains: [f32; N]) -> Option<Laid<'_, N>> {
         Laid::new(&self.samples, (self.width, self.height), self.scale, feather, gains)
     }
@@ -76,7 +78,8 @@ impl Samples {
         self.scale *= 0.5;
     }
 
-    /// The bilinear sample at a pixel of the full image; `None` outside the centres of its outermost pixels.
+    /// The bilinear sample at a pixel of the full image; `None` outside the centres of its
+    /// outermost pixels.
     #[inline]
     pub fn at<const N: usize>(&self, x: f32, y: f32) -> Option<[f32; N]> {
         let (x, y) = self.reduced(x, y);

@@ -41,7 +41,8 @@ fn drive() -> Vec<GroundPose> {
         .collect()
 }
 
-/// Differences to the texture over the picture, in gray levels and as a shift in ground pixels along the gradient.
+/// Differences to the texture over the picture, in gray levels and as a shift in ground pixels
+/// along the gradient.
 fn errors(picture: &MosaicPicture) -> (Vec<f64>, Vec<f64>) {
     let (mut levels, mut shifts) = (vec![], vec![]);
     let side = picture.placement.metres_per_pixel;
@@ -76,7 +77,8 @@ fn frames_under_known_poses_become_the_ground_they_saw() {
     let picture = mosaic.picture().unwrap();
     let (levels, shifts) = errors(&picture);
     let quantile = |sorted: &[f64], share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize];
-    // Half a level is the rounding of the frames themselves; the rest is bilinear sampling of waves of 20 pixels.
+    // Half a level is the rounding of the frames themselves; the rest is bilinear sampling of waves
+    // of 20 pixels.
     assert!(quantile(&levels, 0.5) < 1.5, "median {}", quantile(&levels, 0.5));
     assert!(quantile(&levels, 0.99) < 5.0, "99 % {}", quantile(&levels, 0.99));
     assert!(quantile(&shifts, 0.5) < 0.1, "median shift {} px", quantile(&shifts, 0.5));
@@ -211,7 +213,8 @@ fn changed_tiles_put_together_are_the_picture() {
     let rays = rays(&camera);
     let options = MosaicOptions { max_pixels: 6 * 65_536, ..MosaicOptions::default() };
     let mut mosaic = Mosaic::new(options);
-    // A viewer that takes only what changed, as a page does while the ground grows; once it outgrows its bound all of it changes.
+    // A viewer that takes only what changed, as a page does while the ground grows; once it
+    // outgrows its bound all of it changes.
     let (mut seen, mut resolution_m) = (0, None);
     let mut held = std::collections::BTreeMap::new();
     let mut coarser = 0;

@@ -15,7 +15,7 @@ type Tile = Vec<[u8; 4]>;
 pub(super) struct Tiles {
     index: BTreeMap<(i64, i64), usize>,
     tiles: Vec<Tile>,
-    /// The revision in which each tile was last laid on.
+    /// The revision in which each tile last changed.
     changed: Vec<u64>,
     revision: u64,
 }
@@ -36,17 +36,17 @@ impl Tiles {
         self.tiles.len()
     }
 
-    /// Begins a new revision: what is laid from now on counts as changed in it.
+    /// Begins a new revision, to which later changes belong.
     pub fn begin_revision(&mut self) {
         self.revision += 1;
     }
 
-    /// How often the ground was laid on or made coarser.
+    /// Number of revisions.
     pub fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// Rows and columns of the tiles laid on after `revision`.
+    /// Rows and columns of the tiles changed after `revision`.
     pub fn changed_since(&self, revision: u64) -> impl Iterator<Item = (i64, i64)> {
         self.index.iter().filter(move |&(_, &slot)| self.changed[slot] > revision).map(|(&key, _)| key)
     }
@@ -92,7 +92,8 @@ impl Tiles {
         (weight > 0).then_some([red, green, blue])
     }
 
-    /// The same ground with pixels of twice the side: the weighted mean of the up to four that were seen.
+    /// The same ground with pixels of twice the side: the weighted mean of the up to four that were
+    /// seen.
     pub fn halved(&self) -> Self {
         let mut halved = Self { revision: self.revision + 1, ..Self::default() };
         let mut lookup = Lookup::new();
@@ -130,7 +131,8 @@ impl Tiles {
         extent.map(|[left, right, top, bottom]| (left..right + 1, top..bottom + 1))
     }
 
-    /// A rectangle of ground as red, green, blue and opacity; white and transparent where it was not seen.
+    /// A rectangle of ground as red, green, blue and opacity; white and transparent where it was
+    /// not seen.
     pub fn rgba(&self, columns: &Range<i64>, rows: &Range<i64>) -> Vec<u8> {
         let (width, height) = ((columns.end - columns.start) as usize, (rows.end - rows.start) as usize);
         let mut rgba = [255, 255, 255, 0].repeat(width * height);

@@ -16,8 +16,9 @@ const FEATURE_BYTES: usize = 44;
 const FURTHEST_M: f32 = 1e5;
 
 impl Signature {
-    /// As bytes: version 1, the number of features (2 bytes), then for each the descriptor (4 × 8 bytes), its position (x and y) and its
-    /// direction (4 bytes each), all little-endian. Features beyond [`MOST_FEATURES`] are left out.
+    /// As bytes: version 1, the number of features (2 bytes), then for each the descriptor (4 × 8
+    /// bytes), its position (x and y) and its direction (4 bytes each), all little-endian. Features
+    /// beyond [`MOST_FEATURES`] are left out.
     pub fn to_bytes(&self) -> Vec<u8> {
         let features = &self.features[..self.features.len().min(MOST_FEATURES)];
         let mut bytes = Vec::with_capacity(HEADER_BYTES + FEATURE_BYTES * features.len());
@@ -31,8 +32,9 @@ impl Signature {
         bytes
     }
 
-    /// From the bytes of [`Signature::to_bytes`]. Fails where the version is another, the length is not what the number of features
-    /// asks for, or a number is not one that a camera over ground can give.
+    /// From the bytes of [`Signature::to_bytes`]. Fails where the version is another, the length is
+    /// not what the number of features asks for, or a number is not one that a camera over ground
+    /// can give.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let [version, low, high, rest @ ..] = bytes else {
             return Err(Error::input(format!(

@@ -1,4 +1,4 @@
-//! From the view of the ground to its features: corners, the direction of the ground around them, and what they look like.
+//! Feature extraction from the orthorectified view: corners, orientation and descriptors.
 
 use super::view::View;
 use super::{GroundFeature, MOST_FEATURES, PlacesConfig};
@@ -14,19 +14,22 @@ const REACH: usize = 12;
 /// The direction is taken from the ground this far around a corner, spots.
 const DIRECTION_REACH: isize = 9;
 
-/// Samples are means over squares of this many spots to either side, which takes out noise and what a turn by less than a step moves.
+/// Samples are means over squares of this many spots to either side: less noise, and less effect of
+/// small rotations.
 const SMOOTHING: usize = 2;
 
-/// Reach of the surroundings whose mean is taken off, spots.
+/// Radius of the neighbourhood whose mean is subtracted, spots.
 const SURROUNDINGS: usize = 15;
 
-/// Where the median of the sums is smaller than this, a gray level and a half, they are noise; that is not strengthened.
+/// Minimum of the median of the sums, a gray level and a half: below it they are noise, which is
+/// not amplified.
 const LEAST_USUAL: f32 = 35.0;
 
-/// What is so many standard deviations (1.48 medians) strong reaches half of the way to white or black.
+/// Contrast, in standard deviations, at which the normalised image is half way to white or black.
 const STRONG: f32 = 3.0;
 
-/// How many of `config.features` a picture of the usual size gives at most and at least, where it shows more or less ground.
+/// Minimum and maximum number of features, as a factor of `config.features`, by the amount of
+/// ground shown.
 const MORE_GROUND: (f64, f64) = (0.1, 1.7);
 
 /// The features of a view.
@@ -47,8 +50,8 @@ pub(super) fn features(view: &View, config: &PlacesConfig) -> Vec<GroundFeature>
     seen.map(|corner| smooth.feature(view, corner)).collect()
 }
 
-/// The view with every sample the sum over the square around it, less the mean of such sums further around: light that changes slowly over
-/// the picture would turn all directions its way.
+/// The view with every sample replaced by the sum over the square around it, less the mean of such
+/// sums over a larger neighbourhood: slow changes of illumination would rotate all orientations.
 struct Smooth {
     width: usize,
     sums: Vec<i16>,
@@ -69,8 +72,9 @@ impl Smooth {
         Self { width, sums, disc: disc(width) }
     }
 
-    /// In gray levels around 128: what is usual in the view deviates from it by some tens, and what is far stronger by not much more. So corners are
-    /// sought in the faces of bricks too and not only where the joints cross: those tell one brick from the next.
+    /// As gray levels around 128 with compressed contrast: typical deviations become some tens of
+    /// levels, far stronger ones not much more. So corners are also detected in the faces of
+    /// bricks, not only at the joints: those distinguish one brick from the next.
     fn image(&self) -> GrayImage {
         let usual = 1.48 * self.median().max(LEAST_USUAL);
         let half = STRONG * usual;
@@ -83,7 +87,7 @@ impl Smooth {
             .unwrap_or(GrayImage::new(0, 0))
     }
 
-    /// The median of the sums without their signs, of every seventh, which is as good as of all.
+    /// The median magnitude of every seventh sum, as precise as that of all.
     fn median(&self) -> f32 {
         let mut sizes: Vec<f64> = self.sums.iter().step_by(7).map(|sum| sum.unsigned_abs().into()).collect();
         median(&mut sizes).unwrap_or(0.0) as f32
@@ -99,13 +103,14 @@ impl Smooth {
         GroundFeature {
             descriptor: self.descriptor(centre, cos, sin),
             position_m: view.position_m((corner.x as f64, corner.y as f64)),
-            // By way of `f64`, where the same bits are found by the mathematics of any system: that of `f32` is not rounded alike.
+            // Through `f64`, whose result is the same on every platform; that of `f32` is not.
             direction_rad: f64::from(y).atan2(f64::from(x)) as f32,
         }
     }
 
-    /// The first moment of brightness over a disc: it points to where the ground is brighter (P. Rosin, "Measuring corner properties",
-    /// 1999). Weights fall off towards the rim, so that what goes in or out over it turns the direction little.
+    /// The first moment of brightness over a disc: it points towards brighter ground (P. Rosin,
+    /// "Measuring corner properties", 1999). Weights fall off towards the rim, so that what enters
+    /// or leaves the disc rotates the direction little.
     fn moment(&self, centre: usize) -> (f32, f32) {
         let (mut right, mut down) = (0.0, 0.0);
         for &(offset, weight_right, weight_down) in &self.disc {
@@ -116,11 +121,12 @@ impl Smooth {
         (right, down)
     }
 
-    /// 256 comparisons of two places each around a corner, along the direction (`cos`, `sin`) of its pattern.
+    /// 256 comparisons of two positions each around a corner, rotated to its orientation (`cos`,
+    /// `sin`).
     fn descriptor(&self, centre: usize, cos: f32, sin: f32) -> [u64; 4] {
         let sample = |[along, across]: [f32; 2]| {
             let (x, y) = (cos * along - sin * across, sin * along + cos * across);
-            // Rounded to the nearest by cutting off what is made positive first.
+            // Rounded to nearest by truncation of a positive number.
             let (right, down) = ((64.5 - y) as isize - 64, (64.5 - x) as isize - 64);
             self.sums[(centre as isize + down * self.width as isize + right) as usize]
         };
@@ -144,8 +150,9 @@ fn disc(width: usize) -> Vec<(isize, f32, f32)> {
     weighted.filter(|place| place.1 > 0.0).map(|(offset, _, right, down)| (offset, right, down)).collect()
 }
 
-/// Which two places each bit compares: along the direction and across it, spots. Drawn once for all, normally distributed around the corner
-/// (the best of the patterns tried by Calonder et al.), never changed: signatures in map files depend on it.
+/// The two positions that each bit compares, along the orientation and across it, spots. Drawn once
+/// from a normal distribution around the corner (the best pattern of Calonder et al.) and never
+/// changed: signatures in map files depend on it.
 static COMPARISONS: LazyLock<[[[f32; 2]; 2]; 256]> = LazyLock::new(|| {
     let mut random = Random::new(0x6f64_6f67);
     let mut normal =
@@ -162,8 +169,8 @@ static COMPARISONS: LazyLock<[[[f32; 2]; 2]; 256]> = LazyLock::new(|| {
     std::array::from_fn(|_| {
         loop {
             let pair = [place(), place()];
-            // All ground is brighter along the direction, which is what the direction says; comparisons across it tell one place from another.
-            // Nearer places share most of what they are means of.
+            // All ground is brighter along the orientation by definition; comparisons across it are
+            // distinctive. Near positions share most of their squares.
             if (pair[0][0] - pair[1][0]).abs() <= 2.0 && (pair[0][1] - pair[1][1]).abs() >= 4.0 {
                 return pair;
             }
@@ -171,7 +178,7 @@ static COMPARISONS: LazyLock<[[[f32; 2]; 2]; 256]> = LazyLock::new(|| {
     })
 });
 
-/// Sums over squares of `reach` to either side of every sample. Beyond the border, the outermost samples go on.
+/// Sums over squares of `reach` to either side of every sample, with the border replicated.
 fn box_sums(samples: &[i32], width: usize, height: usize, reach: usize) -> Vec<i32> {
     let side = 2 * reach + 1;
     let row = |y: isize| {
@@ -179,7 +186,7 @@ fn box_sums(samples: &[i32], width: usize, height: usize, reach: usize) -> Vec<i
         &samples[y * width..][..width]
     };
     let mut sums = vec![0; width * height];
-    // The sums of columns, with what goes on beyond the border on both sides.
+    // The sums of columns, with the border replicated on both sides.
     let mut columns = vec![0i32; width + 2 * reach];
     for y in -(reach as isize)..=(reach as isize) {
         columns[reach..reach + width].iter_mut().zip(row(y)).for_each(|(sum, sample)| *sum += sample);

@@ -1,9 +1,10 @@
-//! The features of one picture, laid out for being compared: what is read together lies together, and what lies near a place is found at once.
+//! The features of one image in a layout for matching: what is read together is stored together,
+//! with a grid for lookup by position.
 
 use super::GroundFeature;
 use crate::image::simd::differing_bits;
 
-/// Descriptors of one picture that differ in no more bits than this could be taken for each other.
+/// Maximum Hamming distance at which descriptors of one image count as similar.
 const LOOKALIKE_DIFFERENCE: u32 = 40;
 
 /// A picture's features in spots, ordered by x.
@@ -12,14 +13,15 @@ pub(super) struct Features {
     pub positions: Vec<[f32; 2]>,
     pub directions_rad: Vec<f32>,
     pub descriptors: Vec<[u64; 4]>,
-    /// What a match of each is worth: one over the number of features of the picture that look like it, itself included.
+    /// Weight of a match of each feature: one over the number of similar features in the image,
+    /// including itself.
     pub worth: Vec<f32>,
     low: [f32; 2],
     high: [f32; 2],
     cells: Cells,
 }
 
-/// Which features lie in each of the squares that the picture is cut into.
+/// The features in each cell of a grid.
 #[derive(Debug, Clone, Default)]
 struct Cells {
     columns: usize,
@@ -30,10 +32,10 @@ struct Cells {
     features: Vec<u16>,
 }
 
-/// A cell is so many spots wide: as much as is looked at around a place.
+/// Side of a cell, spots: the search radius around a position.
 const CELL: f32 = 12.0;
 
-/// There are at most so many along a side, whatever a file says of where its features are.
+/// Maximum number of cells along a side, whatever the positions in a file are.
 const MOST_CELLS: f32 = 64.0;
 
 impl Features {
@@ -68,12 +70,12 @@ impl Features {
         }
     }
 
-    /// How many there are.
+    /// Number of features.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// The middle of the rectangle that they lie in.
+    /// Centre of the bounding box.
     pub fn middle(&self) -> [f32; 2] {
         std::array::from_fn(|k| 0.5 * (self.low[k] + self.high[k]))
     }
@@ -82,7 +84,7 @@ impl Features {
         x >= self.low[0] && x <= self.high[0] && y >= self.low[1] && y <= self.high[1]
     }
 
-    /// The features within `radius` of a place and some around them, in no particular order.
+    /// The features within `radius` of a position and some around them, in no particular order.
     pub fn around(&self, [x, y]: [f32; 2], radius: f32) -> impl Iterator<Item = usize> {
         let cells = &self.cells;
         let cell = |k: usize, at: f32, count: usize| cells.along(at - self.low[k], count);
@@ -121,7 +123,8 @@ impl Cells {
         cells
     }
 
-    /// The cell, of `count` along a side, that lies so many spots along it; beyond the ends the outermost.
+    /// Index along an axis of the cell, of `count`, at a coordinate in spots, clamped to the
+    /// outermost.
     fn along(&self, spots: f32, count: usize) -> usize {
         ((spots * self.per_spot) as usize).min(count.saturating_sub(1))
     }

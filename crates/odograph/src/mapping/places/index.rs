@@ -1,4 +1,4 @@
-//! The index: signatures in, hypotheses out.
+//! The index: looks signatures up and returns hypotheses.
 
 use super::features::Features;
 use super::lookup::{Buckets, FeatureNumber};
@@ -10,29 +10,30 @@ use nalgebra::Vector4;
 use std::cmp::Reverse;
 use std::collections::HashMap;
 
-/// At most so many descriptors are compared for a query, the emptiest buckets' first.
+/// Maximum number of descriptor comparisons per query; the emptiest buckets come first.
 const MOST_COMPARISONS: u32 = 12_000;
 
-/// At most so many keyframes are looked at closely for a query.
+/// Maximum number of keyframes verified per query.
 const MOST_CANDIDATES: usize = 16;
 
-/// Where so many matches agree on a motion over one keyframe, another with less than a fifth of them is not looked at closely.
+/// With this number of votes for one keyframe, others with less than a fifth of them are not
+/// verified.
 const MANY_AGREEING: usize = 15;
 const FEW_OF_MANY: usize = 5;
 
-/// With fewer matches a hypothesis is not worth telling.
+/// Minimum number of matches of a hypothesis.
 const LEAST_MATCHES: usize = 5;
 
-/// With less worth no rival is looked for.
+/// Minimum worth at which the test for ambiguity is made.
 const WORTH_A_RIVAL: f32 = 3.0;
 
-/// Keyframes by what their ground looks like.
+/// Index of keyframes by the appearance of their ground.
 #[derive(Debug, Clone)]
 pub struct PlaceIndex {
     spot_m: f64,
     slots: Vec<Slot>,
     slot_of: HashMap<KeyframeId, usize>,
-    /// Slots whose keyframes were removed.
+    /// Free slots of removed keyframes.
     free: Vec<usize>,
     buckets: Buckets,
 }
@@ -43,33 +44,39 @@ struct Slot {
     features: Features,
 }
 
-/// That a picture shows the ground of a keyframe, lying thus.
+/// The hypothesis that an image shows the ground of a keyframe at a relative pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaceHypothesis {
     /// The keyframe.
     pub keyframe: KeyframeId,
-    /// The pose of the query as the keyframe sees it, as in [`MapEdge::motion`](crate::mapping::MapEdge::motion): x (up in the keyframe's image) and y
-    /// (left) in metres, heading in radians, and the natural logarithm of a scale. The scale is 1 where both signatures were taken
-    /// at their true heights; otherwise it is the query's true height over the one its signature was taken with, if the keyframe's is right.
+    /// The pose of the query as the keyframe sees it, as in
+    /// [`MapEdge::motion`](crate::mapping::MapEdge::motion): x (up in the keyframe's image) and y
+    /// (left) in metres, heading in radians, and the natural logarithm of a scale. The scale is 1
+    /// where both signatures were taken at their true heights; otherwise it is the query's true
+    /// height over the one its signature was taken with, if the keyframe's is right.
     pub motion: Vector4<f64>,
-    /// Features of the query found in the keyframe where the motion puts them, each one another.
+    /// Number of matched features, one to one.
     pub matches: usize,
-    /// Features that lie on the ground which both pictures show, of the picture with fewer of them.
+    /// Number of features in the overlap, of the image with fewer of them.
     pub shared: usize,
-    /// How many matches the best other motion over the same keyframe has: many where the ground repeats itself.
+    /// Number of matches of the best other motion over the same keyframe: large on repetitive
+    /// ground.
     pub rival_matches: usize,
-    /// What the matches are worth: each one over how many features of its own picture look like it. What repeats is worth little.
+    /// Sum of the matches' weights: each one over the number of similar features in its own image,
+    /// so repetitive patterns weigh little.
     pub worth: f64,
-    /// What the matches of the best other motion over the same keyframe are worth, as if as much ground were shared under it.
+    /// The same for the best other motion, scaled to an equal overlap.
     pub rival_worth: f64,
     /// Root mean square distance between matched features, metres.
     pub residual_m: f64,
-    /// By this hypotheses are ordered: the worth of its matches less that of its rival's, as a number of standard deviations.
+    /// Score that orders hypotheses: the worth less that of the best other motion, in standard
+    /// deviations.
     pub score: f64,
 }
 
 impl PlaceHypothesis {
-    /// Whether the place is proved: matches enough, enough of those that there should be, and far more than any other motion has.
+    /// Whether the place is certain: enough matches, a high inlier ratio, and far more support than
+    /// any other motion.
     pub fn is_sure(&self) -> bool {
         const LEAST_WORTH: f64 = 8.0;
         const LEAST_SHARE: f64 = 0.15;
@@ -91,17 +98,17 @@ impl PlaceIndex {
         }
     }
 
-    /// How many keyframes it holds.
+    /// Number of keyframes.
     pub fn len(&self) -> usize {
         self.slot_of.len()
     }
 
-    /// Whether it holds none.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.slot_of.is_empty()
     }
 
-    /// Puts a keyframe in, in place of what it held under that number. Beyond eight million keyframes nothing is put in.
+    /// Inserts or replaces a keyframe. The index holds at most eight million.
     pub fn insert(&mut self, keyframe: KeyframeId, signature: &Signature) {
         self.remove(keyframe);
         let number = self.free.pop().unwrap_or(self.slots.len());
@@ -120,7 +127,7 @@ impl PlaceIndex {
         self.slot_of.insert(keyframe, number);
     }
 
-    /// Takes a keyframe out; nothing happens where it is not in.
+    /// Removes a keyframe, if it is there.
     pub fn remove(&mut self, keyframe: KeyframeId) {
         let Some(number) = self.slot_of.remove(&keyframe) else { return };
         let slot = std::mem::take(&mut self.slots[number]);
@@ -130,8 +137,9 @@ impl PlaceIndex {
         self.free.push(number);
     }
 
-    /// The keyframes that show what the query shows, at most `most`, best first, and at most one hypothesis for each. What is found is
-    /// supported by matches that agree on the plane; whether that is proof says [`PlaceHypothesis::is_sure`].
+    /// The keyframes that show the ground of the query, at most `most`, best first, one hypothesis
+    /// for each. All have geometrically consistent matches; [`PlaceHypothesis::is_sure`] says
+    /// whether that is enough.
     pub fn query(&self, signature: &Signature, most: usize) -> Vec<PlaceHypothesis> {
         let query = Features::new(&signature.features, self.spot_m);
         let mut found: Vec<_> = self
@@ -148,7 +156,7 @@ impl PlaceIndex {
         let mut hypotheses: Vec<_> = found
             .into_iter()
             .map(|(keyframe, slot, support)| {
-                // Where hardly anything speaks for a place it is no matter what speaks against it.
+                // A weak hypothesis needs no test for ambiguity.
                 let told = support.worth >= WORTH_A_RIVAL;
                 let rival = told.then(|| rival(&query, &slot.features, &support)).flatten();
                 let (worth, rival_worth) = (support.worth.into(), rival.map_or(0.0, |r| r.worth.into()));
@@ -171,12 +179,13 @@ impl PlaceIndex {
         hypotheses
     }
 
-    /// The keyframes worth a closer look, each with the motion that most of its matches agree on.
+    /// The keyframes to verify, each with the motion that most of its matches vote for.
     fn candidates(&self, query: &Features) -> Vec<(usize, Placing)> {
         let mut matches = self.look_up(query);
         matches.sort_unstable();
         matches.dedup();
-        // A match alone tells nothing. Those left are fetched before the first is looked at, as they are in `look_up`.
+        // A single match is no evidence. The others are fetched before the first is examined, as in
+        // `look_up`.
         let paired = matches.chunk_by(|a, b| a.0.slot() == b.0.slot()).filter(|group| group.len() > 1);
         let fetched = |&(number, feature, bits): &(FeatureNumber, usize, u32)| {
             let there = &self.slots[number.slot()].features;
@@ -195,7 +204,7 @@ impl PlaceIndex {
         }
         candidates.sort_by_key(|&(agreeing, slot, _)| (Reverse(agreeing), slot));
         candidates.truncate(MOST_CANDIDATES);
-        // Beside one that most speaks for, those that little speaks for are not looked at.
+        // Hypotheses with far fewer votes than the best are not examined.
         let most = candidates.first().map_or(0, |&(agreeing, ..)| agreeing);
         if most >= MANY_AGREEING {
             candidates.retain(|&(agreeing, ..)| FEW_OF_MANY * agreeing >= most);
@@ -203,7 +212,7 @@ impl PlaceIndex {
         candidates.into_iter().map(|(_, slot, placing)| (slot, placing)).collect()
     }
 
-    /// What lies in the same buckets as the query's features and looks like them.
+    /// The features in the same buckets as the query's that have similar descriptors.
     fn look_up(&self, query: &Features) -> Vec<(FeatureNumber, usize, u32)> {
         let leads = query.descriptors.iter().enumerate();
         let mut addresses: Vec<_> =
@@ -219,7 +228,8 @@ impl PlaceIndex {
         });
         let within = within.count();
         let found = self.buckets.alike(&addresses[..within], &query.descriptors);
-        // All are fetched before the first is compared: they lie far apart, and none has to wait for another.
+        // All are fetched before the first is compared: they are far apart in memory, and none has
+        // to wait for another.
         let theirs = |&(other, _): &(FeatureNumber, u32)| {
             self.slots[other.slot()].features.descriptors[other.feature()]
         };

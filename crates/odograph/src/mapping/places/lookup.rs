@@ -1,6 +1,6 @@
-//! Buckets of descriptors: those that agree in some of their bits lie together.
+//! Locality-sensitive hash tables of descriptors.
 
-/// So many parts of a descriptor are addresses, each of a table of its own. They share no bits.
+/// Number of hash tables; each uses other bits of a descriptor.
 const TABLES: usize = 8;
 
 /// Bits of an address: with 3 million features a bucket holds about a dozen.
@@ -9,8 +9,9 @@ const ADDRESS_BITS: u32 = 18;
 /// Features in a piece of a bucket: with their sketches a piece fills a cache line.
 const PIECE: usize = 7;
 
-/// Sketches that differ in more of their 32 bits than this are of descriptors that do not show the same: of unrelated ones nine in ten, of those that differ
-/// in 60 of 256 bits, the most that still counts as alike, three in a hundred.
+/// Maximum Hamming distance of the 32-bit sketches of similar descriptors. It rejects nine in ten
+/// unrelated ones, and three in a hundred of those that differ in 60 of 256 bits, the most that
+/// counts as similar.
 const MOST_SKETCH_DIFFERENCE: u32 = 12;
 
 /// No further piece.
@@ -23,7 +24,7 @@ pub(super) struct FeatureNumber(u32);
 impl FeatureNumber {
     /// Features of a slot are below 2⁹, slots below 2²³.
     pub const FEATURE_BITS: u32 = 9;
-    /// So many slots can be told apart.
+    /// Maximum number of slots.
     pub const MOST_SLOTS: usize = 1 << (32 - Self::FEATURE_BITS);
 
     pub fn new(slot: usize, feature: usize) -> Self {
@@ -60,7 +61,7 @@ struct Bucket {
 #[repr(align(64))]
 struct Piece {
     features: [FeatureNumber; PIECE],
-    /// Some of each one's bits, so that most of those that are not alike need not be fetched from where they lie.
+    /// A sketch of each descriptor, so that most dissimilar ones need not be fetched.
     sketches: [u32; PIECE],
     older: u32,
 }
@@ -68,7 +69,7 @@ struct Piece {
 /// A bucket that a descriptor of the query leads to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Address {
-    /// How many features lie there. First, so that the emptier orders before the fuller.
+    /// Number of features in the bucket. First, so that emptier ones sort first.
     pub features: u32,
     /// Which feature of the query led there.
     pub query: u32,
@@ -109,7 +110,7 @@ impl Buckets {
         }
     }
 
-    /// Takes out what [`Buckets::insert`] put in.
+    /// Removes what [`Buckets::insert`] added.
     pub fn remove(&mut self, descriptor: &[u64; 4], number: FeatureNumber) {
         for at in addresses(descriptor) {
             let Bucket { features, newest } = self.buckets[at];
@@ -170,10 +171,11 @@ impl Buckets {
         })
     }
 
-    /// What lies in buckets and may be alike the query's descriptors that led there, with the number of each.
+    /// The features of buckets with similar sketches, with the query's feature of each.
     ///
-    /// Hardly any of it is in the processor's caches, so that reading it one after the other is waiting most of the time. Of many buckets the newest
-    /// pieces are read, then of all of these the next older, and so on: none of a round waits for another.
+    /// Most of it is not in the processor's caches, so reading it in sequence is mostly waiting.
+    /// The newest pieces of many buckets are read together, then the next older of all of them, and
+    /// so on: within a round no read waits for another.
     pub fn alike(&self, addresses: &[Address], query: &[[u64; 4]]) -> Vec<(FeatureNumber, u32)> {
         const AT_ONCE: usize = 32;
         let sketches: Vec<u32> = query.iter().map(sketch).collect();
@@ -210,7 +212,7 @@ impl Buckets {
     }
 }
 
-/// How many places of its newest piece a bucket with so many features uses.
+/// Number of used places in the newest piece of a bucket with this number of features.
 fn used_of_newest(features: u32) -> usize {
     match features as usize % PIECE {
         0 => PIECE,
@@ -218,8 +220,8 @@ fn used_of_newest(features: u32) -> usize {
     }
 }
 
-/// In how many of their 256 bits two descriptors differ, where those are at most `most`. Unrelated ones are known by their first half: they
-/// are told apart there if it alone shows two thirds of what is allowed to the whole, and half is what alike ones show.
+/// Hamming distance of two descriptors, if at most `most`. Most unrelated ones are rejected by the
+/// first half: its limit is two thirds of `most`, while half of it is expected of similar ones.
 #[inline]
 pub(super) fn difference(a: &[u64; 4], b: &[u64; 4], most: u32) -> Option<u32> {
     let differing = |word: usize| (a[word] ^ b[word]).count_ones();

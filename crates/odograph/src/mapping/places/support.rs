@@ -1,20 +1,20 @@
-//! What speaks for a motion between two pictures of the ground.
+//! Verification of a motion between two images of the ground by counting matched features.
 
 use super::features::Features;
 use super::lookup::difference;
 use crate::image::simd::differing_bits;
 use std::f32::consts::{PI, TAU};
 
-/// Descriptors that differ in more bits than this do not show the same. Unrelated ones differ in 128 on the average.
+/// Maximum Hamming distance of matching descriptors. Unrelated ones differ in 128 bits on average.
 pub(super) const MOST_DIFFERENCE: u32 = 60;
 
-/// Directions of the same pattern agree within this, radians.
+/// Maximum difference of the orientations of matched features, radians.
 const DIRECTION_TOLERANCE: f32 = 0.45;
 
-/// Pairs nearer than this many spots say too little about the heading.
+/// Minimum distance of a pair of features, spots: a shorter one determines the heading badly.
 const SHORTEST_BASELINE: f32 = 10.0;
 
-/// A shift, a turn and a scale: `p ↦ t + s R(θ) p`, from the query's ground to the keyframe's, in spots.
+/// A similarity transform `p ↦ t + s R(θ) p` from the query's ground to the keyframe's, in spots.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Placing {
     pub shift: [f32; 2],
@@ -22,13 +22,14 @@ pub(super) struct Placing {
     pub scale: f32,
 }
 
-/// A feature of the query and one of the keyframe that look alike.
+/// A pair of similar features of the query and of the keyframe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Match {
     pub query: usize,
     pub keyframe: usize,
     pub difference: u32,
-    /// Where the one of the keyframe is, and how far it is turned against that of the query: beside the rest, for what a keyframe holds lies far away.
+    /// Position of the keyframe's feature, and its rotation relative to the query's: copied, since
+    /// the keyframe's data are far away in memory.
     pub there: [f32; 2],
     pub turn_rad: f32,
 }
@@ -41,7 +42,8 @@ impl Match {
     }
 }
 
-/// The angle brought near zero. Angles here are a few turns at most, so the nearest number of turns is got by cutting off, without a call of a library.
+/// The angle wrapped to (−π, π]. Angles here are a few turns at most, so truncation finds the
+/// number of turns without a library call.
 #[inline]
 fn turned(angle: f32) -> f32 {
     let turns = angle * (1.0 / TAU);
@@ -68,7 +70,7 @@ impl Placing {
         Self { shift: [-x, -y], ..back }
     }
 
-    /// From two matches, without a scale. `None` where they contradict each other: other distances, or other turns.
+    /// From two matches, with scale 1. `None` if their distances or orientations are inconsistent.
     fn from_pair(query: &Features, a: Match, b: Match) -> Option<Self> {
         let baseline = |p: [f32; 2], q: [f32; 2]| [q[0] - p[0], q[1] - p[1]];
         let in_query = baseline(query.positions[a.query], query.positions[b.query]);
@@ -92,9 +94,9 @@ impl Placing {
         Some(Self { shift, ..turn })
     }
 
-    /// The placing that takes matched features to each other with the least sum of squares (S. Umeyama, "Least-squares estimation of
-    /// transformation parameters between two point patterns", 1991; in the plane it is a division of complex numbers). From few matches the scale
-    /// is not taken: it would follow their errors.
+    /// The least-squares transform of matched features (S. Umeyama, "Least-squares estimation of
+    /// transformation parameters between two point patterns", 1991; in the plane a division of
+    /// complex numbers). With few matches the scale is fixed at 1: it would follow their errors.
     fn fitted(query: &Features, matches: &[Match]) -> Option<Self> {
         const ENOUGH_FOR_SCALE: usize = 6;
         let count = matches.len() as f64;
@@ -127,30 +129,30 @@ impl Placing {
         Some(Self { shift: shift.map(|v| v as f32), heading_rad: heading as f32, scale: scale as f32 })
     }
 
-    /// Whether two placings put the middle of the query at other places or other headings.
+    /// Whether two transforms put the query's centre at different positions or headings.
     pub fn differs(&self, other: &Self, middle: [f32; 2]) -> bool {
         let (a, b) = (self.apply(middle), other.apply(middle));
         (a[0] - b[0]).hypot(a[1] - b[1]) > 12.0 || turned(self.heading_rad - other.heading_rad).abs() > 0.15
     }
 }
 
-/// A placing with what speaks for it.
+/// A placing with its support.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Support {
     pub placing: Placing,
-    /// Features of both pictures found in each other's place.
+    /// Number of matches.
     pub matches: usize,
-    /// The sum of what these are worth.
+    /// Sum of their weights.
     pub worth: f32,
-    /// Features of the picture that shows fewer of them on the ground that both show.
+    /// Number of features in the overlap, of the image with fewer of them.
     pub shared: usize,
     /// Root mean square distance of matched features, spots.
     pub residual: f32,
 }
 
-/// The placing, of those that pairs of matches give, with which most others agree, and how many do.
+/// The transform, among those of pairs of matches, with the most votes, and their number.
 pub(super) fn best_pair(query: &Features, matches: &[Match]) -> Option<(Placing, usize)> {
-    /// Pairs are made of the matches that are most alike.
+    /// Pairs are made of the most similar matches.
     const MOST_PAIRED: usize = 14;
     const NEAR: f32 = 6.0;
     let mut best: Option<(Placing, usize)> = None;
@@ -172,10 +174,11 @@ pub(super) fn best_pair(query: &Features, matches: &[Match]) -> Option<(Placing,
     best
 }
 
-/// With fewer matches around a placing a better fit will not find many more.
+/// Minimum number of matches for a refinement to be worthwhile.
 const LEAST_TO_GO_ON: usize = 3;
 
-/// Looks under a placing for every feature of the query in the keyframe, fits, and looks again closer by.
+/// Searches every feature of the query in the keyframe under a transform, fits, and searches again
+/// with a smaller radius.
 pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> Option<Support> {
     let mut placing = start;
     let mut matches = Vec::new();
@@ -207,8 +210,8 @@ pub(super) fn support(query: &Features, keyframe: &Features, start: Placing) -> 
     })
 }
 
-/// For every feature of the query the one within `radius` spots that is most alike; each of the keyframe's is taken once, by the query's that is
-/// most like it.
+/// For every feature of the query the most similar one within `radius` spots; each of the
+/// keyframe's is assigned once, to the most similar.
 fn find_matches(
     query: &Features,
     keyframe: &Features,
@@ -236,7 +239,7 @@ fn find_matches(
             let descriptors = (&query.descriptors[number], &keyframe.descriptors[candidate]);
             let allowed = best.map_or(MOST_DIFFERENCE, |best| best.difference);
             let Some(difference) = difference(descriptors.0, descriptors.1, allowed) else { continue };
-            // Of those as much alike the first, whatever their order here.
+            // Ties are decided by index, independent of the order here.
             if best.is_none_or(|best| (difference, candidate) < (best.difference, best.keyframe)) {
                 best = Some(Match::new((query, number), (keyframe, candidate), difference));
             }
@@ -247,11 +250,11 @@ fn find_matches(
     matches.dedup_by_key(|m| m.keyframe);
 }
 
-/// Unrelated ground has up to five matches by chance; so many tell that ground is alike.
+/// Number of matches that shows similar ground; unrelated ground has up to five by chance.
 const LEAST_TO_EXTRAPOLATE: usize = 8;
 
-/// The support of the best other placing of the two pictures, of those that most single matches vote for; its worth as if they shared as much ground under it as
-/// under the best. Where a pattern repeats there is one.
+/// The support of the best other transform of the two images, among those with the most single
+/// votes, scaled to an equal overlap. Repetitive patterns have one.
 pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Option<Support> {
     const MOST_TRIED: usize = 8;
     let middle = query.middle();
@@ -271,10 +274,11 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
     let groups = votes.chunk_by_mut(|a, b| a.bin == b.bin).filter(|group| group.len() > 1);
     let mut groups: Vec<&mut [Vote]> = groups.collect();
     groups.sort_unstable_by_key(|group| (std::cmp::Reverse(group.len()), group[0].bin));
-    // Votes for the placing itself fall into the bins around it, too; where they are the most, they must not keep the others from being tried.
+    // Votes for the transform itself also fall into the neighbouring bins; they must not keep
+    // others from being tried.
     let other = |placing: &Placing| placing.differs(&best.placing, middle);
     let placing = |group: &mut [Vote]| {
-        // The sums are the same whatever the order of the features.
+        // The sums do not depend on the order of the features.
         group.sort_unstable_by(|a, b| {
             let by_place = a.middle[0].total_cmp(&b.middle[0]).then(a.middle[1].total_cmp(&b.middle[1]));
             by_place.then(a.heading_rad.total_cmp(&b.heading_rad))
@@ -284,7 +288,8 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
         let [x, y] = turn.apply(middle);
         Placing { shift: [mean(|v| v.middle[0]) - x, mean(|v| v.middle[1]) - y], ..turn }
     };
-    // A floor that repeats shows the same shifted by a tile, only less of it: what counts is how much of the ground that is shared is alike.
+    // Repetitive ground matches itself shifted by a period, with less overlap: what counts is the
+    // matched share of the overlap.
     let as_much_ground = |found: Support| {
         let more = best.shared as f32 / found.shared.max(1) as f32;
         let told = found.matches >= LEAST_TO_EXTRAPOLATE;
@@ -295,7 +300,7 @@ pub(super) fn rival(query: &Features, keyframe: &Features, best: &Support) -> Op
     found.map(as_much_ground).max_by(|a, b| a.worth.total_cmp(&b.worth).then(a.matches.cmp(&b.matches)))
 }
 
-/// Where one match alone would put the middle of the query, and which way.
+/// The place and direction of the query's centre by a single match.
 #[derive(Clone, Copy)]
 struct Vote {
     bin: u64,
@@ -303,7 +308,7 @@ struct Vote {
     heading_rad: f32,
 }
 
-/// The bin of a vote: 20 spots and 15° wide. Ordered by x, then y, then heading.
+/// The bin of a vote, 20 spots and 15° wide. Ordered by x, then y, then heading.
 fn bin([x, y]: [f32; 2], heading_rad: f32) -> u64 {
     let bins = [(x / 20.0).floor(), (y / 20.0).floor(), ((heading_rad + PI) / TAU * 24.0).floor()];
     bins.map(|v| u64::from((v as i16 as u16) ^ 0x8000)).into_iter().fold(0, |all, bin| all << 16 | bin)

@@ -63,7 +63,8 @@ fn a_place_is_found_again_from_its_side_turned_and_tilted() {
         index.insert(KeyframeId(number as u64), &scene.signature(keyframe));
     }
     for (number, keyframe) in keyframes().iter().enumerate() {
-        // Half the ground is shared; the camera is turned, tilted by up to 10° and lifted by a tenth.
+        // Half the ground is shared; the camera is turned, tilted by up to 10° and lifted by a
+        // tenth.
         let turn = 1.0 + number as f64;
         let query = GroundPose {
             x_m: keyframe.x_m + 0.3 * turn.cos(),
@@ -77,7 +78,8 @@ fn a_place_is_found_again_from_its_side_turned_and_tilted() {
         let best = found.first().expect("a hypothesis");
         assert_eq!(best.keyframe, KeyframeId(number as u64));
         assert!(best.is_sure(), "{best:?}");
-        // A spot is 3 mm; a place is known to a fraction of it where dozens of features agree, and to a spot or two where it is seen askew.
+        // A spot is 3 mm; a place is known to a fraction of it where dozens of features agree, and
+        // to a spot or two where it is seen askew.
         let (off_m, off_rad) = error(best, keyframe, &query);
         assert!(off_m < 0.006 && off_rad < 0.01, "{off_m} m {off_rad} rad: {best:?}");
         assert!(best.motion[3].abs() < 0.01, "the heights were told truly: {best:?}");
@@ -180,7 +182,8 @@ fn bytes_that_no_camera_gives_are_refused_in_a_sentence() {
     }
 }
 
-/// Features strewn over a plane, all of one tile again and again, or every tile another. Seen twice, a feature differs in a fifth of its bits.
+/// Features strewn over a plane, all of one tile again and again, or every tile another. Seen
+/// twice, a feature differs in a fifth of its bits.
 fn strewn(tile_m: f64, repeating: bool) -> impl Fn(&GroundPose, u64) -> Signature {
     const IN_A_TILE: u64 = 113;
     move |pose, noise_seed| {
@@ -216,8 +219,9 @@ fn strewn(tile_m: f64, repeating: bool) -> impl Fn(&GroundPose, u64) -> Signatur
 
 #[test]
 fn a_tile_again_and_again_is_no_place() {
-    // Shifted by a tile of 51 cm, less than half of the ground is shared: what speaks for that is less, and says as much. Counted as it is, without regard to
-    // how much ground is shared, it lets the floor that repeats be recognised.
+    // Shifted by a tile of 51 cm, less than half of the ground is shared: what speaks for that is
+    // less, and says as much. Counted as it is, without regard to how much ground is shared, it
+    // lets the floor that repeats be recognised.
     for (repeating, sure) in [(false, 6), (true, 0)] {
         let strewn = strewn(0.51, repeating);
         let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));

@@ -1,20 +1,23 @@
-//! The ground as seen from straight above, a sample for every spot.
+//! The orthorectified view of the ground, a sample per spot.
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 
-/// Spots between the points at which the way from the ground to the image is computed exactly; between them it is interpolated. Over
-/// 16 spots, a twentieth of a picture, lens and tilt bend it by hundredths of a pixel.
+/// Mesh width, spots: the mapping from ground to image is exact at the nodes and interpolated
+/// between them. Over 16 spots, a twentieth of an image, lens and tilt bend it by hundredths of a
+/// pixel.
 const MESH: usize = 16;
 
-/// A view is at most this many spots wide and high: what a camera sees from twice the usual height.
+/// Maximum width and height of a view, spots: what a camera sees from twice the usual height.
 const MOST_SPOTS: usize = 640;
 
-/// Ground further from below the camera than this many heights is seen too flatly to be recognised.
+/// Maximum distance from the point below the camera, in heights: beyond it ground is seen too
+/// obliquely.
 const REACH_IN_HEIGHTS: f64 = 2.5;
 
-/// A picture of the ground from straight above: rows run against x (forward is up), columns against y (left is left).
+/// A picture of the ground from straight above: rows run against x (forward is up), columns against
+/// y (left is left).
 pub(super) struct View {
     /// One sample a spot; outside the camera's image, what its border shows.
     pub image: GrayImage,
@@ -147,7 +150,8 @@ fn bilinear(image: &GrayImage, x: f32, y: f32) -> u8 {
     (above + (below - above) * v + 0.5) as u8
 }
 
-/// The rectangle of ground that the image covers, as far as it is near enough: lower and upper ends of x and y, metres.
+/// The rectangle of ground that the image covers, as far as it is near enough: lower and upper ends
+/// of x and y, metres.
 fn footprint(camera: &Camera, pose: &GroundPose) -> Option<((f64, f64), (f64, f64))> {
     const STEPS: usize = 12;
     let (width, height) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);

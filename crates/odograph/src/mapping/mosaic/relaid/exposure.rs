@@ -1,9 +1,10 @@
-//! How bright each keyframe is against the others.
+//! Gain compensation between keyframes.
 //!
-//! Where two keyframes show the same ground, the ratio of their brightness is known; all those ratios together are settled by least squares in the
-//! logarithms of the gains, held to 1 by a weak prior (M. Brown and D. G. Lowe, "Automatic panoramic image stitching using invariant features", 2007,
-//! section 6; there in the gains themselves). Most lenses darken towards the corners of the image, and the same for every keyframe: where two keyframes see
-//! the same ground at different distances from the middle, that shows, and is taken out first.
+//! Where two keyframes show the same ground, the ratio of their brightness is known; the gains are
+//! the least-squares solution for all ratios in logarithms, with a weak prior at 1 (M. Brown and D.
+//! G. Lowe, "Automatic panoramic image stitching using invariant features", 2007, section 6; there
+//! in the gains themselves). Vignetting is equal in all keyframes: it shows where two of them see
+//! the same ground at different distances from the image centre, and is corrected first.
 
 use super::super::footprint::View;
 use super::Laid;
@@ -20,21 +21,25 @@ const CELLS: (usize, usize) = (24, 18);
 const MOST_OVERLAPS: usize = 12;
 /// Cells that two keyframes must share to be compared.
 const LEAST_CELLS: usize = 12;
-/// Spots whose brightness differs by more than this (a logarithm) after exposure are shadows or something that moved.
+/// Spots whose brightness differs by more than this (a logarithm) after exposure are shadows or
+/// something that moved.
 const FARTHEST_LOG: f64 = 0.3;
-/// Where keyframes see each other's ground in the same place of the image, nothing is known of the lens: as if a spread of so much had shown no darkening.
+/// Where keyframes see each other's ground in the same place of the image, nothing is known of the
+/// lens: as if a spread of so much had shown no darkening.
 const SPREAD_PRIOR: f64 = 1.0;
 /// The square of how well a ratio is known (1 %) over how far exposure strays (20 %).
 const PRIOR: f64 = 0.0025;
 
-/// The gain of each keyframe and channel that brings all to the same brightness, and how the lens darkens.
+/// The gain of each keyframe and channel that brings all to the same brightness, and how the lens
+/// darkens.
 #[derive(Debug)]
 pub(super) struct Gains {
     of: Vec<[f32; 3]>,
     darkening: Darkening,
 }
 
-/// How a lens darkens: the logarithm of the brightness changes by `log_at_corner` times the square of the distance from the middle, in half diagonals.
+/// Vignetting: the logarithm of the brightness changes by `log_at_corner` times the square of the
+/// distance from the centre, in half diagonals.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Darkening {
     middle: [f32; 2],
@@ -63,7 +68,8 @@ impl Darkening {
     }
 }
 
-/// Two keyframes that show the same ground: the logarithm of the first's brightness over the second's, by channel.
+/// Two keyframes that show the same ground: the logarithm of the first's brightness over the
+/// second's, by channel.
 struct Overlap {
     one: usize,
     other: usize,
@@ -105,7 +111,7 @@ impl Gains {
         self.of[keyframe]
     }
 
-    /// How the lens darkens.
+    /// The vignetting.
     pub fn darkening(&self) -> Darkening {
         self.darkening
     }
@@ -138,7 +144,7 @@ impl Thumbnail {
         Self((0..CELLS.0 * CELLS.1).map(cell).collect())
     }
 
-    /// Takes out what the lens darkens.
+    /// Corrects the vignetting.
     fn brighten(&mut self, camera: &Camera, darkening: Darkening) {
         for (k, cell) in self.0.iter_mut().enumerate() {
             let pixel = centre_of(camera, k);
@@ -147,7 +153,8 @@ impl Thumbnail {
         }
     }
 
-    /// The brightness at a share of the image's width and height; `None` outside the centres of the outermost cells.
+    /// The brightness at a share of the image's width and height; `None` outside the centres of the
+    /// outermost cells.
     fn at(&self, x: f64, y: f64) -> Option<[f64; 3]> {
         let (x, y) = (x * CELLS.0 as f64 - 0.5, y * CELLS.1 as f64 - 0.5);
         let (column, row) = (x.floor(), y.floor());
@@ -181,7 +188,8 @@ fn pairs(keyframes: &[Laid]) -> Vec<(usize, usize)> {
         let [left, bottom, right, top] = keyframes[k].bounds;
         (0.5 * (left + right), 0.5 * (bottom + top))
     };
-    // Squares as large as the largest footprint: overlapping ones are in the same or in neighbouring squares.
+    // Squares as large as the largest footprint: overlapping ones are in the same or in
+    // neighbouring squares.
     let reach = |laid: &Laid| (laid.bounds[2] - laid.bounds[0]).max(laid.bounds[3] - laid.bounds[1]);
     let side = keyframes.iter().map(reach).fold(f64::MIN_POSITIVE, f64::max);
     let square = |k: usize| ((centre(k).0 / side).floor() as i64, (centre(k).1 / side).floor() as i64);
@@ -201,7 +209,8 @@ fn pairs(keyframes: &[Laid]) -> Vec<(usize, usize)> {
     found
 }
 
-/// A spot of ground that two keyframes show: where each has it in its image, and the logarithms of the ratios of their brightness by channel.
+/// A spot of ground that two keyframes show: where each has it in its image, and the logarithms of
+/// the ratios of their brightness by channel.
 struct Shared {
     pixels: [[f32; 2]; 2],
     log_ratio: [f64; 3],
@@ -238,8 +247,9 @@ fn log_exposure(shared: &[Shared]) -> Option<[f64; 3]> {
     Some([of_channel(0)?, of_channel(1)?, of_channel(2)?])
 }
 
-/// How much darker the lens is in the corners, as a logarithm: the slope of the ratio of brightness over the difference of the squared distances from the
-/// middle, over all spots that two keyframes share; the median ratio of each pair is its exposure and no matter of the lens.
+/// Vignetting at the corner, as a logarithm: the slope of the brightness ratio over the difference
+/// of the squared distances from the centre, over all shared spots; the median ratio of each pair
+/// is its exposure and is subtracted.
 fn log_at_corner(
     camera: &Camera,
     keyframes: &[Laid],
@@ -260,7 +270,7 @@ fn log_at_corner(
         };
         let mean = spots.iter().map(apart).sum::<f64>() / spots.len() as f64;
         for spot in &spots {
-            // Green stands for all.
+            // Green represents all channels.
             let off = spot.log_ratio[1] - exposure[1];
             if off.abs() < FARTHEST_LOG {
                 squares += (apart(spot) - mean).powi(2);
@@ -271,8 +281,8 @@ fn log_at_corner(
     (products / squares).clamp(-1.5, 0.5) as f32
 }
 
-/// The logarithms of one channel's gains: least squares of `gain(one) − gain(other) + log_ratio` over all overlaps and of the gains themselves, by
-/// conjugate gradients.
+/// The logarithms of one channel's gains: least squares of `gain(one) − gain(other) + log_ratio`
+/// over all overlaps and of the gains themselves, by conjugate gradients.
 fn solve(count: usize, overlaps: &[Overlap], channel: usize) -> Vec<f64> {
     let apply = |x: &[f64]| -> Vec<f64> {
         let mut y: Vec<f64> = x.iter().map(|x| PRIOR * x).collect();

@@ -1,10 +1,12 @@
-//! The mosaic of a whole map: every keyframe laid where it is now known to be, piece by piece.
+//! The mosaic of a whole map: all keyframes at their final poses, patch by patch.
 //!
-//! What [`Mosaic`](super::Mosaic) lays as the frames arrive cannot be moved any more when a loop pulls the path straight. From a map and its
-//! images the ground is laid anew: patch by patch, so that the memory does not grow with the map, every patch from all keyframes that show it.
-//! Brightness is settled between all keyframes first ([`exposure`]); within a patch the coarse of the picture is the mean of all views and the fine
-//! comes from the best one ([`patch`]; P. J. Burt and E. H. Adelson, "A multiresolution spline with application to image mosaics", 1983, with two
-//! bands), so that neither a step of brightness nor a doubled pattern shows where views meet.
+//! What [`Mosaic`](super::Mosaic) has blended cannot be moved when a loop closure corrects the
+//! path. This builds the mosaic anew from a map and its images: patch by patch, so that memory does
+//! not grow with the map, each from all keyframes that show it. Gain compensation covers all
+//! keyframes ([`exposure`]); within a patch low frequencies are the mean of all views and high
+//! frequencies come from the best one ([`patch`]; P. J. Burt and E. H. Adelson, "A multiresolution
+//! spline with application to image mosaics", 1983, with two bands), so that seams show neither
+//! steps of brightness nor doubled patterns.
 
 mod exposure;
 mod images;
@@ -25,7 +27,8 @@ use std::ops::Range;
 
 /// Side of a tile of the mosaic, ground pixels.
 pub const MOSAIC_TILE_PX: usize = TILE as usize;
-/// Side of a patch, tiles: small enough that what is computed in it stays near, large enough that few images are needed twice.
+/// Side of a patch, tiles: small enough that what is computed in it stays near, large enough that
+/// few images are needed twice.
 const PATCH: i64 = 4;
 /// No picture is wider than this, ground pixels: a mosaic that would be is made coarser.
 const WIDEST: f64 = (1u64 << 30) as f64;
@@ -37,11 +40,12 @@ pub struct MosaicTile {
     pub column: i64,
     /// Its row: tile `r` has the ground from y = −`r` down to −(`r` + 1) sides of a tile.
     pub row: i64,
-    /// Red, green, blue and opacity of [`MOSAIC_TILE_PX`]² pixels in row order; opacity is 255 where the ground was seen and 0 elsewhere.
+    /// Red, green, blue and opacity of [`MOSAIC_TILE_PX`]² pixels in row order; opacity is 255
+    /// where the ground was seen and 0 elsewhere.
     pub rgba: Vec<u8>,
 }
 
-/// A keyframe that can be laid.
+/// A keyframe that looks at the ground.
 #[derive(Debug, Clone)]
 struct Laid {
     id: KeyframeId,
@@ -52,14 +56,14 @@ struct Laid {
     bounds: [f64; 4],
 }
 
-/// The mosaic of a map while it is being laid: an iterator over patches that needs the images.
+/// The mosaic of a whole map: all keyframes at their final poses, patch by patch.
 #[derive(Debug)]
 pub struct MapMosaic {
     camera: Camera,
     resolution_m: f64,
     keyframes: Vec<Laid>,
     gains: Gains,
-    /// The patches left to lay, with the keyframes that may show them, in the reverse of the order in which they are laid.
+    /// The remaining patches with the keyframes that may show them, in reverse order.
     patches: Vec<((i64, i64), Vec<usize>)>,
     tiles: (Range<i64>, Range<i64>),
     images: Images,
@@ -67,9 +71,10 @@ pub struct MapMosaic {
 }
 
 impl MapMosaic {
-    /// Prepares the mosaic of a map: settles the brightness of its keyframes. Every image is loaded once. `ground_resolution_m` is the side of a ground
-    /// pixel; by default what a pixel in the middle of the median keyframe sees. It is not made finer than a quarter of that, and made coarser by
-    /// halves where the picture would be wider than 2³⁰ pixels.
+    /// Prepares the mosaic of a map, with the gain compensation of its keyframes. Every image is
+    /// loaded once. `ground_resolution_m` is the side of a ground pixel; by default what a pixel in
+    /// the middle of the median keyframe sees. It is not made finer than a quarter of that, and
+    /// coarser by halves if the picture would be wider than 2³⁰ pixels.
     ///
     /// `None` where no keyframe looks at the ground. Fails where an image cannot be loaded.
     pub fn new(
@@ -95,7 +100,8 @@ impl MapMosaic {
         let Some(resolution_m) = resolution_m(&keyframes, ground_resolution_m) else {
             return Ok(None);
         };
-        // A keyframe from far above shows more ground than there is memory for, and shows it more coarsely than the others.
+        // A keyframe from far above shows more ground than fits in memory, and more coarsely than
+        // the others.
         let pixels = (map.camera.width() * map.camera.height()) as f64;
         keyframes.retain(|laid| {
             let [left, bottom, right, top] = laid.bounds;
@@ -128,12 +134,13 @@ impl MapMosaic {
         self.tiles.clone()
     }
 
-    /// How many patches are left to lay.
+    /// Number of remaining patches.
     pub fn patches_left(&self) -> usize {
         self.patches.len()
     }
 
-    /// Lays the next patch and gives its tiles that show any ground; `None` when all is laid. Every tile comes once.
+    /// Blends the next patch and returns its tiles that show any ground; `None` at the end. Every
+    /// tile is returned once.
     pub fn next_tiles(&mut self, images: &mut dyn KeyframeImages) -> Result<Option<Vec<MosaicTile>>> {
         let Some(((row, column), keyframes)) = self.patches.pop() else {
             return Ok(None);
@@ -163,12 +170,13 @@ fn resolution_m(keyframes: &[Laid], asked: Option<f64>) -> Option<f64> {
     Some(resolution_m)
 }
 
-/// Which pieces of `side_m` a range of metres touches.
+/// The indices of the squares of `side_m` that overlap a range of metres.
 fn touched(from_m: f64, to_m: f64, side_m: f64) -> Range<i64> {
     (from_m / side_m).floor() as i64..(to_m / side_m).floor() as i64 + 1
 }
 
-/// The patches that footprints touch, row by row and there and back, so that neighbours follow each other and share their images; reversed.
+/// The patches that footprints overlap, row by row in alternating direction, so that neighbours
+/// share their images; reversed.
 fn patches(keyframes: &[Laid], resolution_m: f64) -> Vec<((i64, i64), Vec<usize>)> {
     let side_m = (PATCH * TILE) as f64 * resolution_m;
     let mut found: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();

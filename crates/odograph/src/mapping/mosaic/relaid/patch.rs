@@ -1,9 +1,10 @@
-//! A patch of ground, laid from all keyframes that show it.
+//! A patch of ground, blended from all keyframes that show it.
 //!
-//! Each view of a ground pixel is split into a coarse part (what a cell of the image some tens of pixels wide has on average) and the fine rest. The
-//! coarse parts are averaged with weights that fall off softly towards the border of the image; so what is left of a difference in brightness is spread
-//! over the whole overlap. Of the fine parts hardly any but the best view's counts, so that a pattern that two views put a pixel apart is neither
-//! doubled nor blurred.
+//! Each view of a ground pixel is split into a low-frequency part (the mean over a cell some tens
+//! of pixels wide) and the rest. Low frequencies are averaged with weights that fall off softly
+//! towards the image border, so a remaining difference in brightness is spread over the whole
+//! overlap. High frequencies come almost only from the best view, so that a pattern displaced by a
+//! pixel is neither doubled nor blurred.
 
 use super::super::footprint::View;
 use super::super::sampling::Samples;
@@ -19,7 +20,8 @@ use crate::mapping::mosaic::laying::Corner;
 const SIDE: usize = (PATCH * TILE) as usize;
 /// Blocks on a side of the patch.
 const BLOCKS: usize = SIDE / BLOCK as usize;
-/// The fine parts count by the weight to this power: where one view weighs 10 % more than another, 2 of 3 parts are its.
+/// The fine parts count by the weight to this power: where one view weighs 10 % more than another,
+/// 2 of 3 parts are its.
 const SHARPNESS: i32 = 8;
 
 /// What is known of a ground pixel: weighted sums, and the weights.
@@ -52,8 +54,8 @@ impl Patch {
         self.sums.resize(SIDE * SIDE, Sums::default());
     }
 
-    /// Lays an image that shows the ground within `bounds` (least x and y, greatest x and y, metres), each channel multiplied by its gain, and what
-    /// the lens darkens taken out.
+    /// Adds an image that shows the ground within `bounds` (least x and y, greatest x and y,
+    /// metres), with a gain for each channel and its vignetting corrected.
     pub fn lay(
         &mut self,
         image: &KeyframeImage,
@@ -80,7 +82,8 @@ impl Patch {
         }
     }
 
-    /// The blocks of the patch that bounds touch: first and last column and row, the last not included.
+    /// The blocks of the patch that bounds touch: first and last column and row, the last not
+    /// included.
     fn blocks_within(&self, [left, bottom, right, top]: [f64; 4]) -> [usize; 4] {
         let side_m = BLOCK as f64 * self.resolution_m;
         let tile_m = TILE as f64 * self.resolution_m;
@@ -191,7 +194,8 @@ struct Border {
 }
 
 impl Border {
-    /// Whether a block is outside the image on one side altogether, or has no corner that is seen well.
+    /// Whether a block is outside the image on one side altogether, or has no corner that is seen
+    /// well.
     fn outside(&self, corners: &[Option<Corner>; 4]) -> bool {
         let known = || corners.iter().flatten();
         known().all(|c| c.x < 0.0)
@@ -200,7 +204,8 @@ impl Border {
             || known().all(|c| c.y > self.bottom)
     }
 
-    /// How much a view counts: 1 in the middle of the image, almost nothing at its border, less where the ground is seen at a slant. `None` outside.
+    /// How much a view counts: 1 in the middle of the image, almost nothing at its border, less
+    /// where the ground is seen at a slant. `None` outside.
     #[inline]
     fn weight(&self, seen: Corner) -> Option<f32> {
         let from_border = seen.x.min(self.right - seen.x).min(seen.y.min(self.bottom - seen.y));
