@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Whether `--budget-ms` holds, and what it costs: the bundled drive under several budgets.
+"""Whether `--budget-ms` is kept, and at what cost: the bundled drive with several budgets.
 
     cargo build --release && python3 bench/budget.py [--program target/release/odograph] [BUDGET_MS ...]
 
-For each budget: how many of the frames were tracked within it, what was given up for that, and how far off the path then is. Times are of the
-clock on the wall, so that what else the machine does counts as well.
+For each budget: the share of frames tracked within it, what was reduced to achieve that, and the
+resulting deviation of the trajectory. Times are wall-clock times, so other load of the machine
+counts.
 """
 
 import argparse

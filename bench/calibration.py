@@ -1,17 +1,19 @@
 #!/usr/bin/env python3
-"""Calibrates with odograph and with OpenCV from the same pictures and prints both side by side, as a table in Markdown.
+"""Calibrates with odograph and with OpenCV from the same images; prints a Markdown table.
 
     pip install opencv-python-headless
     cargo build --release
     python3 bench/calibration.py --data FOLDER [--program target/release/odograph] [NAME ...]
 
-FOLDER holds the sets named below; what is not there is passed over. Both use OpenCV's default lens model (k1 k2 p1 p2 k3).
-OpenCV runs as its tutorial has it, with the window that suits these sets: findChessboardCorners, cornerSubPix with (5, 5),
-calibrateCamera. Each is run with one thread and with all of them; times are of reading, finding and solving, without writing
-results; the best of --repeat runs counts.
+FOLDER holds the sets named below; missing ones are skipped. Both programs use OpenCV's default lens
+model (k1 k2 p1 p2 k3). OpenCV is used as in its tutorial, with a window that suits these sets:
+findChessboardCorners, cornerSubPix with (5, 5), calibrateCamera. Each is run with one thread and
+with all threads. Times cover reading, detection and solving, without writing results; the best of
+--repeat runs counts.
 
-Columns: boards found; RMS over the views used; differences of focal lengths and principal point in OpenCV's own standard
-deviations; seconds of finding and solving; the ratio of both times together, above 1 where odograph is faster.
+Columns: boards detected; RMS over the views used; differences of focal lengths and principal point
+in OpenCV's standard deviations; seconds for detection and for solving; the ratio of the total
+times, above 1 where odograph is faster.
 """
 
 import argparse
@@ -32,7 +34,7 @@ SETS = {
 
 
 def opencv(paths, size, square_mm, threads):
-    """One calibration by OpenCV; runs in a process of its own, so that its threads are what is asked for."""
+    """One calibration by OpenCV, in a separate process so that its thread count can be set."""
     import cv2
     import numpy as np
 
@@ -47,7 +49,8 @@ def opencv(paths, size, square_mm, threads):
         ok, corners = cv2.findChessboardCorners(image, size)
         if ok:
             criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.001)
-            # (5, 5) is 11x11 pixels; the tutorial's (11, 11) reaches into the next corner and doubles the error on these sets.
+            # (5, 5) is 11x11 pixels; the tutorial's (11, 11) covers the next corner and doubles the
+            # error on these sets.
             points.append(cv2.cornerSubPix(image, corners, (5, 5), (-1, -1), criteria))
             found.append(path)
     searched = time.perf_counter()
@@ -55,7 +58,7 @@ def opencv(paths, size, square_mm, threads):
         [board] * len(points), points, image.shape[::-1], None, None
     )
     solved = time.perf_counter()
-    # Beyond OpenCV's classic finder: its newer one, to know every board that OpenCV can find.
+    # In addition to the classic detector the newer one, for the maximum number that OpenCV detects.
     newer = [p for p in paths if cv2.findChessboardCornersSB(cv2.imread(p, 0), size)[0]] if threads == 1 else []
     return {
         "found": found,
@@ -80,7 +83,7 @@ def odograph(program, paths, size, square_mm, threads, model):
 
 
 def best(repeat, run):
-    """The results of one of several runs with the shortest times of all."""
+    """The results of one of several runs, with the minimum times over all runs."""
     runs = [run() for _ in range(repeat)]
     seconds = [r.get("seconds", r) for r in runs]
     return runs[0], min(s["find"] for s in seconds), min(s["solve"] for s in seconds)

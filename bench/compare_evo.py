@@ -5,8 +5,9 @@
     cargo build --release
     /tmp/evo/bin/python bench/compare_evo.py target/release/odograph
 
-Makes trajectories with a fixed seed, evaluates each pair of files with both programs in every setting that both have, and
-prints the largest difference of each. Ends with code 1 where one is larger than 1e-9 (relative for values above 1).
+Generates trajectories with a fixed seed, evaluates each pair of files with both programs in all
+settings that both support, and prints the maximum difference of each. Exits with code 1 if one
+exceeds 1e-9 (relative for values above 1).
 """
 
 import json
@@ -26,14 +27,14 @@ NADIR = Rotation.from_matrix([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 
 
 def planar(times, radius=3.0):
-    """A camera 1 m over a figure eight, looking down."""
+    """A camera 1 m above a figure eight, looking down."""
     phase = 0.2 * times
     xyz = np.stack([radius * np.sin(phase), radius * np.sin(phase) * np.cos(phase), np.full_like(phase, 1.0)], axis=1)
     return xyz, Rotation.from_rotvec(phase[:, None] * Z) * NADIR
 
 
 def spatial(times):
-    """A camera that flies and turns any way."""
+    """A camera with arbitrary motion in six degrees of freedom."""
     xyz = np.stack([8 * np.sin(0.3 * times), 5 * np.cos(0.21 * times), 2 * np.sin(0.5 * times) + 0.1 * times], axis=1)
     return xyz, Rotation.from_rotvec(np.stack([np.sin(0.3 * times), 0.4 * times, np.cos(0.7 * times)], axis=1))
 
@@ -44,7 +45,7 @@ def straight(times):
 
 
 def disturbed(random, xyz, rotation, noise_m, noise_rad, scale=1.0, moved=True):
-    """Noise, a slow drift, another scale and another world."""
+    """Adds noise, slow drift, another scale and another world frame."""
     count = len(xyz)
     drift = np.cumsum(random.normal(0, noise_m * 0.2, (count, 3)), axis=0)
     xyz = scale * (xyz + random.normal(0, noise_m, (count, 3)) + drift)
@@ -65,7 +66,7 @@ def write_kitti(path, xyz, rotation):
 
 
 def cases(folder):
-    """Name, estimate file, truth file, largest time difference, whether evo can align."""
+    """Name, estimate file, truth file, maximum time difference, whether evo can align."""
     random = np.random.default_rng(20260101)
     fast, slow = np.arange(0, 40, 1 / 100), np.arange(0.003, 39, 1 / 30)
     epoch = 1403636579.75
@@ -107,7 +108,7 @@ def align(kind, truth, estimate):
     elif kind == "origin":
         estimate.align_origin(truth)
     elif kind == "se2":
-        # evo has no such setting; its own Umeyama in two dimensions is what it means.
+        # evo has no such setting; it is equivalent to its Umeyama alignment in two dimensions.
         turn, shift, _ = geometry.umeyama_alignment(estimate.positions_xyz[:, :2].T, truth.positions_xyz[:, :2].T)
         movement = np.eye(4)
         movement[:2, :2], movement[:2, 3] = turn, shift

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
-"""How exact the path stays when the video is compressed.
+"""Accuracy of the trajectory on compressed video.
 
     cargo build --release && python3 bench/compression.py [--program target/release/odograph] [--first-seed 300]
 
-Needs ffmpeg with libx264, and nothing but Python 3. Renders drives (a figure of eight of 9 m, 640x480 at 30 frames a second, 0.75 m above the ground, mild
-vignetting, 2 gray levels of noise), on a steady mount and on one that shakes by 1 mm and 0.2° at 5 Hz, encodes them with H.264 at several qualities, follows
-them with `odograph run` and nothing but camera and height told, and prints a table: medians of the error over each metre of the odometry, without loops.
+Needs ffmpeg with libx264, and nothing but Python 3. Renders drives (a figure eight of 9 m, 640x480
+at 30 frames per second, 0.75 m above the ground, mild vignetting, image noise of 2 gray levels)
+with a rigid mount and with one that vibrates by 1 mm and 0.2° at 5 Hz. Encodes them with H.264 at
+several qualities, tracks them with `odograph run` given only camera and height, and prints a table:
+medians of the relative error over 1 m of path, for the odometry without loop closures.
 """
 
 import argparse
@@ -25,7 +27,7 @@ def call(*command):
 
 
 def encoded(folder, crf):
-    """The recording as it is, or by H.264; and its kilobits a second."""
+    """The recording, uncompressed or as H.264, and its bit rate in kbit/s."""
     raw = next(folder.glob("*.y4m"))
     if crf is None:
         return raw, 640 * 480 * 8 * 30 / 1e3

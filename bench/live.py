@@ -1,18 +1,20 @@
 #!/usr/bin/env python3
 """Memory, latency and dropped frames of `odograph live` over a long time.
 
-    bench/live.py pace [--minutes 60]                    a camera of 640x480 at 30 frames a second
-    bench/live.py overload [--minutes 10] [--times 3]    a camera that gives more frames than can be tracked
+    bench/live.py pace [--minutes 60]                    a camera of 640x480 at 30 frames per second
+    bench/live.py overload [--minutes 10] [--times 3]    a camera with more frames than can be tracked
 
-The camera is a rendered drive, a figure of eight that closes upon itself, at the speed of life. Its frames are held in memory and written round after
-round into the program's standard input, each when its time has come. For the overload the program is held to one core, which it shares with a
-program that is always busy and has far more of it (`--nice`); how many frames a second a camera must give to give so many times what is tracked is
-found first, by trying.
+The camera is a rendered drive in real time, a closed figure eight. Its frames are held in memory
+and written repeatedly to the program's standard input, each when it is due. For the overload the
+program is bound to one core, together with a busy program of higher priority (`--nice`). The frame
+rate that is a given multiple of the trackable one is determined first, by trial.
 
-Prints a line a minute: resident, anonymous and file memory (MiB, the most of one measurement a second), the map file (MiB), frames written, tracked and
-dropped in that minute, latency from the capture of a frame to its pose as the program has it (median, 99th percentile, most, ms), the most as
-measured from outside (from the last byte written to the line read), frames lost, keyframes and stretches so far. `--table` writes every second's
-measurement as CSV. Needs Linux, Python's standard library and the program.
+Prints one line per minute: resident, anonymous and file memory (MiB, maximum of one measurement per
+second), the map file (MiB), frames written, tracked and dropped in that minute, the latency from
+capture to pose reported by the program (median, 99th percentile, maximum, ms), the maximum latency
+measured from outside (from the last byte written to the line read), and the frames lost, keyframes
+and segments so far. `--table` writes the measurements of every second as CSV. Needs Linux, the
+standard library of Python and the program.
 """
 
 import argparse
@@ -39,7 +41,7 @@ def quantile(values, share):
 
 
 class Drive:
-    """A rendered drive: its frames with their headers, and what the program must be told of it."""
+    """A rendered drive: its frames with their headers, and the options for the program."""
 
     def __init__(self, program, folder, size, rate):
         width, height = (int(side) for side in size.split("x"))
@@ -58,12 +60,13 @@ class Drive:
 
 
 class Live:
-    """The program while it runs, what it says of each frame, and how much memory it has."""
+    """The running program, its output per frame, and its memory."""
 
     def __init__(self, program, source, drive, folder, held):
         self.folder, self.told = folder, folder.with_suffix(".told")
-        self.lines = []  # of each frame tracked: when it was read, number, latency (ms), stretch, whether it was lost
-        self.written = []  # when each frame was written
+        # Per tracked frame: time when read, number, latency (ms), segment, whether it was lost.
+        self.lines = []
+        self.written = []  # time when each frame was written
         self.process = subprocess.Popen(
             [program, "live", source, *drive.options, "--print", "poses", "--serve", "127.0.0.1:0", "-o", folder],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.told.open("w"), preexec_fn=held,
@@ -78,7 +81,10 @@ class Live:
             self.lines.append((now, pose["frame"], pose["latency_ms"], pose["segment"], lost))
 
     def write(self, drive, seconds):
-        """Writes round after round until the time is over. A frame that is late goes at once: the rate is held, not the gaps."""
+        """Writes the frames repeatedly until the time is over.
+
+        Late frames are written at once, which keeps the average rate, not the intervals.
+        """
         pipe, begun, count = self.process.stdin.fileno(), time.monotonic(), 0
         os.write(pipe, drive.header)
         while (now := time.monotonic()) < begun + seconds:
@@ -93,7 +99,7 @@ class Live:
         self.process.stdin.close()
 
     def url(self):
-        """Where the page is; the program says so when it has seen the source."""
+        """URL of the page, which the program prints once it has opened the source."""
         while not (url := re.search(r"http://\S+", self.told.read_text())):
             if self.process.poll() is not None:
                 raise SystemExit(self.told.read_text())
@@ -101,7 +107,7 @@ class Live:
         return url[0]
 
     def measured(self, url):
-        """Resident, anonymous and file memory and the map file, MiB, and what the page says."""
+        """Resident, anonymous and file memory and the map file, MiB, and the status of the page."""
         text = Path(f"/proc/{self.process.pid}/smaps_rollup").read_text()
         memory = [int(re.search(rf"^{key}:\s+(\d+)", text, re.M)[1]) / 1024 for key in ("Rss", "Pss_Anon", "Pss_File")]
         map_file = sum(file.stat().st_size for file in self.folder.glob("map.gpkg*")) / 2**20
@@ -110,7 +116,7 @@ class Live:
 
 
 def watch(live, writer, table):
-    """A measurement a second and a line a minute until the writer is done."""
+    """Measures once per second and prints one line per minute until the writer is done."""
     url, begun, rows, counts = live.url(), time.monotonic(), [], (0, 0, 0)
     print(COLUMNS, flush=True)
     while writer.is_alive():
@@ -128,7 +134,7 @@ def watch(live, writer, table):
 
 
 def tell(live, minute, rows, status, before):
-    """Prints a minute. Gives the counts at its end."""
+    """Prints the line of a minute. Returns the counts at its end."""
     counts = (len(live.written), len(live.lines), status["dropped"])
     written, tracked, dropped = (now - then for now, then in zip(counts, before))
     lines = live.lines[before[1] : counts[1]]
@@ -145,7 +151,7 @@ def tell(live, minute, rows, status, before):
 
 
 def overloading(program, scratch, size, times, held):
-    """A drive of a camera that gives so many times the frames that the program can track of it, found by trying."""
+    """A drive whose frame rate is `times` times what the program can track, found by trial."""
     rate = 120
     while True:
         drive = Drive(program, scratch / f"drive-{rate}", size, rate)
@@ -154,7 +160,7 @@ def overloading(program, scratch, size, times, held):
         live.write(drive, 3 * round_s)
         live.process.wait()
         live.reading.join()
-        # The first round, in which the map is made, does not count.
+        # The first round, which builds the map, does not count.
         tracked = sum(1 for line in live.lines if line[1] > len(drive.frames)) / (2 * round_s)
         print(f"of a camera that gives {rate} frames/s of {size}, {tracked:.1f} can be tracked", flush=True)
         if rate >= times * tracked:
@@ -164,7 +170,7 @@ def overloading(program, scratch, size, times, held):
 
 @contextmanager
 def crowded(core, niceness):
-    """A core that is always busy: gives what holds a program to it that gets little of it."""
+    """Keeps a core busy; yields a function that binds a process to it with low priority."""
 
     def pinned(nice):
         os.sched_setaffinity(0, {core})
@@ -179,7 +185,7 @@ def crowded(core, niceness):
 
 
 def follow(program, drive, scratch, seconds, held, table):
-    """Runs it, and tells how it ended."""
+    """Runs the program and prints its final statistics."""
     live = Live(program, "-", drive, scratch / "run", held)
     writer = threading.Thread(target=live.write, args=(drive, seconds))
     writer.start()

@@ -1,17 +1,21 @@
 #!/usr/bin/env python3
-"""Our pipeline beside a straightforward OpenCV program, on the same recording and the same core.
+"""Our pipeline and a straightforward OpenCV program, on the same recording and the same core.
 
     cargo build --release && cargo build --release -p odograph --example speed && python3 bench/opencv.py
 
-Needs numpy and opencv-python-headless. Renders a drive over asphalt at 640x480 and at 1280x720 (or takes --clip FOLDER, one that `odograph
-simulate --format y4m` wrote), then runs both programs in turn, several times, on one thread, and prints a table of medians and ratios.
+Needs numpy and opencv-python-headless. Renders a drive over asphalt at 640x480 and at 1280x720 (or
+takes one written by `odograph simulate --format y4m` with --clip FOLDER), runs both programs in
+turn, several times, on one thread, and prints a table of medians and ratios.
 
-* Times are the processor's for the thread, so that a busy machine does not change them much.
-* The OpenCV program: 400 Shi-Tomasi corners at keyframes, as many as ours takes, LK (21x21, 4 levels) from the keyframe, started where the last frame had the
-  points, followed back and dropped beyond half a pixel; points undistorted, a rigid fit by RANSAC to the keyframe's points on
-  the ground, the next keyframe when fewer than half are left. No picture is undistorted. The Python wheel builds both pyramids in every
-  call of LK; a C++ program would keep them, so that their time is taken off again: one pyramid a frame is counted.
-* Stages: both get 500 corners of the same frame and look for them in the next from where they were; the truth says how far off they are.
+* Times are processor times of the thread, so other load of the machine has little effect.
+* The OpenCV program: 400 Shi-Tomasi corners per keyframe, the same number as ours; Lucas-Kanade
+  (21x21, 4 levels) from the keyframe, initialised with the positions in the previous frame, with a
+  forward-backward check of half a pixel; undistorted points; a rigid fit by RANSAC to the
+  keyframe's points on the ground; a new keyframe when fewer than half are left. No image is
+  undistorted. The Python wheel builds both pyramids in every LK call; a C++ program would keep
+  them, so their time is subtracted and one pyramid per frame is counted.
+* Stages: both get 500 corners of the same frame and track them into the next, initialised with
+  their previous positions; the error is measured against the ground truth.
 """
 
 import argparse
@@ -26,8 +30,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-POINTS = 500  # of the stages
-PIPELINE_POINTS = 400  # of the whole: our default
+POINTS = 500  # for the stages
+PIPELINE_POINTS = 400  # for the whole pipeline: our default
 WINDOW = dict(winSize=(21, 21), maxLevel=3, criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01))
 STRIDE, STAGE_FRAMES = 16, 12
 
@@ -44,7 +48,7 @@ def best_of_three(work):
 
 
 class Clip:
-    """What `odograph simulate --format y4m` writes."""
+    """The output of `odograph simulate --format y4m`."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -66,7 +70,7 @@ class Clip:
         self.height_m = float(self.positions[0, 2])
 
     def true_places(self, first, second, pixels):
-        """Where the ground that frame `first` has at `pixels` is in frame `second`."""
+        """Projects the ground points at `pixels` of frame `first` into frame `second`."""
         rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2), self.matrix, self.lens).reshape(-1, 2)
         rays = np.column_stack([rays, np.ones(len(rays))]) @ self.rotations[first].T
         ground = self.positions[first] - rays * (self.positions[first, 2] / rays[:, 2])[:, None]
@@ -94,11 +98,11 @@ def pyramid(image):
 
 
 class OpenCvProgram:
-    """Gray images in, poses out."""
+    """Odometry from gray images to poses."""
 
     def __init__(self, clip):
         self.matrix, self.lens, self.height_m = clip.matrix, clip.lens, clip.height_m
-        self.pose = np.eye(3)  # world from camera, over the ground, x and y as in the image
+        self.pose = np.eye(3)  # world_from_camera on the ground, x and y as in the image
         self.key = None
         self.keyframes = 0
 
@@ -128,7 +132,7 @@ class OpenCvProgram:
             if similar is not None:
                 agree = agree.ravel() == 1
                 inliers = int(agree.sum())
-                # The closed form of the rigid fit to those that agree: the height does not change.
+                # Closed-form rigid fit to the inliers, without scale, as the height is constant.
                 a, b = seen[agree], ground[kept][agree]
                 a0, b0 = a.mean(axis=0), b.mean(axis=0)
                 products = (a - a0).T @ (b - b0)
@@ -191,7 +195,7 @@ def our_run(program, clip):
 
 
 def track_error_px(clip, tracks):
-    """Median distance from the truth, and the part within one pixel of it."""
+    """Median error against the ground truth, and the fraction of tracks within one pixel of it."""
     tracks = np.array(tracks, dtype=float)
     errors = []
     for first in np.unique(tracks[:, 0]):
@@ -203,11 +207,12 @@ def track_error_px(clip, tracks):
 
 
 def path_error_mm(clip, positions):
-    """Root mean square of the distance from the truth after the best rigid alignment."""
+    """RMSE against the ground truth after the best rigid alignment."""
     truth = clip.positions[: len(positions), :2]
     a, b = positions - positions.mean(axis=0), truth - truth.mean(axis=0)
     u, _, v = np.linalg.svd(a.T @ b)
-    # The OpenCV program has x and y as in the image, seen from above mirrored: a reflection is allowed.
+    # The OpenCV program has x and y as in the image, mirrored against the view from above, so a
+    # reflection is allowed.
     return 1e3 * float(np.sqrt(np.mean(np.sum((a @ (u @ v) - b) ** 2, axis=1))))
 
 

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""A plain OpenCV odometry on the gate's own clips, its figures beside the gate's.
+"""A plain OpenCV odometry on the clips of the gate, with its results beside those of the gate.
 
     cargo build --release -p odograph-gate && python3 bench/opencv_reference.py [--ours bench/baseline.json] [ROW ...]
 
-Needs numpy and opencv-python-headless. The gate writes the clips of the rows whose name contains one of the words (all
-rendered rows without any; several gigabytes, one row at a time). The reference is the one of `bench/opencv.py`: corners at
-keyframes, LK, points undistorted, a rigid fit by RANSAC to ground points. It is told the camera and the height, nothing else,
-and always gives a pose. Figures are defined as the gate defines them; times are the processor's for the thread.
+Needs numpy and opencv-python-headless. The gate writes the clips of the rows whose name contains
+one of the words (all rendered rows without any; several gigabytes, one row at a time). The
+reference is that of `bench/opencv.py`: corners per keyframe, Lucas-Kanade, undistorted points, a
+rigid fit by RANSAC to ground points. It is given only the camera and the height, and always outputs
+a pose. Measures are defined as in the gate; times are processor times of the thread.
 """
 
 import argparse
@@ -22,12 +23,12 @@ import numpy as np
 
 from opencv import Clip, OpenCvProgram, corners, milliseconds
 
-# Camera axes in the world for a camera that looks straight down with the top of its image along x.
+# Camera axes in the world, for a camera that looks straight down with the image's top towards +x.
 STRAIGHT_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 class Reference(OpenCvProgram):
-    """The same, told the height of the rig file, and going on where an image has no corners."""
+    """The same, with the height of the rig file, continuing where an image has no corners."""
 
     def __init__(self, clip):
         super().__init__(clip)
@@ -38,7 +39,7 @@ class Reference(OpenCvProgram):
             super().make_keyframe(image)
 
     def world_from_camera(self):
-        """The pose in the world, from the one in the axes of the first image, which are mirrored."""
+        """The pose in the world, from that in the axes of the first image, which are mirrored."""
         up = -self.pose[:2, 1]
         heading = math.atan2(-up[0], -up[1])
         c, s = math.cos(heading), math.sin(heading)
@@ -56,13 +57,13 @@ def true_poses(clip):
 
 
 def error_between(truth, estimate, start, end):
-    """Relative error of the estimate from one pose to another, after Sturm et al. 2012, equation 1."""
+    """Relative pose error between two poses, after Sturm et al. 2012, equation 1."""
     inverse = np.linalg.inv
     return inverse(inverse(truth[start]) @ truth[end]) @ inverse(estimate[start]) @ estimate[end]
 
 
 def heading_error(truth, error, end):
-    """The part of a relative rotation error that is a turn about the world's z axis."""
+    """The rotation about the world's z axis in a relative rotation error."""
     in_world = truth[end, :3, :3] @ error[:3, :3] @ truth[end, :3, :3].T
     return math.atan2(in_world[1, 0] - in_world[0, 1], in_world[0, 0] + in_world[1, 1])
 
@@ -115,7 +116,7 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             seeds = ["--first-seed", str(row["first_seed"]), "--seeds", str(row["seeds"])]
             subprocess.run([arguments.gate, name, "--export", folder, *seeds], check=True, capture_output=True)
-            # The word may name other rows, too.
+            # The word may match other rows as well.
             clips = [path for path in sorted(Path(folder).iterdir()) if path.name.rpartition("-")[0] == name]
             theirs[name] = median_over_seeds([figures(Clip(path)) for path in clips])
         cells = []

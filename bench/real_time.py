@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""How fast a whole run is: decoding, tracking, mosaic, writing, on the bundled drive (H.264, 640x480, 1083 frames).
+"""Speed of whole runs on the bundled drive (H.264, 640x480, 1083 frames).
 
     cargo build --release && python3 bench/real_time.py [--program target/release/odograph] [--runs 5]
 
-Prints frames per second of whole runs (smallest, median, largest) with one, two and three threads, and the time per stage.
-The stages of tracking by themselves: `cargo bench -p odograph`.
+A run decodes, tracks, draws the mosaic and writes. Prints frames per second of whole runs (minimum,
+median, maximum) with one, two and three threads, and the time per stage. For the stages of tracking
+see `cargo bench -p odograph`.
 """
 
 import argparse

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Runs odograph on the recordings with known truth and prints its errors.
+"""Runs odograph on the recordings with ground truth and prints its errors.
 
     python3 bench/recordings.py --data FOLDER [--program target/release/odograph] [--work FOLDER] [NAME ...]
 
-Needs nothing but Python 3. FOLDER holds `planar_checker_a`, `static_euroc_v101`, `kylehart_ground`; what is
-not there is passed over. Each recording's files are turned into what the program reads (camera file, rig, times, truth), the
-program is run as a user would run it, and `odograph evaluate` compares.
+Needs nothing but Python 3. FOLDER holds `planar_checker_a`, `static_euroc_v101`, `kylehart_ground`;
+missing ones are skipped. The files of each recording are converted into the program's input (camera
+file, rig, timestamps, ground truth), the program is run as a user would run it, and `odograph
+evaluate` compares.
 """
 
 import argparse
@@ -55,7 +56,8 @@ NADIR = [[0, -1, 0], [-1, 0, 0], [0, 0, -1]]
 
 
 def rig_of(world_from_camera, height):
-    """Roll and pitch of a camera against straight down: world_from_camera = Rz(heading) Ry(pitch) Rx(roll) NADIR."""
+    """Roll and pitch relative to a camera that looks straight down:
+    world_from_camera = Rz(heading) Ry(pitch) Rx(roll) NADIR."""
     turn = matmul(world_from_camera, transpose(NADIR))
     pitch = -math.asin(max(-1.0, min(1.0, turn[2][0])))
     roll = math.atan2(turn[2][1], turn[2][2])
@@ -81,7 +83,7 @@ def tum(poses):
 
 
 def planar_checker(data, work):
-    """A hand-held camera over a checkerboard; the truth's world lies on the board."""
+    """A hand-held camera over a checkerboard; the world frame is that of the board."""
     folder = data / "planar_checker_a"
     poses = []
     for number, line in enumerate((folder / "poses_omega_t.txt").read_text().split("\n")):
@@ -91,7 +93,7 @@ def planar_checker(data, work):
         r, t = rotation_from_axis_angle(values[:3]), values[3:]
         world_from_camera = transpose(r)
         centre = [-sum(world_from_camera[i][j] * t[j] for j in range(3)) for i in range(3)]
-        # The board's z points into the board; ours points up.
+        # The board's z axis points into the board, ours points up.
         if centre[2] < 0:
             flip = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
             world_from_camera = matmul(flip, world_from_camera)
@@ -108,7 +110,10 @@ def planar_checker(data, work):
 
 
 def static_euroc(data, work):
-    """A drone that stands: no movement is allowed. The height is not known; 1 m gives the drift per metre of distance to the ground."""
+    """A stationary drone: any motion is an error.
+
+    The height is unknown; 1 m is assumed, which gives the drift per metre of distance to the ground.
+    """
     folder = data / "static_euroc_v101"
     (work / "camera.yaml").write_text((folder / "sensor.yaml").read_text())
     (work / "rig.toml").write_text("height_m = 1.0\n")
@@ -116,7 +121,10 @@ def static_euroc(data, work):
 
 
 def kylehart(data, work):
-    """Jumps of 0.1 m and 45° over a photographed floor, with the robot's shadow moving along: recognition more than tracking."""
+    """Steps of 0.1 m and 45° over a photographed floor, with the robot's shadow moving along.
+
+    A test of recognition more than of tracking.
+    """
     folder = data / "kylehart_ground"
     poses = []
     names = sorted(p for p in folder.iterdir() if p.suffix == ".txt" and p.stem.isdigit())
@@ -138,8 +146,10 @@ def kylehart(data, work):
 
 
 def nadir_caliterra(data, work):
-    """75 drone stills of a field, 2 to 4 s apart. The camera is not calibrated and the height over ground is not known: a pinhole of 4.5 mm
-    over a 6.17 mm wide sensor and 1 m stand for both, so only the shape of the path can be compared (alignment Sim(3))."""
+    """75 drone still images of a field, 2 to 4 s apart.
+
+    The camera is not calibrated and the height is unknown: a pinhole camera of 4.5 mm with a sensor of 6.17 mm width and 1 m are assumed, so only the
+    shape of the trajectory can be compared (alignment Sim(3))."""
     folder = data / "nadir_caliterra"
     rows = [line.split(",") for line in (folder / "gps.csv").read_text().splitlines()[1:]]
     identity = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""The correction of whole images beside OpenCV's `remap`, in one run, each on one thread.
+"""Undistortion of whole images compared with OpenCV's `remap`, in one run, each on one thread.
 
     cargo build --release -p odograph --example undistort_speed && python3 bench/undistort.py [--rounds 7]
 
-OpenCV gets fixed-point maps (`convertMaps` to CV_16SC2 and CV_16UC1), bilinear. The pictures are noise over a gradient, the lens a strong
-barrel. Prints the smallest and the median milliseconds of each, the ratios of both, and the largest differences in gray levels from the
-bilinear mean computed in double precision. On a machine that does other work too, only the smallest mean something.
+OpenCV gets fixed-point maps (`convertMaps` to CV_16SC2 and CV_16UC1), bilinear. The images are
+noise over a gradient, with strong barrel distortion. Prints minimum and median time of each in
+milliseconds, their ratios, and the maximum difference in gray levels from bilinear interpolation in
+double precision. On a machine with other load, only the minimum is meaningful.
 """
 
 import argparse
@@ -33,7 +34,7 @@ def camera_file(size, matrix):
 
 
 def exact(image, maps):
-    """Bilinear in double precision, black where the place is outside the outermost pixel centres."""
+    """Bilinear interpolation in double precision, black outside the outermost pixel centres."""
     x, y = (axis.astype(np.float64) for axis in maps)
     height, width = image.shape[:2]
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)

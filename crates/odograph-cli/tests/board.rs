@@ -1,6 +1,6 @@
-//! `odograph board` from outside: that what it writes has the size it says, and what it refuses.
+//! Black-box tests of `odograph board`: the printed size is exact, and invalid input is refused.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn board(folder: &Path, name: &str, more: &[&str]) -> Output {
     odograph(&[&["board", "-o", path.to_str().unwrap()], more].concat())
 }
 
-/// Samples of a gray PNG, its size, and its pixels per metre.
+/// Samples, size, and pixels per metre of a gray PNG.
 fn png(path: &Path) -> (Vec<u8>, (usize, usize), u32) {
     let mut reader = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap()));
     reader.set_transformations(png::Transformations::IDENTITY);
@@ -30,9 +30,9 @@ fn png(path: &Path) -> (Vec<u8>, (usize, usize), u32) {
 }
 
 #[test]
-fn a_picture_has_the_boards_true_size() {
+fn the_png_has_the_exact_size_of_the_board() {
     let temporary = tempfile::tempdir().unwrap();
-    // 254 pixels an inch are ten a millimetre.
+    // 254 dpi are ten pixels per millimetre.
     let done = board(temporary.path(), "b.png", &["--board", "chessboard:9x6:25mm", "--dpi", "254"]);
     assert_eq!(done.status.code(), Some(0), "{done:?}");
     let told = String::from_utf8(done.stdout).unwrap();
@@ -40,7 +40,7 @@ fn a_picture_has_the_boards_true_size() {
     assert!(told.contains("100 mm"), "{told}");
     let (samples, (width, height), pixels_per_metre) = png(&temporary.path().join("b.png"));
     assert_eq!((width, height, pixels_per_metre), (2970, 2100, 10_000));
-    // The first black row of squares, between its outer ends, whose squares have 250 pixels each.
+    // The first row of squares, 250 pixels each, between its outer ends.
     let top = (0..height).find(|y| samples[y * width..][..width].contains(&0)).unwrap();
     let row = &samples[(top + 100) * width..][..width];
     let left = row.iter().position(|sample| *sample < 128).unwrap();
@@ -51,7 +51,8 @@ fn a_picture_has_the_boards_true_size() {
             assert_eq!(row[left + 250 * square + at], gray, "square {square}");
         }
     }
-    // The ruler begins 21 mm above the lower edge; its upper millimetre has only the longest ticks, one every 10 mm.
+    // The ruler starts 21 mm above the lower edge; in its topmost millimetre there are only the
+    // longest ticks, one every 10 mm.
     let row = &samples[(height - 205) * width..][..width];
     let mut ticks: Vec<usize> = (0..width).filter(|x| row[*x] < 160).collect();
     ticks.dedup_by(|next, before| *next <= *before + 2);
@@ -62,7 +63,7 @@ fn a_picture_has_the_boards_true_size() {
 }
 
 #[test]
-fn drawing_and_document_have_the_papers_and_the_boards_true_size() {
+fn svg_and_pdf_have_exact_paper_and_board_sizes() {
     let temporary = tempfile::tempdir().unwrap();
     let asked = ["--board", "charuco:8x11:20mm", "-q"];
     for name in ["b.svg", "b.pdf"] {
@@ -72,7 +73,7 @@ fn drawing_and_document_have_the_papers_and_the_boards_true_size() {
     }
     let svg = fs::read_to_string(temporary.path().join("b.svg")).unwrap();
     assert!(svg.contains("width=\"210mm\" height=\"297mm\" viewBox=\"0 0 210 297\""));
-    // Black squares are 20 mm, the cells of a marker 15 mm / 6; the board is in the middle of the page.
+    // Black squares have 20 mm, marker cells 15 mm / 6; the board is centred on the page.
     assert!(svg.contains("d=\"M25 ") && svg.contains("h20v20h-20z") && svg.contains("v2.5h"), "{svg}");
     assert!(svg.contains("odograph calibrate VIDEO --board charuco:8x11:20mm:15mm:4x4_50 -o camera.yaml"));
     assert!(svg.contains(">100 mm<"));
@@ -93,7 +94,7 @@ fn drawing_and_document_have_the_papers_and_the_boards_true_size() {
 }
 
 #[test]
-fn what_cannot_be_printed_is_refused_in_one_sentence() {
+fn unprintable_boards_are_refused_in_one_sentence() {
     let temporary = tempfile::tempdir().unwrap();
     for (name, more, reason) in [
         ("b.pdf", &["--board", "charuco:8x11:30mm", "--paper", "a4"][..], "does not fit on A4 paper"),

@@ -1,11 +1,12 @@
-//! `odograph calibrate` from outside: what it writes, and what it says of what cannot be calibrated with.
+//! Black-box tests of `odograph calibrate`: its results, and its messages for unsuitable input.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // in a test, what cannot be is a failure of the test; one says why it skips
+// a test fails by panicking; one prints why it is skipped
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "calibrate/boards.rs"]
 mod boards;
 #[path = "live/browser.rs"]
-#[allow(dead_code)] // of the browser not all is needed here
+#[allow(dead_code)] // only a part of it is used here
 mod browser;
 #[path = "calibrate/watching.rs"]
 mod watching;
@@ -46,7 +47,8 @@ impl Place {
         self.command(arguments).output().unwrap()
     }
 
-    /// A calibration that must be refused: with `code`, one sentence that holds all the `words`, and nothing left behind.
+    /// Asserts that a calibration is refused with `code` and one sentence that contains all
+    /// `words`, and leaves no files.
     fn refused(&self, arguments: &str, code: i32, words: &[&str]) {
         let before = names(self.temporary.path());
         let done = self.calibrate(arguments);
@@ -71,7 +73,8 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The result is there, is whole, and is the camera that took the pictures, to within what a score of small pictures can tell.
+/// Asserts that the result is complete, and close to the true camera within the accuracy of some
+/// twenty small images.
 fn assert_calibrated(place: &Place, name: &str, done: &Output) {
     let told = format!("{}{}", String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
     assert_eq!(done.status.code(), Some(0), "{told}");
@@ -96,10 +99,10 @@ fn assert_calibrated(place: &Place, name: &str, done: &Output) {
 }
 
 #[test]
-fn a_clip_becomes_a_camera_and_a_report_alike_for_any_number_of_threads() {
+fn video_calibration_is_independent_of_the_thread_count() {
     let place = Place::new();
     let mut frames = held(&pictures(&scene(), 18), 3);
-    // Before and after, the board is not in the image.
+    // The first and the last frame do not show the board.
     frames.insert(0, GrayImage::new(320, 240));
     frames.push(GrayImage::new(320, 240));
     fs::write(place.path("board.y4m"), y4m(&frames)).unwrap();
@@ -120,14 +123,14 @@ fn a_clip_becomes_a_camera_and_a_report_alike_for_any_number_of_threads() {
     for name in REPORT {
         let page = |folder: &str| {
             let bytes = bytes(&format!("{folder}-report/{name}"));
-            // The page names the camera file.
+            // The page contains the name of the camera file.
             String::from_utf8_lossy(&bytes)
                 .replace("one.yaml", "camera.yaml")
                 .replace("three.yaml", "camera.yaml")
         };
         assert!(page("one") == page("three"), "{name} differs");
     }
-    // And over standard input.
+    // The same over standard input.
     let mut child = place
         .command(&format!("- --board {BOARD} -o stream.yaml --report elsewhere --model brown4"))
         .stdin(Stdio::piped())
@@ -141,7 +144,7 @@ fn a_clip_becomes_a_camera_and_a_report_alike_for_any_number_of_threads() {
 }
 
 #[test]
-fn pictures_are_all_used_however_they_are_given() {
+fn all_images_are_used_as_folder_or_list() {
     let place = Place::new();
     let shown = pictures(&scene(), 14);
     folder(&place.path("shots"), &shown);
@@ -157,7 +160,7 @@ fn pictures_are_all_used_however_they_are_given() {
     let bytes = |name: &str| fs::read(place.path(name)).unwrap();
     assert_eq!(bytes("each.yaml"), bytes("camera.yaml"));
 
-    // What is there is not lost without being asked.
+    // Existing results are not overwritten without `--force`.
     place.refused(
         &format!("shots --board {BOARD} -o camera.yaml"),
         2,
@@ -174,7 +177,7 @@ fn pictures_are_all_used_however_they_are_given() {
 }
 
 #[test]
-fn what_holds_no_board_is_told_in_one_sentence() {
+fn input_without_board_is_refused_in_one_sentence() {
     let place = Place::new();
     let shown = pictures(&scene(), 4);
     folder(&place.path("shots"), &shown);
@@ -198,7 +201,7 @@ fn what_holds_no_board_is_told_in_one_sentence() {
     );
     place.refused(&usual("blank/board00.png"), 3, &["was not found in the one picture"]);
     place.refused(&usual("blank --start 90"), 3, &["no frame in the chosen range"]);
-    // A board of another size than said: the size that is seen is told.
+    // For a board of another size than specified, the message names the detected size.
     place.refused(
         "shots --board chessboard:9x6:30mm -o camera.yaml",
         3,
@@ -207,7 +210,7 @@ fn what_holds_no_board_is_told_in_one_sentence() {
 }
 
 #[test]
-fn too_few_or_equal_views_are_told_with_what_to_do() {
+fn too_few_or_equal_views_are_refused_with_advice() {
     let place = Place::new();
     let shown = pictures(&scene(), 2);
     let usual = |source: &str| format!("{source} --board {BOARD} -o camera.yaml");
@@ -237,7 +240,7 @@ fn mixed_sizes_are_refused_by_name() {
 }
 
 #[test]
-fn a_mirrored_board_with_markers_is_told() {
+fn a_mirrored_board_with_markers_is_reported() {
     let place = Place::new();
     let board = "charuco:6x5:40mm";
     let scene = scene_of(board, &camera());
@@ -247,7 +250,7 @@ fn a_mirrored_board_with_markers_is_told() {
 }
 
 #[test]
-fn usage_that_cannot_be() {
+fn invalid_usage_is_refused() {
     let place = Place::new();
     folder(&place.path("shots"), &pictures(&scene(), 1));
     place.refused("shots --board chessboard:9x6 -o camera.yaml", 2, &["chessboard:9x6", "write it like"]);
@@ -256,7 +259,7 @@ fn usage_that_cannot_be() {
     place.refused(&format!("shots --board {BOARD} -o shots"), 2, &["shots is a folder", "shots/camera.yaml"]);
     fs::write(place.path("file"), "mine").unwrap();
     place.refused(&format!("shots --board {BOARD} -o file/camera.yaml"), 3, &["file cannot be made"]);
-    // A folder that was made for what did not come is taken away.
+    // Folders created for a failed calibration are removed.
     place.refused("shots --board chessboard:31x37:25mm -o new/folder/camera.yaml -q", 3, &["was not found"]);
     place.refused(&format!("shots --board {BOARD} -o camera.yaml --report file"), 2, &["file is a file"]);
     for wrong in ["--threads 0", "--max-views 1", "--model barrel", "--nonsense"] {
@@ -266,7 +269,7 @@ fn usage_that_cannot_be() {
     assert_eq!(names(place.temporary.path()), ["file", "shots"]);
 }
 
-/// A device that is always full stands in for each of the files in turn.
+/// `/dev/full` takes the place of each file in turn.
 #[test]
 #[cfg(unix)]
 fn a_full_disk_leaves_nothing_half_written() {
@@ -290,7 +293,7 @@ fn a_full_disk_leaves_nothing_half_written() {
 
 #[test]
 #[cfg(unix)]
-fn an_interrupt_ends_the_search_and_calibrates_with_what_there_is() {
+fn an_interrupt_calibrates_with_the_views_so_far() {
     for threads in ["1", "3"] {
         let place = Place::new();
         let frames = held(&pictures(&scene(), 15), 2);
@@ -305,10 +308,10 @@ fn an_interrupt_ends_the_search_and_calibrates_with_what_there_is() {
             .unwrap();
         let mut input = child.stdin.take().unwrap();
         input.write_all(&stream).unwrap();
-        // The pipe holds less than the frames: by now most of them have been taken.
+        // The pipe holds less than all frames, so most have been read by now.
         let sent = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
         assert!(sent.success());
-        // It looks at what it was asked between frames; the stream stays open until it has ended.
+        // The interrupt is checked between frames, so the stream stays open until the program ends.
         while child.try_wait().unwrap().is_none() && input.write_all(&stream[header..]).is_ok() {}
         drop(input);
         let done = child.wait_with_output().unwrap();
@@ -318,18 +321,19 @@ fn an_interrupt_ends_the_search_and_calibrates_with_what_there_is() {
     }
 }
 
-/// The folder of real recordings, where there is one.
+/// The folder of real recordings, if it exists.
 fn data() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let folder = std::env::var_os("ODOGRAPH_DATA").map_or_else(beside, PathBuf::from);
     folder.is_dir().then_some(folder)
 }
 
-/// The pictures that come with OpenCV: every board is found, with less error than OpenCV's own (0.1954 and 0.2070 px with the same lens
-/// model, corners refined in windows of 11x11 pixels). Two finders do not see the same corners: what comes out may differ by two of OpenCV's standard
+/// The calibration images of OpenCV: every board is detected, with a smaller error than OpenCV's
+/// own (0.1954 and 0.2070 px with the same lens model, corners refined in windows of 11x11 pixels).
+/// Two detectors locate corners differently, so the results may differ by two of OpenCV's standard
 /// deviations (0.44 to 0.53 px).
 #[test]
-fn the_boards_of_opencv() {
+fn opencv_images_calibrate_as_well_as_with_opencv() {
     let Some(folder) = data().map(|data| data.join("calib_opencv")).filter(|folder| folder.is_dir()) else {
         println!("skipped: data: no folder calib_opencv in ODOGRAPH_DATA");
         return;
@@ -346,7 +350,7 @@ fn the_boards_of_opencv() {
         let output = format!("{name}.yaml");
         let mut command = place.command("--board chessboard:9x6:25mm --model brown5 --json -o");
         let done = command.arg(&output).args(&pictures).output().unwrap();
-        // The corners of the image were never shown the board; the verdict on that may be either.
+        // The image corners were never covered by the board, so either verdict is possible.
         assert!(matches!(done.status.code(), Some(0 | 4)), "{}", String::from_utf8_lossy(&done.stderr));
         let figures: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
         assert_eq!(figures["views_used"], 13, "{figures}");
@@ -358,11 +362,11 @@ fn the_boards_of_opencv() {
     }
 }
 
-/// A camera that shows what the test holds before it: Y4M on standard input, and what the page is told about it.
+/// A live camera simulated by the test: Y4M on standard input, and the messages to the page.
 #[test]
-fn through_a_camera_it_is_said_what_is_missing_until_it_is_good() {
+fn live_calibration_guides_until_the_result_is_good() {
     let place = Place::new();
-    // With a space: the page must ask for it as addresses have it.
+    // The name contains a space, which the page must encode in the URL.
     let mut command =
         place.command(&format!("--live - --board {BOARD} --model brown4 --serve 127.0.0.1:0 -o"));
     let mut camera = watching::Camera::start(command.arg("my camera.yaml"), (320, 240));
@@ -393,7 +397,7 @@ fn through_a_camera_it_is_said_what_is_missing_until_it_is_good() {
     for picture in &pictures[7..] {
         told = camera.hold_still(picture);
     }
-    // It ends by itself, with nothing missing, however long the trial takes.
+    // It ends by itself with nothing missing, independent of the duration.
     let told = camera.until_it_ends(told, &pictures[39]);
     assert_eq!((&told["verdict"], missing(&told)), (&"good".into(), 0), "{told}");
     if let (Some(browser), Some(page)) = (&mut browser, &page) {
@@ -413,14 +417,14 @@ fn through_a_camera_it_is_said_what_is_missing_until_it_is_good() {
 }
 
 #[test]
-fn what_a_stranger_does_wrong_before_a_camera_is_told() {
+fn wrong_live_usage_is_refused_with_a_message() {
     let place = Place::new();
     fs::write(place.path("board.y4m"), y4m(&pictures(&scene(), 4))).unwrap();
     place.refused(&format!("board.y4m --board {BOARD} -o a.yaml --serve"), 2, &["--live"]);
     place.refused(&format!("board.y4m --board {BOARD} -o a.yaml --size 640x480"), 2, &["--live"]);
     place.refused(&format!("--live board.y4m more.y4m --board {BOARD} -o a.yaml"), 2, &["more.y4m"]);
     place.refused(&format!("--live /dev/video99 --board {BOARD} -o a.yaml"), 3, &["/dev/video99"]);
-    // Another board than the one before the camera.
+    // Another board than the one in front of the camera.
     place.refused(
         "--live board.y4m --board chessboard:9x6:25mm -o a.yaml -q",
         3,

@@ -1,6 +1,6 @@
-//! `odograph camera` from outside: what it converts, and what it refuses.
+//! Black-box tests of `odograph camera`: conversions, and refused input.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use odograph::formats::camera_file;
 use std::fs;
@@ -13,7 +13,7 @@ fn odograph(arguments: &[&str]) -> Output {
 const FIVE: &str = "image_width: 640\nimage_height: 480\ncamera_matrix: [532.83, 0, 342.49, 0, 532.95, 233.86, 0, 0, 1]\n\
                     distortion_coefficients: [-0.28088, 0.02518, 0.00122, -0.00014, 0.16343]\n";
 
-/// The camera file `text` written as `camera.yaml` into a folder of its own.
+/// Writes `text` as `camera.yaml` into a temporary folder.
 fn folder_with(text: &str) -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("camera.yaml");
@@ -52,7 +52,7 @@ fn every_format_is_written_and_read_back() {
 }
 
 #[test]
-fn what_cannot_be_converted_is_refused_in_one_sentence() {
+fn impossible_conversions_are_refused_in_one_sentence() {
     let (folder, camera) = folder_with(FIVE);
     let there = folder.path().join("cameras.txt");
     fs::write(&there, "mine").unwrap();

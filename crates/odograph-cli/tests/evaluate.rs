@@ -1,6 +1,6 @@
-//! The command `odograph evaluate`, as a person runs it.
+//! Black-box tests of `odograph evaluate`.
 
-// Helpers of tests count as tests, which clippy does not see outside a module of tests.
+// Clippy does not recognise helper functions outside a test module as test code.
 #![allow(clippy::unwrap_used)]
 
 use serde_json::Value;
@@ -18,7 +18,8 @@ fn odograph(arguments: &[&str], folder: &Path) -> Output {
         .unwrap()
 }
 
-/// A camera that looks down from 1 m and drives 10 m along x, `scale` times as far as it should.
+/// A camera that looks down from 1 m and drives 10 m along x, multiplied by the scale error
+/// `scale`.
 fn tum(scale: f64) -> String {
     let lines = (0..=100).map(|i| {
         format!(
@@ -63,7 +64,7 @@ fn a_table_with_units_is_printed() {
 }
 
 #[test]
-fn json_has_the_figures() {
+fn json_contains_the_results() {
     let (_keep, folder) = folder();
     let output = odograph(
         &["estimate.tum", "truth.tum", "--align", "none", "--json", "--delta", "2m,5f", "--segments", "2"],
@@ -90,7 +91,7 @@ fn json_has_the_figures() {
 }
 
 #[test]
-fn kitti_files_are_told_by_their_columns() {
+fn kitti_files_are_recognised_by_their_columns() {
     let (_keep, folder) = folder();
     let kitti = |scale: f64, count: i32| -> String {
         (0..count).map(|i| format!("1 0 0 {} 0 1 0 0 0 0 1 0\n", 0.1 * f64::from(i) * scale)).collect()
@@ -145,7 +146,7 @@ fn a_plot_is_written_and_not_overwritten() {
 }
 
 #[test]
-fn what_cannot_be_compared_is_refused_in_one_sentence() {
+fn incomparable_trajectories_are_refused_in_one_sentence() {
     let (_keep, folder) = folder();
     let mut later = String::new();
     for line in tum(1.0).lines() {
@@ -193,7 +194,7 @@ fn what_cannot_be_compared_is_refused_in_one_sentence() {
 }
 
 #[test]
-fn absurd_numbers_give_no_nan() {
+fn extreme_numbers_give_no_nan() {
     let (_keep, folder) = folder();
     let ends = |far: &str| {
         format!(

@@ -1,6 +1,7 @@
-//! `odograph ground` from outside: rigs from pictures of a board and from driving, and what it refuses.
+//! Black-box tests of `odograph ground`: rigs from images of a board and from driving, and refused
+//! input.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking
 
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::formats::{camera_file, rig_file};
@@ -33,7 +34,8 @@ fn write_pgm(path: &Path, image: &GrayImage) {
     fs::write(path, bytes).unwrap();
 }
 
-/// A folder with a camera file, pictures of the board from `poses`, and one without it. The board's x is the world's.
+/// A folder with a camera file, images of the board from `poses`, and one image without it. The
+/// board's x axis is that of the world.
 fn folder(poses: &[GroundPose]) -> (tempfile::TempDir, impl Fn(&str) -> String + use<>) {
     let folder = tempfile::tempdir().unwrap();
     let camera = camera();
@@ -64,7 +66,7 @@ fn over(x_m: f64, y_m: f64) -> GroundPose {
 }
 
 #[test]
-fn pictures_of_a_board_give_the_rig() {
+fn the_rig_is_measured_from_images_of_a_board() {
     let leaning = GroundPose { roll_rad: 0.3, ..over(0.125, -0.35) };
     let (folder, path) = folder(&[over(0.125, -0.185), over(0.145, -0.2), over(0.1, -0.17), leaning]);
     let all: Vec<String> = ["floor0.pgm", "floor1.pgm", "floor2.pgm", "floor3.pgm", "bare.pgm"]
@@ -89,7 +91,7 @@ fn pictures_of_a_board_give_the_rig() {
     let done = odograph(&arguments);
     assert_eq!(done.status.code(), Some(0), "{}", said(&done));
     let found = rig_file::parse_measured(&fs::read_to_string(&output).unwrap()).unwrap();
-    // What is asked: 0.1 % of the height, 0.02° of tilt.
+    // The requirement: 0.1 % of the height, 0.02° of tilt.
     assert!((found.rig.height_m - 0.76).abs() < 0.00075, "{found:?}");
     let tilt = (found.rig.roll_rad - RIG.roll_rad).hypot(found.rig.pitch_rad - RIG.pitch_rad);
     assert!(tilt < 0.02f64.to_radians(), "{found:?}");
@@ -101,7 +103,7 @@ fn pictures_of_a_board_give_the_rig() {
     assert!(out.contains("height  0.7") && out.contains("3 of 4 views of chessboard:12x9:35mm"), "{out}");
     assert!(err.contains("floor3.pgm is left out: it is of another height or tilt"), "{err}");
     assert!(err.contains("bare.pgm is left out: no chessboard corners"), "{err}");
-    // What is there is not overwritten, and a run takes the rig as it is.
+    // Existing results are not overwritten, and `odograph run` reads the rig unchanged.
     let again = odograph(&arguments);
     assert!(again.status.code() == Some(2) && said(&again).contains("is already there"));
     arguments.push("--force");
@@ -111,7 +113,7 @@ fn pictures_of_a_board_give_the_rig() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_refused_in_one_sentence() {
+fn unsuitable_input_is_refused_in_one_sentence() {
     let upright = GroundPose { roll_rad: 1.2, height_m: 0.3, ..over(0.125, -0.91) };
     let (_folder, path) = folder(&[over(0.125, -0.185), upright]);
     let (camera, output, floor, bare) =
@@ -156,7 +158,7 @@ fn what_cannot_be_measured_is_refused_in_one_sentence() {
     );
 }
 
-/// A folder with a rendered `drive` whose camera sits at a roll of 3° and a pitch of −2.5°.
+/// A folder with a rendered `drive` whose camera has a roll of 3° and a pitch of −2.5°.
 fn tilted_drive() -> tempfile::TempDir {
     let temporary = tempfile::tempdir().unwrap();
     let drive = temporary.path().join("drive");
@@ -170,7 +172,7 @@ fn tilted_drive() -> tempfile::TempDir {
 }
 
 #[test]
-fn a_run_finds_the_tilt_that_it_was_not_told() {
+fn a_run_estimates_an_unknown_mount_tilt() {
     let temporary = tilted_drive();
     let path = |name: &str| temporary.path().join(name).to_str().unwrap().to_owned();
     let (frames, times, camera, rig) =
@@ -187,14 +189,14 @@ fn a_run_finds_the_tilt_that_it_was_not_told() {
     let (told, _, path_told) = run(&path("told"), &["--rig", &rig]);
     let (found, warning, path_found) = run(&path("found"), &["--height", "0.75", "--threads", "1"]);
     let (insisted, _, path_insisted) = run(&path("insisted"), &["--height", "0.75", "--motion", "rigid"]);
-    // Of the mount that was told nothing is said.
+    // No mount is estimated if the given one is correct, or with the motion model `rigid`.
     assert!(told["mount"].is_null() && insisted["mount"].is_null(), "{told} {insisted}");
     let degrees = |key: &str| found["mount"][key].as_f64().unwrap();
     let off = (degrees("roll_deg") - 3.0).hypot(degrees("pitch_deg") + 2.5);
-    // The way is 5 m and the picture half as large as those of which 0.05° is asked.
+    // The path is 5 m long, and the image has half the width for which 0.05° is required.
     assert!(off < 0.1 && degrees("told_roll_deg") == 0.0, "{found}");
     assert!(warning.contains("not at +0.00° and +0.00° as was told"), "{warning}");
-    // How far the end of a path is from that of the mount that was told, metres.
+    // Distance of the end of a path from that with the correct mount given, metres.
     let end = |path: &[u8]| {
         let text = String::from_utf8(path.to_vec()).unwrap();
         let last: Vec<f64> =
@@ -202,18 +204,20 @@ fn a_run_finds_the_tilt_that_it_was_not_told() {
         (last[1], last[2])
     };
     let off = |path: &[u8]| (end(path).0 - end(&path_told).0).hypot(end(path).1 - end(&path_told).1);
-    // Nearly the same path; 4° that are insisted on bend it by 2 cm before loops pull it straight.
+    // Nearly the same path; an uncorrected tilt error of 4° bends it by 2 cm before loop closures
+    // correct it.
     assert!(
         off(&path_found) < 2e-3 && off(&path_insisted) > 0.01,
         "{} {}",
         off(&path_found),
         off(&path_insisted)
     );
-    // The frames of the beginnings that were given up are not there, nor in the map.
+    // Frames from before a restart are neither in the results nor in the map.
     assert_eq!(found["frames"], told["frames"]);
     let table = fs::read_to_string(path("found/trajectory.csv")).unwrap();
     assert_eq!(table.lines().count() as u64, told["frames"].as_u64().unwrap() + 1);
-    // Any number of threads gives the same bytes, and so does the plan run again, which has the rig.
+    // Any number of threads gives the same bytes, and so does a repetition of the plan, which
+    // contains the rig.
     let (_, _, side_by_side) = run(&path("threads"), &["--height", "0.75", "--threads", "3"]);
     assert!(side_by_side == path_found);
     let again = odograph(&["run", &path("found/run.toml"), "-q", "-o", &path("again")]);
@@ -224,7 +228,7 @@ fn a_run_finds_the_tilt_that_it_was_not_told() {
                 == fs::read(path(&format!("found/{file}"))).unwrap()
         );
     }
-    // Without a camera file nothing is known of the lens, and what it bends is not taken for a tilt.
+    // Without a camera file the distortion is unknown, and must not be mistaken for a tilt.
     let tape = odograph(&[
         "run",
         &frames,
@@ -238,21 +242,21 @@ fn a_run_finds_the_tilt_that_it_was_not_told() {
     ]);
     assert_eq!(tape.status.code(), Some(0), "{}", said(&tape));
     assert!(fs::read_to_string(path("tape/run.toml")).unwrap().contains("model = \"rigid\""));
-    // A map that is continued is not begun again; the recording is looked at beforehand.
+    // A continued map is not restarted; the recording is examined beforehand.
     let (continued, _, path_continued) =
         run(&path("continued"), &["--height", "0.75", "--map", &path("found/map.gpkg")]);
     assert!(continued["mount"].is_object() && off(&path_continued) < 2e-3, "{}", off(&path_continued));
 }
 
 #[test]
-fn a_run_finds_the_lens_that_it_was_not_told() {
+fn a_run_estimates_an_unknown_lens_distortion() {
     let temporary = tilted_drive();
     let path = |name: &str| temporary.path().join(name).to_str().unwrap().to_owned();
     let (frames, times, rig) = (path("drive/frames"), path("drive/frames.txt"), path("drive/rig.toml"));
     let known = fs::read_to_string(path("drive/camera.yaml")).unwrap();
     let coefficients = "[ -0.12, 0.02, 0.0004, -0.0003, 0.0 ]";
     assert!(known.contains(coefficients), "{known}");
-    // As somebody has it who has measured the focal length, and nothing of the lens.
+    // A camera file with a measured focal length and without distortion.
     fs::write(path("guess.yaml"), known.replace(coefficients, "[ 0.0, 0.0, 0.0, 0.0, 0.0 ]")).unwrap();
     let run = |camera: &str, output: &str, more: &[&str]| {
         let mut arguments = vec!["run", frames.as_str(), "--timestamps", &times, "--rig", &rig];
@@ -268,14 +272,15 @@ fn a_run_finds_the_lens_that_it_was_not_told() {
     let (_, _, path_insisted) = run(&path("guess.yaml"), &path("insisted"), &["--motion", "rigid"]);
     assert!(told["lens"].is_null() && !temporary.path().join("told/camera-found.yaml").exists(), "{told}");
     assert!(warning.contains("not with k1 +0.00000, k2 +0.00000"), "{warning}");
-    // 14 px at the corner of the image; it is found to a tenth of a pixel, as it says.
+    // 14 px at the image corner; estimated to a tenth of a pixel, as its standard deviation states.
     let number = |key: &str| found["lens"][key].as_f64().unwrap();
     assert!(number("off_px") > 10.0 && number("deviation_px") < 0.3, "{found}");
     let places = |path: &str| -> Vec<Vec<f64>> {
         let rows = path.lines().filter(|line| !line.starts_with('#'));
         rows.map(|line| line.split_whitespace().map(|word| word.parse().unwrap()).collect()).collect()
     };
-    // How far apart two paths are at most, metres; and how far one is from that of the lens that was told.
+    // Maximum distance between two paths, metres, and the distance from the path with the true
+    // lens.
     let apart = |path: &str, other: &str| {
         let both = places(path).into_iter().zip(places(other));
         let distance =
@@ -283,17 +288,18 @@ fn a_run_finds_the_lens_that_it_was_not_told() {
         both.map(distance).fold(0.0, f64::max)
     };
     let off = |path: &str| apart(path, &path_told);
-    // So short and small a recording tells bending, not decentering (p1 and p2), which leaves 2 mm.
+    // From such a short recording radial distortion can be estimated, but not tangential distortion
+    // (p1 and p2), which leaves 2 mm.
     assert!(
         off(&path_found) < 4e-3 && off(&path_insisted) > 1e-2,
         "{} {}",
         off(&path_found),
         off(&path_insisted)
     );
-    // What was found is in the folder, and gives the same path: to be used from then on.
+    // The estimated camera is in the output folder, and gives the same path when used in a new run.
     let (again, _, path_again) = run(&path("found/camera-found.yaml"), &path("again"), &[]);
     assert!(again["lens"].is_null() && apart(&path_again, &path_found) < 1e-4, "{again}");
-    // It stays where the run that it is given to writes over the one that found it.
+    // The file survives if the run that reads it overwrites the output folder in which it is.
     let (_, _, path_over) = run(&path("found/camera-found.yaml"), &path("again"), &["--force"]);
     assert!(path_over == path_again);
     fs::copy(path("found/camera-found.yaml"), path("again/camera-found.yaml")).unwrap();
@@ -301,7 +307,8 @@ fn a_run_finds_the_lens_that_it_was_not_told() {
     assert!(temporary.path().join("again/camera-found.yaml").exists());
     run(&path("drive/camera.yaml"), &path("again"), &["--force"]);
     assert!(!temporary.path().join("again/camera-found.yaml").exists());
-    // The map has it too, and is continued by the file that it was begun with: the path is laid into the map's frame, which loops have moved.
+    // The map contains the estimate as well, and is continued with the original camera file. The
+    // path is transformed into the map frame, which loop closures have moved.
     let (continued, _, path_continued) =
         run(&path("guess.yaml"), &path("continued"), &["--map", &path("found/map.gpkg")]);
     assert!(continued["lens"].is_null() && off(&path_continued) < 0.01, "{}", off(&path_continued));
@@ -310,7 +317,7 @@ fn a_run_finds_the_lens_that_it_was_not_told() {
 }
 
 #[test]
-fn driving_gives_roll_and_pitch_and_a_distance_the_height() {
+fn roll_and_pitch_from_driving_height_from_a_distance() {
     let temporary = tilted_drive();
     let drive = temporary.path().join("drive");
     let drive = drive.to_str().unwrap();
@@ -342,7 +349,7 @@ fn driving_gives_roll_and_pitch_and_a_distance_the_height() {
     assert_eq!(done.status.code(), Some(0), "{}", said(&done));
     let found = rig_file::parse_measured(&fs::read_to_string(&output).unwrap()).unwrap();
     let off = (found.rig.roll_rad.to_degrees() - 3.0).hypot(found.rig.pitch_rad.to_degrees() + 2.5);
-    // What is asked is 0.05°; the picture is half as large as those it is asked of.
+    // The requirement is 0.05°; the image has half the width for which it holds.
     assert!(off < 0.1, "{found:?}");
     // The stated deviation is true: neither far too small nor far too large.
     let (off_m, deviation_m) = ((found.rig.height_m - 0.75).abs(), found.deviations.height_m.unwrap());
@@ -353,7 +360,7 @@ fn driving_gives_roll_and_pitch_and_a_distance_the_height() {
     assert!(out.contains("pairs of views") && out.contains("yaw     not measured"), "{out}");
 }
 
-/// The folder of real recordings, where it is there.
+/// The folder of real recordings, if it exists.
 fn recordings() -> Option<PathBuf> {
     let folder = std::env::var_os("ODOGRAPH_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
@@ -364,7 +371,7 @@ fn recordings() -> Option<PathBuf> {
     there.then_some(folder)
 }
 
-/// Measures with a camera whose numbers are OpenCV's, and gives the rig and what was printed.
+/// Measures with OpenCV's camera parameters, and returns the rig and the printed output.
 fn measured(sources: &str, board: &str, camera: &str) -> (Rig, String) {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
@@ -388,14 +395,15 @@ fn measured(sources: &str, board: &str, camera: &str) -> (Rig, String) {
 }
 
 #[test]
-fn a_real_table_is_measured_and_boards_held_up_are_told_apart() {
+fn a_real_table_is_measured_despite_hand_held_boards() {
     let Some(folder) = recordings() else { return };
     let camera = "image_width: 1440\nimage_height: 1080\n\
                   camera_matrix: [1178.716, 0, 737.038, 0, 1178.121, 582.7, 0, 0, 1]\n\
                   distortion_coefficients: [-0.238614, 0.119906, 0.000867, 0.00051, -0.043456]\n";
     let pictures = folder.join("calib_overhead_table/images");
     let (rig, said) = measured(pictures.to_str().unwrap(), "chessboard:24x17:15mm", camera);
-    // OpenCV's own poses of the six in which the board lies flat: 1.0563 to 1.0619 m, 0.81 to 1.30° off plumb.
+    // OpenCV's poses of the six views in which the board lies flat: 1.0563 to 1.0619 m, 0.81 to
+    // 1.30° tilt.
     assert!((1.0563..1.0619).contains(&rig.height_m), "{rig:?}");
     let tilt_deg = rig.roll_rad.hypot(rig.pitch_rad).to_degrees();
     assert!((0.81..1.3).contains(&tilt_deg), "{rig:?}");
@@ -403,14 +411,15 @@ fn a_real_table_is_measured_and_boards_held_up_are_told_apart() {
 }
 
 #[test]
-fn a_real_picture_agrees_with_its_pose() {
+fn a_real_image_agrees_with_its_reference_pose() {
     let Some(folder) = recordings() else { return };
     let camera = "image_width: 752\nimage_height: 480\n\
                   camera_matrix: [419.97, 0, 353.93, 0, 419.31, 250.78, 0, 0, 1]\n\
                   distortion_coefficients: [-0.31418, 0.10884, 0, 0]\n";
     let picture = folder.join("planar_checker_a/images/img_0001.jpg");
     let (rig, _) = measured(picture.to_str().unwrap(), "chessboard:9x6:40mm", camera);
-    // The pose that comes with the picture, of another lens model and a principal point 1.4 px aside: 0.31436 m, 1.65°, -21.40°, 93.46°.
+    // The pose that accompanies the image, from another lens model and a principal point that
+    // differs by 1.4 px: 0.31436 m, 1.65°, -21.40°, 93.46°.
     assert!((rig.height_m / 0.31436 - 1.0).abs() < 2e-3, "{rig:?}");
     for (found, given) in [(rig.roll_rad, 1.65f64), (rig.pitch_rad, -21.4), (rig.yaw_rad, 93.46)] {
         assert!((found.to_degrees() - given).abs() < 0.5, "{rig:?}");

@@ -1,6 +1,7 @@
-//! `odograph run` on what it was not made for: one sentence, the right exit code, no panic, nothing half-written.
+//! `odograph run` on unsuitable input: one sentence, the right exit code, no panic, no partial
+//! files.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 #[path = "hostile/recording.rs"]
 mod recording;
@@ -13,7 +14,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Every file of a whole run.
+/// All output files of a complete run.
 const FILES: [&str; 14] = [
     "carrier.tum",
     "map.gpkg",
@@ -31,7 +32,7 @@ const FILES: [&str; 14] = [
     "trajectory.tum",
 ];
 
-/// A place with a camera file and a folder for results that does not exist yet.
+/// A temporary folder with a camera file; the output folder does not exist yet.
 struct Place {
     temporary: TempDir,
 }
@@ -47,7 +48,7 @@ impl Place {
         self.temporary.path().join(name)
     }
 
-    /// `odograph run` in this place, without the rest of what is told.
+    /// Runs `odograph run` in this folder, with these arguments only.
     fn run(&self, arguments: &str) -> Output {
         self.command(arguments).output().unwrap()
     }
@@ -64,7 +65,8 @@ impl Place {
         self.run(&format!("{source} --camera camera.yaml --height 1.0 -o out"))
     }
 
-    /// A run that must be refused: with `code`, one sentence that holds `words`, and nothing left behind.
+    /// Asserts that a run is refused with `code` and one sentence that contains `words`, and leaves
+    /// no files.
     fn refused(&self, arguments: &str, code: i32, words: &str) {
         let before = names(self.temporary.path());
         let done = self.run(arguments);
@@ -76,13 +78,13 @@ impl Place {
         self.refused(&format!("{source} --camera camera.yaml --height 1.0 -o out"), code, words);
     }
 
-    /// The file of an earlier run, as bytes.
+    /// The content of a result file.
     fn result(&self, folder: &str, name: &str) -> Vec<u8> {
         fs::read(self.path(folder).join(name)).unwrap()
     }
 }
 
-/// One sentence on standard error, none of it the text of a panic.
+/// Asserts that standard error is one sentence and not the message of a panic.
 fn assert_told(done: &Output, code: i32, words: &str, what: &str) {
     let told = String::from_utf8(done.stderr.clone()).unwrap();
     assert_eq!(done.status.code(), Some(code), "`{what}` told: {told}");
@@ -92,13 +94,13 @@ fn assert_told(done: &Output, code: i32, words: &str, what: &str) {
     assert!(done.stdout.is_empty(), "`{what}` printed {:?}", String::from_utf8_lossy(&done.stdout));
 }
 
-/// Nothing has the name of a file that is still being written.
+/// Asserts that the folder contains exactly the results, and no partial files.
 fn assert_whole(folder: &Path) {
     assert_eq!(names(folder), FILES, "in {}", folder.display());
 }
 
 #[test]
-fn sources_that_are_none() {
+fn invalid_sources_are_refused() {
     let place = Place::new();
     place.refused_usual("none.mp4", 3, "none.mp4: there is no such file");
     fs::create_dir(place.path("empty")).unwrap();
@@ -128,7 +130,7 @@ fn sources_that_are_none() {
 }
 
 #[test]
-fn recordings_of_robots_are_told_by_their_content() {
+fn robot_recordings_are_recognised_by_their_content() {
     let place = Place::new();
     let bag = b"SQLite format 3\0 ... CREATE TABLE topics(id) CREATE TABLE messages(id)";
     for (name, bytes, words) in [
@@ -156,7 +158,7 @@ fn recordings_of_robots_are_told_by_their_content() {
 }
 
 #[test]
-fn too_few_frames() {
+fn too_few_frames_are_refused() {
     let place = Place::new();
     picture_folder(&place.path("one"), 1, Picture::gray8);
     place.refused_usual("one", 3, "only one frame");
@@ -172,7 +174,7 @@ fn too_few_frames() {
 }
 
 #[test]
-fn frames_of_different_sizes() {
+fn frames_of_different_sizes_are_refused() {
     let place = Place::new();
     picture_folder(&place.path("mixed"), 6, |number| {
         let picture = Picture::gray8(number);
@@ -180,14 +182,14 @@ fn frames_of_different_sizes() {
     });
     let done = place.run_usual("mixed");
     assert_told(&done, 3, "must have the same size", "mixed");
-    // What was measured before is not thrown away.
+    // Results from before the error are kept.
     if place.path("out").exists() {
         assert_whole(&place.path("out"));
     }
 }
 
 #[test]
-fn videos_that_are_cut_off_or_hold_nothing() {
+fn truncated_and_empty_videos_are_handled() {
     let place = Place::new();
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
     let clip = fs::read(demo.join("drive.mp4")).unwrap();
@@ -221,7 +223,7 @@ fn videos_that_are_cut_off_or_hold_nothing() {
 }
 
 #[test]
-fn pictures_of_16_bits_and_with_opacity_are_usual() {
+fn images_with_16_bits_or_alpha_are_read() {
     let place = Place::new();
     for (name, picture) in [
         ("gray8", Picture::gray8 as fn(usize) -> Picture),
@@ -234,7 +236,7 @@ fn pictures_of_16_bits_and_with_opacity_are_usual() {
         let done = place.run(&format!("{name} --fps 30 --camera camera.yaml --height 1 -o {out}"));
         assert_eq!(done.status.code(), Some(0), "{name}: {}", String::from_utf8_lossy(&done.stderr));
         assert_whole(&place.path(&out));
-        // The same floor, so the same path: to the left by 4 px of 1/300 m a frame.
+        // The same floor, so the same path: 4 px of 1/300 m per frame to the left.
         let path = String::from_utf8(place.result(&out, "trajectory.csv")).unwrap();
         let last: Vec<&str> = path.lines().last().unwrap().split(',').collect();
         let (x_m, y_m): (f64, f64) = (last[2].parse().unwrap(), last[3].parse().unwrap());
@@ -243,7 +245,7 @@ fn pictures_of_16_bits_and_with_opacity_are_usual() {
 }
 
 #[test]
-fn cameras_that_cannot_be() {
+fn invalid_cameras_are_refused() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let with = |name: &str, text: &str, words: &str| {
@@ -269,7 +271,7 @@ fn cameras_that_cannot_be() {
 }
 
 #[test]
-fn usage_that_cannot_be() {
+fn invalid_usage_is_refused() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let usual = "drive.y4m --camera camera.yaml -o out";
@@ -283,7 +285,7 @@ fn usage_that_cannot_be() {
     place.refused(&format!("{usual} --height 1 --fps 0"), 2, "frames a second");
     place.refused(&format!("{usual} --height 1 --start -1"), 2, "start and end");
     place.refused(&format!("{usual} --height 1 --start 2 --end 1"), 2, "before the start");
-    // The parser of options tells usage in its own words, in more lines.
+    // The option parser has its own messages, which have several lines.
     for wrong in
         ["--height x", "--height 1 --nonsense", "--height 1 --every -1", "--height 1 --threads 0", "--height"]
     {
@@ -296,12 +298,12 @@ fn usage_that_cannot_be() {
 }
 
 #[test]
-fn outputs_that_cannot_be() {
+fn invalid_outputs_are_refused() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     fs::write(place.path("file"), "mine").unwrap();
     place.refused("drive.y4m --camera camera.yaml --height 1 -o file", 2, "file is a file");
-    // Below a file, and where even root may not write.
+    // Below a file, and where even root cannot write.
     place.refused("drive.y4m --camera camera.yaml --height 1 -o file/out", 3, "file/out cannot be made");
     if Path::new("/proc/self").exists() {
         place.refused(
@@ -311,9 +313,9 @@ fn outputs_that_cannot_be() {
         );
     }
     assert_eq!(fs::read(place.path("file")).unwrap(), b"mine");
-    // Folders that were made on the way go too.
+    // Parent folders created for the run are removed.
     place.refused("none.mp4 --camera camera.yaml --height 1 -o a/b/c", 3, "none.mp4");
-    // Results that are there stay as they are.
+    // Existing results are unchanged.
     assert!(place.run_usual("drive.y4m").status.success());
     let before = place.result("out", "stats.json");
     place.refused_usual("drive.y4m", 2, "is already there; choose another folder, or --force");
@@ -325,7 +327,7 @@ fn outputs_that_cannot_be() {
     assert_whole(&place.path("out"));
 }
 
-/// A device that is always full stands in for each of the files in turn.
+/// `/dev/full` takes the place of each file in turn.
 #[test]
 #[cfg(unix)]
 fn a_full_disk() {
@@ -335,11 +337,12 @@ fn a_full_disk() {
     }
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
-    // The map file is no file that is written at once; its own tests fill the disk under it.
+    // The map file is written incrementally; separate tests cover a full disk for it.
     for name in FILES.into_iter().filter(|&name| name != "map.gpkg") {
         let out = place.path("out");
         fs::create_dir(&out).unwrap();
-        // The whole trajectory has a name of its own beside the one that grows, which must outlive a disk that is full at the end.
+        // The final trajectory is written to a temporary file beside the growing one, which must
+        // survive a disk that is full at the end.
         let (beside, stay) = match name {
             "trajectory.csv" => ("trajectory.csv.new.part".to_owned(), vec!["trajectory.csv.part"]),
             _ => (format!("{name}.part"), vec![]),
@@ -351,7 +354,7 @@ fn a_full_disk() {
         let halves: Vec<&String> = left.iter().filter(|left| left.ends_with(".part")).collect();
         assert_eq!(halves, stay, "{name}");
         if let Some(grown) = stay.first() {
-            // The head and a line for each of the forty frames.
+            // The header and one line for each of the forty frames.
             assert_eq!(fs::read_to_string(out.join(grown)).unwrap().lines().count(), 41);
         }
         fs::remove_dir_all(&out).unwrap();
@@ -392,7 +395,7 @@ fn a_full_file_system() {
 }
 
 #[test]
-fn plans_that_are_garbage() {
+fn invalid_plans_are_refused() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(3)).unwrap();
     for (name, text) in [
@@ -409,7 +412,7 @@ fn plans_that_are_garbage() {
     let plan = String::from_utf8(place.result("out", "run.toml")).unwrap();
     fs::create_dir(place.path("plans")).unwrap();
     let mut number = 0;
-    // Every number of a plan, one after the other, as what it cannot be.
+    // Replaces each number of a plan in turn by invalid values.
     for (line_number, line) in plan.lines().enumerate() {
         let Some((key, value)) = line.split_once(" = ") else { continue };
         if value.parse::<f64>().is_err() {
@@ -435,7 +438,7 @@ fn plans_that_are_garbage() {
 }
 
 #[test]
-fn options_beside_a_plan_are_not_overheard() {
+fn options_beside_a_plan_are_not_ignored() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
@@ -454,7 +457,7 @@ fn options_beside_a_plan_are_not_overheard() {
 }
 
 #[test]
-fn a_plan_run_again_and_any_number_of_threads_give_the_same_bytes() {
+fn results_are_identical_for_repetitions_and_thread_counts() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
@@ -475,7 +478,7 @@ fn a_plan_run_again_and_any_number_of_threads_give_the_same_bytes() {
 }
 
 #[test]
-fn a_recording_that_shows_nothing() {
+fn a_blank_recording_has_results_without_poses() {
     let place = Place::new();
     let mut blank = y4m(0);
     for _ in 0..10 {
@@ -488,17 +491,17 @@ fn a_recording_that_shows_nothing() {
     let told = String::from_utf8(done.stderr).unwrap();
     assert_eq!(done.status.code(), Some(4), "{told}");
     assert!(told.contains("could not be measured in") && told.lines().count() == 1, "{told}");
-    // There is no mosaic and no map of nothing; everything else is there.
+    // Without poses there is no mosaic and no map; all other files exist.
     let wanted: Vec<&str> =
         FILES.into_iter().filter(|&name| !(name.starts_with("mosaic") || name == "map.gpkg")).collect();
     assert_eq!(names(&place.path("out")), wanted);
-    // And nothing of an earlier drive stays among it.
+    // And no files of an earlier run remain.
     assert!(place.run("drive.y4m --camera camera.yaml --height 1 -o over").status.success());
     assert_eq!(place.run("blank.y4m --camera camera.yaml --height 1 -o over --force").status.code(), Some(4));
     assert_eq!(names(&place.path("over")), wanted);
 }
 
-/// A run over standard input, with 40 frames given and waited for, so that a group of them is on disk.
+/// Starts a run on standard input, sends 40 frames, and waits until a block of them is on disk.
 fn begun(place: &Place, arguments: &str) -> Child {
     let mut command = place.command(&format!("- --camera camera.yaml --height 1 -o out {arguments}"));
     let mut child =
@@ -521,7 +524,7 @@ fn an_interrupt_ends_the_run_and_writes_everything() {
         let mut child = begun(&place, &format!("--threads {threads}"));
         let sent = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
         assert!(sent.success());
-        // The run looks at what it was asked between frames; the stream stays open until it has ended.
+        // The interrupt is checked between frames, so the stream stays open until the program ends.
         let mut stream = child.stdin.take().unwrap();
         let header = y4m(0).len();
         let frames = &y4m(2)[header..];
@@ -545,12 +548,13 @@ fn a_killed_run_leaves_the_frames_so_far() {
     let mut child = begun(&place, "");
     child.kill().unwrap();
     child.wait().unwrap();
-    // The map as far as it went, with the log that SQLite folds into it when it is next opened.
+    // The map so far, with the log that SQLite merges when the file is next opened.
     let left = ["map.gpkg", "map.gpkg-shm", "map.gpkg-wal", "map.gpkg.lock", "trajectory.csv.part"];
     assert_eq!(names(&place.path("out")), left);
     let text = fs::read_to_string(place.path("out/trajectory.csv.part")).unwrap();
     assert!(text.lines().count() > 30 && text.ends_with('\n'), "{text}");
-    // That map is not overwritten unasked; it can be continued, and asked for it, the folder is as good as new.
+    // That map is not overwritten without `--force`, but it can be continued. With `--force` the
+    // folder is replaced.
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert_told(&place.run_usual("drive.y4m"), 2, "map.gpkg is already there", "a second run");
     fs::rename(place.path("out/map.gpkg"), place.path("kept.gpkg")).unwrap();
@@ -561,7 +565,7 @@ fn a_killed_run_leaves_the_frames_so_far() {
     let done = place.run("drive.y4m --camera camera.yaml --height 1 -o next --map kept.gpkg -q");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert!(!place.path("next/map.gpkg").exists(), "there is one map");
-    // It knows the camera and how it sits.
+    // The map contains the camera and its mount.
     let known = |folder: &str| {
         let plan = fs::read_to_string(place.path(&format!("{folder}/run.toml"))).unwrap();
         let table =
@@ -585,7 +589,7 @@ fn a_plan_is_repeated_from_any_folder() {
     let done = there.current_dir(place.path("out")).output().unwrap();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert!(place.result("again", "trajectory.csv") == place.result("out", "trajectory.csv"));
-    // Moved together with its recording it is still repeated.
+    // Moved together with its recording, the plan can still be repeated.
     fs::create_dir(place.path("elsewhere")).unwrap();
     for name in ["drive.y4m", "out"] {
         fs::rename(place.path(name), place.path("elsewhere").join(name)).unwrap();
@@ -595,7 +599,7 @@ fn a_plan_is_repeated_from_any_folder() {
 }
 
 #[test]
-fn a_demo_writes_over_nothing_of_others() {
+fn a_demo_overwrites_no_foreign_files() {
     let place = Place::new();
     fs::create_dir(place.path("mine")).unwrap();
     fs::write(place.path("mine/trajectory.tum"), "mine").unwrap();
@@ -613,7 +617,7 @@ fn a_demo_writes_over_nothing_of_others() {
 }
 
 #[test]
-fn lengths_have_units_and_doubtful_heights_are_told() {
+fn lengths_have_units_and_implausible_heights_cause_warnings() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
@@ -645,7 +649,7 @@ fn lengths_have_units_and_doubtful_heights_are_told() {
 }
 
 #[test]
-fn nothing_of_a_file_acts_on_the_terminal() {
+fn control_characters_of_files_do_not_reach_the_terminal() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let camera = CAMERA.replace("image_width", "\"image\\e[2J\\rwidth\"");
@@ -655,13 +659,13 @@ fn nothing_of_a_file_acts_on_the_terminal() {
 }
 
 #[test]
-fn a_map_that_another_run_writes_is_refused_before_any_work() {
+fn a_map_in_use_is_refused_before_any_work() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let mut other = begun(&place, "--map hall.gpkg");
     let holder = format!("being written by another program (process {})", other.id());
     place.refused("drive.y4m --camera camera.yaml --height 1 -o second --map hall.gpkg", 3, &holder);
-    // Nor is its folder written into, not even by force.
+    // The folder of a map in use is not overwritten, not even with `--force`.
     place.refused("drive.y4m --camera camera.yaml --height 1 -o out --force", 3, &holder);
     drop(other.stdin.take());
     let done = other.wait_with_output().unwrap();
@@ -672,7 +676,7 @@ fn a_map_that_another_run_writes_is_refused_before_any_work() {
 }
 
 #[test]
-fn a_map_whose_maker_was_killed_at_once_is_begun_anew() {
+fn an_empty_map_of_a_killed_run_is_replaced() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     fs::write(place.path("hall.gpkg"), "").unwrap();
@@ -687,7 +691,7 @@ fn a_map_whose_maker_was_killed_at_once_is_begun_anew() {
 
 #[test]
 #[cfg(unix)]
-fn a_reader_that_has_gone_is_no_failure() {
+fn a_closed_output_pipe_is_no_failure() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let (reader, writer) = std::io::pipe().unwrap();

@@ -1,6 +1,8 @@
-//! `odograph live` and `odograph view`, end to end: over the bundled drive at its own pace or faster, over HTTP, and looked at in a browser.
+//! End-to-end tests of `odograph live` and `odograph view`: on the bundled drive in real time or
+//! faster, over HTTP, and with a browser.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking, and says why it skips
+// a test fails by panicking, and prints why it is skipped
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "live/browser.rs"]
 mod browser;
@@ -22,11 +24,11 @@ use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::process::Stdio;
 use std::time::Duration;
 
-/// The length of the whole drive.
+/// Length of the whole drive, metres.
 const DRIVE_M: f64 = 12.8;
 
 #[test]
-fn every_frame_of_a_recording_gives_what_run_gives() {
+fn live_on_a_recording_gives_the_results_of_run() {
     let place = Place::new();
     write_uncompressed(&place.path("drive.y4m"));
     let live =
@@ -46,7 +48,7 @@ fn every_frame_of_a_recording_gives_what_run_gives() {
         assert!(place.read(&format!("live/{name}")) == place.read(&format!("run/{name}")), "{name} differs");
     }
     assert_eq!(names(&place.path("live")), names(&place.path("run")));
-    // A line for each frame on standard output, each of them JSON, and the last one where the trajectory ends.
+    // One JSON line per frame on standard output; the last one is the end of the trajectory.
     let lines: Vec<serde_json::Value> =
         live.stdout.lines().map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect();
     let figures = statistics(&place.path("live"));
@@ -59,7 +61,7 @@ fn every_frame_of_a_recording_gives_what_run_gives() {
     let last: Vec<&str> = table.lines().last().unwrap().split(',').collect();
     let x_m = lines.last().unwrap()["pose"]["x_m"].as_f64().unwrap();
     assert!((x_m - last[2].parse::<f64>().unwrap()).abs() < 1e-6);
-    // The same lines in the MCAP file, and a picture for every third of the thirty frames a second.
+    // The MCAP file has the same lines, and an image for every third frame (10 of 30 per second).
     let mut topics: BTreeMap<String, Vec<serde_json::Value>> = BTreeMap::new();
     for message in mcap::MessageStream::new(&place.read("live.mcap")).unwrap() {
         let message = message.unwrap();
@@ -69,34 +71,36 @@ fn every_frame_of_a_recording_gives_what_run_gives() {
     assert!(topics["/frame"] == lines);
     assert_eq!(topics["/camera"].len(), lines.len().div_ceil(3));
     assert_eq!(topics["/pose"].last().unwrap()["pose"]["position"]["x"], json!(x_m));
-    // It is not overwritten unasked.
+    // It is not overwritten without `--force`.
     let again = place.command("live", "drive.y4m -o again --mcap live.mcap").output().unwrap();
     assert_eq!(again.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&again.stderr).contains("live.mcap is already there"));
 }
 
 #[test]
-fn a_source_too_fast_is_followed_late_never_and_dropped_frames_are_counted() {
+fn a_too_fast_source_drops_frames_and_counts_them() {
     let place = Place::new();
     write_uncompressed(&place.path("drive.y4m"));
     let listener = UdpSocket::bind("127.0.0.1:0").unwrap();
     listener.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     let udp = listener.local_addr().unwrap();
-    // A thousand times its own pace: thirty thousand frames a second, of which most must go.
+    // 1000 times real time: 30,000 frames per second, of which most must be dropped.
     let done = place
         .command("live", &format!("drive.y4m --realtime 1000 --udp {udp} -o out --quiet"))
         .output()
         .unwrap();
-    // On a slow machine so much gives way that what is left is no path any more: that is told by the code.
+    // On a slow machine so many frames are dropped that tracking fails, which the exit code
+    // reports.
     assert!(matches!(done.status.code(), Some(0 | 4)), "{}", String::from_utf8_lossy(&done.stderr));
     let figures = statistics(&place.path("out"));
     let live = &figures["live"];
     let count = |value: &serde_json::Value| value.as_u64().unwrap();
-    // What was captured was tracked or dropped; at most the frames in the queue were there when the source ended.
+    // Each captured frame was tracked or dropped; at the end of the source at most the queue was
+    // left.
     assert_eq!(count(&live["frames_captured"]), count(&figures["frames"]) + count(&live["frames_dropped"]));
     assert!(count(&live["frames_dropped"]) > count(&figures["frames"]), "{figures}");
-    // How long frames took is measured, in order; how long that may be depends on the machine. That no more than two wait is the queue's own
-    // test, that most of these gave way the line above.
+    // Latencies are reported in order; their size depends on the machine. The queue's length limit
+    // has its own unit test, and the line above tests that most frames were dropped.
     let [median, p99, most] =
         ["latency_median_ms", "latency_p99_ms", "latency_most_ms"].map(|key| live[key].as_f64().unwrap());
     assert!(0.0 < median && median <= p99 && p99 <= most, "{live}");
@@ -106,7 +110,8 @@ fn a_source_too_fast_is_followed_late_never_and_dropped_frames_are_counted() {
     assert!(first["frame"].is_u64() && first["status"] == json!("tracked"), "{first}");
 }
 
-/// A phone: sends the frames of the drive over HTTP as fast as they are taken, hangs up in the middle, and is there again.
+/// A phone: sends the frames over HTTP as fast as they are read, disconnects in the middle, and
+/// reconnects.
 fn phone(listener: TcpListener, frames: &[Vec<u8>]) {
     let (first, second) = frames.split_at(frames.len() / 2);
     for frames in [first, second] {
@@ -129,14 +134,14 @@ fn phone(listener: TcpListener, frames: &[Vec<u8>]) {
             if sent.is_err() {
                 return;
             }
-            // Its own pace, three times as fast: what a phone does with its clock.
+            // Three times real time, paced by the phone's own clock.
             std::thread::sleep(Duration::from_millis(11));
         }
     }
 }
 
 #[test]
-fn a_phone_over_http_that_hangs_up_once_is_followed_to_its_end() {
+fn an_http_camera_is_tracked_across_a_reconnect() {
     let place = Place::new();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -148,13 +153,14 @@ fn a_phone_over_http_that_hangs_up_once_is_followed_to_its_end() {
         .output()
         .unwrap();
     server.join().unwrap();
-    // The camera that does not come back is bad input; everything until then is in the folder.
+    // A camera that does not come back counts as bad input; all results so far are in the folder.
     assert_eq!(done.status.code(), Some(3));
     let told = String::from_utf8_lossy(&done.stderr);
     assert!(told.contains("went away") && told.contains("did not come back within 1 s"), "{told}");
     let figures = statistics(&place.path("out"));
     assert_eq!(figures["live"]["reconnects"], json!(2 - 1), "{figures}");
-    // Everything it sent has come, over both connections; how much of it was tracked in time depends on the machine.
+    // All frames were received over both connections; the number of tracked ones depends on the
+    // machine.
     assert_eq!(figures["live"]["frames_captured"], json!(sent), "{figures}");
     let (length_m, posed) =
         (figures["distance_m"].as_f64().unwrap(), figures["frames_with_pose"].as_u64().unwrap());
@@ -162,7 +168,7 @@ fn a_phone_over_http_that_hangs_up_once_is_followed_to_its_end() {
 }
 
 #[test]
-fn an_rtsp_camera_that_goes_away_and_comes_back_is_followed_to_its_end() {
+fn an_rtsp_camera_is_tracked_across_a_reconnect() {
     let place = Place::new();
     let clip = match rtsp::clip(&place.path("clip.h264")) {
         Ok(clip) => clip,
@@ -179,7 +185,7 @@ fn an_rtsp_camera_that_goes_away_and_comes_back_is_followed_to_its_end() {
         .output()
         .unwrap();
     let sent = server.sent();
-    // Both times it was asked in the order of the protocol, over TCP.
+    // Both times the requests were in the order of the protocol, over TCP.
     assert_eq!(server.asked(), ["OPTIONS", "DESCRIBE", "SETUP", "PLAY"].repeat(2));
     assert_eq!(done.status.code(), Some(3));
     let told = String::from_utf8_lossy(&done.stderr);
@@ -190,13 +196,13 @@ fn an_rtsp_camera_that_goes_away_and_comes_back_is_followed_to_its_end() {
     assert!(!told.contains("secret"), "{told}");
     let figures = statistics(&place.path("out"));
     assert_eq!(figures["live"]["reconnects"], json!(1), "{figures}");
-    // Each time ffmpeg spends the first second on finding out what it is sent, and begins with the next picture that is whole: of the two times
-    // three seconds at least one and a half come through.
+    // Each time ffmpeg spends the first second on probing the stream, and starts with the next
+    // keyframe. Of two times three seconds, at least half is received.
     let captured = figures["live"]["frames_captured"].as_u64().unwrap();
     assert!(2 * captured >= sent && captured <= sent, "{captured} of {sent}");
     let length_m = figures["distance_m"].as_f64().unwrap();
     assert!(length_m > 0.0 && length_m < DRIVE_M, "{figures}");
-    // What is written for others to read does not have the password either.
+    // The output files do not contain the password either.
     for name in ["run.toml", "report.html", "stats.json"] {
         assert!(!String::from_utf8_lossy(&place.read(&format!("out/{name}"))).contains("secret"), "{name}");
     }
@@ -204,7 +210,7 @@ fn an_rtsp_camera_that_goes_away_and_comes_back_is_followed_to_its_end() {
 
 #[test]
 #[cfg(unix)]
-fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
+fn a_killed_run_keeps_its_results_and_can_be_viewed() {
     let place = Place::new();
     let mut program = place
         .command("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"))
@@ -212,7 +218,7 @@ fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
-    // A second and a half of frames have been told; at most the last second of them may be missing.
+    // Two seconds of frames were printed; at most the last second of them may be missing.
     let told = lines.by_ref().take(60).count();
     program.kill().unwrap();
     program.wait().unwrap();
@@ -225,7 +231,8 @@ fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
     let state: serde_json::Value = serde_json::from_str(&view.get("/state")).unwrap();
     assert_eq!((&state["introduction"]["live"], &state["status"]["captured"]), (&json!(false), &json!(kept)));
     view.end();
-    // Its map has neither a path nor a picture: the keyframes stand for the one, the other is laid while one looks.
+    // The map of a killed run has neither a trajectory nor a mosaic: the keyframes replace the
+    // former, the latter is drawn while viewing.
     let keyframes =
         odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap().map().unwrap().keyframes;
     let mut view = place.server("view", "out/map.gpkg");
@@ -240,8 +247,8 @@ fn a_run_that_is_killed_has_left_what_it_had_and_can_be_looked_at() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_full_disk_is_said_and_tracking_goes_on() {
-    // A file that is always full stands where the path is recorded.
+fn a_full_disk_is_reported_and_tracking_continues() {
+    // `/dev/full` takes the place of the recorded trajectory.
     let place = Place::new();
     std::fs::create_dir(place.path("out")).unwrap();
     std::os::unix::fs::symlink("/dev/full", place.path("out/trajectory.csv.part")).unwrap();
@@ -263,7 +270,7 @@ fn a_full_disk_is_said_and_tracking_goes_on() {
 }
 
 #[test]
-fn what_cannot_be_followed_is_told_in_a_sentence() {
+fn invalid_sources_are_refused_in_one_sentence() {
     let place = Place::new();
     let refused = |arguments: &str, code: i32| {
         let done = place.command("live", arguments).output().unwrap();
@@ -310,14 +317,14 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     };
     browser.wait(&page, "document.body.dataset.pictures > 5 && document.body.dataset.tiles > 1");
     let (records, tiles) = (number(&mut browser, &page, "records"), number(&mut browser, &page, "tiles"));
-    // Somebody else looks too, from a phone, in the dark, and marks a place with a key.
+    // A second viewer on a phone in dark mode, which sets a mark with a key.
     let phone = browser.open(&url, (390, 844), true);
     browser.wait(&phone, "document.body.dataset.pictures > 5");
     browser.press(&phone, "m");
     browser.wait(&page, "document.body.dataset.marks == 1");
     browser.evaluate(&page, "document.getElementById('mark').click()");
     browser.wait(&phone, "document.body.dataset.marks == 2");
-    // Path and ground grow.
+    // Trajectory and ground map grow.
     browser.wait(
         &page,
         &format!("document.body.dataset.records > {records} && document.body.dataset.tiles > {tiles}"),
@@ -328,13 +335,13 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     );
     browser.picture(&page, "live-desktop-light");
     browser.picture(&phone, "live-phone-dark");
-    // The slider goes back in time while new frames come.
+    // The slider seeks back in time while new frames arrive.
     let back = "const time = document.getElementById('time'); time.value = 12; time.dispatchEvent(new Event('input'))";
     browser.evaluate(&page, back);
     browser.wait(&page, "document.body.dataset.at == 12");
     browser.press(&page, "l");
     browser.wait(&page, "document.body.dataset.at > 12");
-    // The map is nowhere empty under the path: more than a few colours.
+    // The ground map is drawn below the trajectory: there are many colours.
     let colours = "(() => { const c = document.getElementById('map'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; \
                    const seen = new Set(); for (let k = 0; k < d.length; k += 404) seen.add(d[k] + ',' + d[k + 1] + ',' + d[k + 2]); return seen.size })()";
     assert!(browser.evaluate(&page, colours).as_u64().unwrap() > 50);
@@ -353,7 +360,7 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
     look_at_the_finished_run(&mut browser, &place);
 }
 
-/// The same page over the folder that the run left.
+/// The same page for the output folder of the finished run.
 fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     let frames = statistics(&place.path("out"))["frames"].clone();
     let mut view = place.server("view", "out");
@@ -367,12 +374,12 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     let half = "const time = document.getElementById('time'); time.value = time.max / 2 | 0; time.dispatchEvent(new Event('input'))";
     browser.evaluate(&page, half);
     browser.wait(&page, &format!("document.body.dataset.at == (({frames} - 1) / 2 | 0)"));
-    // Where the page says the camera was is where the trajectory says it was.
+    // The position displayed equals that of the trajectory.
     let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
     let at = (frames.as_u64().unwrap() as usize - 1) / 2;
     let x_m: f64 = table.lines().nth(at + 1).unwrap().split(',').nth(2).unwrap().parse().unwrap();
     let shown = browser.evaluate(&page, "Number(document.getElementById('x').textContent)").as_f64().unwrap();
-    // Three decimals are shown.
+    // Three decimals are displayed.
     assert!((shown - x_m).abs() < 6e-4, "{shown} {x_m}");
     browser.picture(&page, "view-desktop-dark");
     browser.look(&page, (390, 844), false);
@@ -382,7 +389,7 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
     look_at_the_map(browser, place);
 }
 
-/// The map that the run left.
+/// The map of the run.
 fn look_at_the_map(browser: &mut Browser, place: &Place) {
     let map = odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap();
     let keyframes = map.map().unwrap().keyframes.len();
@@ -408,7 +415,7 @@ fn look_at_the_map(browser: &mut Browser, place: &Place) {
 }
 
 #[test]
-fn a_stranger_without_the_token_sees_nothing() {
+fn without_the_token_nothing_is_served() {
     let place = Place::new();
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --token letmein-42 -o out"));
     assert!(live.url.ends_with("/?token=letmein-42"), "{}", live.url);

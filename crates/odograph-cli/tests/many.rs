@@ -1,6 +1,7 @@
-//! Many recordings in one call: the same bytes as one by one, and one that fails does not stop the others.
+//! Several recordings in one call: the same bytes as in separate calls, and a failure does not stop
+//! the others.
 
-#![allow(clippy::unwrap_used)] // a test that cannot go on has failed
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use std::fs;
 use std::path::Path;
@@ -17,7 +18,7 @@ fn done(folder: &Path, arguments: &str) {
 }
 
 #[test]
-fn a_folder_of_videos_is_followed_as_each_would_be_alone() {
+fn a_folder_of_videos_gives_the_results_of_single_runs() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
     fs::create_dir(here.join("videos")).unwrap();
@@ -41,7 +42,7 @@ fn a_folder_of_videos_is_followed_as_each_would_be_alone() {
         assert!(read("all/one") != read("all/two"), "{name} is the same of different recordings");
     }
 
-    // One that is none: said, in the exit code too, and the other is there.
+    // An invalid recording is reported, also in the exit code, and the other one is processed.
     fs::write(here.join("broken.mp4"), b"no video").unwrap();
     let some = odograph(here, &format!("run broken.mp4 videos/one.y4m {camera} -o some --json"));
     assert_eq!(some.status.code(), Some(3));
@@ -51,7 +52,7 @@ fn a_folder_of_videos_is_followed_as_each_would_be_alone() {
     assert!(figures[0]["error"].is_string() && figures[1]["statistics"]["frames"] == 21, "{figures}");
     assert!(here.join("some/one/trajectory.tum").is_file() && !here.join("some/broken").exists());
 
-    // What belongs to one recording cannot be given for many.
+    // Options for a single recording are refused for several.
     let refused = odograph(here, &format!("run videos {camera} --timestamps times.txt -o refused"));
     assert_eq!(refused.status.code(), Some(2));
     assert!(!here.join("refused").exists());

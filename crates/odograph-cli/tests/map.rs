@@ -1,6 +1,6 @@
-//! The command `odograph map`, as a person runs it.
+//! Black-box tests of `odograph map`.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking
 
 #[path = "../../odograph-map/tests/ground/mod.rs"]
 mod ground;
@@ -59,7 +59,7 @@ fn text(output: &Output) -> (i32, String, String) {
 }
 
 #[test]
-fn info_tells_what_is_in_a_map() {
+fn info_lists_the_contents_of_a_map() {
     let folder = made();
     let (code, told, complaints) = text(&odograph(&["info", "map.gpkg", "--check"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
@@ -75,7 +75,7 @@ fn info_tells_what_is_in_a_map() {
 }
 
 #[test]
-fn a_map_that_another_program_writes_is_read_but_not_written() {
+fn a_map_in_use_is_read_but_not_written() {
     let folder = made();
     let before = fs::read(folder.path().join("map.gpkg")).unwrap();
     let writer = MapFile::open(&folder.path().join("map.gpkg")).unwrap();
@@ -105,14 +105,14 @@ fn a_map_that_another_program_writes_is_read_but_not_written() {
 }
 
 #[test]
-fn ground_far_apart_is_exported_within_bounds() {
+fn distant_ground_is_exported_with_bounded_size() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
     let mut map = MapFile::create(&path, &ground::camera(), &Rig::level(0.5)).unwrap();
     let session = map.begin_session("drive.mp4").unwrap();
     for number in 0..2 {
         let mut keyframe = ground::keyframe(number, session);
-        // A thousand kilometres apart, both ways: whole, the picture would have 10^16 pixels.
+        // 1000 km apart along both axes: a complete image would have 10^16 pixels.
         keyframe.pose.x_m += 1e6 * number as f64;
         keyframe.pose.y_m += 1e6 * number as f64;
         map.add_keyframe(&keyframe, &ground::image(number), &[]).unwrap();
@@ -129,7 +129,7 @@ fn ground_far_apart_is_exported_within_bounds() {
 }
 
 #[test]
-fn the_path_comes_out_as_it_went_in() {
+fn exported_trajectories_equal_the_stored_one() {
     let folder = made();
     for name in ["path.tum", "path.kitti", "path.csv"] {
         let (code, told, complaints) = text(&odograph(&["export", "map.gpkg", "-o", name], folder.path()));
@@ -173,7 +173,7 @@ fn points_are_written_with_their_colours() {
 }
 
 #[test]
-fn a_colmap_model_projects_its_points_where_it_says_they_are_seen() {
+fn points_of_a_colmap_model_project_onto_their_observations() {
     let folder = made();
     let (code, _, complaints) = text(&odograph(&["export", "map.gpkg", "-o", "model"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
@@ -213,7 +213,7 @@ fn a_colmap_model_projects_its_points_where_it_says_they_are_seen() {
 }
 
 #[test]
-fn the_mosaic_is_laid_again_at_the_resolution_asked_for() {
+fn the_mosaic_is_redrawn_at_the_requested_resolution() {
     let folder = made();
     let (code, told, complaints) =
         text(&odograph(&["mosaic", "map.gpkg", "--resolution", "0.01", "-o", "floor.png"], folder.path()));
@@ -222,10 +222,12 @@ fn the_mosaic_is_laid_again_at_the_resolution_asked_for() {
     let world = fs::read_to_string(folder.path().join("floor.pgw")).unwrap();
     assert!(world.starts_with("0.01\n0.0\n0.0\n-0.01\n"), "{world}");
     let left: f64 = world.lines().nth(4).unwrap().parse().unwrap();
-    // Half an image from the first keyframe: 60 px of 3.8 mm before the lens, at the top of the image.
+    // Half an image height from the first keyframe: 60 px of 3.8 mm, before distortion, at the top
+    // of the image.
     assert!((-0.4..-0.1).contains(&left), "{left}");
 
-    // Finer than the images by far: what is laid instead is said, and why, and is a quarter of a pixel of 0.8 m by a focal length.
+    // Much finer than the images: the message states the resolution used instead, a quarter of a
+    // pixel at 0.8 m, and the reason.
     let (code, told, complaint) =
         text(&odograph(&["mosaic", "map.gpkg", "--resolution", "1e-9"], folder.path()));
     assert_eq!((code, complaint.lines().count()), (0, 1), "{complaint}");
@@ -238,7 +240,7 @@ fn the_mosaic_is_laid_again_at_the_resolution_asked_for() {
 }
 
 #[test]
-fn a_map_is_made_smaller() {
+fn thinning_makes_a_map_smaller() {
     let folder = made();
     let path = folder.path().join("map.gpkg");
     let (code, told, complaints) =
@@ -258,7 +260,7 @@ fn a_map_is_made_smaller() {
 }
 
 #[test]
-fn what_cannot_be_is_said_in_one_sentence() {
+fn invalid_usage_is_refused_in_one_sentence() {
     let folder = made();
     fs::write(folder.path().join("noise.gpkg"), [7_u8; 5000]).unwrap();
     fs::write(folder.path().join("there.tum"), "mine").unwrap();
@@ -275,7 +277,7 @@ fn what_cannot_be_is_said_in_one_sentence() {
         (vec!["mosaic", "map.gpkg", "--resolution", "-1"], 2, "--resolution"),
         (vec!["mosaic", "map.gpkg", "-o", "a.tum"], 2, "picture"),
         (vec!["mosaic", "map.gpkg", "--resolution", "100"], 3, "a finer --resolution"),
-        // All of a map taken away is no thinning, and cannot be undone.
+        // Thinning must not remove all of a map, which could not be undone.
         (vec!["thin", "map.gpkg", "--max-keyframes", "0"], 2, "--max-keyframes"),
         (vec!["export", "map.gpkg", "-o", "a.ply", "--max-points", "0"], 2, "--max-points"),
     ] {

@@ -1,7 +1,9 @@
-//! The program on real recordings with known truth. They are not part of the project: the tests look for them in the folder that
-//! `ODOGRAPH_DATA` names, or in `../shared/data` beside the checkout, and say so where they are absent.
+//! The program on real recordings with ground truth. They are not part of the repository: they are
+//! read from the folder in `ODOGRAPH_DATA`, by default `../shared/data` beside the checkout, and
+//! the tests report if they are missing.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking, and says why it skips
+// a test fails by panicking, and prints why it is skipped
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
@@ -31,7 +33,7 @@ fn camera_file(size: (usize, usize), f: (f64, f64), c: (f64, f64), d: [f64; 4]) 
     )
 }
 
-/// Runs the program and gives the trajectory it wrote.
+/// Runs the program and returns its trajectory.
 fn run(source: &Path, work: &Path, extra: &[&str]) -> Trajectory {
     let out = work.join("run");
     let done = Command::new(env!("CARGO_BIN_EXE_odograph"))
@@ -51,7 +53,8 @@ fn run(source: &Path, work: &Path, extra: &[&str]) -> Trajectory {
     parse_tum(&fs::read_to_string(out.join("trajectory.tum")).unwrap()).unwrap()
 }
 
-/// The poses of the checkerboard recording: `X_camera = R X_world + t` with the world's z into the board.
+/// The poses of the checkerboard recording: `X_camera = R X_world + t` with the world's z axis into
+/// the board.
 fn checkerboard_truth(folder: &Path) -> Trajectory {
     let text = fs::read_to_string(folder.join("poses_omega_t.txt")).unwrap();
     let flip = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
@@ -68,7 +71,7 @@ fn checkerboard_truth(folder: &Path) -> Trajectory {
 }
 
 #[test]
-fn a_hand_held_camera_over_a_checkerboard_is_followed_from_its_first_frame_to_its_last() {
+fn a_hand_held_camera_over_a_checkerboard_is_tracked_throughout() {
     let Some(folder) = recording("planar_checker_a") else { return };
     let truth = checkerboard_truth(&folder);
     let work = tempfile::tempdir().unwrap();
@@ -87,14 +90,15 @@ fn a_hand_held_camera_over_a_checkerboard_is_followed_from_its_first_frame_to_it
             let options = EvaluationOptions { alignment, ..EvaluationOptions::default() };
             evaluate(&found, &truth, &options).unwrap().absolute.translation.rmse
         };
-        // 1.3 and 1.5 mm when this was written; the truth itself re-projects within 0.23 px, about 0.2 mm.
+        // 1.3 and 1.5 mm at the time of writing; the ground truth itself has a reprojection error
+        // of 0.23 px, about 0.2 mm.
         assert!(rmse(Alignment::Sim3) < 3e-3, "{model}: {}", rmse(Alignment::Sim3));
         assert!(rmse(Alignment::Se3) < 3e-3, "{model}: {}", rmse(Alignment::Se3));
     }
 }
 
 #[test]
-fn a_camera_that_stands_still_does_not_move() {
+fn a_stationary_camera_has_a_constant_pose() {
     let Some(folder) = recording("static_euroc_v101") else { return };
     let work = tempfile::tempdir().unwrap();
     fs::copy(folder.join("sensor.yaml"), work.path().join("camera.yaml")).unwrap();
@@ -103,13 +107,13 @@ fn a_camera_that_stands_still_does_not_move() {
     assert!(found.poses.len() >= 60);
     let start = found.poses[0].world_from_camera.translation.vector;
     for pose in &found.poses {
-        // The drone's own stand moves by 2.4 mm; 0.4 mm was seen when this was written.
+        // The drone's own pose varies by 2.4 mm; 0.4 mm at the time of writing.
         assert!((pose.world_from_camera.translation.vector - start).norm() < 1e-3);
     }
 }
 
 #[test]
-fn jumps_of_half_an_image_and_half_turns_are_found_in_spite_of_a_shadow_that_moves_along() {
+fn large_steps_are_tracked_despite_a_moving_shadow() {
     let Some(folder) = recording("kylehart_ground") else { return };
     let work = tempfile::tempdir().unwrap();
     let frames = work.path().join("frames");
@@ -130,7 +134,7 @@ fn jumps_of_half_an_image_and_half_turns_are_found_in_spite_of_a_shadow_that_mov
     assert_eq!(found.poses.len(), 41);
     let options = EvaluationOptions { alignment: Alignment::Origin, ..EvaluationOptions::default() };
     let errors = evaluate(&found, &truth, &options).unwrap().absolute;
-    // 0.33 mm and 0.007° at most when this was written.
+    // At most 0.33 mm and 0.007° at the time of writing.
     assert!(errors.translation.max < 1e-3, "{}", errors.translation.max);
     assert!(errors.rotation.max < 0.05f64.to_radians(), "{}", errors.rotation.max);
 }

@@ -1,6 +1,7 @@
-//! Sensors beside the camera as a person gives them: darkness while driving, a liar, files that are none.
+//! Black-box tests of additional sensors: darkness while driving, inconsistent data, and invalid
+//! files.
 
-#![allow(clippy::unwrap_used)] // a test that cannot go on has failed
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use odograph::formats::trajectory_file::{Trajectory, parse_tum};
 use std::fs;
@@ -19,7 +20,7 @@ fn done(folder: &Path, arguments: &str) -> String {
     told
 }
 
-/// A drive along an eight at half a metre a second with two dark seconds, and four sensors.
+/// A figure eight at 0.5 m/s with two seconds of darkness, and four sensors.
 fn recorded(folder: &Path) {
     done(
         folder,
@@ -40,7 +41,8 @@ fn trajectory(path: &Path) -> Trajectory {
     parse_tum(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// How far a trajectory is from the truth where the latter has the same time and `when` holds; the worst, metres.
+/// Maximum distance of a trajectory from the ground truth, metres, over the times for which `when`
+/// holds; both have the same timestamps.
 fn worst_m(estimate: &Trajectory, truth: &Trajectory, when: impl Fn(f64) -> bool) -> f64 {
     let mut worst_m = 0.0f64;
     let mut compared = 0;
@@ -55,7 +57,7 @@ fn worst_m(estimate: &Trajectory, truth: &Trajectory, when: impl Fn(f64) -> bool
 }
 
 #[test]
-fn two_dark_seconds_are_crossed_and_the_run_repeats() {
+fn two_dark_seconds_are_bridged_and_the_run_is_deterministic() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
     recorded(here);
@@ -63,11 +65,12 @@ fn two_dark_seconds_are_crossed_and_the_run_repeats() {
     let told = run(here, &format!("{SENSORS} -o out"));
     assert!(!told.contains("not used"), "{told}");
     let truth = trajectory(&here.join("sim/truth.tum"));
-    // The camera alone goes on where it guesses to be; with the sensors it is within 3 cm after a metre of darkness, and to the end.
+    // The camera alone continues with a predicted position; with the sensors the error is below 3
+    // cm after 1 m of darkness, and until the end.
     let alone_m = worst_m(&trajectory(&here.join("alone/trajectory.tum")), &truth, |t| t > 6.5);
     let fused_m = worst_m(&trajectory(&here.join("out/trajectory.tum")), &truth, |t| t > 6.5);
     assert!(alone_m > 0.03 && fused_m < 0.03, "{alone_m} {fused_m}");
-    // The dark frames have a place in the smoothed path, and only there.
+    // The dark frames have a pose in the smoothed trajectory, and only there.
     let smoothed = trajectory(&here.join("out/trajectory-smoothed.tum"));
     let dark = |t: f64| (4.5..6.49).contains(&t);
     assert!(worst_m(&smoothed, &truth, dark) < 0.03);
@@ -89,7 +92,7 @@ fn two_dark_seconds_are_crossed_and_the_run_repeats() {
         );
     }
 
-    // A gyroscope in degrees that says radians is no gyroscope of this drive.
+    // A gyroscope in degrees that claims radians does not fit this drive.
     let gyro = fs::read_to_string(here.join("sim/gyro.csv")).unwrap();
     let lie = gyro.lines().map(|line| match line.split_once(',') {
         Some((time, rate)) if rate.parse::<f64>().is_ok() => {
@@ -110,7 +113,7 @@ fn two_dark_seconds_are_crossed_and_the_run_repeats() {
         );
     }
 
-    // Clocks that have nothing to do with one another.
+    // Clocks without a common time base.
     let late = gyro.lines().map(|line| match line.split_once(',') {
         Some((time, rate)) if rate.parse::<f64>().is_ok() => {
             format!("{},{rate}\n", time.parse::<f64>().unwrap() + 1.7e9)
@@ -123,7 +126,7 @@ fn two_dark_seconds_are_crossed_and_the_run_repeats() {
 }
 
 #[test]
-fn files_that_are_no_sensors() {
+fn invalid_sensor_files_are_refused() {
     let place = tempfile::tempdir().unwrap();
     let here = place.path();
     done(here, "simulate -o sim --size 96x72 --duration 0.2 --quiet");
@@ -146,7 +149,7 @@ fn files_that_are_no_sensors() {
     done(here, "simulate -o sim --size 96x72 --duration 0.2 --sensors --force --quiet");
     let parameters = fs::read_to_string(here.join("sim/simulation.toml")).unwrap();
     assert!(parameters.contains("[sensors.gyro]") && here.join("sim/range.csv").exists(), "{parameters}");
-    // Sensors of an earlier drive do not stay beside another.
+    // Sensor files of an earlier recording are removed.
     done(here, "simulate -o sim --size 96x72 --duration 0.2 --seed 2 --force --quiet");
     assert!(!here.join("sim/gyro.csv").exists());
 }

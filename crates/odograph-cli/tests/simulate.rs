@@ -1,12 +1,12 @@
-//! `odograph simulate` as a person calls it.
+//! Black-box tests of `odograph simulate`.
 
-#![allow(clippy::unwrap_used)] // a test that cannot go on has failed
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// Calls the command with a small image and a short recording, unless the options say otherwise.
+/// Runs the command with a small image and a short recording, unless the options say otherwise.
 fn simulate(folder: &Path, options: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
     command.arg("simulate").arg("--output").arg(folder).args(options);
@@ -23,7 +23,7 @@ fn wrote(folder: &Path, options: &[&str]) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Every file below a folder with its content.
+/// All files below a folder with their contents.
 fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
     let mut found = vec![];
     let mut folders = vec![folder.to_path_buf()];
@@ -43,7 +43,7 @@ fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn a_recording_has_frames_times_truth_camera_and_rig() {
+fn a_recording_has_frames_timestamps_truth_camera_and_rig() {
     let scratch = tempfile::tempdir().unwrap();
     let folder = scratch.path().join("sim");
     wrote(&folder, &["--path", "eight", "--roll", "-2", "--vibration", "2:0.3:8", "--blur", "0.005"]);
@@ -72,7 +72,7 @@ fn a_recording_has_frames_times_truth_camera_and_rig() {
 }
 
 #[test]
-fn the_world_as_it_is_writes_the_same_bytes_for_any_number_of_threads() {
+fn realistic_effects_are_deterministic_for_any_thread_count() {
     let scratch = tempfile::tempdir().unwrap();
     let options = "--readout-ms 20 --bumper --dirt --lamp --relief 8 --undulation 4:1.5 --kerb -5:0.2 --ramp 5 --ride \
                    --sway 2 --breathing 1 --vibration 1 --blur 0.005 --object --color";
@@ -90,7 +90,7 @@ fn the_world_as_it_is_writes_the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
-fn the_readout_time_is_told_only_when_asked_for() {
+fn the_readout_time_is_written_only_on_request() {
     let scratch = tempfile::tempdir().unwrap();
     let camera = |name: &str, options: &[&str]| {
         let folder = scratch.path().join(name);
@@ -107,7 +107,7 @@ fn the_readout_time_is_told_only_when_asked_for() {
 }
 
 #[test]
-fn the_same_options_write_the_same_bytes_for_any_number_of_threads() {
+fn recordings_are_deterministic_for_any_thread_count() {
     let scratch = tempfile::tempdir().unwrap();
     let options =
         ["--path", "walk", "--seed", "9", "--noise", "3", "--object", "--shadow", "--lighting", "--color"];
@@ -122,7 +122,7 @@ fn the_same_options_write_the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
-fn the_camera_file_it_writes_can_be_given_back() {
+fn its_camera_file_can_be_used_as_input() {
     let scratch = tempfile::tempdir().unwrap();
     let (first, second) = (scratch.path().join("first"), scratch.path().join("second"));
     wrote(&first, &[]);
@@ -139,7 +139,7 @@ fn the_camera_file_it_writes_can_be_given_back() {
 }
 
 #[test]
-fn video_files_hold_every_frame() {
+fn video_files_contain_all_frames() {
     let scratch = tempfile::tempdir().unwrap();
     let folder = scratch.path().join("sim");
     wrote(&folder, &["--format", "y4m"]);
@@ -147,7 +147,7 @@ fn video_files_hold_every_frame() {
     let header = stream.iter().position(|b| *b == b'\n').unwrap() + 1;
     assert!(stream.starts_with(b"YUV4MPEG2 W96 H72 F30:1 "));
     assert_eq!(stream.len(), header + 10 * (6 + 96 * 72));
-    // Another format takes the place of the first: the folder never holds two recordings.
+    // Another format replaces the first: the folder never contains two recordings.
     wrote(&folder, &["--format", "mjpeg", "--color", "--force", "--quiet"]);
     assert!(!folder.join("sim.y4m").exists());
     let avi = fs::read(folder.join("sim.avi")).unwrap();
@@ -157,7 +157,7 @@ fn video_files_hold_every_frame() {
 }
 
 #[test]
-fn a_photograph_is_a_floor() {
+fn a_photograph_can_be_the_ground() {
     let scratch = tempfile::tempdir().unwrap();
     let first = scratch.path().join("first");
     wrote(&first, &["--color", "--texture", "bricks"]);
@@ -172,7 +172,7 @@ fn a_photograph_is_a_floor() {
 }
 
 #[test]
-fn nothing_is_overwritten_unless_it_may_be() {
+fn nothing_is_overwritten_without_force() {
     let scratch = tempfile::tempdir().unwrap();
     let folder = scratch.path().join("sim");
     wrote(&folder, &[]);
@@ -188,7 +188,7 @@ fn nothing_is_overwritten_unless_it_may_be() {
 }
 
 #[test]
-fn wrong_options_are_told_in_one_sentence_and_write_nothing() {
+fn invalid_options_are_refused_and_write_nothing() {
     let scratch = tempfile::tempdir().unwrap();
     let text = scratch.path().join("floor.png");
     fs::write(&text, "not a picture").unwrap();
@@ -220,7 +220,7 @@ fn wrong_options_are_told_in_one_sentence_and_write_nothing() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_made_is_told() {
+fn a_folder_that_cannot_be_created_is_reported() {
     let scratch = tempfile::tempdir().unwrap();
     let file = scratch.path().join("file");
     fs::write(&file, "").unwrap();

@@ -1,6 +1,6 @@
-//! `odograph undistort` from outside: what it writes, and what it refuses.
+//! Black-box tests of `odograph undistort`: its output, and refused input.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use odograph::camera::{Camera, Distortion};
 use odograph::correction::{FieldOfViewKept, ImageCorrection};
@@ -13,7 +13,8 @@ fn odograph(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_odograph")).args(arguments).output().unwrap()
 }
 
-/// A short rendered drive with a bent lens: `frames`, `frames.txt` and `camera.yaml` in the folder.
+/// A short rendered drive with lens distortion: `frames`, `frames.txt` and `camera.yaml` in the
+/// folder.
 fn recording(folder: &Path, more: &[&str]) -> PathBuf {
     let drive = folder.join("drive");
     let mut arguments =
@@ -40,7 +41,7 @@ fn gray(path: &Path) -> odograph::image::GrayImage {
 }
 
 #[test]
-fn frames_are_corrected_and_told_with_their_times_and_camera() {
+fn undistorted_frames_keep_their_timestamps_and_get_a_camera() {
     let temporary = tempfile::tempdir().unwrap();
     let drive = recording(temporary.path(), &[]);
     let camera_path = drive.join("camera.yaml");
@@ -80,7 +81,7 @@ fn frames_are_corrected_and_told_with_their_times_and_camera() {
 }
 
 #[test]
-fn a_stream_holds_the_same_frames_for_any_number_of_threads() {
+fn streams_are_identical_for_any_number_of_threads() {
     let temporary = tempfile::tempdir().unwrap();
     let drive = recording(temporary.path(), &["--format", "y4m", "--color", "--fps", "12.5"]);
     let undistort = |name: &str, threads: &str, more: &[&str]| {
@@ -97,7 +98,7 @@ fn a_stream_holds_the_same_frames_for_any_number_of_threads() {
     let one = undistort("one", "1", &[]);
     assert!(one.starts_with(b"YUV4MPEG2 W160 H120 F0012500000:0001000000 "), "{:?}", &one[..60]);
     assert_eq!(undistort("three", "3", &[]), one);
-    // Gray, and over what is there.
+    // Gray, and overwriting existing files.
     let gray_frames = undistort("one", "2", &["--gray", "--force"]);
     assert!(gray_frames.len() < one.len() * 3 / 4);
     let mut stream = odograph_video::open(
@@ -113,7 +114,7 @@ fn a_stream_holds_the_same_frames_for_any_number_of_threads() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_in_one_sentence_and_leaves_nothing() {
+fn invalid_usage_is_refused_and_leaves_no_files() {
     let temporary = tempfile::tempdir().unwrap();
     let drive = recording(temporary.path(), &[]);
     let (frames, camera) = (drive.join("frames"), drive.join("camera.yaml"));

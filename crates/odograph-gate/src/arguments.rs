@@ -1,4 +1,4 @@
-//! What the command line says.
+//! Command-line arguments.
 
 use clap::Parser;
 use std::path::PathBuf;
@@ -9,27 +9,27 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// Only rows whose name contains one of these words.
     pub words: Vec<String>,
-    /// Clips rendered and followed at once; all available cores by default.
+    /// Number of clips rendered and tracked in parallel; by default all available cores.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// Seeds of every rendered row; by default as many as the row says. Other seeds than the
-    /// baseline's are shown, not compared.
+    /// Number of seeds of every rendered row; by default that of the row. Results for other seeds
+    /// than the baseline's are shown, not compared.
     #[arg(long)]
     pub seeds: Option<u64>,
     /// First seed.
     #[arg(long, default_value_t = 0)]
     pub first_seed: u64,
-    /// Writes the figures there, in the format of the baseline.
+    /// Writes the results to this file, in the format of the baseline.
     #[arg(long)]
     pub json: Option<PathBuf>,
-    /// The stored figures.
+    /// The stored results.
     #[arg(long, default_value = "bench/baseline.json")]
     pub baseline: PathBuf,
-    /// Stores what was measured instead of comparing; rows that were not measured stay as they are.
+    /// Stores the results instead of comparing them; rows that were not measured keep their values.
     #[arg(long)]
     pub update_baseline: bool,
-    /// Writes each clip of the chosen rendered rows into a folder of its own there (Y4M, camera,
-    /// rig, truth) and measures nothing.
+    /// Writes each clip of the selected rendered rows into a folder of its own here (Y4M, camera,
+    /// rig, ground truth) and measures nothing.
     #[arg(long)]
     pub export: Option<PathBuf>,
     /// Rewrites the tables between `gate:begin` and `gate:end` in README.md from the baseline and
@@ -39,7 +39,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether a row of that name is asked for.
+    /// Whether the row of that name is selected.
     pub fn asks_for(&self, name: &str) -> bool {
         self.words.is_empty() || self.words.iter().any(|word| name.contains(word.as_str()))
     }

@@ -1,4 +1,4 @@
-//! The stored figures, and how new ones compare with them.
+//! The baseline of stored results, and the comparison of new results with it.
 
 use crate::figures::{Better, DRAWS_ALLOWED, Figures, Measure, looseness, measure};
 use odograph::error::{Error, Result};
@@ -6,59 +6,60 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Figures of one row.
+/// Results of one row.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RowFigures {
     /// Name of the row.
     pub name: String,
-    /// First of the seeds.
+    /// First seed.
     pub first_seed: u64,
-    /// How many seeds the figures are over.
+    /// Number of seeds over which the results are aggregated.
     pub seeds: u64,
-    /// The figures.
+    /// The results.
     pub figures: Figures,
 }
 
-/// A row that could not be measured, and why.
+/// A row that could not be measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Skipped {
     /// Name of the row.
     pub name: String,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
-/// What one run of the gate measured.
+/// Results of one run of the gate.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Measured {
     /// The rows, in the order of the table.
     pub rows: Vec<RowFigures>,
-    /// Figures of the whole process.
+    /// Results that concern the whole process.
     pub process: Figures,
-    /// Rows whose data is not there.
+    /// Rows whose data is not available.
     pub skipped: Vec<Skipped>,
     /// Rows that ended with an error.
     pub failed: Vec<Skipped>,
 }
 
-/// The figures that new ones are compared with.
+/// The results that new ones are compared with.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Baseline {
     /// The rows, in the order of the table.
     pub rows: Vec<RowFigures>,
-    /// Figures of the whole process.
+    /// Results that concern the whole process.
     pub process: Figures,
 }
 
 impl Measured {
-    /// Writes the figures as JSON.
+    /// Writes the results as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
         write(self, path)
     }
 }
 
 impl Baseline {
-    /// Reads a baseline; one that does not exist is empty. Fails where it cannot be understood.
+    /// Reads a baseline. A missing file is an empty baseline; one that cannot be parsed is an
+    /// error.
     pub fn read_or_empty(path: &Path) -> Result<Self> {
         if !path.exists() {
             return Ok(Self::default());
@@ -68,7 +69,7 @@ impl Baseline {
         serde_json::from_str(&text).map_err(|error| told(&error))
     }
 
-    /// With the figures of the rows that were measured in place of the old ones.
+    /// Returns the baseline with the measured rows replaced.
     pub fn updated(mut self, measured: &Measured) -> Self {
         for new in &measured.rows {
             match self.rows.iter_mut().find(|old| old.name == new.name) {
@@ -80,7 +81,7 @@ impl Baseline {
         self
     }
 
-    /// Writes it as JSON.
+    /// Writes the baseline as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
         write(self, path)
     }
@@ -92,7 +93,7 @@ fn write(value: &impl Serialize, path: &Path) -> Result<()> {
     std::fs::write(path, text + "\n").map_err(|error| told(&error))
 }
 
-/// How a figure compares with its baseline.
+/// Outcome of comparing one result with its baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
     /// Within the tolerance.
@@ -103,31 +104,31 @@ pub enum Verdict {
     Better,
 }
 
-/// A figure that is not what it was.
+/// A result that differs from the baseline by more than its tolerance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
-    /// Name of the row; of the whole process, `process`.
+    /// Name of the row; `process` for results of the whole process.
     pub row: String,
     /// Key of the measure.
     pub key: &'static str,
-    /// The baseline's; `None` where it has none.
+    /// Value in the baseline; `None` if it has none.
     pub old: Option<f64>,
-    /// What was measured; `None` where the figure is gone.
+    /// The measured value; `None` if it is missing.
     pub new: Option<f64>,
-    /// What that means.
+    /// Outcome of the comparison.
     pub verdict: Verdict,
 }
 
-/// How a run of the gate compares with the baseline.
+/// Comparison of a run of the gate with the baseline.
 #[derive(Debug, Clone, Default)]
 pub struct Comparison {
-    /// Rows with no figure that is worse.
+    /// Number of rows without a result that is worse.
     pub passed: usize,
-    /// Rows with one at least.
+    /// Number of rows with at least one result that is worse.
     pub worse: usize,
-    /// Rows that the baseline does not have with these seeds.
+    /// Number of rows that are not in the baseline with the same seeds.
     pub not_compared: usize,
-    /// Every figure that is better or worse.
+    /// All results that are better or worse.
     pub changes: Vec<Change>,
 }
 
@@ -156,13 +157,13 @@ impl Comparison {
         comparison
     }
 
-    /// Whether no figure is worse.
+    /// Whether no result is worse.
     pub fn is_passed(&self) -> bool {
         !self.changes.iter().any(|change| change.verdict == Verdict::Worse)
     }
 }
 
-/// The figures of a row that are better or worse. One that the baseline has and the run has not is
+/// The results of a row that are better or worse. One that exists only in the baseline counts as
 /// worse.
 fn changes(row: &str, old: &Figures, new: &Figures) -> Vec<Change> {
     let mut changes = Vec::new();
@@ -187,7 +188,7 @@ fn changes(row: &str, old: &Figures, new: &Figures) -> Vec<Change> {
     changes
 }
 
-/// Judges one figure by its tolerance.
+/// Compares one result with its baseline, according to the tolerance of its measure.
 pub fn verdict(measure: &Measure, old: f64, new: f64) -> Verdict {
     let (cost, allowed): (fn(f64, f64) -> f64, f64) = match measure.better {
         Better::Shown => return Verdict::Same,
@@ -197,8 +198,8 @@ pub fn verdict(measure: &Measure, old: f64, new: f64) -> Verdict {
     };
     let target = if let Better::Near(target) = measure.better { target } else { 0.0 };
     let grown = cost(new, target) - cost(old, target);
-    // Worse by a factor of 2.5 is allowed for some; better by the same factor is less than the
-    // whole of it.
+    // A relative tolerance of 1.5 allows growth by a factor of 2.5. The inverse factor, 1 / 2.5, is
+    // a decrease by less than the baseline itself.
     let shrunk = match measure.better {
         Better::Lower => (measure.relative / (1.0 + measure.relative)) * old.abs() + measure.absolute,
         _ => allowed,
@@ -227,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_figure_beyond_its_tolerance_fails_the_gate() {
+    fn a_result_beyond_its_tolerance_fails_the_gate() {
         let same = compared(&[("drift_percent", 0.1)], &[("drift_percent", 0.11)]);
         assert!(same.is_passed() && same.changes.is_empty() && same.passed == 1);
         let worse = compared(&[("drift_percent", 0.1)], &[("drift_percent", 0.17)]);
@@ -237,13 +238,13 @@ mod tests {
     }
 
     #[test]
-    fn a_figure_that_is_gone_fails_and_a_shown_one_never_does() {
+    fn missing_results_fail_and_informative_ones_never_do() {
         assert!(!compared(&[("nees", 3.0)], &[]).is_passed());
         assert!(compared(&[("frame_ms", 1.0)], &[("frame_ms", 100.0)]).is_passed());
     }
 
     #[test]
-    fn a_stated_covariance_may_come_closer_to_the_truth_from_both_sides() {
+    fn nees_may_approach_its_target_from_both_sides() {
         for (old, new) in [(0.1, 3.0), (90.0, 3.0)] {
             let comparison = compared(&[("nees", old)], &[("nees", new)]);
             assert_eq!(comparison.changes[0].verdict, Verdict::Better);
@@ -252,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_other_seeds_are_not_compared() {
+    fn rows_with_other_seeds_are_not_compared() {
         let baseline = Baseline { rows: vec![row("asphalt", &[("lost", 0.0)])], ..Baseline::default() };
         let other = RowFigures { seeds: 5, ..row("asphalt", &[("lost", 9.0)]) };
         let comparison = Comparison::new(&baseline, &Measured { rows: vec![other], ..Measured::default() });

@@ -1,4 +1,4 @@
-//! A recording in memory: frames, what the program is told, and the truth.
+//! A recording in memory: frames, calibration as given to the odometry, and ground truth.
 
 use crate::compression;
 use crate::rows::{Row, camera};
@@ -8,19 +8,19 @@ use odograph::image::GrayImage;
 use odograph::simulation::{Path, Simulation, SimulationConfig, Texture};
 use odograph::trajectory::{StampedPose, Trajectory};
 
-/// A recording with its truth.
+/// A recording with its ground truth.
 #[derive(Debug)]
 pub struct Clip {
-    /// The camera as the program is told.
+    /// The camera model given to the odometry.
     pub camera: Camera,
-    /// Its mount as the program is told.
+    /// The mount given to the odometry.
     pub rig: Rig,
-    /// Time in seconds and luminance of every frame. Rendered before anything is timed, so that
-    /// rendering is not in the times, and following it twice costs no second rendering.
+    /// Timestamp in seconds and luminance of each frame. All frames are rendered before anything is
+    /// timed, and once even if the clip is tracked twice.
     pub frames: Vec<(f64, GrayImage)>,
-    /// Where the camera was.
+    /// Ground-truth trajectory.
     pub truth: Trajectory,
-    /// Frames per second.
+    /// Frame rate, frames per second.
     pub fps: f64,
 }
 

@@ -1,4 +1,4 @@
-//! H.264 and back.
+//! H.264 compression of clips.
 
 use crate::clip::Clip;
 use odograph::error::{Error, Result};
@@ -6,11 +6,11 @@ use odograph_video::SourceOptions;
 use rusty_h264::{Encoder, EncoderConfig, YuvFrame};
 use std::io::Write;
 
-/// Replaces the frames by what a player would show of them: encoded with a fixed quantiser, and
-/// decoded by the program's own reader.
+/// Replaces the frames by their lossy versions: encoded with a constant quantiser, and decoded by
+/// `odograph-video`.
 pub fn compress(clip: &mut Clip, qp: u8) -> Result<()> {
     let (width, height) = (clip.camera.width(), clip.camera.height());
-    // The baseline profile: no frame waits for a later one, as in most cameras.
+    // The baseline profile has no B-frames, as in most cameras.
     let config = EncoderConfig { qp, gop_size: 60, ..EncoderConfig::baseline(width, height) };
     let failed = |error: &dyn std::fmt::Debug| Error::output(format!("H.264 cannot be encoded: {error:?}"));
     let mut encoder = Encoder::new(config).map_err(|error| failed(&error))?;

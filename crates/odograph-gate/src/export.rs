@@ -1,4 +1,4 @@
-//! Clips as files, for other programs: what `odograph simulate --format y4m` writes.
+//! Export of clips for other programs, in the format of `odograph simulate --format y4m`.
 
 use crate::arguments::Arguments;
 use crate::clip::{Clip, render};
@@ -8,7 +8,7 @@ use odograph::formats::{camera_file, rig_file, trajectory_file};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// Writes the clips of the rows that are asked for, each into `folder/ROW-SEED`.
+/// Writes the clips of the selected rows, each into `folder/ROW-SEED`.
 pub fn export(arguments: &Arguments, folder: &Path) -> Result<()> {
     for row in rows().into_iter().filter(|row| arguments.asks_for(row.name)) {
         let seeds = arguments.seeds.unwrap_or(row.seeds);
@@ -30,7 +30,8 @@ fn write(clip: &Clip, folder: &Path) -> std::io::Result<()> {
     let (width, height, fps) = (clip.camera.width(), clip.camera.height(), clip.fps.round());
     let mut file = BufWriter::new(std::fs::File::create(folder.join("sim.y4m"))?);
     writeln!(file, "YUV4MPEG2 W{width} H{height} F{fps}:1 Ip A1:1 Cmono XCOLORRANGE=FULL")?;
-    // Y4M has one rate for all frames; the times of dropped and late ones stand beside it.
+    // Y4M has a constant frame rate; the timestamps of dropped and late frames are in a separate
+    // file.
     let mut times = String::new();
     for (time_s, image) in &clip.frames {
         file.write_all(b"FRAME\n")?;

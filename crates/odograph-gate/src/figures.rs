@@ -1,37 +1,37 @@
-//! What is measured of a row, and by how much it may change.
+//! The measured quantities and their tolerances.
 
 use odograph::numerics::median;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Which way a figure is better.
+/// Direction of improvement of a measure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Better {
     /// Smaller is better.
     Lower,
     /// Larger is better.
     Higher,
-    /// Closer to this is better, as a ratio.
+    /// Closer to this target is better, as a ratio.
     Near(f64),
-    /// Only shown: it says why others changed.
+    /// Informative only; explains changes of other results.
     Shown,
 }
 
-/// One kind of figure.
+/// One measured quantity.
 #[derive(Debug, Clone, Copy)]
 pub struct Measure {
-    /// Its name in the JSON.
+    /// Its key in the JSON file.
     pub key: &'static str,
-    /// Its name in tables.
+    /// Its title in tables.
     pub title: &'static str,
-    /// Digits after the point in tables.
+    /// Number of decimals in tables.
     pub decimals: usize,
-    /// Which way it is better.
+    /// Direction of improvement.
     pub better: Better,
-    /// What it may become worse by: this share of the baseline …
+    /// Relative tolerance for deterioration, as a fraction of the baseline.
     pub relative: f64,
-    /// … and this much more, in its own unit. With [`Better::Near`] this is a difference of
-    /// logarithms.
+    /// Absolute tolerance for deterioration, in the measure's unit; added to the relative one. With
+    /// [`Better::Near`] it is a difference of natural logarithms.
     pub absolute: f64,
 }
 
@@ -45,65 +45,67 @@ impl Measure {
     }
 }
 
-/// All figures, in the order of the tables, with their tolerances.
+/// All measures in the order of the tables, with their tolerances.
 ///
-/// The same program gives the same figures, but for times. Any change of it, and the C library's last
-/// bits on another platform, draw the noise of a path anew; a tolerance is what that draw may change.
-/// Measured with 396 corners instead of 400, which is no other program: what is said of each below.
+/// Except for times, the same program gives the same results. Any change of the program, and the
+/// last bits of the C library's functions on another platform, act as a new random draw of a
+/// trajectory's error. The tolerances cover the variation between such draws, measured by a run
+/// with 396 corners instead of 400; the comments below give its results.
 pub const MEASURES: [Measure; 14] = [
-    // One seed of four metres: mostly within 20 %, up to twice as much on concrete and `tilt-untold`.
+    // One seed of 4 m: mostly within 20 %, up to a factor of 2 on concrete and `tilt-untold`.
     Measure::new("drift_percent", "error over each metre, %", 4, Better::Lower).within(0.6, 0.001),
     Measure::new("heading_deg_per_m", "heading, °/m", 4, Better::Lower).within(0.7, 0.001),
-    // One draw: up to eleven times as much, but within its stated deviation; see `DRAWS_ALLOWED`.
+    // A single draw: up to a factor of 11, but within its estimated standard deviation; see
+    // `DRAWS_ALLOWED`.
     Measure::new("end_mm", "at the end, mm", 2, Better::Lower).within(1.0, 0.15),
-    // What the program says of that, within 11 %; NEES says whether it is true.
+    // The estimated standard deviation of `end_mm`: within 11 %. NEES measures its consistency.
     Measure::new("end_sigma_mm", "stated σ, mm", 2, Better::Lower).within(0.25, 0.03),
-    // Absolute trajectory error of a real recording, within 9 %; see `LOOSE` for the exception.
+    // Absolute trajectory error of a real recording: within 9 %; see `LOOSE` for the exception.
     Measure::new("ate_mm", "ATE, mm", 2, Better::Lower).within(0.15, 0.05),
-    // A fifth of a frame in a hundred: a frame more is lost where some are.
+    // 0.5 percentage points, i.e. half a frame in a hundred.
     Measure::new("posed_percent", "posed, %", 1, Better::Higher).within(0.0, 0.5),
     Measure::new("lost", "times lost", 0, Better::Lower).within(0.0, 0.5),
-    // Three degrees of freedom of one piece: a new draw changes its logarithm by about 0.8; 3 is
-    // true.
+    // Three degrees of freedom of a single trajectory: a new draw changes the logarithm by about
+    // 0.8. The expected value is 3 for a consistent covariance.
     Measure::new("nees", "NEES", 2, Better::Near(3.0)).within(0.0, 1.2),
     Measure::new("restarts", "begun again", 0, Better::Shown),
     Measure::new("frame_ms", "a frame, ms", 2, Better::Shown),
-    // Shared machines: the reference is measured beside it, but caches and clocks change between
-    // the two.
+    // On shared machines caches and clock rates change between the frame and the reference
+    // workload.
     Measure::new("frame_ratio", "a frame, × reference", 2, Better::Lower).within(0.5, 0.1),
-    // The slowest of a hundred frames are keyframes, and whatever the machine did meanwhile.
+    // The slowest percent of the frames are keyframes, and frames during other load of the machine.
     Measure::new("p99_ratio", "p99 / mean", 1, Better::Lower).within(0.8, 1.0),
-    // Of the whole process: the clips of as many rows as there are threads, and what follows them.
+    // Of the whole process: the clips that are processed in parallel, and their tracking.
     Measure::new("peak_memory_mb", "most memory, MB", 0, Better::Lower).within(0.4, 30.0),
     Measure::new("reference_ms", "reference, ms", 2, Better::Shown),
 ];
 
-/// So many stated standard deviations the error at the end may grow by beyond its tolerance.
+/// Additional tolerance for the error at the end, in estimated standard deviations.
 pub const DRAWS_ALLOWED: f64 = 1.5;
 
-/// Rows whose figures hang on single frames, and by what their tolerances are multiplied.
+/// Rows whose results depend on single frames, with the factor on their tolerances.
 ///
-/// `floor_flight`: blurred frames near the floor decide what follows; 58 mm and five losses became 129 mm
-/// and three with 396 corners, and a frame cost twice as much.
+/// `floor_flight`: blurred frames near the floor determine the rest of the trajectory. With 396
+/// corners, 58 mm and five losses became 129 mm and three losses, at twice the time per frame.
 const LOOSE: [(&str, f64); 1] = [("floor_flight", 10.0)];
 
-/// What the tolerances of a row are multiplied by.
+/// Factor on the tolerances of a row.
 pub fn looseness(row: &str) -> f64 {
     LOOSE.iter().find(|(name, _)| *name == row).map_or(1.0, |(_, factor)| *factor)
 }
 
-/// The measure of that key.
+/// The measure with that key.
 pub fn measure(key: &str) -> Option<&'static Measure> {
     MEASURES.iter().find(|measure| measure.key == key)
 }
 
-/// Figures by the key of their measure; a row has those that make sense for it.
+/// Results by the key of their measure. A row has only the measures that apply to it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Figures(pub BTreeMap<String, f64>);
 
 impl Figures {
-    /// Adds a figure; what is not finite is left out.
+    /// Adds a result; values that are not finite are left out.
     pub fn set(&mut self, key: &str, value: f64) {
         debug_assert!(measure(key).is_some(), "{key} is no measure");
         if value.is_finite() {
@@ -111,12 +113,13 @@ impl Figures {
         }
     }
 
-    /// The figure of that key.
+    /// The result with that key.
     pub fn get(&self, key: &str) -> Option<f64> {
         self.0.get(key).copied()
     }
 
-    /// Each figure's median over seeds, to four digits; of losses and restarts the sum.
+    /// Aggregates over seeds: sums of losses and restarts, medians of all others, rounded to four
+    /// digits.
     pub fn over_seeds(all: &[Self]) -> Self {
         let mut figures = Self::default();
         for measure in &MEASURES {
@@ -130,7 +133,7 @@ impl Figures {
     }
 }
 
-/// Rounded to four significant digits: what a person compares.
+/// Rounds to four significant digits.
 fn four_digits(value: f64) -> f64 {
     format!("{value:.3e}").parse().unwrap_or(value)
 }
@@ -140,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_has_the_median_over_seeds_and_the_sum_of_losses() {
+    fn a_row_has_medians_over_seeds_and_summed_losses() {
         let one = |drift, lost| {
             let mut figures = Figures::default();
             figures.set("drift_percent", drift);

@@ -1,4 +1,4 @@
-//! Follows a clip as `odograph run` and `odograph live` would.
+//! Tracks a clip in the same way as `odograph run` and `odograph live`.
 
 use crate::clip::Clip;
 use crate::processor::busy_ms;
@@ -11,25 +11,25 @@ use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::slam::{Mapper, MemoryImages, SlamConfig, map_frames};
 use odograph::trajectory::FrameEstimate;
 
-/// What following a clip gave.
+/// Result of tracking a clip.
 #[derive(Debug, Default)]
 pub struct Followed {
-    /// Every frame, in the map's frame where a map was made.
+    /// All frames; in the map frame if a map was built, otherwise in the odometry frame.
     pub frames: Vec<FrameEstimate>,
-    /// Processor time of the odometry for each of them, milliseconds.
+    /// Processor time of the odometry per frame, milliseconds.
     pub times_ms: Vec<f64>,
-    /// How often it began again because the mount or the lens was found not to be as told.
+    /// Number of restarts because mount or lens were found to differ from the given calibration.
     pub restarts: usize,
 }
 
-/// What one pass over a clip ended with.
+/// Result of one pass over a clip.
 enum Pass {
     Finished(Followed),
-    /// The camera is not as it was told.
+    /// The calibration differs from the given one, so the clip is tracked again with the new one.
     Again(Box<Found>),
 }
 
-/// Follows a clip from its first frame to its last.
+/// Tracks a clip from its first frame to its last.
 pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Followed> {
     let mut config = OdometryConfig::default();
     config.motion.model = model;
@@ -66,7 +66,7 @@ fn pass(
     let mut followed = Followed::default();
     let mut references = Vec::new();
     for (time_s, image) in &clip.frames {
-        // A decoder would hand the image over; the copy is not timed.
+        // A decoder would hand over ownership of the image, so the copy is not timed.
         let image = image.clone();
         let begun = busy_ms();
         let frame = odometry.process(image, *time_s)?;

@@ -1,11 +1,12 @@
-//! The gate: measures a fixed set of recordings and compares the figures with a stored baseline.
+//! The regression gate: measures a fixed set of recordings and compares the results with a stored
+//! baseline.
 //!
-//! `cargo run --release -p odograph-gate [-- WORD…]` renders drives with exact truth, follows them
-//! and the real recordings as `odograph run` would, and exits with 1 where a figure is worse than
-//! in `bench/baseline.json` by more than its tolerance (`figures.rs`). The recordings are in
-//! `rows.rs`.
+//! `cargo run --release -p odograph-gate [-- WORD…]` renders drives with exact ground truth, tracks
+//! them and the real recordings in the same way as `odograph run`, and exits with 1 if a result is
+//! worse than in `bench/baseline.json` by more than its tolerance (`figures.rs`). The recordings
+//! are defined in `rows.rs`.
 
-#![allow(clippy::print_stdout, clippy::print_stderr)] // a program that reports
+#![allow(clippy::print_stdout, clippy::print_stderr)] // prints a report
 
 mod arguments;
 mod baseline;
@@ -39,7 +40,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Whether the gate is passed.
+/// Runs the gate; whether it is passed.
 fn run(arguments: &Arguments) -> Result<bool> {
     if arguments.tables {
         return tables::rewrite(&arguments.baseline).map(|()| true);

@@ -1,4 +1,4 @@
-//! Measures rows, as many at once as there are threads.
+//! Measures rows in parallel.
 
 use crate::arguments::Arguments;
 use crate::baseline::{Measured, RowFigures, Skipped};
@@ -18,7 +18,7 @@ use odograph::trajectory::{FrameEstimate, TrackStatus, Trajectory};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The first poses are exact by definition; what they state is not compared with their error.
+/// Frames left out of the NEES: the first pose is exact by definition.
 const SETTLED_FRAMES: usize = 30;
 
 /// A clip to be measured.
@@ -27,7 +27,7 @@ enum Job {
     Real(Recording),
 }
 
-/// Measures all rows that are asked for, real recordings where their data is there.
+/// Measures all selected rows; real recordings only if their data is available.
 pub fn measure(arguments: &Arguments) -> Measured {
     let mut measured = Measured::default();
     let mut jobs: Vec<(String, Job)> = Vec::new();
@@ -69,7 +69,8 @@ pub fn measure(arguments: &Arguments) -> Measured {
     }
     let mut process = Figures::default();
     process.set("reference_ms", reference_ms());
-    // With fewer rows or other threads the clips in memory are others, and nothing can be compared.
+    // Peak memory is only comparable with all rows and the default threads, hence the same clips in
+    // memory.
     if arguments.words.is_empty() && arguments.threads.is_none() && arguments.seeds.is_none() {
         peak_memory_mb().into_iter().for_each(|megabytes| process.set("peak_memory_mb", megabytes));
     }
@@ -77,7 +78,7 @@ pub fn measure(arguments: &Arguments) -> Measured {
     measured
 }
 
-/// Each job's figures, or what it failed with, in the order of the jobs.
+/// The results of all jobs, or the errors, in the order of the jobs.
 fn in_parallel(
     jobs: &[(String, Job)],
     threads: usize,
@@ -127,27 +128,27 @@ fn figures_of(job: &Job) -> Result<Figures> {
     let mean_ms = times_ms.iter().sum::<f64>() / times_ms.len().max(1) as f64;
     let p99_ms = times_ms.get(times_ms.len() * 99 / 100).copied().unwrap_or(f64::NAN);
     figures.set("frame_ms", mean_ms);
-    // The mean of before and after: the machine may have become busier meanwhile.
+    // Mean of the reference before and after, as the load of the machine may have changed.
     figures.set("frame_ratio", mean_ms / (0.5 * (reference_ms + crate::processor::reference_ms())));
     figures.set("p99_ratio", p99_ms / mean_ms);
     Ok(figures)
 }
 
-/// How often tracking was lost: gaps, not frames.
+/// Number of losses: intervals without a pose, not frames.
 fn times_lost(frames: &[FrameEstimate]) -> usize {
     let is_lost = |frame: &FrameEstimate| matches!(frame.status, TrackStatus::Lost { .. });
     let begins = frames.windows(2).filter(|pair| !is_lost(&pair[0]) && is_lost(&pair[1])).count();
     begins + usize::from(frames.first().is_some_and(is_lost))
 }
 
-/// Absolute trajectory error, root mean square, millimetres.
+/// Absolute trajectory error (RMSE of the translation), millimetres.
 fn ate_mm(clip: &Clip, followed: &Followed, alignment: Alignment) -> Result<f64> {
     let options = EvaluationOptions { alignment, ..EvaluationOptions::default() };
     let found = evaluate(&Trajectory::from_frames(&followed.frames), &clip.truth, &options)?;
     Ok(1e3 * found.absolute.translation.rmse)
 }
 
-/// What exact truth in the same world tells.
+/// Measures that need exact ground truth in the same world frame.
 fn against_exact_truth(clip: &Clip, followed: &Followed) -> Result<Figures> {
     let options = EvaluationOptions {
         alignment: Alignment::Origin,
@@ -169,7 +170,8 @@ fn against_exact_truth(clip: &Clip, followed: &Followed) -> Result<Figures> {
     Ok(figures)
 }
 
-/// Mean normalised squared error of x, y and heading; 3 where the stated covariance is true.
+/// Normalised estimation error squared (NEES) of x, y and heading, averaged over the frames; its
+/// expected value is 3 if the covariance is consistent.
 fn nees(clip: &Clip, frames: &[FrameEstimate]) -> f64 {
     let (mut sum, mut count) = (0.0, 0usize);
     for (frame, truth) in frames.iter().zip(&clip.truth.poses).skip(SETTLED_FRAMES) {

@@ -1,26 +1,24 @@
-//! Processor time, and what it is compared with.
+//! Processor time, and its reference unit.
 
 use std::hint::black_box;
 
-/// Processor time of this thread, milliseconds: what else the machine does counts only through the
-/// caches.
+/// Processor time of this thread, milliseconds. Other load affects it only through the caches.
 #[cfg(unix)]
 pub fn busy_ms() -> f64 {
     let busy = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     1e3 * busy.tv_sec as f64 + 1e-6 * busy.tv_nsec as f64
 }
 
-/// Time on the clock, milliseconds, where the system does not tell processor time.
+/// Wall-clock time, milliseconds, on systems without per-thread processor time.
 #[cfg(not(unix))]
 pub fn busy_ms() -> f64 {
     static BEGUN: std::sync::LazyLock<std::time::Instant> = std::sync::LazyLock::new(std::time::Instant::now);
     1e3 * BEGUN.elapsed().as_secs_f64()
 }
 
-/// Milliseconds that a fixed piece of work takes now, on this thread: halving an image and scalar
-/// arithmetic, which is what a frame consists of. Times are compared as multiples of it, so that a
-/// slower machine is no regression. Nothing of the library is used, so that no change of it changes
-/// the unit.
+/// Time of a fixed workload on this thread, milliseconds: image downsampling and scalar arithmetic,
+/// as in a frame. Times are compared in multiples of it, so that a slower machine is no regression.
+/// It uses nothing of the library, so that no change of the library changes the unit.
 pub fn reference_ms() -> f64 {
     let (width, height) = (640, 480);
     let sample = |i: u32| i.wrapping_mul(2_654_435_761).to_be_bytes()[0];
@@ -50,7 +48,7 @@ pub fn reference_ms() -> f64 {
     best
 }
 
-/// The most memory that this process has had so far, megabytes, where the system tells it.
+/// Peak resident memory of this process so far, megabytes; `None` if the system does not report it.
 pub fn peak_memory_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

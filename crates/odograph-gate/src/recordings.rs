@@ -1,5 +1,5 @@
-//! The real recordings with known truth. They are no part of the project: they lie in the folder
-//! that `ODOGRAPH_DATA` names, or in `../shared/data` beside the checkout.
+//! The real recordings with ground truth. They are not part of the repository: they are read from
+//! the folder in `ODOGRAPH_DATA`, by default `../shared/data` beside the checkout.
 
 use crate::clip::Clip;
 use crate::rows::Follow;
@@ -17,29 +17,29 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// A real recording, and how its error is defined.
+/// A real recording and the definition of its error.
 #[derive(Debug, Clone, Copy)]
 pub struct Recording {
-    /// Its folder.
+    /// Name of its folder.
     pub name: &'static str,
-    /// How it is followed.
+    /// How it is tracked.
     pub follow: Follow,
     /// The motion model.
     pub model: MotionModel,
-    /// What the estimate is laid onto the truth with.
+    /// Alignment of the estimate with the ground truth.
     pub alignment: Alignment,
     /// Reads it from its folder.
     read: fn(&Path) -> Result<Clip>,
 }
 
 impl Recording {
-    /// Reads its frames and its truth.
+    /// Reads the frames and the ground truth.
     pub fn open(&self, data: &Path) -> Result<Clip> {
         (self.read)(&data.join(self.name))
     }
 }
 
-/// Where the recordings are looked for.
+/// The folder of the recordings.
 pub fn folder() -> PathBuf {
     std::env::var_os("ODOGRAPH_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from)
 }
@@ -65,7 +65,8 @@ pub fn all() -> Vec<Recording> {
     ]
 }
 
-/// A camera carried over sheets of checkers, with blur and gaps; the first pose is told.
+/// A camera carried over sheets of checkerboard, with motion blur and gaps. The initial pose is
+/// given.
 fn floor_flight(folder: &Path) -> Result<Clip> {
     let camera = camera_file::parse(&text(&folder.join("camera.yaml"))?, None)?;
     let rig = rig_file::parse(&text(&folder.join("rig.toml"))?)?;
@@ -74,7 +75,7 @@ fn floor_flight(folder: &Path) -> Result<Clip> {
     clip(&folder.join("frames"), &options, camera, rig, truth)
 }
 
-/// A hand-held camera over a checkerboard: `X_camera = R X_world + t`, the world's z into the
+/// A hand-held camera over a checkerboard: `X_camera = R X_world + t`, the world's z axis into the
 /// board.
 fn planar_checker(folder: &Path) -> Result<Clip> {
     let flip = Isometry3::rotation(Vector3::x() * PI);
@@ -95,7 +96,7 @@ fn planar_checker(folder: &Path) -> Result<Clip> {
     clip(&folder.join("images"), &options, camera, rig, truth)
 }
 
-/// A drone that stands still, taken as 1 m above a ground: any movement is an error.
+/// A stationary drone, taken as 1 m above the ground: any estimated motion is an error.
 fn static_euroc(folder: &Path) -> Result<Clip> {
     let camera = camera_file::parse(&text(&folder.join("sensor.yaml"))?, None)?;
     let still = Rig::level(1.0);
@@ -107,11 +108,11 @@ fn static_euroc(folder: &Path) -> Result<Clip> {
     Ok(clip)
 }
 
-/// Jumps of half an image and half right angles over bricks, under the robot's own shadow.
+/// Steps of half an image and turns of 45° over bricks, with the robot's own shadow in view.
 fn kylehart(folder: &Path) -> Result<Clip> {
     let camera = Camera::new((1280, 960), (1108.7, 1108.7), (640.0, 480.0), Distortion::None)?;
     let mut truth = Trajectory::default();
-    // The folder holds poses beside the pictures, so the pictures are listed for the reader.
+    // The folder contains pose files beside the images, so the images are listed explicitly.
     let mut list = String::new();
     while let Ok(line) = text(&folder.join(format!("{:06}.txt", truth.poses.len()))) {
         let [x_m, y_m, _, _, _, heading_rad, ..] = numbers(&line)[..] else { break };
@@ -125,8 +126,8 @@ fn kylehart(folder: &Path) -> Result<Clip> {
     clip(folder, &SourceOptions { timestamps, ..Default::default() }, camera, Rig::level(0.25), truth)
 }
 
-/// Drone stills of a field against the drone's GPS. Neither lens nor height is known: a pinhole and
-/// 1 m stand for both, so only the shape of the path is compared.
+/// Drone still images of a field, with the drone's GPS. Lens and height are unknown; a pinhole
+/// model and 1 m are assumed, so only the shape of the trajectory is compared.
 fn nadir_caliterra(folder: &Path) -> Result<Clip> {
     let camera = Camera::new((1000, 750), (729.3, 729.3), (499.5, 374.5), Distortion::None)?;
     let mut truth = Trajectory::default();
@@ -158,7 +159,8 @@ fn clip(path: &Path, options: &SourceOptions, camera: Camera, rig: Rig, truth: T
     Ok(Clip { camera, rig, frames, truth, fps })
 }
 
-/// A file of `time name` lines, for the reader; it is gone with what is returned.
+/// Writes a temporary file of `time name` lines for the reader; deleted when the returned value is
+/// dropped.
 fn list_of_pictures(list: &str) -> Result<NamedTempFile> {
     let unwritten = |error: std::io::Error| Error::output(format!("a list of pictures: {error}"));
     let mut file = NamedTempFile::new().map_err(unwritten)?;

@@ -1,10 +1,10 @@
-//! What the gate prints: tables in Markdown and a closing line.
+//! The output of the gate: Markdown tables and a summary line.
 
 use crate::baseline::{Comparison, Measured, RowFigures, Verdict};
 use crate::figures::{Figures, MEASURES, Measure, measure};
 use std::fmt::Write;
 
-/// All rows that were measured.
+/// Table of all measured rows.
 pub fn table(measured: &Measured) -> String {
     let shown = |m: &&Measure| measured.rows.iter().any(|row| row.figures.get(m.key).is_some());
     let columns: Vec<&Measure> = MEASURES.iter().filter(shown).collect();
@@ -17,7 +17,7 @@ pub fn table(measured: &Measured) -> String {
     text
 }
 
-/// A table of rows with the given columns.
+/// Table of rows with the given columns.
 pub fn rows_table(first_column: &str, rows: &[RowFigures], columns: &[&Measure]) -> String {
     let mut text = format!("| {first_column} |");
     columns.iter().for_each(|measure| text += &format!(" {} |", measure.title));
@@ -38,7 +38,7 @@ fn cell(measure: &Measure, figures: &Figures) -> String {
     figures.get(measure.key).map_or("–".to_owned(), shown)
 }
 
-/// What became worse, what became better, and the closing line.
+/// The results that became worse or better, and the summary line.
 pub fn comparison(comparison: &Comparison, measured: &Measured) -> String {
     let mut text = String::new();
     for (verdict, heading) in [(Verdict::Worse, "Worse"), (Verdict::Better, "Better")] {

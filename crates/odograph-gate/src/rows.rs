@@ -1,4 +1,4 @@
-//! The rendered rows. A new one is one `Row { … }` in [`rows`].
+//! The rendered rows. To add one, add a `Row { … }` to [`rows`].
 
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
@@ -9,48 +9,48 @@ use odograph::simulation::{
 };
 use std::f64::consts::TAU;
 
-/// How a clip is followed.
+/// How a clip is tracked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Follow {
-    /// Frame by frame, as a camera delivers them.
+    /// Frame by frame, as with a live camera.
     Live,
-    /// Followed again where the mount or the lens is found not to be as told, as `odograph run`
-    /// does.
+    /// As `odograph run` does: restarted if mount or lens are found to differ from the given
+    /// calibration.
     Recorded,
-    /// The same with the map, and its loops brought into every pose.
+    /// As `Recorded`, with a map whose loop closures correct every pose.
     Mapped,
 }
 
-/// A kind of recording, of which every seed makes another.
+/// One kind of recording, with a different drive for each seed.
 #[derive(Debug, Clone)]
 pub struct Row {
-    /// Short, in kebab case, unique.
+    /// Unique short name in kebab case.
     pub name: &'static str,
-    /// A name that `Texture::named` knows.
+    /// A texture name known to `Texture::named`.
     pub texture: &'static str,
-    /// Where it goes, by seed.
+    /// The path, by seed.
     pub path: fn(u64) -> PathKind,
     /// Speed over ground, metres per second.
     pub speed_m_s: f64,
-    /// Where it turns on the spot or about a point, radians per second.
+    /// Turn rate for turns on the spot or about a point, radians per second.
     pub turn_rate_rad_s: f64,
-    /// What makes it hard.
+    /// Disturbances of the recording.
     pub effects: Effects,
     /// Width and height of the image, pixels.
     pub size_px: (usize, usize),
-    /// Frames per second.
+    /// Frame rate, frames per second.
     pub fps: f64,
-    /// How the camera really sits.
+    /// True mount of the camera.
     pub rig: Rig,
-    /// How the program is told that it sits.
+    /// Mount given to the odometry.
     pub rig_told: Rig,
-    /// Whether the program is told the readout time.
+    /// Whether the odometry is given the readout time of the rolling shutter.
     pub readout_is_told: bool,
-    /// Quantiser of H.264, 0 to 51, where the recording is compressed with it.
+    /// Quantisation parameter of H.264, 0 to 51; `None` for uncompressed recordings.
     pub h264_qp: Option<u8>,
-    /// How it is followed.
+    /// How it is tracked.
     pub follow: Follow,
-    /// Seeds measured by default; figures are medians over them.
+    /// Default number of seeds; results are medians over them.
     pub seeds: u64,
 }
 
@@ -60,7 +60,7 @@ const FULL_PX: (usize, usize) = (640, 480);
 /// A quarter of the pixels, for rows that take long to render.
 const SMALL_PX: (usize, usize) = (320, 240);
 
-/// The camera of all rendered rows: a mild barrel lens.
+/// The camera of all rendered rows, with mild barrel distortion.
 pub fn camera((width, height): (usize, usize)) -> Result<Camera> {
     let share = width as f64 / 640.0;
     let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap_or(Distortion::None);
@@ -68,12 +68,13 @@ pub fn camera((width, height): (usize, usize)) -> Result<Camera> {
     Camera::new((width, height), (500.0 * share, 500.0 * share), centre, distortion)
 }
 
-/// Turns all the time, another way for every seed.
+/// A random walk with continuous turning, different for every seed.
 fn wandering(seed: u64) -> PathKind {
     PathKind::RandomWalk { length_m: 4.0, seed: 100 + seed }
 }
 
-/// A turn and a half about a corner of the image, another corner for every seed.
+/// One and a half turns about the ground point in a corner of the image; the corner depends on the
+/// seed.
 fn corner_turn(seed: u64) -> PathKind {
     let corner = [(0.0, 0.0), (639.0, 0.0), (0.0, 479.0), (639.0, 479.0)][seed as usize % 4];
     let ray = camera(FULL_PX).ok().and_then(|camera| camera.ray_from_pixel(Pixel::new(corner.0, corner.1)));
@@ -81,7 +82,7 @@ fn corner_turn(seed: u64) -> PathKind {
     about.map_or(PathKind::Still { duration_s: 1.0 }, |about| PathKind::Pivot { about, turn_rad: 1.5 * TAU })
 }
 
-/// Four metres ahead, from rest to rest.
+/// 4 m straight ahead, from standstill to standstill.
 fn ahead(_: u64) -> PathKind {
     PathKind::Straight { length_m: 4.0 }
 }
@@ -94,17 +95,17 @@ fn straight(_: u64) -> PathKind {
     PathKind::Straight { length_m: 40.0 }
 }
 
-/// Lanes that overlap by half, so that each closes loops with the one before.
+/// Lanes with 50 % overlap, so that each lane closes loops with the previous one.
 fn lanes(_: u64) -> PathKind {
     PathKind::Lanes { length_m: 2.5, spacing_m: 0.4, count: 4 }
 }
 
-/// Two gray levels of noise and nothing else.
+/// Image noise of two gray levels (standard deviation) and no other effect.
 fn noise() -> Effects {
     Effects { noise_gray: 2.0, ..Effects::default() }
 }
 
-/// An easy drive over asphalt; what every other row starts from.
+/// An easy drive over asphalt; the base of all other rows.
 fn clean() -> Row {
     Row {
         name: "asphalt",
@@ -129,7 +130,7 @@ fn with(name: &'static str, effects: Effects) -> Row {
     Row { name, effects, ..clean() }
 }
 
-/// The same at 320x240, over three seeds: a quarter of the time each.
+/// The same at 320x240 with three seeds, at a quarter of the time per seed.
 fn small(name: &'static str, effects: Effects) -> Row {
     Row { size_px: SMALL_PX, seeds: 3, ..with(name, effects) }
 }
@@ -189,7 +190,7 @@ pub fn rows() -> Vec<Row> {
         Row { texture: "grass", ..small("hand-held-small", hand_held) },
         Row {
             path: straight,
-            // 0.58 m a frame is 60 % of what the image is wide.
+            // 0.58 m per frame is 60 % of the image width on the ground.
             speed_m_s: 17.3,
             ..with("fast", Effects { exposure_s: 0.0009, ..noise() })
         },

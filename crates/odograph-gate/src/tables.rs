@@ -1,5 +1,5 @@
-//! Tables in documents that are generated from the baseline, between `<!-- gate:begin NAME -->` and
-//! `<!-- gate:end -->`.
+//! Tables in documents, generated from the baseline between `<!-- gate:begin NAME -->` and `<!--
+//! gate:end -->`.
 
 use crate::baseline::{Baseline, RowFigures};
 use crate::figures::{Measure, measure};
@@ -8,7 +8,7 @@ use crate::report::rows_table;
 use odograph::error::{Error, Result};
 use std::path::Path;
 
-/// Documents with such tables, from the root of the checkout.
+/// Documents with generated tables, relative to the root of the checkout.
 const DOCUMENTS: [&str; 1] = ["README.md"];
 
 /// Rewrites the tables of all documents from the baseline.
@@ -26,7 +26,7 @@ pub fn rewrite(baseline: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A document with its tables as the baseline gives them.
+/// Returns a document with its tables generated from the baseline.
 fn with_tables(document: &str, baseline: &Baseline) -> Result<String> {
     let mut text = String::new();
     let mut rest = document;
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn documents_hold_the_tables_that_the_baseline_gives() {
+    fn documents_contain_the_tables_of_the_baseline() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let baseline = Baseline::read_or_empty(&root.join("bench/baseline.json")).unwrap();
         for document in DOCUMENTS {

@@ -1,30 +1,30 @@
-//! The ground under the path, in squares that a page fetches as they change.
+//! The ground map below the trajectory, in tiles that a page fetches when they change.
 
 use odograph::error::{Error, Result};
 use odograph::mapping::{Mosaic, MosaicSquare, Placement};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// What there is of the ground.
+/// State of a ground map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GroundState {
-    /// Side of a ground pixel, metres. Where it changes, all squares have changed.
+    /// Ground sampling distance, metres per pixel. When it changes, all tiles have changed.
     pub metres_per_pixel: f64,
-    /// Grows with every change.
+    /// Revision number; increases with every change.
     pub revision: u64,
 }
 
-/// A ground in squares of [`Mosaic::TILE_SIDE_PX`] pixels a side.
+/// A ground map in tiles of [`Mosaic::TILE_SIDE_PX`] × [`Mosaic::TILE_SIDE_PX`] pixels.
 pub trait Ground: Send + Sync {
-    /// What there is; `None` while there is nothing.
+    /// The current state; `None` while the map is empty.
     fn state(&self) -> Option<GroundState>;
-    /// The squares that changed after a revision.
+    /// The tiles that changed after `revision`.
     fn changed_since(&self, revision: u64) -> Vec<MosaicSquare>;
-    /// Red, green, blue and opacity of a square; `None` where nothing was seen.
+    /// RGBA samples of a tile in row order; `None` where the ground has not been observed.
     fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>>;
 }
 
-/// A mosaic that grows while it is looked at.
+/// The mosaic of a running odometry.
 impl Ground for Mutex<Mosaic> {
     fn state(&self) -> Option<GroundState> {
         let mosaic = self.lock().unwrap_or_else(PoisonError::into_inner);
@@ -69,7 +69,7 @@ impl<G: Ground> Ground for Arc<G> {
     }
 }
 
-/// A ground whose squares come one by one, each whole.
+/// A ground map whose tiles arrive one by one, each complete.
 #[derive(Debug, Default)]
 pub struct GrowingTiles(Mutex<Tiles>);
 
@@ -85,14 +85,15 @@ impl GrowingTiles {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Begins anew with ground pixels of a size, metres.
+    /// Clears the map and sets its ground sampling distance, metres per pixel.
     pub fn begin(&self, metres_per_pixel: f64) {
         let mut tiles = self.tiles();
         tiles.metres_per_pixel = Some(metres_per_pixel);
         tiles.squares.clear();
     }
 
-    /// Takes a square in place of the one that was there: red, green, blue and opacity in row order. One of another size is not taken.
+    /// Inserts or replaces a tile, given as RGBA samples in row order. Ignored if the number of
+    /// samples is not that of a tile.
     pub fn put(&self, square: MosaicSquare, rgba: Vec<u8>) {
         if rgba.len() == 4 * Mosaic::TILE_SIDE_PX * Mosaic::TILE_SIDE_PX {
             let mut tiles = self.tiles();
@@ -102,7 +103,7 @@ impl GrowingTiles {
         }
     }
 
-    /// How many squares there are.
+    /// Number of tiles.
     pub fn count(&self) -> usize {
         self.tiles().squares.len()
     }
@@ -129,7 +130,7 @@ impl Ground for GrowingTiles {
     }
 }
 
-/// The ground of a finished run: one picture, that does not change any more.
+/// The ground map of a finished run: a single image that does not change.
 #[derive(Debug)]
 pub struct GroundPicture {
     rgba: Vec<u8>,
@@ -139,10 +140,11 @@ pub struct GroundPicture {
 }
 
 impl GroundPicture {
-    /// A picture of red, green, blue and opacity in row order, and where it lies.
+    /// Creates a map from RGBA samples in row order and the georeference of the image.
     ///
     /// # Errors
-    /// Where it has not as many samples as its size says, or lies nowhere.
+    /// If the number of samples does not match the size, or the georeference is not finite or its
+    /// pixel size not positive.
     pub fn new(rgba: Vec<u8>, width: usize, height: usize, placement: Placement) -> Result<Self> {
         let placed = [placement.metres_per_pixel, placement.x_m, placement.y_m].iter().all(|v| v.is_finite());
         if rgba.len() != 4 * width * height || !placed || placement.metres_per_pixel <= 0.0 {
@@ -151,7 +153,7 @@ impl GroundPicture {
         Ok(Self { rgba, width: width as i64, height: height as i64, placement })
     }
 
-    /// Column and row, counted from the world's origin, of the upper left pixel.
+    /// Column and row of the top-left pixel, counted from the world origin.
     fn corner(&self) -> (i64, i64) {
         let at = |metres: f64| (metres / self.placement.metres_per_pixel - 0.5).round() as i64;
         (at(self.placement.x_m), at(-self.placement.y_m))
@@ -178,7 +180,7 @@ impl Ground for GroundPicture {
     fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
         let side = Mosaic::TILE_SIDE_PX as i64;
         let (left, top) = self.corner();
-        // Where the square lies in the picture.
+        // Position of the tile in the image, pixels.
         let first_x = tile.column.checked_mul(side)?.checked_sub(left)?;
         let first_y = tile.row.checked_mul(side)?.checked_sub(top)?;
         let columns = first_x.max(0)..first_x.checked_add(side)?.min(self.width);
@@ -199,7 +201,7 @@ impl Ground for GroundPicture {
     }
 }
 
-/// A square as the bytes of a PNG file.
+/// Encodes the RGBA samples of a tile as PNG.
 pub(crate) fn tile_png(rgba: &[u8]) -> Option<Vec<u8>> {
     let side = Mosaic::TILE_SIDE_PX as u32;
     let mut bytes = Vec::new();
@@ -218,7 +220,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn squares_that_come_one_by_one_are_new_once_and_replaced_whole() {
+    fn each_new_tile_is_reported_once_and_replaced_whole() {
         let tiles = GrowingTiles::default();
         assert!(tiles.state().is_none());
         tiles.begin(0.01);
@@ -237,8 +239,8 @@ mod tests {
     }
 
     #[test]
-    fn the_squares_of_a_picture_put_together_are_the_picture() {
-        // 300 x 2 pixels that cross the origin, so that squares on both sides of it are needed.
+    fn tiles_of_an_image_reassemble_to_the_image() {
+        // 300 × 2 pixels across the origin, so that tiles on both sides of it are needed.
         let (width, height) = (300usize, 2usize);
         let rgba: Vec<u8> = (0..width * height).flat_map(|k| [k as u8, (k / 256) as u8, 7, 255]).collect();
         let placement = Placement { metres_per_pixel: 0.01, x_m: -0.995, y_m: 0.005 };

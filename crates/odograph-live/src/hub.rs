@@ -1,4 +1,5 @@
-//! What there is to see, in one place. Who tracks puts it there and never waits; who looks takes what is new to him since he last looked.
+//! The shared state of a live run. The tracking thread writes into it without ever waiting for a
+//! viewer; each viewer reads what is new since its last read.
 
 use crate::ground::Ground;
 use crate::record::{Records, TrackRecord};
@@ -9,12 +10,13 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// More marks than a person sets.
+/// Maximum number of marks in a run; later ones are rejected.
 const MOST_MARKS: usize = 10_000;
-/// How often the ground is looked at for changes.
+/// Interval at which a viewer polls the ground map for changes.
 const GROUND_INTERVAL: Duration = Duration::from_millis(250);
 
-/// What there is to see.
+/// The shared state of a run: trajectory, newest camera view, status, marks, notices and ground
+/// map.
 pub struct Hub {
     introduction: Introduction,
     ground: Arc<dyn Ground>,
@@ -37,14 +39,14 @@ struct Seen {
     notices_told: u64,
 }
 
-/// The newest of what is told whole each time it changes.
+/// The newest message of one kind. Each message replaces the previous one of its kind.
 struct Notice {
     kind: &'static str,
     number: u64,
     json: Arc<str>,
 }
 
-/// How far somebody has looked.
+/// Read position of one viewer in the hub's data.
 #[derive(Debug, Default)]
 pub struct Cursor {
     records: usize,
@@ -55,29 +57,29 @@ pub struct Cursor {
     ground: u64,
     metres_per_pixel: f64,
     ground_looked: Option<Instant>,
-    /// Not before then the next picture.
+    /// Earliest time for the next camera view (rate limit).
     next_view: Option<Instant>,
 }
 
-/// What is new to somebody.
+/// What is new to a viewer since its last read.
 #[derive(Debug, Default)]
 pub struct News {
-    /// The number of the first new record, and the records.
+    /// Index of the first new record, and the new records' values, [`TrackRecord::LENGTH`] each.
     pub records: Option<(usize, Vec<f32>)>,
-    /// The newest picture.
+    /// The newest camera view.
     pub view: Option<Arc<View>>,
-    /// How the run goes.
+    /// The run's status, if it changed.
     pub status: Option<Status>,
     /// New marks.
     pub marks: Vec<Mark>,
-    /// Messages in JSON, each the newest of its kind.
+    /// JSON messages, the newest one of each kind.
     pub notices: Vec<Arc<str>>,
-    /// Squares of the ground that changed, and the side of a ground pixel, metres.
+    /// Changed tiles of the ground map, and its ground sampling distance in metres per pixel.
     pub ground: Option<(f64, Vec<MosaicSquare>)>,
 }
 
 impl Hub {
-    /// A hub over a ground.
+    /// Creates a hub that serves `ground` as its map.
     pub fn new(introduction: Introduction, ground: Arc<dyn Ground>) -> Self {
         Self {
             introduction,
@@ -90,12 +92,12 @@ impl Hub {
         }
     }
 
-    /// What does not change.
+    /// The constant description of the run.
     pub fn introduction(&self) -> &Introduction {
         &self.introduction
     }
 
-    /// The ground under the path.
+    /// The ground map below the trajectory.
     pub fn ground(&self) -> &dyn Ground {
         &*self.ground
     }
@@ -104,7 +106,7 @@ impl Hub {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a frame. Gives its number among the records.
+    /// Appends a frame to the trajectory and returns its record index.
     pub fn add_record(&self, record: &TrackRecord) -> usize {
         let mut seen = self.seen();
         seen.records.push(record);
@@ -114,7 +116,7 @@ impl Hub {
         number
     }
 
-    /// Shows a picture in place of the one before.
+    /// Replaces the current camera view.
     pub fn show_view(&self, view: View) {
         let mut seen = self.seen();
         seen.view = Some(Arc::new(view));
@@ -123,7 +125,7 @@ impl Hub {
         self.news.notify_all();
     }
 
-    /// Tells how the run goes.
+    /// Sets the status of the run.
     pub fn set_status(&self, status: Status) {
         let mut seen = self.seen();
         if seen.status != status || seen.statuses == 0 {
@@ -134,17 +136,19 @@ impl Hub {
         self.news.notify_all();
     }
 
-    /// How the run goes.
+    /// The status of the run.
     pub fn status(&self) -> Status {
         self.seen().status.clone()
     }
 
-    /// The newest picture.
+    /// The newest camera view; `None` before the first one.
     pub fn view(&self) -> Option<Arc<View>> {
         self.seen().view.clone()
     }
 
-    /// Marks the place of the newest frame; `None` where there is none yet, or far too many marks.
+    /// Adds a mark at the newest frame. Returns `None` if there is no frame yet or the maximum
+    /// number of marks is reached. Control characters are removed from the name and it is cut at 80
+    /// characters; an empty name becomes the mark's number.
     pub fn mark(&self, name: &str) -> Option<Mark> {
         let mut seen = self.seen();
         let count = seen.records.count();
@@ -171,18 +175,19 @@ impl Hub {
         Some(mark)
     }
 
-    /// The marks from a number on.
+    /// The marks from index `first` on.
     pub fn marks_from(&self, first: usize) -> Vec<Mark> {
         self.seen().marks.get(first..).unwrap_or_default().to_vec()
     }
 
-    /// Puts back the marks of a finished run.
+    /// Sets the marks of a finished run, replacing all present ones.
     pub fn set_marks(&self, marks: Vec<Mark>) {
         self.seen().marks = marks;
         self.news.notify_all();
     }
 
-    /// Tells something that is whole in itself, in place of what was told of its kind before: a page gets `{"kind": kind, kind: value}`.
+    /// Publishes a message that replaces the previous one of its kind. A page receives `{"kind":
+    /// kind, kind: value}`.
     pub fn tell(&self, kind: &'static str, value: &impl Serialize) {
         let json: Arc<str> = serde_json::json!({ "kind": kind, kind: value }).to_string().into();
         let mut seen = self.seen();
@@ -194,42 +199,43 @@ impl Hub {
         self.news.notify_all();
     }
 
-    /// Asks the run to end and to write everything.
+    /// Requests the run to stop and write its results.
     pub fn ask_to_stop(&self) {
         self.stop_asked.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the run was asked to end.
+    /// Whether [`Hub::ask_to_stop`] was called.
     pub fn stop_asked(&self) -> bool {
         self.stop_asked.load(Ordering::Relaxed)
     }
 
-    /// How many look.
+    /// Number of connected viewers.
     pub fn viewers(&self) -> usize {
         self.viewers.load(Ordering::Relaxed)
     }
 
-    /// Lets everybody go who looks.
+    /// Disconnects all viewers.
     pub fn close(&self) {
         self.closing.store(true, Ordering::Relaxed);
         self.news.notify_all();
     }
 
-    /// Whether nobody shall look any more.
+    /// Whether [`Hub::close`] was called.
     pub fn is_closing(&self) -> bool {
         self.closing.load(Ordering::Relaxed)
     }
 
-    /// Somebody begins to look; counted until the value is dropped.
+    /// Registers a viewer. It is counted until the returned value is dropped.
     pub fn look(self: &Arc<Self>) -> Viewer {
         self.viewers.fetch_add(1, Ordering::Relaxed);
         Viewer { hub: Arc::clone(self), cursor: Cursor::default() }
     }
 
-    /// Pictures a second for each of those who look: sixty for all together, so that many cost no more than one or two.
+    /// Minimum interval between two camera views of one viewer. All viewers share 60 views a
+    /// second, so that many viewers cost no more than one or two.
     fn view_interval(&self) -> Duration {
         let rate = (60.0 / self.viewers().max(1) as f64).clamp(2.0, 30.0);
-        // A little less than the interval of 30 pictures a second, which do not come evenly.
+        // Ten percent shorter than the nominal interval, because frames arrive with jitter.
         Duration::from_secs_f64(0.9 / rate)
     }
 
@@ -270,14 +276,14 @@ impl Hub {
     }
 }
 
-/// Somebody who looks.
+/// A connected viewer with its read position.
 pub struct Viewer {
     hub: Arc<Hub>,
     cursor: Cursor,
 }
 
 impl Viewer {
-    /// What is new; waits for it at most so long.
+    /// Returns what is new, after waiting for it for at most `patience`.
     pub fn news(&mut self, patience: Duration) -> News {
         let until = Instant::now() + patience;
         let mut seen = self.hub.seen();
@@ -292,7 +298,8 @@ impl Viewer {
             seen = self.hub.news.wait_timeout(seen, left).unwrap_or_else(PoisonError::into_inner).0;
         };
         drop(seen);
-        // The ground has a lock of its own, which may be held while a frame is laid: never both.
+        // The ground map has its own lock, which may be held while a frame is orthorectified. The
+        // two locks are never held together.
         if self.cursor.ground_looked.is_none_or(|looked| looked.elapsed() >= GROUND_INTERVAL) {
             self.cursor.ground_looked = Some(Instant::now());
             news.ground = self.ground_news();
@@ -345,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn each_takes_what_is_new_to_him_and_the_slow_one_only_the_newest_picture() {
+    fn slow_viewers_get_all_records_but_only_the_newest_picture() {
         let hub = hub();
         let (mut quick, mut slow) = (hub.look(), hub.look());
         assert_eq!(hub.viewers(), 2);
@@ -359,7 +366,7 @@ mod tests {
         assert_eq!(news.records.unwrap().1.len(), 3 * TrackRecord::LENGTH);
         assert_eq!(news.view.unwrap().jpeg, [2]);
         assert!(slow.news(Duration::ZERO).records.is_none());
-        // Of what is told whole each hears the newest once, whenever he comes.
+        // Each viewer receives the newest notice of a kind once, whenever it reads.
         hub.tell("map", &1);
         hub.tell("board", &2);
         hub.tell("map", &3);
@@ -373,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_path_comes_whole_and_in_order_however_late_somebody_looks() {
+    fn late_viewers_receive_the_whole_path_in_order() {
         let hub = hub();
         let mut early = hub.look();
         let count = 2 * Records::IN_A_PIECE + 10;
@@ -402,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mark_is_where_the_newest_frame_is_and_has_a_harmless_name() {
+    fn marks_are_at_the_newest_frame_and_have_sanitised_names() {
         let hub = hub();
         assert!(hub.mark("too early").is_none());
         hub.add_record(&record(1.5, 2.5));

@@ -1,13 +1,15 @@
 //! # odograph-live
 //!
-//! Cameras and streams as they come, and the page in the browser that shows what becomes of them.
+//! Live video sources, and the web page that displays the running odometry.
 //!
-//! [`capture`] gives frames from cameras, network streams and recordings at their own pace, and never waits for who is late. A [`Hub`] holds
-//! what there is to see; a [`Server`] shows it to any number of browsers, none of which can slow down the tracking: each takes from the hub
-//! what it can carry, and the hub keeps nothing for those that are slow. [`stream`] sends poses to other programs, [`foxglove`] keeps
-//! a run for viewers of robots' recordings.
+//! [`capture`] reads frames from cameras, network streams and recordings in real time and never
+//! blocks on a slow consumer. A [`Hub`] holds the current state of the run; a [`Server`] serves it
+//! to any number of browsers. No browser can slow down the tracking: each one polls the hub at its
+//! own rate, and the hub keeps no backlog per client. [`stream`] sends poses to other programs,
+//! [`foxglove`] writes a run as an MCAP file.
 //!
-//! Unlike the other libraries this one reads the clock and opens connections: that is what it is for. It prints nothing.
+//! Unlike the other libraries, this one reads the clock and opens network connections. It prints
+//! nothing.
 
 pub mod capture;
 pub mod ground;

@@ -1,24 +1,30 @@
-//! What a page needs to know of a frame, in a few numbers.
+//! The compact per-frame record that is sent to the page.
 
 use odograph::error::{Error, Result};
 use odograph::geometry::pose_index::{HEADING, X, Y};
 use odograph::trajectory::{FrameEstimate, LossReason, TrackStatus};
 
-/// A frame on the page: position, heading and how well they are known, speed, and how the frame was measured.
+/// One frame of the trajectory: pose with its uncertainty, velocity, and tracking statistics.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackRecord {
-    /// The numbers in the order of [`TrackRecord::FIELDS`]; not a number where a frame has no such value.
+    /// The values in the order of [`TrackRecord::FIELDS`]; NaN where a frame has no such value.
     pub values: [f32; TrackRecord::LENGTH],
 }
 
 impl TrackRecord {
-    /// How many numbers a record has.
+    /// Number of values in a record.
     pub const LENGTH: usize = 15;
 
-    /// What the numbers are: seconds since the first frame, metres, radians, the covariance of x and y in m², the standard deviation of the
-    /// heading, metres a second; `state` is 0 where the pose was measured and otherwise the reason why not (1 bare, 2 jump, 3 not planar, 4 dark, 5 blur, 6 shadow);
-    /// the number of gaps before the frame; corners found again, and how many of them agree; milliseconds from capture to pose; the
-    /// number of the keyframe that it was measured against.
+    /// Names of the values.
+    ///
+    /// * `time_s`: seconds since the first frame.
+    /// * position in metres and heading in radians; the covariance of x and y in m², the standard
+    ///   deviation of the heading in radians; the speed in metres per second.
+    /// * `state`: 0 if the pose was measured, otherwise the reason for the loss: 1 bare, 2 jump, 3
+    ///   not planar, 4 dark, 5 blur, 6 shadow.
+    /// * the number of gaps before the frame; the number of tracked corners, and of the inliers
+    ///   among them; the latency from capture to pose in milliseconds; the number of the keyframe
+    ///   that the frame was measured against.
     pub const FIELDS: [&'static str; Self::LENGTH] = [
         "time_s",
         "x_m",
@@ -37,7 +43,7 @@ impl TrackRecord {
         "keyframe",
     ];
 
-    /// The record of a frame; `first_time_s` is the time of the first one.
+    /// Converts a frame. `first_time_s` is the time of the run's first frame, seconds.
     pub fn new(frame: &FrameEstimate, first_time_s: f64, latency_ms: Option<f64>) -> Self {
         let state = match frame.status {
             TrackStatus::Tracked => 0.0,
@@ -74,21 +80,22 @@ impl TrackRecord {
 }
 
 impl TrackRecord {
-    /// The same, with the number of the keyframe against which it was measured, counted from 0 in this run.
+    /// Returns the record with the number of its keyframe set, counted from 0 in this run.
     pub fn measured_against(mut self, keyframe: Option<u64>) -> Self {
         self.values[14] = keyframe.map_or(f32::NAN, |number| number as f32);
         self
     }
 }
 
-/// A finished run cannot have more frames: a week at 60 a second.
+/// Maximum number of frames in a finished run: a week at 60 frames per second.
 const MOST_FRAMES: usize = 40_000_000;
 
 impl TrackRecord {
-    /// The records of a finished run, from its `trajectory.csv`; columns are found by their names, as `docs/output.md` has them.
+    /// Reads the records of a finished run from its `trajectory.csv`. Columns are identified by the
+    /// names in `docs/output.md`. An incomplete last line, as a killed run leaves it, is ignored.
     ///
     /// # Errors
-    /// Where a column is missing or a line cannot be read. A last line that was cut off, as in a run that was killed, is left out.
+    /// If a column is missing or a line cannot be parsed.
     pub fn from_csv(text: &str) -> Result<Vec<Self>> {
         let mut lines = text.split_inclusive('\n').enumerate();
         let header = lines.next().map_or("", |(_, line)| line.trim_end());
@@ -154,7 +161,8 @@ impl TrackRecord {
                 _ => 3.0,
             };
             let begin = *first_time_s.get_or_insert(time_s);
-            // The table has no covariance between x and y: the ellipse of a finished run is along the axes.
+            // The table has no covariance of x and y, so the error ellipse of a finished run is
+            // axis-aligned.
             let values = [
                 time_s - begin,
                 x_m,
@@ -178,7 +186,8 @@ impl TrackRecord {
     }
 }
 
-/// The records of all frames: 60 bytes each. In pieces, so that they never move and take no more memory than they need.
+/// The records of all frames, 60 bytes each. They are stored in blocks, so that appending never
+/// copies old records and no more than one block is allocated in advance.
 #[derive(Default)]
 pub(crate) struct Records {
     pieces: Vec<Vec<f32>>,
@@ -186,15 +195,15 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// Records that lie together, and go into one message at most.
+    /// Records in a block, which is also the maximum in one message.
     pub const IN_A_PIECE: usize = 8192;
 
-    /// How many there are.
+    /// Number of records.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Adds that of the next frame.
+    /// Appends the record of the next frame.
     pub fn push(&mut self, record: &TrackRecord) {
         if self.count.is_multiple_of(Self::IN_A_PIECE) {
             self.pieces.push(Vec::with_capacity(Self::IN_A_PIECE * TrackRecord::LENGTH));
@@ -205,7 +214,7 @@ impl Records {
         }
     }
 
-    /// Those from a number on, as far as they lie together.
+    /// The records from index `first` to the end of its block.
     pub fn from(&self, first: usize) -> &[f32] {
         let (piece, before) = (first / Self::IN_A_PIECE, first % Self::IN_A_PIECE);
         self.pieces.get(piece).and_then(|piece| piece.get(before * TrackRecord::LENGTH..)).unwrap_or_default()
@@ -220,7 +229,7 @@ mod tests {
     use odograph::trajectory::{PlaneMeasurement, PoseEstimate, Velocity};
 
     #[test]
-    fn a_run_read_from_its_table_is_the_run_as_it_was_shown() {
+    fn records_read_from_the_table_equal_the_live_ones() {
         let frame = |number: u64, status: TrackStatus| {
             let pose = GroundPose {
                 x_m: 0.5 * number as f64,
@@ -254,7 +263,7 @@ mod tests {
             vec![frame(0, TrackStatus::Tracked), frame(1, lost(Jump)), frame(2, TrackStatus::Tracked)];
         let others = [Bare, Blur, Dark, NotPlanar, Shadow];
         frames.extend((3..).zip(others).map(|(number, reason)| frame(number, lost(reason))));
-        // Each reason is told from every other.
+        // Each reason for a loss has a different code.
         let mut states: Vec<_> =
             frames[2..].iter().map(|frame| TrackRecord::new(frame, 0.0, None).values[9] as u8).collect();
         states.sort_unstable();
@@ -265,11 +274,11 @@ mod tests {
         for (frame, read) in frames.iter().zip(&read) {
             let shown = TrackRecord::new(frame, 100.0, None);
             for (field, (a, b)) in TrackRecord::FIELDS.iter().zip(shown.values.iter().zip(read.values)) {
-                // The table has six decimals and more.
+                // The table has at least six decimals.
                 assert!((a - b).abs() < 2e-6 || (a.is_nan() && b.is_nan()), "{field}: {a} {b}");
             }
         }
-        // A run that was killed in the middle of a line.
+        // The table of a run that was killed in the middle of a line.
         assert_eq!(TrackRecord::from_csv(&text[..text.len() - 9]).unwrap().len(), 7);
         assert!(TrackRecord::from_csv("a,b\n1,2\n").unwrap_err().to_string().contains("no column time_s"));
         assert!(
@@ -277,7 +286,7 @@ mod tests {
         );
     }
 
-    /// Standard deviations of 2 mm, 1 mm and 0.01 rad, nothing in common.
+    /// Standard deviations of 2 mm, 1 mm and 0.01 rad, uncorrelated.
     fn covariance_of_plane() -> nalgebra::Matrix6<f64> {
         let mut covariance = nalgebra::Matrix6::zeros();
         for (index, sigma) in [(0, 2e-3), (1, 1e-3), (2, 1e-2)] {

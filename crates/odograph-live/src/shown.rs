@@ -1,90 +1,91 @@
-//! What there is to see, in values.
+//! The values that the page displays.
 
 use serde::Serialize;
 
-/// What does not change while a run is looked at.
+/// The constant description of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Introduction {
-    /// The name of the run, e.g. that of its source.
+    /// Name of the run, e.g. that of its source.
     pub title: String,
-    /// The source in words.
+    /// Description of the source.
     pub source: String,
-    /// Size of the camera's picture, pixels.
+    /// Image width, pixels.
     pub width: usize,
-    /// Size of the camera's picture, pixels.
+    /// Image height, pixels.
     pub height: usize,
     /// Height of the camera above the ground, metres.
     pub height_m: f64,
-    /// Whether frames are still coming; otherwise a finished run is shown.
+    /// `true` for a live run, `false` for a finished one.
     pub live: bool,
-    /// Whether it is a calibration: boards in the picture instead of a path.
+    /// Whether this is a calibration, which displays detected boards instead of a trajectory.
     pub calibration: bool,
 }
 
-/// Where a run stands.
+/// Phase of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Phase {
-    /// Frames come and are tracked.
+    /// Frames arrive and are tracked.
     #[default]
     Running,
-    /// The source does not give frames at the moment.
+    /// The source delivers no frames at the moment.
     Waiting,
-    /// No frame comes any more; the results are being written.
+    /// The source has ended; the results are being written.
     Saving,
-    /// All is in the folder.
+    /// All results have been written.
     Saved,
-    /// The run has ended, and not all could be written.
+    /// The run has ended, and some results could not be written.
     Failed,
 }
 
-/// How the run goes.
+/// Status of a run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Status {
-    /// Where it stands.
+    /// Phase of the run.
     pub phase: Phase,
-    /// What a person should know now, e.g. that the camera is gone, or that the disk is full.
+    /// A message for the user, e.g. that the camera is disconnected or the disk is full.
     pub message: Option<String>,
-    /// Frames that came from the source.
+    /// Number of frames received from the source.
     pub captured: u64,
-    /// Frames that gave way to newer ones.
+    /// Number of frames dropped in favour of newer ones.
     pub dropped: u64,
-    /// Frames a second that are tracked, over the last seconds.
+    /// Tracked frames per second, averaged over the last seconds.
     pub fps: f64,
-    /// Milliseconds from capture to pose, median of the last seconds.
+    /// Median latency from capture to pose over the last seconds, milliseconds.
     pub latency_median_ms: f64,
-    /// Milliseconds from capture to pose that 99 of 100 frames of the last seconds stay below.
+    /// 99th percentile of the latency from capture to pose over the last seconds, milliseconds.
     pub latency_p99_ms: f64,
-    /// Keyframes made.
+    /// Number of keyframes created.
     pub keyframes: u64,
-    /// Length of the path, metres.
+    /// Length of the trajectory, metres.
     pub distance_m: f64,
-    /// Whether what is seen is being recorded.
+    /// Whether the video is being recorded.
     pub recording: bool,
 }
 
-/// A picture of the camera with its tracks.
+/// A camera image with its tracks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {
-    /// Which record it belongs to.
+    /// Index of the frame's record.
     pub record: usize,
-    /// The picture.
+    /// The image, JPEG-encoded.
     pub jpeg: Vec<u8>,
-    /// Where the tracks are and where their corners were in the keyframe, quarters of a pixel of the camera, and whether they agree.
+    /// One entry a track: x and y in this image, x and y of its corner in the keyframe, both in
+    /// quarters of a pixel of the full-size image, and 1 for an inlier or 0 for an outlier.
     pub tracks: Vec<[i16; 5]>,
 }
 
-/// A place that a person marked.
+/// A position marked by the user.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Mark {
-    /// Which record it belongs to.
+    /// Index of the record that was newest when the mark was set.
     pub record: usize,
-    /// Seconds since the first frame.
+    /// Time since the first frame, seconds.
     pub time_s: f32,
-    /// Where, metres; `null` where the pose was not known.
+    /// World x, metres; `None` (JSON `null`) where the pose was unknown.
     pub x_m: Option<f32>,
-    /// Where, metres; `null` where the pose was not known.
+    /// World y, metres; `None` (JSON `null`) where the pose was unknown.
     pub y_m: Option<f32>,
-    /// How it was called.
+    /// Name given by the user, or the mark's number.
     pub name: String,
 }

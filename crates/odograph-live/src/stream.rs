@@ -1,11 +1,11 @@
-//! Poses for other programs.
+//! Pose output for other programs.
 
 use odograph::trajectory::FrameEstimate;
 use serde_json::json;
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 
-/// A frame as one line of JSON: see `docs/live.md`.
+/// Formats a frame as one line of JSON; `docs/live.md` lists its fields.
 pub fn json_line(frame: &FrameEstimate, latency_ms: Option<f64>) -> String {
     let pose = frame.estimate.as_ref().map(|known| {
         let (pose, velocity) = (&known.pose, &known.velocity);
@@ -38,7 +38,7 @@ pub fn json_line(frame: &FrameEstimate, latency_ms: Option<f64>) -> String {
     .to_string()
 }
 
-/// Sends each frame as a datagram of one JSON line, to whoever listens or not.
+/// A UDP sender: one datagram a frame, each one JSON line. Delivery is not guaranteed.
 #[derive(Debug)]
 pub struct Datagrams {
     socket: UdpSocket,
@@ -46,10 +46,10 @@ pub struct Datagrams {
 }
 
 impl Datagrams {
-    /// Sends to `host:port`.
+    /// Creates a sender to `host:port`.
     ///
     /// # Errors
-    /// Where there is no such address, or no socket can be had.
+    /// If the address cannot be resolved or no socket can be opened.
     pub fn to(address: &str) -> io::Result<Self> {
         let to = address
             .to_socket_addrs()?
@@ -61,7 +61,7 @@ impl Datagrams {
         Ok(Self { socket, to })
     }
 
-    /// Sends a line. What cannot be sent now is not sent later: a newer one follows.
+    /// Sends a line. Lines that cannot be sent immediately are dropped.
     pub fn send(&self, line: &str) {
         let _ = self.socket.send_to(line.as_bytes(), self.to);
     }

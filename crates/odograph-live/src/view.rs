@@ -1,17 +1,19 @@
-//! The camera's picture as a page shows it.
+//! The camera image in the form in which the page displays it.
 
 use crate::hub::View;
 use jpeg_encoder::{ColorType, Encoder};
 use odograph::image::GrayImage;
 use odograph::odometry::TrackView;
 
-/// A picture wider than this is shown at half its size: no page shows more, and it would cost the tracking's time.
+/// Images wider than this are displayed at half size: no page shows more detail, and encoding would
+/// take time from the tracking.
 const WIDEST_PX: usize = 960;
-/// Good to look at.
+/// JPEG quality (1 to 100).
 const QUALITY: u8 = 72;
 
 impl View {
-    /// The picture of a record with its tracks; `None` where it cannot be encoded (larger than JPEG can be).
+    /// Encodes the image of a record with its tracks. `None` if the image exceeds the size limits
+    /// of JPEG.
     pub fn new(record: usize, gray: &GrayImage, tracks: &[TrackView]) -> Option<Self> {
         let (jpeg, _) = encode(gray)?;
         let quarter = |pixels: f64| (4.0 * pixels).clamp(-32_768.0, 32_767.0) as i16;
@@ -19,13 +21,14 @@ impl View {
             let (at, corner) = (track.pixel, track.corner);
             [quarter(at.x), quarter(at.y), quarter(corner.x), quarter(corner.y), i16::from(track.inlier)]
         };
-        // The count goes over the wire in two bytes.
+        // The message format stores the number of tracks in two bytes.
         let tracks = tracks.iter().take(usize::from(u16::MAX)).map(track).collect();
         Some(Self { record, jpeg, tracks })
     }
 }
 
-/// The picture as JPEG, and its size as a share of the camera's; `None` where it is larger than JPEG can be.
+/// Encodes an image as JPEG, and returns its scale relative to the input: 1 or 0.5. `None` if the
+/// image exceeds the size limits of JPEG.
 pub(crate) fn encode(gray: &GrayImage) -> Option<(Vec<u8>, f64)> {
     let halved;
     let (shown, scale) = if gray.width() > WIDEST_PX {
@@ -41,7 +44,7 @@ pub(crate) fn encode(gray: &GrayImage) -> Option<(Vec<u8>, f64)> {
     Some((jpeg, scale))
 }
 
-/// At half the size: the mean of four pixels each.
+/// Downsamples by two with a 2×2 box filter.
 fn half(gray: &GrayImage) -> Option<GrayImage> {
     let (width, height) = (gray.width() / 2, gray.height() / 2);
     let mut samples = Vec::with_capacity(width * height);

@@ -1,7 +1,7 @@
-//! The server against clients that are slow, many, malicious or not let in: the one who tracks does not notice, and nothing but the run's own
-//! files is given out.
+//! Tests of the server with slow, many, malicious and unauthorised clients: the tracking is never
+//! blocked, and no files other than those of the run are served.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use odograph::mapping::Mosaic;
 use odograph_live::server::MOST_CONNECTIONS;
@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// More than any answer of these tests takes.
+/// Upper bound for the time of any response in these tests.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 struct Place {
@@ -21,7 +21,7 @@ struct Place {
     _folder: tempfile::TempDir,
 }
 
-/// A server over a folder with one file that may be had, and a secret beside it and above it.
+/// A server of a folder with one public file, and secret files beside it and above it.
 fn place(token: Option<&str>) -> Place {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
@@ -54,7 +54,8 @@ fn connect(address: SocketAddr) -> TcpStream {
     stream
 }
 
-/// Sends bytes as they are and gives the whole answer. Where the server hangs up while they are being sent that is its answer too.
+/// Sends raw bytes and returns the whole response, which may be empty if the server closes the
+/// connection.
 fn raw(address: SocketAddr, request: &[u8]) -> String {
     let mut stream = connect(address);
     let _ = stream.write_all(request);
@@ -75,7 +76,7 @@ fn status(answer: &str) -> &str {
 }
 
 #[test]
-fn only_the_files_of_the_run_are_given_out() {
+fn only_the_listed_files_of_the_run_are_served() {
     let place = place(None);
     let address = place.server.address();
     let answer = get(address, "/files/stats.json", "");
@@ -101,7 +102,7 @@ fn only_the_files_of_the_run_are_given_out() {
         assert_eq!(status(&answer), "404", "{path}: {answer}");
         assert!(!answer.contains("secret"), "{path}");
     }
-    // Nothing can be written but a mark and the wish to end.
+    // The only writing requests are to set a mark and to stop.
     for request in ["PUT /files/stats.json HTTP/1.1", "DELETE /files/stats.json HTTP/1.1"] {
         assert_eq!(status(&raw(address, format!("{request}\r\nHost: localhost\r\n\r\n").as_bytes())), "405");
     }
@@ -110,7 +111,7 @@ fn only_the_files_of_the_run_are_given_out() {
 }
 
 #[test]
-fn requests_that_are_none_are_refused_and_the_next_one_is_answered() {
+fn invalid_requests_are_refused_and_the_next_is_served() {
     let place = place(None);
     let address = place.server.address();
     let endless_head = [b"GET / HTTP/1.1\r\n".to_vec(), b"X: y\r\n".repeat(100_000)].concat();
@@ -121,7 +122,8 @@ fn requests_that_are_none_are_refused_and_the_next_one_is_answered() {
     for (request, wanted) in
         [(endless_head, "431"), (endless_line, "431"), (noise, "400"), (large, "413"), (socket, "426")]
     {
-        // A server that has refused may close before all of this has been sent; then there may be no answer to read.
+        // A server that refuses a request may close the connection before all of it has been sent;
+        // then there may be no response.
         let answer = raw(address, &request);
         assert!(answer.is_empty() || status(&answer) == wanted, "{wanted}: {answer}");
     }
@@ -129,7 +131,7 @@ fn requests_that_are_none_are_refused_and_the_next_one_is_answered() {
 }
 
 #[test]
-fn a_page_from_elsewhere_cannot_ask_through_a_browser() {
+fn foreign_pages_cannot_send_requests_through_a_browser() {
     let place = place(None);
     let address = place.server.address();
     let foreign_name =
@@ -150,7 +152,7 @@ fn a_page_from_elsewhere_cannot_ask_through_a_browser() {
 }
 
 #[test]
-fn without_the_token_nothing_is_told() {
+fn without_the_token_every_request_is_refused() {
     let place = place(Some("correct-token-123"));
     let address = place.server.address();
     assert!(place.server.url().ends_with("/?token=correct-token-123"));
@@ -176,7 +178,7 @@ fn without_the_token_nothing_is_told() {
     assert!(open.unwrap_err().to_string().contains("needs a token"));
 }
 
-/// A socket as a browser opens it.
+/// Opens a WebSocket as a browser does.
 fn socket(address: SocketAddr) -> TcpStream {
     let mut stream = connect(address);
     let request = "GET /socket HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
@@ -204,10 +206,10 @@ fn show_frames(hub: &Hub, frames: usize) {
 }
 
 #[test]
-fn a_hundred_clients_of_which_most_never_read_do_not_hold_anybody_up() {
+fn a_hundred_unresponsive_clients_block_nobody() {
     let place = place(None);
     let address = place.server.address();
-    // Some say nothing, some say half of a request, some open a socket and never read from it.
+    // Idle clients, clients with half a request, and clients that open a WebSocket and never read.
     let mut silent: Vec<TcpStream> = (0..40).map(|_| connect(address)).collect();
     for stream in &mut silent[..20] {
         stream.write_all(b"GET / HTTP/1.1\r\nHost: loc").unwrap();
@@ -219,15 +221,17 @@ fn a_hundred_clients_of_which_most_never_read_do_not_hold_anybody_up() {
         std::thread::yield_now();
     }
     assert_eq!(place.hub.viewers(), 61);
-    // Far more than the buffers of the system take for those who do not read: 200 pictures of 64 KiB.
+    // 200 images of 64 KiB: far more than the system's socket buffers hold for a client that does
+    // not read.
     let begun = Instant::now();
     for _ in 0..20 {
         show_frames(&place.hub, 10);
         place.hub.set_status(Status { captured: place.hub.marks_from(0).len() as u64, ..Status::default() });
     }
-    // To put something into the hub takes microseconds; were it to wait for a client, it would be that client's five seconds.
+    // Writing to the hub takes microseconds. If it waited for a client it would take that client's
+    // time limit of five seconds.
     assert!(begun.elapsed() < Duration::from_secs(3), "{:?}", begun.elapsed());
-    // Who reads hears of all 200 frames.
+    // A client that reads receives all 200 records.
     let mut heard = Vec::new();
     let wanted = 200 * 4 * TrackRecord::LENGTH;
     let mut piece = vec![0; 1 << 16];
@@ -236,10 +240,10 @@ fn a_hundred_clients_of_which_most_never_read_do_not_hold_anybody_up() {
         assert!(read > 0);
         heard.extend_from_slice(&piece[..read]);
     }
-    // And a new one is let in and answered.
+    // And a new client is served.
     assert_eq!(status(&get(address, "/state", "")), "200");
     assert!(place.server.connections() <= MOST_CONNECTIONS);
-    // All of them go at once; so do their threads.
+    // All clients disconnect at once; their threads end.
     drop((silent, deaf, listener));
     let until = Instant::now() + PATIENCE;
     while place.server.connections() > 0 && Instant::now() < until {
@@ -249,7 +253,7 @@ fn a_hundred_clients_of_which_most_never_read_do_not_hold_anybody_up() {
 }
 
 #[test]
-fn more_clients_than_there_is_room_for_are_told_so() {
+fn connections_beyond_the_limit_get_status_503() {
     let place = place(None);
     let address = place.server.address();
     let held: Vec<TcpStream> = (0..MOST_CONNECTIONS).map(|_| connect(address)).collect();
@@ -267,7 +271,7 @@ fn more_clients_than_there_is_room_for_are_told_so() {
 }
 
 #[test]
-fn the_page_needs_nothing_from_elsewhere() {
+fn the_page_loads_nothing_from_other_hosts() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/page");
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();

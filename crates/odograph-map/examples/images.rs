@@ -1,9 +1,11 @@
-//! What keeping keyframe images as JPEG does, against PNG: bytes, milliseconds, and how far corners lie from where they were.
+//! Effect of storing keyframe images as JPEG instead of PNG: size, time, and displacement of
+//! corners.
 //!
-//! A view is rendered over each texture, with a camera's noise. Its corners are searched in the image as it comes back from the map file: how far they have moved
-//! is what the file does to a measurement. Beside it stands what a second frame's noise does to the same corners.
+//! A view is rendered over each texture, with camera noise. Its corners are tracked in the image
+//! read back from the map file: their displacement is the measurement error due to compression. For
+//! comparison, the same corners are tracked in a second frame with different noise.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // an example says what it found
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // an example prints its results
 
 use nalgebra::Matrix6;
 use odograph::camera::{Camera, Rig};
@@ -64,7 +66,8 @@ fn keyframe(id: KeyframeId) -> MapKeyframe {
     }
 }
 
-/// Noise of two gray levels: the sum of twelve even ones is nearly normal.
+/// Adds Gaussian noise of two gray levels, approximated by the sum of twelve uniform random
+/// numbers.
 fn noisy(clean: &GrayImage, seed: u64) -> GrayImage {
     let mut state = seed;
     let mut even = || {

@@ -1,13 +1,14 @@
-//! How good a mosaic is, and what it costs: `mosaic seams` and `mosaic growth`.
+//! Quality and cost of a mosaic: `mosaic seams` and `mosaic growth`.
 //!
-//! `seams`: three lanes over each texture, rendered with a lens that darkens towards the corners, an exposure that changes from frame to frame, and poses that are
-//! off by as much as a good map's (0.4 mm, 0.03°). The mosaic is compared with the true texture in small windows all over it: how far each window lies from where
-//! it should (registered by Gauss–Newton with gain and offset), how much its brightness differs from its neighbour's, and how much of the texture's contrast
-//! is left, both for the mosaic laid frame by frame and for the one laid from the map.
+//! `seams`: three lanes over each texture, rendered with vignetting, an exposure that changes from
+//! frame to frame, and pose errors as in a good map (0.4 mm, 0.03°). The mosaic is compared with
+//! the true texture in small windows: displacement of each window (registered by Gauss–Newton with
+//! gain and offset), brightness step to its neighbour, and fraction of the texture's contrast that
+//! remains. Compared are the mosaic accumulated frame by frame and the one rendered from the map.
 //!
-//! `growth`: the same lane, ten times as long: the most memory that the program ever had, for both, in the file.
+//! `growth`: lanes of a given number of keyframes: time, peak memory of the process and file size.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // an example says what it found
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // an example prints its results
 
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use odograph::camera::{Camera, Distortion, Rig};
@@ -39,7 +40,7 @@ fn random(state: &mut u64) -> f64 {
     (*state >> 40) as f64 / (1 << 24) as f64
 }
 
-/// Three lanes of eight views, half of each overlapping the next, a third the next lane's.
+/// Three lanes of eight views. Consecutive views overlap by half, adjacent lanes by a third.
 fn lanes() -> Vec<GroundPose> {
     let pose = |k: usize| {
         let (lane, step) = (k / 8, if (k / 8).is_multiple_of(2) { k % 8 } else { 7 - k % 8 });
@@ -56,7 +57,7 @@ fn lanes() -> Vec<GroundPose> {
     (0..24).map(pose).collect()
 }
 
-/// What the camera delivers: darker towards the corners, and of this exposure.
+/// Applies vignetting and the given exposure to a rendered image.
 fn exposed(clean: &GrayImage, exposure: f64) -> GrayImage {
     let (width, height) = (clean.width(), clean.height());
     let half = 0.25 * (width * width + height * height) as f64;
@@ -148,7 +149,8 @@ fn quantile(values: &[f64], share: f64) -> f64 {
 /// Half the side of a window, pixels.
 const HALF: i64 = 12;
 
-/// Shift (pixels), step of brightness to the window on the right (percent) and contrast left, of windows all over a picture.
+/// Displacement (pixels), brightness step to the window on the right (per cent) and remaining
+/// contrast of windows all over a picture.
 fn judged(picture: &MosaicPicture, texture: &Texture) -> [Vec<f64>; 3] {
     let (mut shifts, mut steps, mut contrasts) = (vec![], vec![], vec![]);
     let side = 2 * HALF as usize + 1;
@@ -170,7 +172,8 @@ fn judged(picture: &MosaicPicture, texture: &Texture) -> [Vec<f64>; 3] {
     [shifts, steps, contrasts]
 }
 
-/// (x, y) by which a window is off, its brightness over the true one, and the part of its contrast that is left.
+/// Displacement (x, y) of a window, its brightness relative to the true one, and the fraction of
+/// its contrast that remains.
 fn registered(picture: &MosaicPicture, texture: &Texture, column: i64, row: i64) -> Option<[f64; 4]> {
     let pixel = |x: i64, y: i64| picture.rgba[4 * (y as usize * picture.width + x as usize)..][..4].to_vec();
     let window = || (-HALF..=HALF).flat_map(|y| (-HALF..=HALF).map(move |x| (x, y)));
@@ -208,7 +211,7 @@ fn registered(picture: &MosaicPicture, texture: &Texture, column: i64, row: i64)
     (!far).then_some([shift[0], shift[1], seen / truth, gain / (seen / truth)])
 }
 
-/// A long lane; the images are a few, used again and again.
+/// Long lanes from a few images, used repeatedly.
 fn growth(keyframes: usize) {
     let camera = camera();
     let ground = Ground::new(Texture::named("asphalt").unwrap(), FOOTPRINT_M, false, 3).unwrap();
@@ -223,7 +226,7 @@ fn growth(keyframes: usize) {
     let mut map = MapFile::create(&path, &camera, &Rig::level(0.5)).unwrap();
     let started = Instant::now();
     for number in 0..keyframes {
-        // Lanes of a hundred.
+        // Lanes of a hundred keyframes.
         let (lane, step) = (number / 100, number % 100);
         let pose = GroundPose { x_m: 0.22 * step as f64, y_m: 0.4 * lane as f64, ..GroundPose::level(0.5) };
         let image = KeyframeImage { gray: images[number % 8].clone(), color: None };

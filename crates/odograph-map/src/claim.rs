@@ -1,4 +1,4 @@
-//! One writer per map: the claim that a program holds for as long as it writes a map.
+//! Exclusive write access to a map: a lock file that is held as long as a program writes the map.
 
 use crate::complaint::Complaint;
 use odograph::error::{Error, Result};
@@ -8,14 +8,14 @@ use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Files that SQLite may leave beside a database.
+/// Suffixes of the files that SQLite may leave beside a database.
 const BESIDE: [&str; 3] = ["-wal", "-shm", "-journal"];
 
-/// The right to write one map, which nobody else has while any clone of this lives.
+/// Exclusive write access to a map, as long as any clone exists.
 ///
-/// It is a lock of the operating system on a file `.lock` beside the map, so that it ends with the
-/// program, however that ends. The database itself cannot carry it: closing a second descriptor of
-/// it would drop SQLite's own locks.
+/// It is an operating system lock on a file `.lock` beside the map, so it ends with the process,
+/// however that ends. The lock cannot be on the database itself: closing a second file descriptor
+/// of the database would release SQLite's own locks.
 #[derive(Debug, Clone)]
 pub struct MapClaim(Arc<Held>);
 
@@ -23,13 +23,13 @@ pub struct MapClaim(Arc<Held>);
 struct Held {
     map: PathBuf,
     lock: PathBuf,
-    /// Open for as long as the lock is held.
+    /// Kept open to hold the lock.
     _file: File,
 }
 
 impl MapClaim {
-    /// Claims a map that is there, or a name under which one is to be made. Fails at once where
-    /// another program, or another part of this one, writes it.
+    /// Acquires write access to an existing map or to the path of a new one. Does not block: fails
+    /// if another process, or another part of this one, has it.
     pub fn on(map: &Path) -> Result<Self> {
         let lock = with_ending(&resolved(map), ".lock");
         let cannot =
@@ -45,31 +45,32 @@ impl MapClaim {
             match file.try_lock() {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => return Err(taken(map, &mut file)),
-                // A file system without locks has no better protection to offer.
+                // A file system without locks offers no better protection.
                 Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
                 Err(TryLockError::Error(error)) => return Err(cannot(error)),
             }
-            // The holder before may have removed the file after it was opened here: that lock is on
-            // nothing.
+            // The previous holder may have removed the file after it was opened here; then the lock
+            // is on a deleted file.
             if is_at(&file, &lock) {
-                // Who holds it is a courtesy; a disk that is full does not stop the claim.
+                // The process id is only for information; failing to write it (disk full) is
+                // ignored.
                 let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
                 return Ok(Self(Arc::new(Held { map: map.to_owned(), lock, _file: file })));
             }
         }
     }
 
-    /// The map that is claimed.
+    /// Path of the map.
     pub fn path(&self) -> &Path {
         &self.0.map
     }
 
-    /// Whether the claim is on this map, by whatever name.
+    /// Whether the lock is on this map, under any of its names.
     pub fn is_on(&self, map: &Path) -> bool {
         with_ending(&resolved(map), ".lock") == self.0.lock
     }
 
-    /// Removes the map with what SQLite left beside it. No map is no failure.
+    /// Removes the map with SQLite's files beside it. Succeeds if there is no map.
     pub fn remove_map(&self) -> Result<()> {
         remove(&self.0.map)
     }
@@ -77,8 +78,8 @@ impl MapClaim {
 
 impl Drop for Held {
     fn drop(&mut self) {
-        // Removed while it is still locked, so that no other claim can be on it. Where a file
-        // cannot be told from its successor under the same name, it stays.
+        // Removed while still locked, so that no other process can hold it. Kept on systems where a
+        // file cannot be distinguished from its successor of the same name.
         if cfg!(unix) {
             let _ = std::fs::remove_file(&self.lock);
         }
@@ -97,7 +98,7 @@ pub(crate) fn remove(map: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether there is anything of a map to remove.
+/// Whether there is any file of a map to remove.
 pub(crate) fn leaves_anything(map: &Path) -> bool {
     let is_there = |path: &Path| path.symlink_metadata().is_ok();
     is_there(map) || BESIDE.iter().any(|ending| is_there(&with_ending(map, ending)))
@@ -114,8 +115,7 @@ fn taken(map: &Path, lock: &mut File) -> Error {
         .input(format!("the map is being written by {holder}; wait until that has ended, or use another map"))
 }
 
-/// One name for a map that has several: links are followed, of a map that is not there as far as
-/// its folder.
+/// Canonical path of a map: resolves links; if the map does not exist, those of its folder.
 fn resolved(map: &Path) -> PathBuf {
     map.canonicalize().unwrap_or_else(|_| {
         let folder = map.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

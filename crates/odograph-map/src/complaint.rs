@@ -1,10 +1,10 @@
-//! What SQLite has to say, as one sentence for a person.
+//! SQLite errors as one-sentence messages for users.
 
 use odograph::error::{Error, Result};
 use rusqlite::ErrorCode;
 use std::path::Path;
 
-/// Turns SQLite's failures into sentences about one file.
+/// Converts SQLite errors to messages about one file.
 #[derive(Debug, Clone)]
 pub(crate) struct Complaint {
     path: String,
@@ -15,7 +15,7 @@ impl Complaint {
         Self { path: path.display().to_string() }
     }
 
-    /// The sentence for a failure while reading.
+    /// Error for a failed read.
     pub fn reading(&self, failure: &rusqlite::Error) -> Error {
         let path = &self.path;
         let why = match failure.sqlite_error_code() {
@@ -39,7 +39,7 @@ impl Complaint {
         Error::input(format!("{path} cannot be read as a map: {why}"))
     }
 
-    /// The sentence for a failure while writing.
+    /// Error for a failed write.
     pub fn writing(&self, failure: &rusqlite::Error) -> Error {
         let path = &self.path;
         match failure.sqlite_error_code() {
@@ -52,22 +52,22 @@ impl Complaint {
         }
     }
 
-    /// An error of bad input that names the file.
+    /// Input error with the file's name.
     pub fn input(&self, what: impl std::fmt::Display) -> Error {
         Error::input(format!("{}: {what}", self.path))
     }
 
-    /// The failure of a wrong call, which names the file.
+    /// Usage error with the file's name.
     pub fn usage(&self, what: impl std::fmt::Display) -> Error {
         Error::usage(format!("{}: {what}", self.path))
     }
 }
 
-/// A result of SQLite as a result with a sentence.
+/// Converts an SQLite result to one with a message.
 pub(crate) trait Told<T> {
-    /// Where the failure was one of reading.
+    /// For a read operation.
     fn while_reading(self, complaint: &Complaint) -> Result<T>;
-    /// Where the failure was one of writing.
+    /// For a write operation.
     fn while_writing(self, complaint: &Complaint) -> Result<T>;
 }
 

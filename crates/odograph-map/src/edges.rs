@@ -1,4 +1,4 @@
-//! Edges in the file.
+//! Pose graph edges in the map file.
 
 use crate::complaint::Told;
 use crate::file::MapFile;
@@ -9,13 +9,14 @@ use odograph::mapping::{EdgeKind, KeyframeId, MapEdge};
 use rusqlite::{Connection, params};
 
 impl MapFile {
-    /// Adds edges between keyframes that are in the map. All of them are in the file when this returns, or none.
+    /// Adds edges between keyframes of the map in one transaction: all of them are stored when this
+    /// returns, or none.
     pub fn add_edges(&mut self, edges: &[MapEdge]) -> Result<()> {
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         insert(&transaction, edges).and_then(|()| transaction.commit()).while_writing(&self.complaint)
     }
 
-    /// The edges, in the order in which they were added.
+    /// The edges in the order in which they were added.
     pub(crate) fn edges(&self) -> Result<Vec<MapEdge>> {
         let mut statement = self
             .connection
@@ -66,7 +67,7 @@ impl MapFile {
     }
 }
 
-/// Writes edges, in order.
+/// Inserts edges in order.
 pub(crate) fn insert(connection: &Connection, edges: &[MapEdge]) -> rusqlite::Result<()> {
     let mut statement = connection
         .prepare_cached("INSERT INTO odograph_edge VALUES (NULL, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)")?;

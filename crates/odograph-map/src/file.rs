@@ -1,4 +1,4 @@
-//! The file: made, opened, checked, closed.
+//! The map file: create, open, check, close.
 
 use crate::claim::{self, MapClaim};
 use crate::complaint::{Complaint, Told};
@@ -12,29 +12,29 @@ use rusqlite::limits::Limit;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};
 use std::path::{Path, PathBuf};
 
-/// Nothing that is read back is larger than this, bytes.
+/// Largest value that is read from a map, bytes.
 const LARGEST_VALUE: i32 = 256 << 20;
-/// A map's camera has at most so many pixels: an image is decoded to as many bytes.
+/// Largest number of pixels of a map's camera: a decoded image has as many bytes.
 const MOST_PIXELS: usize = 256 << 20;
-/// No camera over ground is higher, metres.
+/// Largest accepted height, metres.
 const GREATEST_HEIGHT_M: f64 = 1e6;
-/// The log beside the file is written into it whenever it has grown to so many pages of 4 KiB.
+/// Number of 4 KiB pages in the write-ahead log at which it is checkpointed into the file.
 const PAGES_IN_LOG: i64 = 2000;
 
 /// One of the runs that made a map.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Session {
-    /// Its number, from 0.
+    /// Index of the session, from 0.
     pub id: u32,
-    /// What was run: a file, a folder, a stream.
+    /// Source of the run: a file, folder or stream.
     pub source: String,
 }
 
-/// A map on disk.
+/// A map file.
 ///
-/// While it is open for writing, a log (`-wal`), an index of it (`-shm`) and a lock (`.lock`) lie
-/// beside it; [`MapFile::close`] folds them in. What is in the log survives the program's death:
-/// the next one that opens the file finds it.
+/// While it is open for writing, a write-ahead log (`-wal`), its index (`-shm`) and a lock file
+/// (`.lock`) are beside it; [`MapFile::close`] merges the log and removes them. The log survives a
+/// crash of the program: the next program that opens the file recovers it.
 #[derive(Debug)]
 pub struct MapFile {
     pub(crate) connection: Connection,
@@ -42,22 +42,23 @@ pub struct MapFile {
     path: PathBuf,
     camera: Camera,
     rig: Rig,
-    /// Held while the map is open for writing. After the connection: that ends first.
+    /// Held while the map is open for writing. Declared after the connection, so that the
+    /// connection is dropped first.
     claim: Option<MapClaim>,
 }
 
 impl MapFile {
-    /// A new map of the ground as this camera, mounted like this, sees it.
+    /// Creates a map for the given camera and mounting.
     ///
-    /// Fails where there is a map already ([`MapFile::remove`] takes one away), where another
-    /// program makes one, and where none can be written.
+    /// Fails if there is a map already ([`MapFile::remove`] deletes one), if another program is
+    /// creating it, or if the file cannot be written.
     pub fn create(path: &Path, camera: &Camera, rig: &Rig) -> Result<Self> {
         check_free(path)?;
         Self::create_claimed(MapClaim::on(path)?, camera, rig)
     }
 
-    /// The same by who claimed its place before. What a program left that was killed while it began
-    /// a map is no map, and is replaced.
+    /// As [`MapFile::create`], with a lock acquired before. An unfinished map of a program that was
+    /// killed while creating it is replaced.
     pub fn create_claimed(claim: MapClaim, camera: &Camera, rig: &Rig) -> Result<Self> {
         let path = claim.path().to_owned();
         check_free(&path)?;
@@ -70,7 +71,8 @@ impl MapFile {
         let made = (|| {
             prepare(&connection)?;
             write_ahead(&connection)?;
-            // All tables or none: a program killed here leaves an empty database, not half a map.
+            // One transaction: a program killed here leaves an empty database, not an incomplete
+            // map.
             let transaction = connection.transaction()?;
             schema::make(&transaction)?;
             write_camera(&transaction, camera)?;
@@ -89,27 +91,28 @@ impl MapFile {
         Ok(Self { connection, complaint, path, camera, rig: *rig, claim: Some(claim) })
     }
 
-    /// Opens a map to continue it. Fails, with one sentence, on everything that is not a whole map
-    /// of this version, and where another program writes it.
+    /// Opens a map to continue it. Fails, with one sentence, if the file is not a complete map of
+    /// this version, or if another program is writing it.
     pub fn open(path: &Path) -> Result<Self> {
         schema::check_bytes(path)?;
         Self::open_claimed(MapClaim::on(path)?)
     }
 
-    /// The same by who claimed it before.
+    /// As [`MapFile::open`], with a lock acquired before.
     pub fn open_claimed(claim: MapClaim) -> Result<Self> {
         let path = claim.path().to_owned();
         Self::opened(&path, Some(claim))
     }
 
-    /// Opens a map to look at it; the file is not changed. Others may write it meanwhile.
+    /// Opens a map for reading only; the file is not changed. Another program may write it at the
+    /// same time.
     pub fn open_read_only(path: &Path) -> Result<Self> {
         Self::opened(path, None)
     }
 
-    /// Whether there is a map to continue, or anything else that is not to be written over. What a
-    /// program left that was killed while it began a map is neither: an empty file, or a database
-    /// without a table.
+    /// Whether there is a map to continue, or any other file that must not be overwritten. False
+    /// for what a program leaves that was killed while creating a map: an empty file, or a database
+    /// without tables.
     pub fn is_there(path: &Path) -> bool {
         path.exists() && !schema::is_unfinished(path)
     }
@@ -154,13 +157,14 @@ impl MapFile {
         Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim })
     }
 
-    /// Takes a map away, with the log that may lie beside it. Nothing to take away is no failure; a
-    /// map that another program writes is one.
+    /// Deletes a map with its write-ahead log. Succeeds if there is none; fails if another program
+    /// is writing it.
     pub fn remove(path: &Path) -> Result<()> {
         if claim::leaves_anything(path) { MapClaim::on(path)?.remove_map() } else { Ok(()) }
     }
 
-    /// Writes the whole map into a new file, as small as it can be. Fails where there is a file already, and where none can be written.
+    /// Writes the whole map, compacted, to a new file. Fails if the file exists or cannot be
+    /// written.
     pub fn copy_to(&self, path: &Path) -> Result<()> {
         let complaint = Complaint::about(path);
         let Some(name) = path.to_str() else {
@@ -178,25 +182,26 @@ impl MapFile {
         Ok(())
     }
 
-    /// Where it is.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The camera that every keyframe was taken with.
+    /// Camera of all keyframes.
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
 
-    /// How it sat when the first session began.
+    /// Mounting of the camera at the start of the first session.
     pub fn rig(&self) -> &Rig {
         &self.rig
     }
 
-    /// Everything but the images. Fails where anything in it is not what a map holds: a number that is not finite, an edge to a keyframe that
-    /// is not there.
+    /// Reads the map without its images. Fails if anything in it is invalid, such as a number that
+    /// is not finite or an edge to a missing keyframe.
     pub fn map(&self) -> Result<GroundMap> {
-        // Keyframes and edges of one moment: another program may be writing.
+        // One read transaction: keyframes and edges of the same state, even if another program is
+        // writing.
         let _moment = self.connection.unchecked_transaction().while_reading(&self.complaint)?;
         Ok(GroundMap {
             camera: self.camera.clone(),
@@ -206,7 +211,7 @@ impl MapFile {
         })
     }
 
-    /// Begins a session over this source and gives its number.
+    /// Starts a session with this source; returns its index.
     pub fn begin_session(&mut self, source: &str) -> Result<u32> {
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         let id: u32 = transaction
@@ -219,7 +224,7 @@ impl MapFile {
         Ok(id)
     }
 
-    /// The sessions, in their order.
+    /// The sessions in order.
     pub fn sessions(&self) -> Result<Vec<Session>> {
         let mut statement = self
             .connection
@@ -230,7 +235,8 @@ impl MapFile {
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
 
-    /// Looks through the whole file for damage (`PRAGMA integrity_check`); slow on a large map. Then reads all that a map holds, and every image.
+    /// Checks the whole file for damage (`PRAGMA integrity_check`; slow on a large map), then reads
+    /// the map and every image.
     pub fn check(&mut self) -> Result<()> {
         let found: String = self
             .connection
@@ -245,22 +251,24 @@ impl MapFile {
         Ok(())
     }
 
-    /// Takes out the keyframes that the map can best do without, until there are at most so many, and composes what tied it together through them.
+    /// Removes redundant keyframes until at most `most_keyframes` are left, and composes the edges
+    /// through removed keyframes.
     pub fn thin(&mut self, most_keyframes: usize) -> Result<Thinning> {
         let thinning = thinning(&self.map()?, most_keyframes);
         self.remove_keyframes(&thinning.gone, &thinning.edges)?;
         Ok(thinning)
     }
 
-    /// Gives back the room of what was taken out: the file is written anew, as small as it can be.
+    /// Rewrites the file without the free space of removed data.
     pub fn compact(&mut self) -> Result<()> {
         self.connection
             .execute_batch("VACUUM; PRAGMA wal_checkpoint(TRUNCATE);")
             .while_writing(&self.complaint)
     }
 
-    /// Folds the log into the file, so that the map is one file again. Dropping a map does the same where it can, without a word where it
-    /// cannot: then the log stays beside the file and nothing is lost.
+    /// Merges the write-ahead log into the file, so that the map is a single file again. Dropping a
+    /// map does the same but ignores errors; then the log stays beside the file and nothing is
+    /// lost.
     pub fn close(mut self) -> Result<()> {
         self.fold().while_writing(&self.complaint)
     }
@@ -270,10 +278,10 @@ impl MapFile {
             return Ok(());
         }
         self.connection.flush_prepared_statement_cache();
-        // Leaving the log for good folds it in and removes it.
+        // Leaving WAL mode checkpoints the log and removes it.
         match self.connection.query_row("PRAGMA journal_mode = DELETE", [], |_| Ok(())) {
-            // Somebody is looking at the map: the log stays beside it, and the next one that opens
-            // the map reads it.
+            // Another program is reading the map: the log stays beside it and is read by the next
+            // program that opens the map.
             Err(failure) if failure.sqlite_error_code() == Some(ErrorCode::DatabaseBusy) => Ok(()),
             folded => folded,
         }
@@ -294,7 +302,8 @@ fn check_free(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// What holds for every connection: nothing in the file acts by itself, nothing in it is larger than a map's largest.
+/// Settings of every connection against malicious files: the schema is not trusted, and the size of
+/// values is limited.
 fn prepare(connection: &Connection) -> rusqlite::Result<()> {
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
@@ -302,16 +311,17 @@ fn prepare(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update(None, "cell_size_check", true)
 }
 
-/// A log that is appended to before the file is changed. It survives the death of the program at any moment without a word to the disk; with
-/// `synchronous = NORMAL` the disk is waited for whenever the log is folded in, so that a power cut leaves a whole map too, though it may cost the
-/// keyframes since.
+/// Enables write-ahead logging. The log survives a crash of the program at any moment without
+/// syncing to disk. With `synchronous = NORMAL` the disk is synced at checkpoints, so that a power
+/// failure also leaves a consistent map, though it may lose the keyframes since the last
+/// checkpoint.
 fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
     connection.query_row("PRAGMA journal_mode = WAL", [], |_| Ok(()))?;
     connection.pragma_update(None, "synchronous", "NORMAL")?;
     connection.pragma_update(None, "wal_autocheckpoint", PAGES_IN_LOG)
 }
 
-/// The names of the lens models in the file.
+/// Names of the lens models in the file.
 fn name_of(distortion: &Distortion) -> &'static str {
     match distortion {
         Distortion::None => "none",

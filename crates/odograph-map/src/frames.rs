@@ -1,4 +1,5 @@
-//! Images of frames that are no keyframes, for as long as a run lasts: in a file without a name, which goes with the program however that ends.
+//! Images of frames that are not keyframes, stored for the duration of a run in an unnamed
+//! temporary file, which the operating system deletes when the program ends.
 
 use crate::image::{self, StoredImage};
 use odograph::error::{Error, Result};
@@ -8,18 +9,18 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Images by the numbers of their frames, encoded as a map encodes those of its keyframes, on disk.
+/// On-disk store of images by frame index, encoded like the keyframe images of a map.
 #[derive(Debug)]
 pub struct FrameImages {
     folder: PathBuf,
     size: (usize, usize),
-    /// Made with the first image.
+    /// Created with the first image.
     file: Option<File>,
     end: u64,
     kept: BTreeMap<u64, Kept>,
 }
 
-/// Where an image is in the file, and what is to be known besides.
+/// Position and parameters of an image in the file.
 #[derive(Debug)]
 struct Kept {
     start: u64,
@@ -30,12 +31,14 @@ struct Kept {
 }
 
 impl FrameImages {
-    /// A place for images of this width and height, on the disk that has `folder`. Nothing is written yet.
+    /// An empty store for images of this width and height, on the file system of `folder`. The file
+    /// is created with the first image.
     pub fn new(folder: &Path, size: (usize, usize)) -> Self {
         Self { folder: folder.to_owned(), size, file: None, end: 0, kept: BTreeMap::new() }
     }
 
-    /// Keeps the image of a frame. Fails where it cannot be written or is larger than a JPEG can be.
+    /// Stores the image of a frame. Fails if it cannot be written or exceeds the maximum size of a
+    /// JPEG.
     pub fn keep(&mut self, frame: u64, image: &KeyframeImage) -> Result<()> {
         let StoredImage { colored, luma_scale, luma_offset, jpeg } = image::encode(image)?;
         self.write(&jpeg).map_err(|error| self.failed("written", &error))?;
@@ -45,12 +48,12 @@ impl FrameImages {
         Ok(())
     }
 
-    /// The frames of which there are images, in order.
+    /// Indices of the frames with an image, in order.
     pub fn frames(&self) -> impl Iterator<Item = u64> {
         self.kept.keys().copied()
     }
 
-    /// The image of a frame. Fails where there is none, or where it cannot be read back.
+    /// Reads the image of a frame. Fails if there is none or it cannot be read.
     pub fn load(&mut self, frame: u64) -> Result<KeyframeImage> {
         let none = || Error::usage(format!("no image was kept of frame {frame}"));
         let (kept, file) = self.kept.get(&frame).zip(self.file.as_mut()).ok_or_else(none)?;
@@ -87,7 +90,7 @@ mod tests {
     use odograph::image::GrayImage;
 
     #[test]
-    fn images_come_back_by_the_numbers_of_their_frames() {
+    fn images_are_read_back_by_frame_index() {
         let folder = tempfile::tempdir().unwrap();
         let shade = |number: u8| {
             let gray = GrayImage::from_samples(40, 24, vec![20 * number; 960]).unwrap();
@@ -100,7 +103,7 @@ mod tests {
         }
         assert_eq!(images.frames().collect::<Vec<_>>(), [1, 3, 7]);
         for number in [7, 3, 1] {
-            // A plain shade survives a JPEG exactly.
+            // A uniform image is unchanged by JPEG compression.
             assert_eq!(images.load(number).unwrap(), shade(number as u8));
         }
         assert!(images.load(2).is_err());

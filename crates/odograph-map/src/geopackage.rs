@@ -1,4 +1,5 @@
-//! What makes the database a GeoPackage: its geometry blobs and the tables that list what is in it (OGC 12-128r17, version 1.3).
+//! GeoPackage part of the database: geometry blobs and metadata tables (OGC 12-128r17, version
+//! 1.3).
 
 use rusqlite::{Connection, Result, params};
 
@@ -6,18 +7,20 @@ use rusqlite::{Connection, Result, params};
 pub(crate) const APPLICATION_ID: i32 = 0x4750_4b47;
 /// Version 1.3.0 (requirement 2).
 pub(crate) const USER_VERSION: i32 = 10_300;
-/// Metres in a plane that is tied to no place on Earth: "undefined Cartesian" (requirement 11).
+/// Spatial reference system without a position on Earth, in metres: "undefined Cartesian"
+/// (requirement 11).
 pub(crate) const UNDEFINED_CARTESIAN: i32 = -1;
 
-/// When a layer was changed last. No clock is read: the same recording gives the same file.
+/// Constant timestamp of the last change of a layer: no clock is read, so the same recording
+/// produces the same file.
 pub(crate) const NO_TIME: &str = "1970-01-01T00:00:00.000Z";
 
-/// The least rectangle that holds some points: least x, least y, greatest x, greatest y, metres.
+/// Bounding box: minimum x, minimum y, maximum x, maximum y, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Extent(pub [f64; 4]);
 
 impl Extent {
-    /// The extent of points; `None` of none.
+    /// Bounding box of points; `None` without points.
     pub fn of(points: impl IntoIterator<Item = (f64, f64)>) -> Option<Self> {
         points.into_iter().map(|(x, y)| Self([x, y, x, y])).reduce(Self::with)
     }
@@ -28,7 +31,8 @@ impl Extent {
     }
 }
 
-/// A point as a GeoPackage geometry (clause 2.1.3): header without envelope, then well-known binary.
+/// A point as GeoPackage geometry (clause 2.1.3): header without envelope, then well-known binary
+/// (WKB).
 pub(crate) fn point_geometry(x_m: f64, y_m: f64) -> Vec<u8> {
     let mut bytes = header(0);
     bytes.extend_from_slice(&[1, 1, 0, 0, 0]);
@@ -36,7 +40,7 @@ pub(crate) fn point_geometry(x_m: f64, y_m: f64) -> Vec<u8> {
     bytes
 }
 
-/// A line as a GeoPackage geometry: header with the envelope (x, x, y, y), then well-known binary.
+/// A line as GeoPackage geometry: header with envelope (x, x, y, y), then well-known binary (WKB).
 pub(crate) fn line_geometry(points: &[(f64, f64)]) -> Vec<u8> {
     let mut bytes = header(1);
     let Extent([left, bottom, right, top]) = Extent::of(points.iter().copied()).unwrap_or(Extent([0.0; 4]));
@@ -50,14 +54,14 @@ pub(crate) fn line_geometry(points: &[(f64, f64)]) -> Vec<u8> {
     bytes
 }
 
-/// Magic, version 0, flags (little-endian, the kind of envelope), the reference system.
+/// Magic number, version 0, flags (little-endian, envelope type), reference system.
 fn header(envelope: u8) -> Vec<u8> {
     let mut bytes = vec![b'G', b'P', 0, 1 | (envelope << 1)];
     bytes.extend_from_slice(&UNDEFINED_CARTESIAN.to_le_bytes());
     bytes
 }
 
-/// The three reference systems that every GeoPackage lists (requirement 11).
+/// Writes the three reference systems required in every GeoPackage (requirement 11).
 pub(crate) fn write_reference_systems(connection: &Connection) -> Result<()> {
     let wgs84 = "GEOGCS[\"WGS 84\",DATUM[\"WGS_1984\",SPHEROID[\"WGS 84\",6378137,298.257223563,AUTHORITY[\"EPSG\",\"7030\"]],\
                  AUTHORITY[\"EPSG\",\"6326\"]],PRIMEM[\"Greenwich\",0,AUTHORITY[\"EPSG\",\"8901\"]],UNIT[\"degree\",\
@@ -76,7 +80,7 @@ pub(crate) fn write_reference_systems(connection: &Connection) -> Result<()> {
     Ok(())
 }
 
-/// Lists a layer (clause 1.1.3).
+/// Registers a layer (clause 1.1.3).
 pub(crate) fn list_layer(
     connection: &Connection,
     table: &str,
@@ -90,7 +94,7 @@ pub(crate) fn list_layer(
     Ok(())
 }
 
-/// Lists the column that has a layer's geometry (clause 2.1.5).
+/// Registers the geometry column of a layer (clause 2.1.5).
 pub(crate) fn list_geometry(connection: &Connection, table: &str, geometry: &str) -> Result<()> {
     connection.execute(
         "INSERT INTO gpkg_geometry_columns VALUES (?1, 'geom', ?2, ?3, 0, 0)",
@@ -99,7 +103,7 @@ pub(crate) fn list_geometry(connection: &Connection, table: &str, geometry: &str
     Ok(())
 }
 
-/// Makes a layer's extent hold this one too.
+/// Extends the bounding box of a layer.
 pub(crate) fn grow_extent(connection: &Connection, table: &str, extent: Extent) -> Result<()> {
     let Extent([left, bottom, right, top]) = extent;
     connection
@@ -111,7 +115,7 @@ pub(crate) fn grow_extent(connection: &Connection, table: &str, extent: Extent) 
     Ok(())
 }
 
-/// Sets a layer's extent; none where there is nothing in it.
+/// Sets the bounding box of a layer; `None` for an empty layer.
 pub(crate) fn set_extent(connection: &Connection, table: &str, extent: Option<Extent>) -> Result<()> {
     let [left, bottom, right, top] = extent.map_or([None; 4], |Extent(sides)| sides.map(Some));
     connection.execute(

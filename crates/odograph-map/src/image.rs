@@ -1,7 +1,8 @@
-//! Keyframe images as bytes: one JPEG each, gray and colour in one.
+//! Encoding of keyframe images: one JPEG each, with gray and colour.
 //!
-//! The first component of the JPEG is the gray image in which everything is measured; colour is in the other two, at half the resolution, as
-//! in the video it came from. So colour costs little, and any program shows the picture.
+//! The luminance component of the JPEG is the gray image that measurements use. The chroma
+//! components have half the resolution, as in the source video. Colour therefore costs little, and
+//! any program can display the image.
 
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use odograph::error::{Error, Result};
@@ -12,22 +13,24 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// Quality of the JPEG.
+/// JPEG quality.
 const QUALITY: u8 = 95;
 
-/// A keyframe's image as it is in the file.
+/// A keyframe image as stored in the file.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct StoredImage {
     /// Whether the JPEG has colour.
     pub colored: bool,
-    /// The luma of the colours is `luma_scale · gray + luma_offset`: video's gray need not span black to white.
+    /// Luma of the colour image = `luma_scale · gray + luma_offset`: the gray of limited-range
+    /// video does not span black to white.
     pub luma_scale: f64,
     pub luma_offset: f64,
-    /// The JPEG.
+    /// The JPEG file.
     pub jpeg: Vec<u8>,
 }
 
-/// An image as bytes. Fails where its colour has another size than its gray, or it is larger than a JPEG can be.
+/// Encodes an image. Fails if its colour and gray differ in size, or if it exceeds the maximum size
+/// of a JPEG.
 pub(crate) fn encode(image: &KeyframeImage) -> Result<StoredImage> {
     let (width, height) = (image.gray.width(), image.gray.height());
     let large = || Error::usage(format!("an image of {width}x{height} pixels is too large for a map"));
@@ -60,7 +63,7 @@ fn cannot(error: jpeg_encoder::EncodingError) -> Error {
     Error::output(format!("a keyframe's image cannot be encoded: {error}"))
 }
 
-/// The line through (gray, luma of the colour), by least squares over every seventh pixel.
+/// Least-squares line of the colour image's luma over gray, from every seventh pixel.
 fn luma_of_gray(gray: &GrayImage, color: &RgbImage) -> (f64, f64) {
     let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (&gray, rgb) in gray.samples().iter().zip(color.samples().chunks_exact(3)).step_by(7) {
@@ -76,7 +79,7 @@ fn luma_of_gray(gray: &GrayImage, color: &RgbImage) -> (f64, f64) {
     (scale, (y - scale * x) / n)
 }
 
-/// The image of these bytes, which must have this size; else what is wrong with them, as the end of a sentence.
+/// Decodes an image, which must have the given size; the error is the end of a sentence.
 pub(crate) fn decode(
     stored: &StoredImage,
     size: (usize, usize),
@@ -105,7 +108,7 @@ pub(crate) fn decode(
     }
     let gray = samples.as_chunks::<3>().0.iter().map(|pixel| pixel[0]).collect();
     let mut rgb = samples;
-    // Many pixels at once: what is computed of one does not wait for the one before.
+    // In blocks of independent pixels, which the compiler can vectorise.
     let (many, rest) = rgb.as_chunks_mut::<{ 3 * AT_ONCE }>();
     many.iter_mut().for_each(|pixels| color(pixels.as_chunks_mut::<3>().0, scale, offset));
     rest.as_chunks_mut::<3>()
@@ -116,10 +119,10 @@ pub(crate) fn decode(
     Ok(KeyframeImage { gray, color: RgbImage::from_samples(size.0, size.1, rgb) })
 }
 
-/// Pixels that are coloured at once.
+/// Block size, pixels.
 const AT_ONCE: usize = 16;
 
-/// Puts beside up to [`AT_ONCE`] pixels of gray the differences of their colours.
+/// Adds the chroma of up to [`AT_ONCE`] RGB pixels to their gray values (Y'CbCr).
 #[inline(always)]
 fn differences(gray: &[u8], rgb: &[[u8; 3]], samples: &mut [[u8; 3]]) {
     let mut differences = [[0.0_f32; AT_ONCE]; 2];
@@ -134,7 +137,7 @@ fn differences(gray: &[u8], rgb: &[[u8; 3]], samples: &mut [[u8; 3]]) {
     }
 }
 
-/// Makes colours of up to [`AT_ONCE`] pixels of gray and colour differences.
+/// Converts up to [`AT_ONCE`] Y'CbCr pixels to RGB.
 #[inline(always)]
 fn color(pixels: &mut [[u8; 3]], scale: f32, offset: f32) {
     let mut colors = [[0.0_f32; AT_ONCE]; 3];

@@ -1,4 +1,4 @@
-//! Keyframes in the file: their numbers, their poses, their signatures, their images.
+//! Keyframes in the map file: ids, poses, signatures, images.
 
 use crate::complaint::Told;
 use crate::edges;
@@ -25,7 +25,7 @@ const MOVE: &str = "UPDATE keyframes SET geom = ?2, x_m = ?3, y_m = ?4, heading_
                     covariance = ?15 WHERE id = ?1";
 
 impl MapFile {
-    /// The number that the next keyframe must have: higher than any that this map ever gave.
+    /// Id of the next keyframe: larger than any id used in this map before.
     pub fn next_keyframe(&self) -> Result<KeyframeId> {
         let highest: Option<u64> = self
             .connection
@@ -35,9 +35,11 @@ impl MapFile {
         Ok(KeyframeId(highest.map_or(0, |highest| highest + 1)))
     }
 
-    /// Adds a keyframe with its image and the edges that tie it to the map so far. All of it is in the file when this returns, or none.
+    /// Adds a keyframe with its image and the edges that connect it to the map, in one transaction:
+    /// all of it is stored when this returns, or nothing.
     ///
-    /// Fails where its number was given before, where the image has not the camera's size, or where a pose is not finite.
+    /// Fails if the id has been used before, the image does not have the camera's size, or a pose
+    /// is not finite.
     pub fn add_keyframe(
         &mut self,
         keyframe: &MapKeyframe,
@@ -58,9 +60,11 @@ impl MapFile {
         self.store(keyframe, &image::encode(image)?, edges)
     }
 
-    /// Adds a keyframe whose picture another map of the same camera has under `there`: as it is there, not encoded a second time.
+    /// Adds a keyframe with the image that another map of the same camera has under `there`, copied
+    /// without re-encoding.
     ///
-    /// Fails as [`MapFile::add_keyframe`], and where the other map has no such picture. What the bytes show is not looked at.
+    /// Fails as [`MapFile::add_keyframe`], and if the other map has no such image. The image is not
+    /// decoded or checked.
     pub fn add_keyframe_of(
         &mut self,
         keyframe: &MapKeyframe,
@@ -86,8 +90,8 @@ impl MapFile {
             .while_writing(&self.complaint)
     }
 
-    /// Puts keyframes where they are now known to be: (keyframe, pose, covariance) each. The frames of the stored paths move with the keyframes
-    /// before and after them.
+    /// Updates keyframes with new poses: (keyframe, pose, covariance) each. The frames of the
+    /// stored paths move along with the keyframes before and after them.
     pub fn set_poses(&mut self, poses: &[(KeyframeId, GroundPose, Matrix6<f64>)]) -> Result<()> {
         if let Some((id, ..)) = poses.iter().find(|(_, pose, _)| !is_pose(pose)) {
             return Err(self.complaint.usage(format!("keyframe {} has a pose that is not finite", id.0)));
@@ -102,7 +106,7 @@ impl MapFile {
             .while_writing(&self.complaint)
     }
 
-    /// The paths that keyframes take with them when they go to these poses, each with its session.
+    /// The paths of all sessions whose keyframes move to new poses, corrected accordingly.
     fn paths_with(
         &self,
         poses: &[(KeyframeId, GroundPose, Matrix6<f64>)],
@@ -119,7 +123,7 @@ impl MapFile {
         moves.into_iter().map(path).collect()
     }
 
-    /// Number and session of every keyframe, and where it is: moves that move nothing.
+    /// Id and session of every keyframe, with its current pose as an identity move.
     fn places(&self) -> Result<Vec<(KeyframeId, u32, KeyframeMove)>> {
         let mut statement = self
             .connection
@@ -139,8 +143,8 @@ impl MapFile {
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
 
-    /// Takes keyframes out of the map with their images and their edges, and puts `edges` in place of those: what tied the map together through the
-    /// keyframes that are gone, composed.
+    /// Removes keyframes with their images and edges, and adds `edges`, which replace the
+    /// connections through the removed keyframes.
     pub fn remove_keyframes(&mut self, gone: &[KeyframeId], edges: &[MapEdge]) -> Result<()> {
         let transaction = self.connection.transaction().while_writing(&self.complaint)?;
         (|| {
@@ -162,7 +166,7 @@ impl MapFile {
         .while_writing(&self.complaint)
     }
 
-    /// The keyframes, in the order of their numbers.
+    /// The keyframes in the order of their ids.
     pub(crate) fn keyframes(&self) -> Result<Vec<MapKeyframe>> {
         let mut statement = self.connection.prepare(SELECT).while_reading(&self.complaint)?;
         let mut rows = statement.query([]).while_reading(&self.complaint)?;
@@ -182,7 +186,7 @@ impl MapFile {
         Ok(keyframes)
     }
 
-    /// How many keyframes there are, and how many bytes their images have.
+    /// Number of keyframe images and their total size in bytes.
     pub fn image_bytes(&self) -> Result<(u64, u64)> {
         self.connection
             .query_row("SELECT count(*), ifnull(sum(length(jpeg)), 0) FROM odograph_image", [], |row| {
@@ -313,7 +317,7 @@ fn set_extent(connection: &Connection) -> rusqlite::Result<()> {
     geopackage::set_extent(connection, "keyframes", extent)
 }
 
-/// Six columns in a row.
+/// Reads a pose from six consecutive columns.
 pub(crate) fn pose_from(row: &Row<'_>, first: usize) -> rusqlite::Result<GroundPose> {
     Ok(GroundPose {
         x_m: row.get(first)?,
@@ -325,7 +329,7 @@ pub(crate) fn pose_from(row: &Row<'_>, first: usize) -> rusqlite::Result<GroundP
     })
 }
 
-/// A keyframe without covariance and signature, and the bytes of those.
+/// A keyframe without covariance and signature, and the bytes of these.
 fn read(row: &Row<'_>) -> rusqlite::Result<(MapKeyframe, Vec<u8>, Option<Vec<u8>>)> {
     let pose = |first: usize| pose_from(row, first);
     let keyframe = MapKeyframe {

@@ -1,8 +1,9 @@
-//! The map file: one SQLite database that is also a GeoPackage (OGC 12-128), so that what was seen of the ground survives the program and
-//! opens in the tools that people have.
+//! The map file: an SQLite database that is also a GeoPackage (OGC 12-128), which stores a map
+//! persistently and opens in common GIS programs.
 //!
-//! [`MapFile`] grows with a run: every keyframe is on disk when [`MapFile::add_keyframe`] returns, and a program that is killed loses at most
-//! the keyframe that it was writing. What is read back is checked: a map file may come from anybody. `docs/map_file.md` describes the tables.
+//! [`MapFile`] grows during a run: every keyframe is on disk when [`MapFile::add_keyframe`]
+//! returns, and a program that is killed loses at most the keyframe being written. Map files are
+//! untrusted input: everything read is validated. `docs/map_file.md` describes the tables.
 
 mod claim;
 mod complaint;

@@ -1,4 +1,5 @@
-//! The mosaic in the file: a pyramid of tiles, of which the finest level is laid and every coarser one made from the one below it, tile by tile.
+//! The mosaic in the map file: a tile pyramid. The finest level is rendered; every coarser level is
+//! reduced from the next finer one, tile by tile.
 
 mod pyramid;
 mod tile;
@@ -15,30 +16,31 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-/// Levels of the pyramid at most: no picture is wider than 2³⁰ pixels.
+/// Maximum number of pyramid levels: a picture is at most 2³⁰ pixels wide.
 const MOST_LEVELS: u32 = 24;
-/// Tiles of the finest level along a side at most, for the same picture.
+/// Maximum number of tiles along a side of the finest level, for the same picture.
 const WIDEST_TILES: i64 = 1 << 22;
 
-/// The mosaic that a map has: a pyramid of square tiles of [`MOSAIC_TILE_PX`]² pixels, 2ˡ × 2ˡ of them at level l.
+/// The mosaic of a map: a pyramid of square tiles of [`MOSAIC_TILE_PX`]² pixels, 2ˡ × 2ˡ tiles at
+/// level l.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MosaicLayer {
-    /// Number of its finest level; level 0 is one tile.
+    /// Index of the finest level; level 0 is a single tile.
     pub finest: u32,
-    /// Side of a ground pixel at the finest level, metres.
+    /// Ground resolution of the finest level, metres per pixel.
     pub resolution_m: f64,
-    /// World x of the left border of the square of tiles, metres.
+    /// World x of the left border of the tile square, metres.
     pub left_m: f64,
-    /// World y of its upper border, metres.
+    /// World y of the upper border of the tile square, metres.
     pub top_m: f64,
-    /// The columns of finest pixels, counted from the left border, that show ground.
+    /// Columns of finest-level pixels, counted from the left border, that show ground.
     pub columns: Range<u64>,
-    /// The rows of finest pixels, counted from the upper border, that show ground.
+    /// Rows of finest-level pixels, counted from the upper border, that show ground.
     pub rows: Range<u64>,
 }
 
 impl MosaicLayer {
-    /// The picture's size and place at a level: width and height in pixels, and where they lie.
+    /// Width and height of the mosaic at a level, pixels, and its placement in the world.
     pub fn picture_at(&self, level: u32) -> (u64, u64, Placement) {
         let scale = 1_u64 << (self.finest - level.min(self.finest));
         let [columns, rows] =
@@ -54,11 +56,13 @@ impl MosaicLayer {
 }
 
 impl MapFile {
-    /// Lays the mosaic of the whole map and puts it in the place of the one that was there. `ground_resolution_m` as in [`MapMosaic::new`]; `progress`
-    /// is told how many patches are left to lay, and says whether to go on. The memory needed does not grow with the map. Until all is laid the file has
-    /// the mosaic that it had, and so it has where this fails or is ended.
+    /// Renders the mosaic of the whole map and replaces the stored one. `ground_resolution_m` is as
+    /// in [`MapMosaic::new`]; `progress` is called with the number of patches left and returns
+    /// whether to continue. The memory needed does not grow with the map. The stored mosaic is
+    /// unchanged until the new one is complete, and also if this fails or is cancelled.
     ///
-    /// Gives whether the mosaic was laid: not where it was ended, and where no keyframe looks at the ground.
+    /// Returns whether the mosaic was replaced: false if it was cancelled, or if no keyframe sees
+    /// the ground.
     pub fn lay_mosaic(
         &mut self,
         ground_resolution_m: Option<f64>,
@@ -70,9 +74,9 @@ impl MapFile {
         self.all_or_nothing(|file| file.lay_all(laying, progress))
     }
 
-    /// Puts a mosaic that was laid elsewhere in the place of the one that was there, its ground pixels as wide as they are (wider by powers of two where it
-    /// would have more than 2³⁰ of them along a side). All of it is in the file when this returns, or what was there before. Gives whether it shows any
-    /// ground: not where nothing was laid.
+    /// Replaces the stored mosaic by one that was rendered elsewhere, at its resolution (coarsened
+    /// by powers of two if it has more than 2³⁰ pixels along a side), in one transaction. Returns
+    /// whether the mosaic shows any ground; if not, the stored one is unchanged.
     pub fn set_mosaic(&mut self, mosaic: &Mosaic) -> Result<bool> {
         let mut mosaic = Cow::Borrowed(mosaic);
         while let Some((tiles, resolution_m)) = tiles_of(&mosaic).zip(mosaic.resolution_m()) {
@@ -84,7 +88,7 @@ impl MapFile {
         Ok(false)
     }
 
-    /// Writes what `write` does where that gives true; leaves the file as it is otherwise.
+    /// Runs `write` in a transaction; rolls back unless it returns true.
     fn all_or_nothing(&mut self, write: impl FnOnce(&mut Self) -> Result<bool>) -> Result<bool> {
         self.connection.execute_batch("BEGIN IMMEDIATE").while_writing(&self.complaint)?;
         let written = write(self);
@@ -113,7 +117,7 @@ impl MapFile {
             let tile = MosaicTile { column, row, rgba };
             pyramid.put(&self.connection, &tile, &png).while_writing(&self.complaint)?;
         }
-        // The finest level is not kept a second time: it is asked for again where the next one is made of it.
+        // The finest level is not buffered: its tiles are requested again to reduce the next level.
         let mut finer: Box<dyn FnMut(u64, u64) -> Option<Vec<u8>>> = Box::new(|row, column| {
             mosaic.tile_rgba(MosaicSquare { column: first.0 + column as i64, row: first.1 + row as i64 })
         });
@@ -126,7 +130,8 @@ impl MapFile {
         Ok(pyramid.has_ground())
     }
 
-    /// Makes the tiles of a level (row and column) of those that `finer` gives, each of which is asked for once, and gives them.
+    /// Reduces the tiles of a level (row and column) from those that `finer` returns, each of which
+    /// is requested once; returns the new tiles.
     fn put_parents(
         &self,
         level: u32,
@@ -163,7 +168,7 @@ impl MapFile {
         Ok(pyramid.has_ground())
     }
 
-    /// Makes a level of the one that is twice as fine.
+    /// Reduces a level from the next finer one.
     fn reduce_to(&mut self, level: u32) -> Result<()> {
         for (column, row) in pyramid::parents(&self.connection, level).while_reading(&self.complaint)? {
             let child = |k: u64| self.mosaic_tile(level + 1, 2 * column + k % 2, 2 * row + k / 2);
@@ -174,7 +179,7 @@ impl MapFile {
         Ok(())
     }
 
-    /// What is known of the mosaic; `None` where none was laid.
+    /// Geometry of the mosaic; `None` if there is none.
     pub fn mosaic(&self) -> Result<Option<MosaicLayer>> {
         let Some(layer) = pyramid::layer(&self.connection).optional().while_reading(&self.complaint)? else {
             return Ok(None);
@@ -195,7 +200,8 @@ impl MapFile {
         Ok(Some(layer))
     }
 
-    /// A tile of the mosaic, counted from the left upper corner of its square: red, green, blue and opacity in row order. `None` where no ground is seen.
+    /// A tile of the mosaic, counted from the upper left corner of the tile square: RGBA,
+    /// row-major. `None` if it shows no ground.
     pub fn mosaic_tile(&self, level: u32, column: u64, row: u64) -> Result<Option<Vec<u8>>> {
         let png = pyramid::select(&self.connection, level, column, row)
             .optional()
@@ -208,13 +214,14 @@ impl MapFile {
         .transpose()
     }
 
-    /// The tiles of a level that show ground, column and row each, row by row: on ground that lies
-    /// far apart they are few among all that the picture has.
+    /// Tiles of a level that show ground, as (column, row), row by row. If the mapped areas are far
+    /// apart, these are few of all tiles.
     pub fn mosaic_tiles(&self, level: u32) -> Result<Vec<(u64, u64)>> {
         pyramid::tiles(&self.connection, level).while_reading(&self.complaint)
     }
 
-    /// The mosaic as one picture, as fine as it has at most `most_pixels`. `None` where there is no mosaic.
+    /// The mosaic as one picture, at the finest level with at most `most_pixels` pixels. `None` if
+    /// there is no mosaic.
     pub fn mosaic_picture(&self, most_pixels: usize) -> Result<Option<MosaicPicture>> {
         let Some(layer) = self.mosaic()? else { return Ok(None) };
         let fits = |level: &u32| {
@@ -232,8 +239,9 @@ impl MapFile {
         Ok(Some(MosaicPicture { width, height, rgba, placement }))
     }
 
-    /// Gives the picture of a level from top to bottom, some rows at a time (as many as a tile has, or fewer): the number of the first row, and the rows as
-    /// red, green, blue and opacity. So a picture that does not fit into memory can be written.
+    /// Outputs the picture of a level from top to bottom in strips of at most one tile height:
+    /// index of the first row, and the rows as RGBA. This allows writing a picture that does not
+    /// fit in memory.
     pub fn each_tile_row(
         &self,
         layer: &MosaicLayer,
@@ -269,7 +277,7 @@ impl MapFile {
     }
 }
 
-/// The columns and the rows of tiles that a mosaic has; `None` where it has none.
+/// Ranges of the columns and rows of tiles of a mosaic; `None` if it is empty.
 fn tiles_of(mosaic: &Mosaic) -> Option<(Range<i64>, Range<i64>)> {
     let one = |square: MosaicSquare| (square.column..square.column + 1, square.row..square.row + 1);
     let wide = |a: Range<i64>, b: Range<i64>| a.start.min(b.start)..a.end.max(b.end);

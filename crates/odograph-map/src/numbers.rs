@@ -1,8 +1,9 @@
-//! Numbers as bytes in the file: little-endian doubles, symmetric matrices by their upper triangle, row by row.
+//! Encoding of matrices in the file: little-endian doubles; symmetric matrices as their upper
+//! triangle in row-major order.
 
 use nalgebra::SMatrix;
 
-/// The upper triangle of a symmetric matrix, row by row, as little-endian doubles.
+/// Encodes the upper triangle of a symmetric matrix.
 pub(crate) fn bytes_from_symmetric<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(4 * N * (N + 1));
     for row in 0..N {
@@ -13,7 +14,8 @@ pub(crate) fn bytes_from_symmetric<const N: usize>(matrix: &SMatrix<f64, N, N>) 
     bytes
 }
 
-/// The symmetric matrix of an upper triangle; `None` where the length is another, a number is not finite, or a variance negative.
+/// Decodes a symmetric matrix; `None` if the length is wrong, a number is not finite, or a variance
+/// is negative.
 pub(crate) fn symmetric_from_bytes<const N: usize>(bytes: &[u8]) -> Option<SMatrix<f64, N, N>> {
     if bytes.len() != 4 * N * (N + 1) {
         return None;
@@ -39,7 +41,7 @@ mod tests {
     use nalgebra::Matrix4;
 
     #[test]
-    fn a_symmetric_matrix_comes_back_to_the_last_bit_and_a_bad_one_does_not() {
+    fn symmetric_matrices_round_trip_and_invalid_bytes_are_rejected() {
         let half = Matrix4::from_fn(|row, column| (row as f64 + 0.3).sin() * (column as f64 + 0.7).cos());
         let matrix = half * half.transpose();
         let matrix = 0.5 * (matrix + matrix.transpose());

@@ -1,4 +1,4 @@
-//! The way of the camera in the file: every frame that was tracked, and a line of each segment.
+//! Camera paths in the map file: every tracked frame, and a polyline for each segment.
 
 use crate::complaint::Told;
 use crate::file::MapFile;
@@ -8,27 +8,27 @@ use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use rusqlite::{CachedStatement, Connection, Row, params};
 
-/// Where the camera was at one frame.
+/// Pose of the camera at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathFrame {
-    /// Number of the frame in its source.
+    /// Index of the frame in its source.
     pub frame: u64,
-    /// Number of gaps before it in its session.
+    /// Number of tracking gaps before it in its session.
     pub segment: usize,
-    /// Its time, seconds, from the source.
+    /// Timestamp from the source, seconds.
     pub time_s: f64,
-    /// Where the camera was, in the map frame.
+    /// Pose of the camera in the map frame.
     pub pose: GroundPose,
 }
 
 impl MapFile {
-    /// Puts the path of a session into the map, in place of the one that was there: the frames that were tracked, in their order.
+    /// Replaces the path of a session by the given tracked frames, in order.
     pub fn set_path(&mut self, session: u32, frames: &[PathFrame]) -> Result<()> {
         self.set_path_from(session, |put| frames.iter().try_for_each(put))
     }
 
-    /// The same of frames that are not in memory at once: `frames` gives them one after the other. What it fails with is passed on, and the path stays the
-    /// one that was there.
+    /// As [`MapFile::set_path`], for frames that are not all in memory: `frames` passes them one by
+    /// one to its argument. If it fails, its error is returned and the stored path is unchanged.
     pub fn set_path_from(
         &mut self,
         session: u32,
@@ -42,7 +42,7 @@ impl MapFile {
         transaction.commit().while_writing(complaint)
     }
 
-    /// The path of a session; empty where none was put in.
+    /// The path of a session; empty if none is stored.
     pub fn path_of(&self, session: u32) -> Result<Vec<PathFrame>> {
         let mut statement = self
             .connection
@@ -64,16 +64,16 @@ impl MapFile {
     }
 }
 
-/// A keyframe that goes from one pose to another.
+/// Correction of a keyframe's pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeyframeMove {
-    /// Number of gaps before it in its session.
+    /// Number of tracking gaps before it in its session.
     pub segment: usize,
-    /// Its time, seconds.
+    /// Timestamp, seconds.
     pub time_s: f64,
-    /// Where it was when the path was measured.
+    /// Pose before the correction, when the path was measured.
     pub before: GroundPose,
-    /// Where it is.
+    /// Pose after the correction.
     pub after: GroundPose,
 }
 
@@ -83,8 +83,9 @@ impl KeyframeMove {
     }
 }
 
-/// A session's path after its keyframes, given in their order, were moved: each frame goes with the keyframe before it and the one after it, with the nearer more,
-/// so that the path has no steps.
+/// Corrects the path of a session after its keyframes, given in order, have moved. Each frame gets
+/// the corrections of the keyframes before and after it, linearly interpolated in time, so that the
+/// path stays continuous.
 pub fn carried(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame> {
     let carry = |frame: &PathFrame| {
         let next = keyframes.partition_point(|keyframe| keyframe.time_s <= frame.time_s);
@@ -97,7 +98,7 @@ pub fn carried(path: &[PathFrame], keyframes: &[KeyframeMove]) -> Vec<PathFrame>
                 before.take(&frame.pose).interpolated(&after.take(&frame.pose), share)
             }
             (Some(keyframe), None) | (None, Some(keyframe)) => keyframe.take(&frame.pose),
-            // A segment that has no keyframe goes with the one before.
+            // A segment without keyframes gets the correction of the previous keyframe.
             (None, None) => keyframes.get(next.saturating_sub(1)).map_or(frame.pose, |k| k.take(&frame.pose)),
         };
         PathFrame { pose, ..*frame }
@@ -111,7 +112,7 @@ pub(crate) fn write(connection: &Connection, session: u32, frames: &[PathFrame])
     written.end()
 }
 
-/// A path that is being put into the map: its frames go there at once, its lines at the end.
+/// A path being written: frames are inserted at once, polylines at the end.
 struct WrittenPath<'a> {
     connection: &'a Connection,
     insert: CachedStatement<'a>,
@@ -119,7 +120,7 @@ struct WrittenPath<'a> {
     lines: Vec<Line>,
 }
 
-/// Frames of one segment.
+/// Polyline of one segment.
 struct Line {
     segment: usize,
     from_s: f64,
@@ -128,7 +129,7 @@ struct Line {
 }
 
 impl<'a> WrittenPath<'a> {
-    /// Takes away the path that was there.
+    /// Deletes the stored path.
     fn begin(connection: &'a Connection, session: u32) -> rusqlite::Result<Self> {
         connection.execute("DELETE FROM odograph_frame WHERE session = ?1", [session])?;
         connection.execute("DELETE FROM paths WHERE session = ?1", [session])?;
@@ -163,7 +164,8 @@ impl<'a> WrittenPath<'a> {
     }
 
     fn end(self) -> rusqlite::Result<()> {
-        // A line has at least two points: a segment of one frame is in the table of frames only.
+        // A polyline has at least two points; a segment of one frame is only in the table of
+        // frames.
         for Line { segment, from_s, to_s, points } in self.lines.into_iter().filter(|l| l.points.len() > 1) {
             let length_m: f64 =
                 points.windows(2).map(|two| (two[1].0 - two[0].0).hypot(two[1].1 - two[0].1)).sum();

@@ -1,4 +1,4 @@
-//! The tables: how they are made, and how a file that is opened is checked to have them and nothing in their place.
+//! Database schema: creates the tables, and validates those of a file when it is opened.
 
 use crate::complaint::{Complaint, Told};
 use crate::geopackage::{self, APPLICATION_ID, USER_VERSION};
@@ -8,10 +8,11 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The version of the tables below. It rises with every change that a program of the version before could not read.
+/// Schema version. It increases with every change that a program for the previous version cannot
+/// read.
 pub(crate) const SCHEMA_VERSION: i64 = 1;
 
-/// The tables of a GeoPackage with features and tiles (clause 1.1, 2.1, 2.2, 2.3).
+/// Tables of a GeoPackage with features and tiles (clauses 1.1, 2.1, 2.2, 2.3).
 const GEOPACKAGE_TABLES: [&str; 6] = [
     "CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER NOT NULL PRIMARY KEY, organization TEXT NOT NULL, \
      organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT)",
@@ -36,7 +37,8 @@ const GEOPACKAGE_TABLES: [&str; 6] = [
      scope TEXT NOT NULL, CONSTRAINT ge_tce UNIQUE (table_name, column_name, extension_name))",
 ];
 
-/// Our tables. The first three are the layers that other programs show; what no other program needs is in tables of its own.
+/// Our own tables. The first three are layers for other programs; everything else is in separate
+/// tables.
 const MAP_TABLES: [(&str, &str); 11] = [
     (
         "keyframes",
@@ -101,7 +103,7 @@ const MAP_TABLES: [(&str, &str); 11] = [
     ),
 ];
 
-/// Makes all tables in an empty database.
+/// Creates all tables in an empty database.
 pub(crate) fn make(connection: &Connection) -> rusqlite::Result<()> {
     for sql in GEOPACKAGE_TABLES.iter().copied().chain(MAP_TABLES.iter().map(|(_, sql)| *sql)) {
         connection.execute(sql, [])?;
@@ -112,7 +114,8 @@ pub(crate) fn make(connection: &Connection) -> rusqlite::Result<()> {
     geopackage::list_layer(connection, "paths", "features", "the way of the camera")?;
     geopackage::list_geometry(connection, "paths", "LINESTRING")?;
     geopackage::list_layer(connection, "mosaic", "tiles", "what the ground looks like")?;
-    // With a table of attributes among the layers, other programs leave the tables alone that are not listed.
+    // If an attributes table is among the layers, other programs ignore tables that are not
+    // registered.
     geopackage::list_layer(connection, "odograph_session", "attributes", "the runs that made the map")?;
     for (table, _) in MAP_TABLES.iter().filter(|(table, _)| table.starts_with("odograph_")) {
         connection.execute(
@@ -124,12 +127,12 @@ pub(crate) fn make(connection: &Connection) -> rusqlite::Result<()> {
         "INSERT INTO odograph_map VALUES (1, ?1, ?2)",
         params![SCHEMA_VERSION, concat!("odograph ", env!("CARGO_PKG_VERSION"))],
     )?;
-    // Both last: what they say holds once everything is there.
+    // Written last, because they assert that the schema is complete.
     connection.pragma_update(None, "application_id", APPLICATION_ID)?;
     connection.pragma_update(None, "user_version", USER_VERSION)
 }
 
-/// Checks, before SQLite is asked, that this is a database and all of it is there.
+/// Checks, before SQLite opens it, that the file is a database and not truncated.
 pub(crate) fn check_bytes(path: &Path) -> Result<()> {
     let complaint = Complaint::about(path);
     let cannot = |error: std::io::Error| complaint.input(format!("the map cannot be read: {error}"));
@@ -150,7 +153,7 @@ pub(crate) fn check_bytes(path: &Path) -> Result<()> {
         size => u64::from(size),
     };
     let pages = u64::from(u32::from_be_bytes([head[28], head[29], head[30], head[31]]));
-    // While there is a log beside it, the file itself may be behind what it says.
+    // With a log beside it, the file itself may be shorter than its header states.
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     let logged = std::fs::metadata(&log).is_ok_and(|log| log.len() > 0);
@@ -164,14 +167,14 @@ pub(crate) fn check_bytes(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether this is what a program leaves that is killed while it begins a map: a file without a
-/// byte, or a database without a table.
+/// Whether this is an unfinished map of a program that was killed while creating it: an empty file,
+/// or a database without tables.
 pub(crate) fn is_unfinished(path: &Path) -> bool {
     let Ok(metadata) = path.metadata() else { return false };
     if !metadata.is_file() || metadata.len() == 0 {
         return metadata.is_file();
     }
-    // The log beside it may hold the tables.
+    // The write-ahead log may have the tables.
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let number = |sql: &str| -> rusqlite::Result<i64> {
         Connection::open_with_flags(path, flags)?.query_row(sql, [], |row| row.get(0))
@@ -181,7 +184,7 @@ pub(crate) fn is_unfinished(path: &Path) -> bool {
         && number("PRAGMA application_id").is_ok_and(|id| id == 0)
 }
 
-/// Checks that a database is a map of this version, with our tables as we make them.
+/// Checks that a database is a map of this version whose tables have exactly our schema.
 pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
     let complaint = Complaint::about(path);
     let number = |pragma: &str| connection.pragma_query_value(None, pragma, |row| row.get::<_, i32>(0));
@@ -227,7 +230,8 @@ pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Checks that nothing in a map acts by itself when it is written: an index made by another program would need that program's functions.
+/// Checks that a map has no triggers, which would be executed on writing: a spatial index of
+/// another program would need functions of that program.
 pub(crate) fn check_writable(connection: &Connection, path: &Path) -> Result<()> {
     let complaint = Complaint::about(path);
     let trigger: Option<String> = connection

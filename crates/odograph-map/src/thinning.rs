@@ -1,7 +1,8 @@
-//! Which keyframes a map can do without: those whose ground others show as well.
+//! Map thinning: removes redundant keyframes, whose ground is also covered by others.
 //!
-//! The ground is divided into cells, and each keyframe covers some of them. Again and again the keyframe goes whose cells are covered by the most
-//! others. What tied the map together through it is composed into edges between its neighbours, so that no piece comes apart.
+//! The ground is divided into cells, and each keyframe covers some of them. The keyframe whose
+//! cells are covered by the most other keyframes is removed repeatedly. Edges through it are
+//! composed to edges between its neighbours, so that the pose graph stays connected.
 
 use nalgebra::Vector4;
 use odograph::camera::Camera;
@@ -12,28 +13,29 @@ use odograph::numerics::median;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
-/// Points of an image on each side that say which cells it covers.
+/// Sample points per image side that determine the covered cells.
 const GRID: usize = 9;
-/// Cells on a side of a typical footprint.
+/// Cells per side of a typical footprint.
 const CELLS: f64 = 6.0;
 
-/// What is to be taken out of a map, and put in.
+/// Result of thinning a map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thinning {
-    /// The keyframes that go, in the order in which they were chosen.
+    /// Removed keyframes, in the order of their removal.
     pub gone: Vec<KeyframeId>,
-    /// The composed edges between keyframes that stay.
+    /// Composed edges between remaining keyframes.
     pub edges: Vec<MapEdge>,
-    /// Share of the ground that is still shown by a keyframe.
+    /// Fraction of the covered ground that remains covered.
     pub ground_kept: f64,
 }
 
-/// Thins a map to at most so many keyframes.
+/// Thins a map to at most `most` keyframes.
 pub(crate) fn thinning(map: &GroundMap, most: usize) -> Thinning {
     let mut coverage = Coverage::of(map);
     let mut ties = Ties::of(map);
     let mut gone = Vec::new();
-    // Costs only grow as keyframes go: a cost that was right when it was put in is a lower bound.
+    // Lazy priority queue: costs only increase as keyframes are removed, so an outdated cost is a
+    // lower bound.
     let mut queue: BinaryHeap<Reverse<(u64, usize)>> =
         (0..map.keyframes.len()).map(|index| Reverse((coverage.cost(index), index))).collect();
     while map.keyframes.len() - gone.len() > most {
@@ -50,7 +52,7 @@ pub(crate) fn thinning(map: &GroundMap, most: usize) -> Thinning {
     Thinning { gone, edges: ties.composed(), ground_kept: coverage.kept() }
 }
 
-/// Which keyframes cover which cells.
+/// Cells covered by each keyframe, and the number of keyframes that cover each cell.
 struct Coverage {
     cells: Vec<Vec<usize>>,
     counts: Vec<u32>,
@@ -86,8 +88,9 @@ impl Coverage {
         Self { cells, counts }
     }
 
-    /// What is lost where a keyframe goes: for each of its cells the more, the fewer others cover it. In millionths of a cell, so that it can be compared
-    /// without rounding.
+    /// Cost of removing a keyframe: decreases for each of its cells with the third power of the
+    /// number of keyframes that cover it. In millionths of a cell, as an integer, to compare
+    /// exactly.
     fn cost(&self, index: usize) -> u64 {
         self.cells[index].iter().map(|&cell| 1_000_000 / u64::from(self.counts[cell].max(1)).pow(3)).sum()
     }
@@ -104,13 +107,13 @@ impl Coverage {
     }
 }
 
-/// Points of the ground that a camera sees, in a grid over its image.
+/// Ground points seen by a camera, for a grid of pixels.
 fn shown(camera: &Camera, pose: &GroundPose) -> Vec<(f64, f64)> {
     let at = |k: usize, size: usize| (k as f64 + 0.5) / GRID as f64 * (size as f64 - 1.0);
     let pixels =
         (0..GRID * GRID).map(|k| Pixel::new(at(k % GRID, camera.width()), at(k / GRID, camera.height())));
     let points = pixels.filter_map(|pixel| pose.ground_from_ray(camera.ray_from_pixel(pixel)?));
-    // What lies towards the horizon does not count.
+    // Excludes distant ground towards the horizon.
     let near = |(x, y): &(f64, f64)| (x - pose.x_m).hypot(y - pose.y_m) < 4.0 * pose.height_m;
     points.map(|point| (point.x_m, point.y_m)).filter(near).collect()
 }
@@ -124,13 +127,13 @@ fn width(points: &[(f64, f64)]) -> f64 {
     range(&mut points.iter().map(|p| p.0)).max(range(&mut points.iter().map(|p| p.1)))
 }
 
-/// The edges while keyframes go.
+/// Edges of the pose graph during thinning.
 struct Ties {
     edges: Vec<Option<MapEdge>>,
     at: BTreeMap<KeyframeId, BTreeSet<usize>>,
     /// Height at which each keyframe's motions were measured, metres.
     measured_at_m: BTreeMap<KeyframeId, f64>,
-    /// How many edges the map had.
+    /// Number of edges of the original map.
     before: usize,
 }
 
@@ -151,7 +154,8 @@ impl Ties {
         }
     }
 
-    /// Takes a keyframe out; its neighbours are tied to the one that is known best from it.
+    /// Removes a keyframe and connects its neighbours to the one with the least uncertain edge to
+    /// it.
     fn take_out(&mut self, keyframe: KeyframeId) {
         let mut best: BTreeMap<KeyframeId, MapEdge> = BTreeMap::new();
         for number in self.at.remove(&keyframe).unwrap_or_default() {
@@ -197,7 +201,7 @@ impl Ties {
         WithCovariance { transform, covariance: edge.covariance }
     }
 
-    /// The same edge seen from its other end.
+    /// Inverse of an edge, with its covariance propagated.
     fn reversed(&self, edge: &MapEdge) -> MapEdge {
         MapEdge {
             from: edge.to,
@@ -208,7 +212,7 @@ impl Ties {
         }
     }
 
-    /// One edge after another: from where the first begins to where the second ends.
+    /// Composition of two consecutive edges, with their covariances propagated.
     fn composed_of(&self, first: &MapEdge, second: &MapEdge) -> MapEdge {
         let WithCovariance { transform: way, covariance } = self.similarity(first) * self.similarity(second);
         let ln_heights = first.motion[LN_SCALE] + second.motion[LN_SCALE];
@@ -227,7 +231,7 @@ impl Ties {
     }
 }
 
-/// How badly an edge knows where its other end is, m².
+/// Trace of an edge's position covariance, m².
 fn spread(edge: &MapEdge) -> f64 {
     edge.covariance[(X, X)] + edge.covariance[(Y, Y)]
 }

@@ -1,6 +1,7 @@
-//! A map file may come from anybody: whatever is in it, there is one sentence and no harm.
+//! Map files are untrusted input: any content is either read or rejected with one sentence, without
+//! harm.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test may panic
 
 mod ground;
 
@@ -11,7 +12,7 @@ use rusqlite::Connection;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// The bytes of a map of three keyframes with a mosaic.
+/// A valid map of three keyframes with a mosaic.
 fn good() -> &'static [u8] {
     static BYTES: OnceLock<Vec<u8>> = OnceLock::new();
     BYTES.get_or_init(|| {
@@ -29,7 +30,7 @@ fn good() -> &'static [u8] {
     })
 }
 
-/// Everything that a reader does with a map.
+/// All read operations on a map.
 fn read_all(path: &Path) -> odograph::error::Result<()> {
     let mut map = MapFile::open_read_only(path)?;
     map.check()?;
@@ -41,7 +42,7 @@ fn read_all(path: &Path) -> odograph::error::Result<()> {
     Ok(())
 }
 
-/// The sentence that reading these bytes ends with.
+/// The error message for reading these bytes.
 fn complaint(bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
@@ -58,7 +59,7 @@ fn sentence(path: &Path) -> String {
     sentence
 }
 
-/// A good map that somebody has put his hand into.
+/// A valid map, modified by SQL statements.
 fn tampered(sql: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
@@ -70,7 +71,7 @@ fn tampered(sql: &str) -> (tempfile::TempDir, PathBuf) {
 }
 
 #[test]
-fn what_is_no_map_is_told_apart() {
+fn files_that_are_not_maps_are_rejected() {
     assert!(complaint(b"").contains("not a map file"));
     assert!(complaint(&[0; 4096]).contains("not a map file"));
     assert!(complaint(b"SQLite format 3\0").contains("not a map file"));
@@ -91,7 +92,7 @@ fn what_is_no_map_is_told_apart() {
 }
 
 #[test]
-fn a_map_that_was_cut_off_is_told_so() {
+fn truncated_maps_are_rejected() {
     for share in [0.03, 0.2, 0.5, 0.9, 0.999] {
         let bytes = &good()[..(good().len() as f64 * share) as usize];
         assert!(complaint(bytes).contains("cut off"), "{share}");
@@ -99,8 +100,9 @@ fn a_map_that_was_cut_off_is_told_so() {
 }
 
 #[test]
-fn bytes_that_have_changed_are_found_or_do_no_harm() {
-    // Every 97th place: pages of every table are hit. Some changes are in numbers, and cannot be told from others.
+fn corrupted_bytes_are_detected_or_harmless() {
+    // Changes bytes at 97 positions, which hit pages of every table. Changes of plain numbers are
+    // undetectable.
     let mut told = 0;
     for at in (100..good().len()).step_by(good().len() / 97) {
         let mut bytes = good().to_vec();
@@ -115,7 +117,7 @@ fn bytes_that_have_changed_are_found_or_do_no_harm() {
 }
 
 #[test]
-fn what_a_map_cannot_hold_is_named() {
+fn errors_name_the_invalid_content() {
     for (sql, part) in [
         ("UPDATE odograph_map SET schema_version = 7", "version 7"),
         ("PRAGMA application_id = 5", "GeoPackage"),
@@ -167,7 +169,7 @@ fn what_a_map_cannot_hold_is_named() {
 }
 
 #[test]
-fn what_acts_by_itself_is_not_written_to() {
+fn maps_with_triggers_are_not_opened_for_writing() {
     let (_folder, path) =
         tampered("CREATE TRIGGER more AFTER INSERT ON keyframes BEGIN DELETE FROM paths; END");
     read_all(&path).unwrap();
@@ -176,7 +178,7 @@ fn what_acts_by_itself_is_not_written_to() {
 }
 
 #[test]
-fn a_refused_file_stays_as_it_was() {
+fn a_rejected_file_is_unchanged() {
     let (_folder, path) = tampered("UPDATE odograph_map SET schema_version = 7");
     let before = std::fs::read(&path).unwrap();
     assert!(MapFile::open(&path).is_err());

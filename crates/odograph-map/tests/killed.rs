@@ -1,8 +1,10 @@
-//! A program that is killed while it writes a map, at any moment: the map opens, is whole, lacks at most the last keyframe, and can be continued.
+//! Kills a program at arbitrary moments while it writes a map: the map opens, is consistent, lacks
+//! at most the last keyframe, and can be continued.
 //!
-//! The writer is this test binary itself, run again with an environment variable that makes the ignored test below write until it is killed.
+//! The writer is this test binary, started with an environment variable that makes the ignored test
+//! below write until it is killed.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test may panic
 
 mod ground;
 
@@ -13,10 +15,10 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 const FOLDER: &str = "ODOGRAPH_KILLED_TEST_FOLDER";
-/// Moments at which a writer is killed; more of them by the environment variable of this name.
+/// Number of times a writer is killed; the environment variable of this name overrides it.
 const MOMENTS: u64 = 6;
 
-/// Not a test: the program that is killed. Says the number of each keyframe once it is in the map.
+/// Not a test: the program that is killed. Prints the id of each keyframe once it is in the map.
 #[test]
 #[ignore = "run by the other test, to be killed"]
 fn writer() {
@@ -34,7 +36,8 @@ fn writer() {
         let edges = if number > 0 { vec![ground::edge_to(number)] } else { vec![] };
         map.add_keyframe(&ground::keyframe(number, session), &image, &edges).unwrap();
         writeln!(std::io::stdout(), "keyframe {number}").unwrap();
-        // What a run does now and then besides: it moves the keyframes, draws the path, lays the mosaic.
+        // Occasional other writes of a run: it updates poses, writes the path and renders the
+        // mosaic.
         if turn % 20 == 10 {
             let moved = (0..=number)
                 .map(|k| (odograph::mapping::KeyframeId(k), ground::pose(k), ground::covariance()));
@@ -48,7 +51,7 @@ fn writer() {
 }
 
 #[test]
-fn a_map_survives_the_death_of_its_writer() {
+fn a_map_survives_killing_its_writer() {
     let moments = std::env::var("MOMENTS").ok().and_then(|text| text.parse().ok()).unwrap_or(MOMENTS);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
@@ -62,7 +65,8 @@ fn a_map_survives_the_death_of_its_writer() {
             .spawn()
             .unwrap();
         let said = BufReader::new(writer.stdout.take().unwrap()).lines();
-        // After some keyframes, at a moment within the next that the clock of the machine decides: fractions of it, so that they differ.
+        // Killed after some keyframes, at varying moments within the next one, depending on the
+        // machine's speed.
         let mut last = None;
         let mut wait_for = 1 + (7 * moment + 3) % 23;
         for line in said {
@@ -85,7 +89,8 @@ fn a_map_survives_the_death_of_its_writer() {
         map.check().unwrap();
         let found = map.map().unwrap();
         let numbers: Vec<u64> = found.keyframes.iter().map(|keyframe| keyframe.id.0).collect();
-        // What it said is there; it may have put one more into the map, or several, before it died, but none without its edge.
+        // Every reported keyframe is in the map. There may be more, written before the kill, but
+        // none without its edge.
         assert!(numbers.last().is_some_and(|&there| there >= last), "{numbers:?} without {last}");
         assert!(numbers.iter().copied().eq(0..numbers.len() as u64));
         assert_eq!(found.edges.len() + 1, numbers.len());

@@ -1,6 +1,6 @@
-//! The mosaic of a map against the ground that its keyframes saw.
+//! The mosaic of a map compared with the ground that its keyframes saw.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test may panic
 
 mod ground;
 
@@ -10,7 +10,7 @@ use odograph::image::GrayImage;
 use odograph::mapping::{KeyframeImage, MosaicPicture};
 use odograph_map::MapFile;
 
-/// The mosaic of twelve keyframes whose images were changed, and which stand where `misplaced` puts them.
+/// The mosaic of twelve keyframes with modified images and with the poses of `misplaced`.
 fn mosaic(
     change: impl Fn(u64, GrayImage) -> GrayImage,
     misplaced: impl Fn(u64) -> GroundPose,
@@ -28,7 +28,7 @@ fn mosaic(
     map.mosaic_picture(usize::MAX).unwrap().unwrap()
 }
 
-/// Brightness in windows of 16 pixels that are all seen.
+/// Mean brightness of completely visible windows of 16 × 16 pixels.
 fn windows(picture: &MosaicPicture) -> Vec<((usize, usize), f64)> {
     let mut found = Vec::new();
     for row in (0..picture.height.saturating_sub(16)).step_by(16) {
@@ -47,9 +47,9 @@ fn windows(picture: &MosaicPicture) -> Vec<((usize, usize), f64)> {
 }
 
 #[test]
-fn exposure_and_the_lens_leave_no_trace() {
+fn exposure_and_vignetting_are_compensated() {
     let even = mosaic(|_, image| image, ground::pose);
-    // Exposures up to 20 % apart, and a lens that loses 30 % in the corners.
+    // Relative exposures from 0.8 to 1.05, and vignetting of 30 % in the corners.
     let uneven = mosaic(
         |number, mut image| {
             let exposure = [1.0, 0.8, 0.95, 0.85, 1.05][number as usize % 5];
@@ -67,14 +67,15 @@ fn exposure_and_the_lens_leave_no_trace() {
     assert!(ratios.len() > 100, "{}", ratios.len());
     ratios.sort_by(f64::total_cmp);
     let median = ratios[ratios.len() / 2];
-    // Uncompensated they spread from 0.6 to 1. What is left is that the lens's darkening is not quite the exponential of a square.
+    // Uncompensated, the ratios range from 0.6 to 1. The rest is because the vignetting is not
+    // exactly the exponential of a square.
     let (least, greatest) =
         (ratios[ratios.len() / 50] / median, ratios[ratios.len() - 1 - ratios.len() / 50] / median);
     assert!(least > 0.96 && greatest < 1.04, "{least:.3} to {greatest:.3} of {median:.3}");
 }
 
 #[test]
-fn views_that_disagree_do_not_blur_each_other() {
+fn misaligned_views_are_not_blurred() {
     let contrast = |picture: &MosaicPicture| {
         let step =
             |at: usize| (f64::from(picture.rgba[4 * at]) - f64::from(picture.rgba[4 * at + 4])).powi(2);
@@ -84,7 +85,8 @@ fn views_that_disagree_do_not_blur_each_other() {
         (steps.iter().sum::<f64>() / steps.len() as f64).sqrt()
     };
     let exact = mosaic(|_, image| image, ground::pose);
-    // Each keyframe a pixel or two from where it should be: a mean of all views would lose much of the texture.
+    // Each keyframe is displaced by one or two pixels: averaging all views would lose much of the
+    // texture's contrast.
     let off = mosaic(
         |_, image| image,
         |number| {

@@ -1,7 +1,6 @@
-//! One program writes a map at a time; what a program left that died while it began one is no
-//! hindrance.
+//! Exclusive write access to a map, and recovery from a program that died while creating it.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test may panic
 
 mod ground;
 
@@ -33,7 +32,7 @@ fn a_map_has_one_writer_at_a_time() {
     assert_refused(MapFile::open(&path));
     assert_refused(MapClaim::on(&path));
     assert_refused(MapFile::remove(&path));
-    // Who only looks is let in, and sees what is there.
+    // Read-only access is allowed, and sees the current state.
     assert_eq!(MapFile::open_read_only(&path).unwrap().map().unwrap().keyframes.len(), 1);
     map.close().unwrap();
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "the lock goes with its holder");
@@ -41,7 +40,7 @@ fn a_map_has_one_writer_at_a_time() {
 }
 
 #[test]
-fn a_map_that_is_begun_is_neither_begun_again_nor_deleted() {
+fn a_map_being_created_cannot_be_created_again_or_deleted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
     let claim = MapClaim::on(&path).unwrap();
@@ -54,7 +53,7 @@ fn a_map_that_is_begun_is_neither_begun_again_nor_deleted() {
 
 #[test]
 #[cfg(unix)]
-fn a_map_by_another_name_is_the_same_map() {
+fn links_to_a_map_share_its_lock() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
     let map = create(&path).unwrap();
@@ -66,10 +65,10 @@ fn a_map_by_another_name_is_the_same_map() {
 }
 
 #[test]
-fn what_a_dead_program_left_is_taken_over() {
+fn unfinished_maps_of_dead_programs_are_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
-    // Killed before the first byte, and killed before the tables: a database with nothing in it.
+    // Killed before the first byte, and killed before the tables were created: an empty database.
     let empty_database = {
         let database = rusqlite::Connection::open(folder.path().join("empty.gpkg")).unwrap();
         database.query_row("PRAGMA journal_mode = WAL", [], |_| Ok(())).unwrap();
@@ -86,13 +85,13 @@ fn what_a_dead_program_left_is_taken_over() {
         MapFile::open(&path).unwrap().close().unwrap();
         fs::remove_file(&path).unwrap();
     }
-    // Anything else is somebody's.
+    // Any other file is not overwritten.
     fs::write(&path, "a letter").unwrap();
     assert!(MapFile::is_there(&path) && create(&path).is_err());
 }
 
 #[test]
-fn a_map_that_is_looked_at_can_be_closed() {
+fn a_map_can_be_closed_while_it_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
     let mut map = create(&path).unwrap();

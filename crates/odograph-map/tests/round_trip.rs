@@ -1,6 +1,6 @@
-//! What is put into a map comes out of it.
+//! Round trips: what is written to a map is read back.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test may panic
 
 mod ground;
 
@@ -30,7 +30,7 @@ fn made(count: u64) -> (tempfile::TempDir, MapFile) {
 }
 
 #[test]
-fn a_map_comes_back_as_it_was() {
+fn a_map_round_trips() {
     let (folder, mut map) = made(8);
     let path: Vec<PathFrame> = (0..80)
         .map(|frame| PathFrame {
@@ -57,27 +57,29 @@ fn a_map_comes_back_as_it_was() {
 }
 
 #[test]
-fn images_come_back_nearly_as_they_were() {
+fn images_round_trip_up_to_compression_error() {
     let (_folder, mut map) = made(2);
     let rms = |a: &[u8], b: &[u8]| {
         let sum: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
         (sum / a.len() as f64).sqrt()
     };
     let (back, before) = (map.load(KeyframeId(1)).unwrap(), image(1));
-    // Quality 95 leaves one to two gray levels on a texture as fine as this one; a camera's own noise is as large.
+    // JPEG quality 95 changes a texture as fine as this one by one to two gray levels, comparable
+    // to camera noise.
     assert!(rms(back.gray.samples(), before.gray.samples()) < 2.0);
     assert!(back.color.is_none());
     let before = ground::color_image();
     map.add_keyframe(&keyframe(2, 0), &before, &[]).unwrap();
     let back = map.load(KeyframeId(2)).unwrap();
     assert!(rms(back.gray.samples(), before.gray.samples()) < 1.0);
-    // The colours vary slowly, so that halving their resolution hardly shows; what shows is that gray's own range was undone.
+    // The colours vary slowly, so halving the chroma resolution has little effect; the test
+    // verifies that the limited range of gray is undone.
     let error = rms(back.color.unwrap().samples(), before.color.unwrap().samples());
     assert!(error < 2.5, "{error}");
 }
 
 #[test]
-fn a_map_is_continued_moved_and_thinned() {
+fn a_map_can_be_continued_updated_and_thinned() {
     let (folder, mut map) = made(4);
     let moved = GroundPose { x_m: 100.0, y_m: -3.0, ..pose(2) };
     map.set_poses(&[(KeyframeId(2), moved, 4.0 * covariance())]).unwrap();
@@ -100,7 +102,7 @@ fn a_map_is_continued_moved_and_thinned() {
 }
 
 #[test]
-fn the_same_keyframes_give_the_same_bytes() {
+fn the_same_keyframes_produce_identical_files() {
     let bytes = || {
         let (folder, mut map) = made(5);
         map.lay_mosaic(None, &mut |_| true).unwrap();
@@ -111,7 +113,7 @@ fn the_same_keyframes_give_the_same_bytes() {
 }
 
 #[test]
-fn what_does_not_belong_into_a_map_is_refused_and_leaves_it_as_it_was() {
+fn invalid_keyframes_are_rejected_without_changing_the_map() {
     let (folder, mut map) = made(2);
     let sentence = |result: odograph::error::Result<()>| result.unwrap_err().to_string();
     let other_size = KeyframeImage { gray: odograph::image::GrayImage::new(10, 10), color: None };
@@ -132,7 +134,7 @@ fn what_does_not_belong_into_a_map_is_refused_and_leaves_it_as_it_was() {
 }
 
 #[test]
-fn a_mosaic_is_laid_into_the_file_and_comes_out_as_one_picture() {
+fn a_rendered_mosaic_is_stored_and_read_as_one_picture() {
     let (_folder, mut map) = made(12);
     assert!(map.mosaic().unwrap().is_none() && map.mosaic_picture(1000).unwrap().is_none());
     assert!(map.lay_mosaic(Some(0.004), &mut |_| true).unwrap());
@@ -149,13 +151,13 @@ fn a_mosaic_is_laid_into_the_file_and_comes_out_as_one_picture() {
             assert_eq!(picture.rgba[at + 3], 255, "keyframe {number} stands on ground that was not seen");
         }
     }
-    // Ended on the way, the mosaic is as it was.
+    // After cancellation the stored mosaic is unchanged.
     assert!(!map.lay_mosaic(Some(0.002), &mut |_| false).unwrap());
     assert_eq!(map.mosaic().unwrap().unwrap(), layer);
 }
 
 #[test]
-fn a_mosaic_that_was_laid_elsewhere_comes_out_of_the_file_as_it_was_laid() {
+fn a_mosaic_rendered_elsewhere_round_trips() {
     let (_folder, mut map) = made(12);
     let mut mosaic = Mosaic::new(MosaicOptions { ground_resolution_m: Some(0.002), ..Default::default() });
     assert!(!map.set_mosaic(&mosaic).unwrap(), "nothing is laid yet");
@@ -169,7 +171,7 @@ fn a_mosaic_that_was_laid_elsewhere_comes_out_of_the_file_as_it_was_laid() {
     assert!(found.rgba == laid.rgba);
     let places = [&found, &laid].map(|picture| picture.placement.ground_from_pixel(0.0, 0.0));
     assert!(places[0].distance(places[1]) < 1e-9);
-    // Every level shows the same ground: what is seen in the middle of each of its pixels.
+    // Every level shows the same ground, up to the sampling of its pixels.
     let layer = map.mosaic().unwrap().unwrap();
     assert!(layer.finest >= 2, "{layer:?}");
     let pixels = |level: u32| layer.picture_at(level).0 * layer.picture_at(level).1;
@@ -179,7 +181,8 @@ fn a_mosaic_that_was_laid_elsewhere_comes_out_of_the_file_as_it_was_laid() {
             let seen = picture.rgba.chunks_exact(4).filter(|pixel| pixel[3] > 0).count() as f64;
             seen * picture.placement.metres_per_pixel.powi(2)
         };
-        // A pixel is seen where any of the four under it is: the ground grows by half a pixel along its border.
+        // A reduced pixel shows ground if any of its four source pixels does, so the covered area
+        // grows by half a pixel along its border.
         assert!((1.0..1.4).contains(&(seen(&coarse) / seen(&laid))), "level {level}");
     }
     map.check().unwrap();

@@ -1,8 +1,10 @@
-//! Decodes damaged copies of recordings and tells how that went:
+//! Fuzz test: decodes damaged copies of recordings and prints the outcome:
+//!
 //! `ODOGRAPH_FFMPEG= cargo run --release -p odograph-video --example damage -- 300 drive.mp4 …`.
 //!
-//! Each copy has bytes changed, stretches overwritten or moved, or its end missing, all from a fixed seed. A panic, or a copy
-//! that takes more than 20 seconds, ends the program with its number; `odograph-damaged-*` in the temporary folder is that copy.
+//! Each copy has bytes changed, ranges overwritten or moved, or is truncated, all from a fixed
+//! seed. A panic, or a copy that takes more than 20 seconds, ends the program with the number of
+//! the copy, which remains as `odograph-damaged-*` in the temporary folder.
 
 #![allow(clippy::print_stdout)]
 
@@ -12,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
-/// Sebastiano Vigna's SplitMix64.
+/// SplitMix64 by Sebastiano Vigna.
 struct Random(u64);
 
 impl Random {
@@ -31,7 +33,7 @@ impl Random {
 
 fn damaged(original: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = original.to_vec();
-    // Half of the damage goes to the head, where sizes and counts are.
+    // Half of the damage is in the header, where sizes and counts are.
     let reach = if random.below(2) == 0 { bytes.len().min(4096) } else { bytes.len() };
     for _ in 0..1 + random.below(4) {
         match random.below(6) {

@@ -1,6 +1,9 @@
-//! Decodes a recording and tells how fast: `cargo run --release -p odograph-video --example decode -- drive.mp4`.
+//! Decodes a recording and prints the decoding speed:
 //!
-//! With a second argument, writes the gray images one after another into that file, and their times to standard output.
+//! `cargo run --release -p odograph-video --example decode -- drive.mp4`.
+//!
+//! With a second argument, writes the concatenated gray images to that file and their times to
+//! standard output.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 

@@ -1,8 +1,9 @@
-//! Everything else, through an installed `ffmpeg`: a process of its own with bounded memory, killed when it is not needed.
+//! Fallback decoder for all other formats: an installed `ffmpeg`, run as a child process with
+//! bounded memory that is killed when it is no longer needed.
 //!
-//! It writes the frames as Y4M to its standard output, in the format closest to the one they are stored in, so that luminance
-//! is not converted; and a line for each frame with its time, as the container has it, to its standard error (muxer
-//! `framecrc`), among its messages.
+//! It writes the frames as Y4M to its standard output, in the pixel format closest to the stored
+//! one, so that the luminance is not converted. It writes a line with the container timestamp of
+//! each frame (muxer `framecrc`) to its standard error, interleaved with its messages.
 
 use crate::frame::Picture;
 use crate::source::{Frames, Opened};
@@ -17,41 +18,41 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// Names the program; empty, there is none.
+/// Environment variable with the program's name; an empty value disables ffmpeg.
 const VARIABLE: &str = "ODOGRAPH_FFMPEG";
-/// How long to wait for a frame before giving up.
+/// Timeout for a frame.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Address space the process may use, in KiB: enough for 8K.
+/// Address space limit of the process, KiB: enough for 8K.
 #[cfg(unix)]
 const MEMORY_KIB: u32 = 6 << 20;
-/// Formats whose luminance plane is taken as it is.
+/// Pixel formats whose luminance plane is used unconverted.
 const FORMATS: &str = "format=pix_fmts=yuv420p|yuvj420p|yuv422p|yuvj422p|yuv444p|yuvj444p|yuv411p|gray";
 
-/// Containers in which ffmpeg may look for a video that is of no kind known here, and streams that
-/// say their own rate, by the names of its demuxers. Others, such as `mjpeg`, take any file in
-/// which something like a picture occurs for a video, and make up its times.
+/// Demuxers that ffmpeg may try for a file of an unknown format: containers with timestamps, and
+/// streams with a frame rate. Others, such as `mjpeg`, accept any file that happens to include
+/// something like an image, and invent its timestamps.
 const CONTAINERS: &str = "mov,matroska,avi,mpeg,mpegts,flv,asf,ogg,mxf,gxf,ivf,nut,rm,dv,wtv,swf,nsv,gif,apng,webp_anim,jpegxl_anim,\
                           mpegvideo,m4v,vc1,obu,av1,dirac,h264,hevc,vvc,bmp_pipe,webp_pipe,jpegxl_pipe,j2k_pipe,exr_pipe,dpx_pipe,\
                           sgi_pipe,pam_pipe,qoi_pipe";
 
-/// What a file is that this crate does not decode itself.
+/// Detected format of a file that this crate does not decode itself.
 pub(crate) enum Content<'a> {
-    /// A codec and its container, by name, and the number of frames where the container says it.
+    /// A video with the names of its codec and container, and the frame count if the container has
+    /// it.
     Video { codec: &'a str, container: &'a str, frame_count: Option<u64> },
-    /// JPEG pictures one after the other, as the file's name and its first bytes say: nothing tells
-    /// when they were taken.
+    /// Concatenated JPEG images, detected from file name and first bytes; without timestamps.
     JpegStream,
-    /// A stream from the network, that comes at its own pace.
+    /// A live network stream.
     Stream,
-    /// No kind of file that is known here.
+    /// An unknown format.
     Unknown,
 }
 
 /// Opens a file with ffmpeg.
 ///
 /// # Errors
-/// Where there is no ffmpeg, a sentence that says what it would be needed for; where it does not decode the file either, its
-/// own words.
+/// If there is no ffmpeg, with a message that explains what it is needed for; if ffmpeg cannot
+/// decode the file either, with its message.
 pub(crate) fn open(path: &Path, content: Content<'_>, color: bool) -> Result<Opened> {
     open_with(program(), path, content, color)
 }
@@ -100,7 +101,7 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
             }
         })
     };
-    // `-fps_mode` came with ffmpeg 5.1; before that it was `-vsync`.
+    // `-fps_mode` exists since ffmpeg 5.1; its predecessor was `-vsync`.
     for passthrough in ["-fps_mode", "-vsync"] {
         let mut process = Process::start(&program, input(path, &content), passthrough, color)?;
         match process.receive() {
@@ -136,10 +137,12 @@ fn open_with(program: Option<PathBuf>, path: &Path, content: Content<'_>, color:
     Err(fail("this version of ffmpeg is too old"))
 }
 
-/// What ffmpeg is told of its input. A file can name no others, and a stream no files: the whitelists see to that.
+/// Input options of ffmpeg. Whitelists keep a file from referring to other files or the network,
+/// and a stream from referring to files.
 fn input(path: &Path, content: &Content<'_>) -> Vec<OsString> {
     let (options, place): (&[&str], _) = match content {
-        // Over TCP nothing is lost between cameras and here; nothing is kept back to play evenly, and little is looked at beforehand.
+        // TCP avoids packet loss; no buffering for smooth playback and a short stream analysis
+        // reduce latency.
         Content::Stream => (
             &[
                 "-protocol_whitelist",
@@ -170,7 +173,7 @@ fn input(path: &Path, content: &Content<'_>) -> Vec<OsString> {
     options.iter().map(OsString::from).chain([place]).collect()
 }
 
-/// The program to run, if there is one.
+/// Path of the program, if it is installed.
 fn program() -> Option<PathBuf> {
     let named = std::env::var_os(VARIABLE);
     if named.as_deref().is_some_and(OsStr::is_empty) {
@@ -186,7 +189,7 @@ fn program() -> Option<PathBuf> {
         .find(|p| p.is_file())
 }
 
-/// A running ffmpeg.
+/// A running ffmpeg process.
 struct Process {
     child: Child,
     pictures: Receiver<Result<Picture>>,
@@ -197,7 +200,7 @@ struct Process {
     warnings: Vec<String>,
 }
 
-/// What ffmpeg said.
+/// Messages of ffmpeg: the first one, and their number.
 #[derive(Default)]
 struct Messages {
     first: String,
@@ -235,7 +238,7 @@ impl Process {
             let messages = Arc::clone(&messages);
             thread::spawn(move || {
                 read_log(log, &messages, |time_s| {
-                    // Nobody waits for times any more once the source is dropped.
+                    // Fails only after the source has been dropped.
                     let _ = time_sender.send(time_s);
                 });
             });
@@ -243,7 +246,7 @@ impl Process {
         Ok(Self { child, pictures, times, messages, first: None, current: None, warnings: Vec::new() })
     }
 
-    /// The next frame; `None` at the end.
+    /// Receives the next frame; `None` at the end.
     fn receive(&mut self) -> Result<Option<(f64, Picture)>> {
         let stalled = || Error::input(format!("ffmpeg gave no frame for {} seconds", PATIENCE.as_secs()));
         let picture = match self.pictures.recv_timeout(PATIENCE) {
@@ -264,7 +267,7 @@ impl Process {
         }
     }
 
-    /// Waits until ffmpeg has ended and has said all it had to say.
+    /// Waits until ffmpeg has exited and all its messages have been read.
     fn finish(&mut self) {
         while self.times.recv_timeout(PATIENCE).is_ok() {}
         let failed = !self.child.wait().is_ok_and(|status| status.success());
@@ -289,7 +292,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // A process that has ended already cannot be killed, and need not be.
+        // Killing fails if the process has already exited.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -315,7 +318,7 @@ impl Frames for Process {
     }
 }
 
-/// The program under a limit of its address space, where the system has one.
+/// A command with an address space limit, if the system supports one.
 #[cfg(unix)]
 fn bounded(program: &Path) -> Command {
     let mut command = Command::new("/bin/sh");
@@ -330,7 +333,7 @@ fn bounded(program: &Path) -> Command {
 
 fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Picture>>) {
     let mut reader = BufReader::with_capacity(1 << 18, output);
-    // Nothing at all means that ffmpeg failed; its messages say why.
+    // An empty output means that ffmpeg failed; its messages have the cause.
     if !reader.fill_buf().is_ok_and(|bytes| !bytes.is_empty()) {
         return;
     }
@@ -350,7 +353,7 @@ fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Pi
     }
 }
 
-/// Tells the frames' times from the messages.
+/// Parses the log: passes timestamps to `tell` and collects messages.
 fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f64)) {
     let mut ticks_per_s = 1.0;
     let mut reader = BufReader::new(log);
@@ -367,7 +370,8 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f
             Line::Head => {}
             Line::Message(text) => {
                 let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
-                // The last words of a failure are mostly about its consequences; the first say what is wrong.
+                // The first message has the cause of a failure, the later ones mostly its
+                // consequences.
                 if messages.count == 0 {
                     messages.first = without_speaker(text).chars().take(200).collect();
                 }
@@ -377,7 +381,7 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f
     }
 }
 
-/// A message without the part of ffmpeg that says it and its address: `[mov @ 0x55d0] moov atom not found`.
+/// Strips ffmpeg's component and address from a message: `[mov @ 0x55d0] moov atom not found`.
 fn without_speaker(message: &str) -> &str {
     match message.strip_prefix('[').and_then(|rest| rest.split_once("] ")) {
         Some((speaker, rest)) if speaker.contains(" @ ") => without_speaker(rest),
@@ -387,19 +391,20 @@ fn without_speaker(message: &str) -> &str {
 
 #[derive(Debug, PartialEq)]
 enum Line<'a> {
-    /// Seconds per tick.
+    /// Time base: seconds per tick.
     TimeBase {
         numerator: f64,
         denominator: f64,
     },
-    /// Presentation time in ticks.
+    /// Presentation timestamp, ticks.
     Frame(i64),
     Head,
     Message(&'a str),
 }
 
 impl<'a> Line<'a> {
-    /// `#tb 0: 1/25` or `0, dts, pts, duration, size, checksum`; anything else is a message.
+    /// Parses `#tb 0: 1/25` and `0, dts, pts, duration, size, checksum`; anything else is a
+    /// message.
     fn read(line: &'a str) -> Self {
         if let Some(base) = line.strip_prefix("#tb 0: ").and_then(|base| base.split_once('/'))
             && let (Ok(numerator), Ok(denominator)) = (base.0.parse::<u32>(), base.1.trim().parse::<u32>())
@@ -428,7 +433,7 @@ mod tests {
     const AV1: Content<'_> = Content::Video { codec: "AV1", container: "Matroska", frame_count: None };
 
     #[test]
-    fn a_stream_without_ffmpeg_is_told_and_can_name_no_file() {
+    fn a_stream_needs_ffmpeg_and_cannot_refer_to_files() {
         let text = refusal(None, "rtsp://camera/1", Content::Stream);
         assert!(text.contains("RTSP") && text.contains("install ffmpeg"), "{text}");
         let options = input(Path::new("rtsp://camera/1"), &Content::Stream);
@@ -438,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_no_known_kind_is_not_searched_for_pictures() {
+    fn unknown_formats_are_not_searched_for_images() {
         let allowed = |content: Content<'_>| {
             let options = input(Path::new("drive.bin"), &content);
             let at = options.iter().position(|option| option == "-format_whitelist")?;
@@ -463,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn without_ffmpeg_the_sentence_names_the_codec_and_what_to_install() {
+    fn without_ffmpeg_the_error_names_codec_and_remedy() {
         let text = refusal(None, "film.mkv", AV1);
         assert!(text.starts_with("AV1 in Matroska") && text.contains("install ffmpeg"), "{text}");
         assert!(
@@ -471,7 +476,7 @@ mod tests {
         );
     }
 
-    /// A script that fails in the way the name of its input says.
+    /// A script that fails as specified by the name of its input.
     #[cfg(unix)]
     fn stand_in() -> Option<PathBuf> {
         Some(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/stand-in-for-ffmpeg"))
@@ -479,7 +484,7 @@ mod tests {
 
     #[test]
     #[cfg(unix)]
-    fn a_program_that_fails_is_told_in_its_own_words() {
+    fn errors_quote_the_message_of_ffmpeg() {
         let text = refusal(stand_in(), "fails", AV1);
         assert_eq!(text, "AV1 in Matroska cannot be decoded, not even with ffmpeg: no such luck");
         let text = refusal(stand_in(), "junk", AV1);
@@ -490,7 +495,7 @@ mod tests {
 
     #[test]
     #[cfg(unix)]
-    fn frames_and_times_arrive_together_and_an_early_end_is_told() {
+    fn frames_have_timestamps_and_an_early_exit_is_reported() {
         let mut frames = open_with(stand_in(), Path::new("early"), AV1, false).unwrap().frames;
         assert_eq!(frames.advance().unwrap(), Some(0.5));
         assert_eq!(frames.picture().unwrap().gray.samples(), b"ab");

@@ -1,4 +1,4 @@
-//! A frame, and the decoded picture it is made of.
+//! A frame and its decoded picture.
 
 use odograph::image::{GrayImage, RgbImage};
 use std::sync::Arc;
@@ -6,34 +6,36 @@ use std::sync::Arc;
 /// One frame of a recording.
 #[derive(Debug, Clone)]
 pub struct Frame {
-    /// The frame's place in the source, from 0, counting every frame of the source in the order of presentation, also those
-    /// that [`SourceOptions`](crate::SourceOptions) leaves out.
+    /// Index of the frame in the source, from 0 in presentation order, including frames that
+    /// [`SourceOptions`](crate::SourceOptions) excludes.
     pub number: u64,
-    /// Time of the frame in seconds, as the container (or the file of timestamps) says; strictly increasing from frame to
-    /// frame, not necessarily from zero.
+    /// Timestamp in seconds, from the container or the timestamps file; strictly increasing, not
+    /// necessarily starting at 0.
     pub time_s: f64,
-    /// Name of the picture file it came from, without its folder; `None` for the frames of a video.
+    /// File name of the image, without its folder; `None` for frames of a video.
     pub name: Option<String>,
-    /// The luminance plane as decoded.
+    /// Luminance plane as decoded.
     pub gray: GrayImage,
     pub(crate) color: Option<Color>,
 }
 
 impl Frame {
-    /// A frame of a source that is read elsewhere: a camera, a stream.
+    /// A frame of an external source, such as a camera or a stream.
     pub fn new(number: u64, time_s: f64, picture: Picture) -> Self {
         Self { number, time_s, name: None, gray: picture.gray, color: picture.color }
     }
 
-    /// True where the source has colour and [`SourceOptions::color`](crate::SourceOptions::color) asked to keep it.
+    /// Whether the frame has colour: the source has it, and
+    /// [`SourceOptions::color`](crate::SourceOptions::color) keeps it.
     pub fn has_color(&self) -> bool {
         self.color.is_some()
     }
 
-    /// The frame in colour; gray repeated where there is none ([`Frame::has_color`]).
+    /// The frame as RGB; gray if it has no colour ([`Frame::has_color`]).
     ///
-    /// Video is converted with the matrix (BT.601, BT.709 or BT.2020) and range its stream names; where it names none,
-    /// BT.709 from 720 lines on and BT.601 below, limited range (ITU-R BT.601-7 section 2.5, BT.709-6 section 3).
+    /// Video is converted with the matrix (BT.601, BT.709 or BT.2020) and range of its stream. If
+    /// the matrix is unspecified, it is BT.709 for 720 lines or more and BT.601 below, limited
+    /// range (ITU-R BT.601-7 section 2.5, BT.709-6 section 3).
     pub fn rgb(&self) -> RgbImage {
         match &self.color {
             None => RgbImage::from(&self.gray),
@@ -50,10 +52,10 @@ impl Frame {
     }
 }
 
-/// A picture as a decoder or a camera gives it.
+/// A picture from a decoder or a camera.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
-    /// The luminance.
+    /// Luminance.
     pub gray: GrayImage,
     pub(crate) color: Option<Color>,
 }
@@ -65,21 +67,22 @@ impl Picture {
     }
 }
 
-/// What a picture has beside its luminance.
+/// Colour of a picture, in addition to its luminance.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Color {
     Chroma(Chroma),
-    /// Interleaved red, green, blue at the gray image's size.
+    /// Interleaved RGB at the size of the gray image.
     Rgb(Vec<u8>),
-    /// Not decoded yet: few frames are asked for their colours, and those cost as much as the luminance.
+    /// Chroma that is decoded on demand: colour is needed for few frames, and costs as much to
+    /// decode as the luminance.
     Deferred(Deferred),
 }
 
-/// Colour differences that are still in the bytes of their picture.
+/// Undecoded chroma, in the bytes of its picture.
 #[derive(Debug, Clone)]
 pub(crate) struct Deferred {
     bytes: Arc<[u8]>,
-    /// Decodes them; `None` where that fails.
+    /// Decodes the chroma; `None` on failure.
     decode: fn(&[u8]) -> Option<Chroma>,
 }
 
@@ -101,7 +104,7 @@ impl PartialEq for Deferred {
 
 impl Eq for Deferred {}
 
-/// The two colour-difference planes of a video, as decoded.
+/// Chroma planes (colour differences) of a video, as decoded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Chroma {
     pub width: usize,
@@ -111,17 +114,17 @@ pub(crate) struct Chroma {
     pub encoding: ColorEncoding,
 }
 
-/// How luminance and colour differences were made from red, green and blue.
+/// Encoding of luminance and chroma (Y'CbCr).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct ColorEncoding {
     pub matrix: Matrix,
-    /// Samples use 0–255 instead of 16–235 (luminance) and 16–240 (colour differences).
+    /// Full range 0–255 instead of limited range 16–235 (luminance) and 16–240 (chroma).
     pub full_range: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Matrix {
-    /// Not said: BT.709 from 720 lines on, BT.601 below.
+    /// Not specified: BT.709 for 720 lines or more, BT.601 below.
     #[default]
     Unspecified,
     Bt601,
@@ -140,7 +143,7 @@ impl Matrix {
         }
     }
 
-    /// The shares of red and blue in luminance.
+    /// Luma coefficients of red and blue.
     fn red_and_blue(self, lines: usize) -> (f32, f32) {
         match self {
             Self::Unspecified if lines < 720 => (0.299, 0.114),
@@ -152,7 +155,7 @@ impl Matrix {
 }
 
 impl Chroma {
-    /// Both planes have as many samples as their size says.
+    /// Whether the lengths of both planes match their size.
     pub fn is_whole(&self) -> bool {
         let samples = self.width * self.height;
         self.blue.len() == samples && self.red.len() == samples
@@ -172,8 +175,8 @@ impl Chroma {
         let blue_from_blue = 2.0 * (1.0 - blue_share) * chroma_scale;
         let green_from_red = -red_from_red * red_share / green_share;
         let green_from_blue = -blue_from_blue * blue_share / green_share;
-        // What the colour differences of a row add to red, to green (each of them) and to blue; then row by row in loops that the compiler
-        // can widen.
+        // Contributions of a chroma row to red, to green (from either plane) and to blue; then row
+        // by row in loops that the compiler can vectorise.
         let mut added = [(); 4].map(|()| vec![0.0f32; width]);
         let mut planes = [(); 3].map(|()| vec![0u8; width]);
         for (y, row) in image.samples_mut().chunks_exact_mut(3 * width).enumerate() {
@@ -185,7 +188,7 @@ impl Chroma {
                     widen(&samples[line * self.width..][..self.width], factor, added);
                 }
             }
-            // As long as a row each, and known to be: nothing is asked in the loop.
+            // Slices of equal, known length remove the bounds checks in the loop.
             let luma = &gray.row(y)[..width];
             let [to_red, red_to_green, blue_to_green, to_blue] =
                 added.each_ref().map(|added| &added[..width]);
@@ -206,7 +209,8 @@ impl Chroma {
     }
 }
 
-/// A row of colour differences, times `factor`, as wide as the luminance: each repeated as often as it takes.
+/// Scales a row of chroma samples by `factor` and upsamples it to the luminance width by
+/// repetition.
 fn widen(samples: &[u8], factor: f32, to: &mut [f32]) {
     let value = |sample: u8| factor * (f32::from(sample) - 128.0);
     let width = to.len();
@@ -219,12 +223,13 @@ fn widen(samples: &[u8], factor: f32, to: &mut [f32]) {
     }
 }
 
-/// Luminance of BT.601 from full-range red, green and blue, rounded: `0.299 R + 0.587 G + 0.114 B` in 16-bit fixed point.
+/// BT.601 luminance of full-range RGB, rounded: `0.299 R + 0.587 G + 0.114 B` in 16-bit fixed
+/// point.
 pub(crate) fn luminance(red: u8, green: u8, blue: u8) -> u8 {
     ((19_595 * u32::from(red) + 38_470 * u32::from(green) + 7_471 * u32::from(blue) + 32_768) >> 16) as u8
 }
 
-/// A picture from interleaved red, green, blue; the colour is kept where `color` says so.
+/// A picture from interleaved RGB; keeps the colour if `color` is set.
 pub(crate) fn picture_from_rgb(width: usize, height: usize, rgb: Vec<u8>, color: bool) -> Option<Picture> {
     let samples = rgb.chunks_exact(3).map(|p| luminance(p[0], p[1], p[2])).collect();
     let gray = GrayImage::from_samples(width, height, samples)?;
@@ -245,7 +250,7 @@ mod tests {
     #[test]
     fn limited_range_white_and_red() {
         let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: false };
-        // BT.601 limited: white is (235, 128, 128), pure red is (81, 90, 240).
+        // In limited-range BT.601, white is (235, 128, 128) and pure red is (81, 90, 240).
         let frame = Frame {
             number: 0,
             time_s: 0.0,

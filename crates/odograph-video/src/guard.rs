@@ -1,4 +1,4 @@
-//! Keeps a panic inside a third party's decoder from ending the program.
+//! Catches panics of third-party decoders.
 
 use odograph::error::{Error, Result};
 use std::cell::Cell;
@@ -9,10 +9,11 @@ thread_local! {
     static GUARDED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Runs a call into a decoder; its panic becomes an [`Error`].
+/// Calls a decoder and converts a panic to an [`Error`].
 ///
-/// The decoder must not be used again after an error. While the call runs, the panic hook of this thread is silent, so that
-/// a damaged file does not print a backtrace of somebody else's code; all other panics are told as always.
+/// The decoder must not be used after an error. During the call the panic hook is silenced for this
+/// thread, so that a damaged file does not print a backtrace of third-party code; other panics are
+/// reported as usual.
 pub(crate) fn guarded<T>(what: &str, call: impl FnOnce() -> T) -> Result<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -34,7 +35,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_becomes_a_sentence() {
+    fn a_panic_becomes_an_error() {
         let error = guarded("test", || -> u8 { panic!("boom") }).unwrap_err();
         assert_eq!(error.to_string(), "the test decoder gave up on damaged data");
         assert_eq!(guarded("test", || 7).unwrap(), 7);

@@ -1,23 +1,25 @@
 //! # odograph-video
 //!
-//! Recordings, picture folders and streams as gray frames with timestamps.
+//! Decodes recordings, image folders and streams to timestamped gray frames.
 //!
-//! [`open`] looks at what a file or folder *is* (its first bytes, not its name) and gives a [`Source`]; the source gives one
-//! [`Frame`] after another. A frame's gray image is the luminance plane of the decoded video as it stands: no colour
-//! conversion and no copy. Timestamps come from the container, never from counting frames.
+//! [`open`] detects the format from the content (the first bytes, not the name) and returns a
+//! [`Source`], which yields one [`Frame`] after another. The gray image is the luminance plane of
+//! the decoded video, without colour conversion and without a copy. Timestamps come from the
+//! container, never from counting frames.
 //!
-//! Decoded in this crate, without any system package: picture folders (PNG, JPEG, TIFF, PGM, PPM), MP4/MOV/MKV with H.264
-//! and HEVC, AVI/MOV with Motion JPEG, VP9 in WebM/MKV/MP4, raw H.264 and HEVC streams, Y4M from a file or standard input.
-//! Everything else goes through an installed `ffmpeg`, where there is one, in bounded memory; otherwise it ends in one
-//! sentence that names the codec.
+//! Decoded in this crate, without any system package: image folders (PNG, JPEG, TIFF, PGM, PPM),
+//! MP4/MOV/MKV with H.264 and HEVC, AVI/MOV with Motion JPEG, VP9 in WebM/MKV/MP4, raw H.264 and
+//! HEVC streams, Y4M from a file or standard input. Everything else is decoded by an installed
+//! `ffmpeg`, in bounded memory; without one, [`open`] fails with a message that names the codec.
 //!
-//! All input is untrusted: sizes are bounded before memory is asked for, and a panic inside a decoder of a third party
-//! becomes an [`Error`](odograph::error::Error).
+//! All input is untrusted: sizes are bounded before memory is allocated, and a panic inside a
+//! third-party decoder becomes an [`Error`](odograph::error::Error).
 //!
 //! ```no_run
 //! let mut source = odograph_video::open("drive.mp4", &odograph_video::SourceOptions::default())?;
 //! while let Some(frame) = source.next_frame()? {
-//!     println!("{} {:.3} s {}x{}", frame.number, frame.time_s, frame.gray.width(), frame.gray.height());
+//!     let (width, height) = (frame.gray.width(), frame.gray.height());
+//!     println!("{} {:.3} s {width}x{height}", frame.number, frame.time_s);
 //! }
 //! # Ok::<(), odograph::error::Error>(())
 //! ```

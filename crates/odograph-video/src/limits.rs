@@ -1,22 +1,22 @@
-//! Bounds on what untrusted input may ask for.
+//! Limits on the resources that untrusted input may claim.
 
 use odograph::error::{Error, Result};
 
-/// Largest width or height of a frame, in pixels.
+/// Largest width or height of a frame, pixels.
 pub(crate) const MAX_SIDE: usize = 16_384;
-/// Largest frame, in pixels.
+/// Largest frame, pixels.
 pub(crate) const MAX_PIXELS: usize = 256 << 20;
-/// Largest frame of a video, in pixels: a little more than 8K. Decoders keep up to 17 frames, so a header's word alone must not
-/// ask for much.
+/// Largest video frame, pixels: slightly more than 8K. Decoders hold up to 17 frames, and the size
+/// is claimed by a header alone.
 pub(crate) const MAX_VIDEO_PIXELS: usize = 36 << 20;
-/// Largest single compressed picture or video sample, in bytes.
+/// Largest compressed image or video sample, bytes.
 pub(crate) const MAX_SAMPLE_BYTES: u64 = 256 << 20;
-/// Largest index (the `moov` box of an MP4 file, the headers of a Matroska file), in bytes.
+/// Largest index (the `moov` box of an MP4 file, the headers of a Matroska file), bytes.
 pub(crate) const MAX_INDEX_BYTES: u64 = 512 << 20;
-/// Most samples of one video track: four days at 30 frames a second.
+/// Largest number of samples of a video track: four days at 30 frames per second.
 pub(crate) const MAX_SAMPLES: usize = 10_000_000;
 
-/// Refuses a frame size that is empty or larger than this program takes; gives the number of pixels.
+/// Returns the number of pixels of a frame. Fails if the frame is empty or exceeds a limit.
 pub(crate) fn check_size(width: usize, height: usize) -> Result<usize> {
     if width == 0 || height == 0 {
         return Err(Error::input(format!("a frame of {width}x{height} pixels is empty")));
@@ -30,7 +30,8 @@ pub(crate) fn check_size(width: usize, height: usize) -> Result<usize> {
     }
 }
 
-/// As [`check_size`], for the frames of a video before its decoder asks for memory.
+/// As [`check_size`], with the lower limit for video frames; to be called before a decoder
+/// allocates memory.
 pub(crate) fn check_video_size(width: usize, height: usize) -> Result<usize> {
     check_size(width, height).and_then(|pixels| {
         if pixels > MAX_VIDEO_PIXELS {

@@ -1,18 +1,17 @@
-//! Recordings of robots (ROS bags, MCAP), told by their content: nothing else may take one for a
-//! video. A bag of JPEG pictures looks like a Motion-JPEG stream, of whatever cameras it has
-//! together and without their times.
+//! Detects robot recordings (ROS bags, MCAP) by their content, so that no other reader mistakes one
+//! for a video. A bag of JPEG images looks like a Motion JPEG stream, with the images of all its
+//! cameras interleaved and without timestamps.
 
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// Bytes of a database that are looked through for its tables; they stand on its first page, of at
+/// Bytes of a database that are searched for its tables: those are on its first page, which has at
 /// most 64 KiB.
 const DATABASE_HEAD: u64 = 1 << 16;
 
-/// What a file that begins like this is, where it is a recording of a robot, or a database, which
-/// is no recording at all.
+/// Format of a robot recording, or a database that is not a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Mcap,
@@ -62,7 +61,7 @@ fn find(text: &[u8], part: &[u8]) -> bool {
     text.windows(part.len()).any(|window| window == part)
 }
 
-/// Fails where a file that begins with `magic` is a recording of a robot, or a database.
+/// Fails if a file that begins with `magic` is a robot recording or a database.
 pub(crate) fn refuse_file(path: &Path, magic: &[u8]) -> Result<()> {
     let Some(kind) = Kind::of(magic) else { return Ok(()) };
     let mut head = Vec::new();
@@ -70,12 +69,11 @@ pub(crate) fn refuse_file(path: &Path, magic: &[u8]) -> Result<()> {
     Err(read.ok().and_then(|_| Kind::of(&head)).unwrap_or(kind).refusal())
 }
 
-/// Fails where a folder is a rosbag2 recording: one that describes itself as one, or that has a
-/// file of one.
+/// Fails if a folder is a rosbag2 recording, by its description or by a file in it.
 pub(crate) fn refuse_folder(folder: &Path) -> Result<()> {
     let mut description = Vec::new();
     if let Ok(file) = File::open(folder.join("metadata.yaml")) {
-        // A folder of that name and pipes are nobody's description.
+        // A folder or pipe of that name is not a description.
         let _ = file.take(DATABASE_HEAD).read_to_end(&mut description);
     }
     if find(&description, b"rosbag2_bagfile_information") {
@@ -103,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn recordings_of_robots_are_told_by_their_first_bytes() {
+    fn robot_recordings_are_detected_by_their_first_bytes() {
         assert_eq!(Kind::of(b"\x89MCAP0\r\n\x01"), Some(Kind::Mcap));
         assert_eq!(Kind::of(b"#ROSBAG V2.0\n"), Some(Kind::RosBag));
         assert_eq!(Kind::of(b"SQLite format 3\0 CREATE TABLE keyframes (id)"), Some(Kind::Database));

@@ -1,9 +1,10 @@
-//! Turning and mirroring pictures upright, as the container or the picture's metadata asks.
+//! Rotates and mirrors pictures upright, as specified by the container or the image metadata.
 
 use crate::frame::{Chroma, Color, Picture};
 use odograph::image::GrayImage;
 
-/// How a stored picture is brought upright: mirrored first (left to right), then turned clockwise.
+/// Transformation of a stored picture to upright: mirrored first (left to right), then rotated
+/// clockwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Orientation {
     pub mirrored: bool,
@@ -16,7 +17,7 @@ impl Orientation {
         Self { mirrored: false, quarter_turns: quarter_turns % 4 }
     }
 
-    /// From the EXIF tag `Orientation` (CIPA DC-008, 4.6.5): 1 to 8.
+    /// From the EXIF tag `Orientation` (CIPA DC-008, 4.6.5), 1 to 8.
     pub fn from_exif(value: u32) -> Self {
         let (mirrored, quarter_turns) = match value {
             2 => (true, 0),
@@ -35,7 +36,7 @@ impl Orientation {
         self == Self::default()
     }
 
-    /// The size of an upright picture that is stored at the given size.
+    /// Size of the upright picture for a given stored size.
     pub fn size(self, width: usize, height: usize) -> (usize, usize) {
         if self.quarter_turns % 2 == 1 { (height, width) } else { (width, height) }
     }
@@ -114,7 +115,7 @@ mod tests {
         assert_eq!(letters(Orientation::from_exif(2)).1, "CBAFED");
         assert_eq!(letters(Orientation::from_exif(3)).1, "FEDCBA");
         assert_eq!(letters(Orientation::from_exif(4)).1, "DEFABC");
-        // 5: rows and columns exchanged; 7: exchanged across the other diagonal.
+        // 5 is a transposition; 7 is a transposition across the other diagonal.
         assert_eq!(letters(Orientation::from_exif(5)).1, "ADBECF");
         assert_eq!(letters(Orientation::from_exif(6)).1, "DAEBFC");
         assert_eq!(letters(Orientation::from_exif(7)).1, "FCEBDA");

@@ -1,4 +1,4 @@
-//! Pictures as cameras and streams hand them over: JPEG, or samples in a buffer.
+//! Pictures from cameras and streams: JPEG, or uncompressed samples in a buffer.
 
 use crate::codec::jpeg;
 use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture, picture_from_rgb};
@@ -7,19 +7,19 @@ use crate::limits;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 
-/// How cameras lay out the samples of an uncompressed picture.
+/// Pixel format of an uncompressed picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleLayout {
-    /// One byte a pixel, the luminance (V4L2 `GREY`).
+    /// One byte per pixel: luminance (V4L2 `GREY`).
     Gray,
-    /// Two pixels in four bytes: luminance, blue difference, luminance, red difference (V4L2 `YUYV`).
+    /// Four bytes per two pixels: luminance, blue chroma, luminance, red chroma (V4L2 `YUYV`).
     Yuyv,
-    /// Three bytes a pixel: red, green, blue (V4L2 `RGB3`).
+    /// Three bytes per pixel: red, green, blue (V4L2 `RGB3`).
     Rgb,
 }
 
 impl SampleLayout {
-    /// Bytes that a pixel takes.
+    /// Bytes per pixel.
     pub fn bytes_per_pixel(self) -> usize {
         match self {
             Self::Gray => 1,
@@ -30,19 +30,19 @@ impl SampleLayout {
 }
 
 impl Picture {
-    /// The picture of a JPEG file; its colour is kept where `color` says so.
+    /// Decodes a JPEG image; keeps the colour if `color` is set.
     ///
     /// # Errors
-    /// Where the bytes are not a JPEG picture, or one too damaged to decode.
+    /// If the bytes are not a JPEG image or are too damaged to decode.
     pub fn from_jpeg(bytes: &[u8], color: bool) -> Result<Self> {
         guarded("JPEG", || jpeg::decode(bytes, color))?
     }
 
-    /// The picture in a buffer of samples as cameras give them, row after row, `bytes_per_line` apart; its colour is kept where
-    /// `color` says so.
+    /// A picture from a buffer of samples, row by row at a stride of `bytes_per_line`; keeps the
+    /// colour if `color` is set.
     ///
     /// # Errors
-    /// Where the size cannot be, or the buffer is shorter than it says.
+    /// If the size is invalid, or the buffer is shorter than the size requires.
     pub fn from_samples(
         layout: SampleLayout,
         width: usize,
@@ -81,7 +81,8 @@ impl Picture {
                 for row in rows {
                     gray.extend(row.iter().step_by(2));
                     if color {
-                        // An odd last pixel has blue only; it takes the red of the pair before.
+                        // An odd last pixel has only blue chroma; it takes the red chroma of the
+                        // pair before.
                         blue.extend(row.iter().skip(1).step_by(4));
                         red.extend(row.iter().skip(3).step_by(4));
                         red.resize(blue.len(), red.last().copied().unwrap_or(128));
@@ -104,8 +105,8 @@ mod tests {
     use crate::frame::Frame;
 
     #[test]
-    fn samples_of_a_camera_with_lines_longer_than_the_picture() {
-        // Two rows of YUYV, each with two bytes of padding: Y U Y V.
+    fn yuyv_with_a_stride_longer_than_the_row() {
+        // Two rows of YUYV, each with two bytes of padding.
         let bytes = [10, 90, 20, 240, 0, 0, 30, 100, 40, 200, 0, 0];
         let picture = Picture::from_samples(SampleLayout::Yuyv, 2, 2, 6, &bytes, true).unwrap();
         assert_eq!(picture.gray.samples(), [10, 20, 30, 40]);

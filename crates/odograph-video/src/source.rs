@@ -1,4 +1,4 @@
-//! What a caller sees: options in, a source of frames out.
+//! Public interface: opens a source of frames with options.
 
 use crate::container::annex_b::{self, AnnexBReader};
 use crate::container::avi::AviReader;
@@ -13,29 +13,31 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
-/// The rate that is assumed where nothing says one.
+/// Default frame rate of a source without one, frames per second.
 const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
 
-/// Start and end mean the frames that people name by their decimals, which binary fractions miss by a little.
+/// Tolerance for start and end times, seconds: a decimal time is not exactly representable in
+/// binary.
 const TIME_SLACK_S: f64 = 1e-6;
 
-/// Which frames are wanted, and how a source without times gets them.
+/// Selection of frames, and timestamps for a source without them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceOptions {
-    /// A file of timestamps: lines of `seconds name` (as TUM's `rgb.txt`), `name seconds`, EuRoC's `nanoseconds,name`, or
-    /// one number a line in the order of the frames; `#` starts a comment. Wins over every other time.
+    /// A timestamps file with lines of `seconds name` (as in TUM's `rgb.txt`), `name seconds`,
+    /// EuRoC's `nanoseconds,name`, or one number per line in the order of the frames; `#` starts a
+    /// comment. Takes precedence over all other timestamps.
     pub timestamps: Option<PathBuf>,
-    /// Frames a second, > 0: frame `n` is then at `n / fps` seconds, whatever the container says.
+    /// Frames per second, > 0: frame `n` is at `n / fps` seconds, whatever the container has.
     pub fps: Option<f64>,
-    /// Leaves out what is earlier than this many seconds after the first frame.
+    /// Excludes frames earlier than this many seconds after the first frame.
     pub start_s: Option<f64>,
-    /// Leaves out what is later than this many seconds after the first frame.
+    /// Excludes frames later than this many seconds after the first frame.
     pub end_s: Option<f64>,
-    /// Gives every n-th frame from the start on; at least 1.
+    /// Yields every n-th frame from the start; at least 1.
     pub every: u64,
-    /// Ends after so many frames were given.
+    /// Maximum number of frames to yield.
     pub max_frames: Option<u64>,
-    /// Keeps colour beside the gray image, for [`Frame::rgb`].
+    /// Keeps the colour in addition to the gray image, for [`Frame::rgb`].
     pub color: bool,
 }
 
@@ -72,26 +74,26 @@ impl SourceOptions {
     }
 }
 
-/// What is known of a source before its frames are read.
+/// Properties of a source, known before its frames are read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceInfo {
-    /// Width of every frame, in pixels, turned upright.
+    /// Width of every frame after rotation to upright, pixels.
     pub width: usize,
-    /// Height of every frame, in pixels, turned upright.
+    /// Height of every frame after rotation to upright, pixels.
     pub height: usize,
-    /// How many frames will probably be given; an estimate for a progress bar, not a promise.
+    /// Estimated number of frames, for a progress bar; `None` if unknown.
     pub frame_count: Option<u64>,
-    /// For people, e.g. `H.264 (High) in MP4, 640x480`.
+    /// Human-readable description, e.g. `H.264 (High) in MP4, 640x480`.
     pub description: String,
 }
 
-/// Frames of one file, folder or stream, one after another.
+/// The frames of one file, folder or stream, read sequentially.
 pub struct Source {
     place: String,
     info: SourceInfo,
     options: SourceOptions,
     frames: Box<dyn Frames>,
-    /// The first frame, decoded when the source was opened.
+    /// The first frame, decoded when the source is opened.
     first: Option<(f64, Picture)>,
     clock: Clock,
     next_number: u64,
@@ -104,24 +106,25 @@ pub struct Source {
     warnings: Vec<String>,
 }
 
-/// Where a frame's time comes from.
+/// Origin of the timestamps.
 enum Clock {
     Container,
     Rate(f64),
     List(Vec<f64>),
 }
 
-/// Frames as the kinds of sources give them.
+/// Frames of a source of any kind.
 pub(crate) trait Frames: Send {
-    /// Moves to the next frame and gives its time in seconds (its number, where the source has no times); `None` at the end.
+    /// Advances to the next frame and returns its time in seconds (its index if the source has no
+    /// timestamps); `None` at the end.
     fn advance(&mut self) -> Result<Option<f64>>;
-    /// The frame moved to, upright; once.
+    /// The current frame, upright; can be taken once.
     fn picture(&mut self) -> Result<Picture>;
-    /// Name of the picture file that the frame moved to comes from, where it comes from one.
+    /// File name of the current image; `None` for a video.
     fn name(&self) -> Option<String> {
         None
     }
-    /// What was wrong with the source so far, one sentence each; empties the list.
+    /// Drains the warnings about defects of the source, one sentence each.
     fn take_warnings(&mut self) -> Vec<String>;
 }
 
@@ -131,21 +134,22 @@ pub(crate) struct Opened {
     pub frame_count: Option<u64>,
     pub description: String,
     pub times_known: bool,
-    /// The times are those of [`SourceOptions::timestamps`].
+    /// Whether the times are those of [`SourceOptions::timestamps`].
     pub timestamps_used: bool,
     pub frames_per_second: Option<f64>,
 }
 
-/// Opens a recording: a video file, a folder of pictures, one picture, `-` for Y4M from standard input, or an address `rtsp://…`.
+/// Opens a recording: a video file, an image folder, a single image, `-` for Y4M from standard
+/// input, or an address `rtsp://…`.
 ///
-/// What a file is, is told from its bytes. The first frame is decoded at once, so that a source that cannot be decoded says
-/// so here.
+/// The format is detected from the content. The first frame is decoded at once, so that an
+/// undecodable source fails here.
 ///
 /// # Errors
-/// [`ErrorKind::Usage`](odograph::error::ErrorKind::Usage) for options that cannot be;
-/// [`ErrorKind::Input`](odograph::error::ErrorKind::Input) for a source that is missing, damaged, without frames, or of a kind
-/// that needs an `ffmpeg` that is not there. The environment variable `ODOGRAPH_FFMPEG` names the program to use as `ffmpeg`;
-/// empty, it stands for none.
+/// [`ErrorKind::Usage`](odograph::error::ErrorKind::Usage) for invalid options;
+/// [`ErrorKind::Input`](odograph::error::ErrorKind::Input) for a source that is missing, damaged,
+/// without frames, or in a format that needs an `ffmpeg` that is not installed. The environment
+/// variable `ODOGRAPH_FFMPEG` sets the program to use as `ffmpeg`; an empty value disables it.
 pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     let path = path.as_ref();
     options.check()?;
@@ -155,11 +159,12 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
         .map_err(|e| told(&e, &place))
 }
 
-/// What an MP4 or QuickTime file may start with.
+/// Box types at the start of an MP4 or QuickTime file.
 const MP4_STARTS: [&[u8]; 11] =
     [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"uuid", b"styp", b"sidx", b"moof"];
 
-/// An error with the place it happened, on one line: decoders of third parties break theirs.
+/// Prefixes an error with its location, on one line: third-party decoders write messages of several
+/// lines.
 fn told(error: &Error, place: &str) -> Error {
     Error::new(error.kind(), one_line(&error.to_string())).at(place)
 }
@@ -168,7 +173,7 @@ fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Whether a source's name is the address of a stream, `rtsp://…`, which is read through ffmpeg and comes at its own pace.
+/// Whether a source name is the address of a live stream (`rtsp://…`), which is read with ffmpeg.
 pub fn is_stream(name: &str) -> bool {
     name.starts_with("rtsp://") || name.starts_with("rtsps://")
 }
@@ -189,7 +194,7 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
     }
     let mut file = File::open(path).map_err(|error| Error::input(format!("cannot be opened: {error}")))?;
     if !metadata.is_file() {
-        // A pipe or a device can only be read once, from front to back.
+        // A pipe or device is not seekable.
         return y4m::open(BufReader::with_capacity(1 << 18, file), None, options.color);
     }
     let mut magic = Vec::new();
@@ -272,16 +277,17 @@ impl Source {
         })
     }
 
-    /// What is known of the source.
+    /// Properties of the source.
     pub fn info(&self) -> &SourceInfo {
         &self.info
     }
 
-    /// The next wanted frame; `None` at the end.
+    /// The next selected frame; `None` at the end.
     ///
     /// # Errors
-    /// When a frame is damaged beyond what its decoder forgives, has another size than the first, or has no line in the
-    /// file of timestamps. A video that is cut off is no error: its frames up to the cut are given, and a warning.
+    /// If a frame is too damaged to decode, differs in size from the first, or has no line in the
+    /// timestamps file. A truncated video is not an error: its frames up to the truncation are
+    /// yielded, with a warning.
     pub fn next_frame(&mut self) -> Result<Option<Frame>> {
         let frame = self.next_wanted().map_err(|error| told(&error, &self.place));
         if !matches!(frame, Ok(Some(_))) {
@@ -290,7 +296,7 @@ impl Source {
         frame
     }
 
-    /// What was noticed about the source since the last call, one sentence each, for people; empties the list.
+    /// Drains the warnings about the source since the last call, one sentence each, for users.
     pub fn take_warnings(&mut self) -> Vec<String> {
         let mut warnings = std::mem::take(&mut self.warnings);
         warnings.append(&mut self.frames.take_warnings());
@@ -372,7 +378,7 @@ impl std::fmt::Debug for Source {
     }
 }
 
-// A source may be read by a thread of its own.
+// A source can be read in a separate thread.
 const _: fn() = || {
     fn is_send<T: Send>() {}
     is_send::<Source>();
@@ -383,7 +389,7 @@ mod tests {
     use super::*;
     use odograph::image::GrayImage;
 
-    /// Frames of one pixel at given times.
+    /// Single-pixel frames at given times.
     struct Listed(std::vec::IntoIter<f64>);
 
     impl Frames for Listed {
@@ -401,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_whose_times_do_not_increase_are_left_out_and_told() {
+    fn frames_with_non_increasing_times_are_dropped_with_a_warning() {
         let opened = Opened {
             frames: Box::new(Listed(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0].into_iter())),
             frame_count: Some(6),

@@ -1,24 +1,25 @@
-//! Files of timestamps.
+//! Timestamps files.
 
 use odograph::error::{Error, Result};
 use std::path::Path;
 
-/// Times from a file, strictly increasing, in seconds.
+/// Strictly increasing times from a file, seconds.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Timestamps {
-    /// A picture's name and its time.
+    /// Image names with their times.
     Named(Vec<(String, f64)>),
-    /// In the order of the frames.
+    /// Times in the order of the frames.
     InOrder(Vec<f64>),
 }
 
-/// Whole numbers from here on are nanoseconds since 1970 (1973 in nanoseconds; far in the future in seconds).
+/// Integers from here on are nanoseconds since 1970 (1973 in nanoseconds; far in the future in
+/// seconds).
 const NANOSECONDS_FROM: f64 = 1e17;
-/// Largest file of timestamps.
+/// Largest size of a timestamps file, bytes.
 const MAX_BYTES: u64 = 1 << 30;
 
 impl Timestamps {
-    /// Reads a file of timestamps.
+    /// Reads a timestamps file.
     pub fn read(path: &Path) -> Result<Self> {
         let place = path.display();
         let readable = std::fs::metadata(path).is_ok_and(|m| m.len() <= MAX_BYTES);
@@ -62,7 +63,7 @@ impl Timestamps {
                         "line {number} has two numbers, and it is not clear which is the time; write `seconds name`"
                     )));
                 }
-                // The headings of a table.
+                // Header line of a table.
                 (None, _) if first => {
                     first = false;
                     continue;
@@ -90,7 +91,7 @@ impl Timestamps {
     }
 }
 
-/// Seconds from a field that is a finite number; whole numbers too large for seconds are nanoseconds.
+/// Parses a finite number of seconds; integers too large for seconds are nanoseconds.
 fn seconds(field: &str, nanoseconds_said: bool) -> Option<f64> {
     let value: f64 = field.parse().ok().filter(|v: &f64| v.is_finite())?;
     if field.bytes().all(|b| b.is_ascii_digit()) && (nanoseconds_said || value >= NANOSECONDS_FROM) {
@@ -99,15 +100,17 @@ fn seconds(field: &str, nanoseconds_said: bool) -> Option<f64> {
     Some(value)
 }
 
-/// A whole number of 10^-`decimals` seconds, split before it is converted so that no digit is lost that need not be.
+/// Converts an integer multiple of 10^-`decimals` seconds; split before the conversion to keep
+/// precision.
 fn seconds_from_digits(digits: &str, decimals: usize) -> Option<f64> {
     let value: u64 = digits.parse().ok()?;
     let unit = 10u64.checked_pow(decimals as u32)?;
     Some((value / unit) as f64 + (value % unit) as f64 / unit as f64)
 }
 
-/// The time that a picture's name plausibly is: seconds since 1970 with decimals (`1305031102.175304`), or whole
-/// nano-, micro- or milliseconds since 1970, of the years 1990 to 2100.
+/// Time from a file name that is plausibly a timestamp: decimal seconds since 1970
+/// (`1305031102.175304`), or integer nano-, micro- or milliseconds since 1970, in the years 1990 to
+/// 2100.
 pub(crate) fn time_from_name(stem: &str) -> Option<f64> {
     const YEARS_S: std::ops::Range<f64> = 631_152_000.0..4_102_444_800.0;
     let time_s = if stem.contains('.') {
@@ -134,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tum_and_turned_round() {
+    fn tum_with_columns_in_either_order() {
         let tum =
             "# timestamp filename\n1305031102.175304 rgb/1305031102.175304.png\n1305031102.2 rgb/b.png\n";
         let expected = Timestamps::Named(vec![
@@ -167,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_one_sentence() {
+    fn invalid_files_fail_with_one_sentence() {
         for text in [
             "",
             "# only\n",

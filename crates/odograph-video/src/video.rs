@@ -1,4 +1,4 @@
-//! Samples through a decoder into the order of presentation.
+//! Decodes samples and reorders the pictures to presentation order.
 
 use crate::codec::{self, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
 use crate::container::{Packet, PacketReader, Times, Track};
@@ -9,7 +9,7 @@ use odograph::error::{Error, Result};
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Opens a track with the first decoder that takes it; with ffmpeg where none does.
+/// Opens a track with the first decoder that supports it, otherwise with ffmpeg.
 pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> Result<Opened> {
     let track = reader.track().clone();
     let (decoders, name) = codec::decoders(&track, color)?;
@@ -39,7 +39,7 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
         packet: Packet::default(),
         warnings: Vec::new(),
     };
-    // The first frame tells whether a decoder takes the stream at all.
+    // Decoding the first frame determines whether a decoder supports the stream.
     match video.fill() {
         Ok(()) => {}
         Err(Refused::Unsupported(what)) => {
@@ -48,7 +48,8 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
         Err(Refused::Failed(error)) => return Err(error),
     }
     if video.ready.is_empty() {
-        // Damage that is too much for these decoders may not be for ffmpeg; where it is, their words are the better ones.
+        // ffmpeg may decode a stream that is too damaged for these decoders; if it fails, the error
+        // message of these decoders is the better one.
         if video.first_damage.is_some()
             && let Ok(opened) = through_ffmpeg(&name)
         {
@@ -73,14 +74,15 @@ pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> R
 struct Video {
     reader: Box<dyn PacketReader>,
     decoder: Box<dyn Decoder>,
-    /// Those that have not been tried.
+    /// Decoders not tried yet.
     others: VecDeque<MakeDecoder>,
-    /// Decoded pictures with their groups, waiting for those that are shown before them.
+    /// Reorder buffer: decoded pictures with their groups.
     waiting: Vec<(u64, Decoded)>,
     group: u64,
     ready: VecDeque<(Stamp, Picture)>,
     given: u64,
-    /// Frames that were given before another decoder started from the beginning.
+    /// Number of frames to skip, because they were output before another decoder restarted at the
+    /// beginning.
     to_skip: u64,
     ended: bool,
     damaged: u64,
@@ -108,7 +110,7 @@ impl Video {
         let mut decoded = Vec::new();
         while self.ready.is_empty() && !self.ended {
             let more = match self.reader.next_packet(&mut self.packet) {
-                // What was read before is still worth showing.
+                // Frames read before the error are still output.
                 Err(error) if self.given > 0 || !self.waiting.is_empty() => {
                     self.damage(error.to_string());
                     false
@@ -157,7 +159,7 @@ impl Video {
         Ok(())
     }
 
-    /// Starts from the beginning with the next decoder; false where there is none.
+    /// Restarts at the beginning with the next decoder; false if there is none.
     fn start_another(&mut self) -> Result<bool> {
         let Some(make) = self.others.pop_front() else { return Ok(false) };
         self.decoder = make()?;
@@ -176,15 +178,16 @@ impl Video {
         self.first_damage.get_or_insert(what);
     }
 
-    /// Moves pictures from `waiting` to `ready` until no more than `depth` wait.
+    /// Moves pictures from the reorder buffer to `ready` until at most `depth` remain.
     fn release(&mut self, depth: usize) {
         while self.waiting.len() > depth {
             let first = |key: fn(&(u64, Decoded)) -> (u64, i64)| {
                 self.waiting.iter().enumerate().min_by_key(|(_, w)| key(w)).map(|(i, _)| i)
             };
             let Some(picture) = first(|(group, d)| (*group, d.order)) else { return };
-            // The earliest time belongs to the picture shown first: the same picture in a sound file; where the container
-            // has only decoding times, this is what turns them into times of presentation.
+            // The earliest timestamp belongs to the picture presented first. In a valid file that
+            // is the same picture; with decoding timestamps only, it converts them to presentation
+            // timestamps.
             let earliest = self
                 .waiting
                 .iter()

@@ -8,17 +8,17 @@ use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use std::io::{BufRead, Read};
 
-/// The first bytes of every such file.
+/// Magic number at the start of every stream.
 pub(crate) const MAGIC: &[u8] = b"YUV4MPEG2";
-/// Longest header line.
+/// Longest header line, bytes.
 const MAX_LINE: u64 = 4096;
 
-/// The layout of a frame, from the header's `C` tag.
+/// Layout of a frame, from the `C` tag of the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
-    /// Width and height of the luminance are divided by these for the colour differences; `None` without colour.
+    /// Chroma subsampling: divisors of the luminance width and height; `None` for monochrome.
     chroma_divisors: Option<(usize, usize)>,
-    /// A fourth plane, as large as the luminance.
+    /// Whether there is a fourth plane (alpha) at the size of the luminance.
     alpha: bool,
     bits: u8,
 }
@@ -48,7 +48,7 @@ impl Layout {
     }
 }
 
-/// The frames of a Y4M stream.
+/// Reads the frames of a Y4M stream.
 pub(crate) struct Y4m<R> {
     reader: R,
     width: usize,
@@ -64,7 +64,7 @@ pub(crate) struct Y4m<R> {
     ended: bool,
 }
 
-/// Reads the header. `byte_length` is the file's length, where it is known, for an estimate of the number of frames.
+/// Reads the header. `byte_length` is the file size, if known, to estimate the number of frames.
 pub(crate) fn open<R: BufRead + Send + 'static>(
     mut reader: R,
     byte_length: Option<u64>,
@@ -124,7 +124,7 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
     })
 }
 
-/// One line without its end.
+/// Reads one line, without its line feed.
 fn line(reader: &mut impl BufRead) -> Result<String> {
     let mut bytes = Vec::new();
     reader
@@ -161,7 +161,7 @@ impl<R: BufRead> Y4m<R> {
         }
     }
 
-    /// One plane; false where the stream ends inside it.
+    /// Reads one plane; false if the stream ends inside it.
     fn plane(&mut self, samples: u64, which: fn(&mut Self) -> &mut Vec<u8>) -> Result<bool> {
         let bytes = samples * self.sample_bytes();
         let mut plane = std::mem::take(which(self));
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn luminance_as_it_stands_and_the_planes_of_420() {
+    fn luminance_is_unconverted_and_420_has_three_planes() {
         let bytes = b"YUV4MPEG2 W3 H2 F25:1 Ip C420jpeg\nFRAME\nabcdef1234FRAME Xy\nABCDEF1234";
         let (pictures, warnings) = frames(bytes, true);
         assert!(warnings.is_empty());
@@ -254,21 +254,21 @@ mod tests {
     }
 
     #[test]
-    fn deep_samples_are_rounded_to_their_high_bits() {
+    fn deep_samples_are_rounded_to_eight_bits() {
         let mut bytes = b"YUV4MPEG2 W2 H1 Cmono10\nFRAME\n".to_vec();
         bytes.extend([0xfe, 3, 5, 1]); // 1022 and 261 of 1023
         assert_eq!(frames(&bytes, true).0[0].gray.samples(), &[255, 65]);
     }
 
     #[test]
-    fn a_cut_stream_gives_its_whole_frames_and_a_warning() {
+    fn a_truncated_stream_yields_its_complete_frames_and_a_warning() {
         let (pictures, warnings) = frames(b"YUV4MPEG2 W2 H1 Cmono\nFRAME\nabFRAME\nc", false);
         assert_eq!(pictures.len(), 1);
         assert_eq!(warnings, ["the stream is cut off inside frame 1"]);
     }
 
     #[test]
-    fn headers_that_cannot_be() {
+    fn invalid_headers_are_rejected() {
         for header in
             ["YUV4MPEG2 W0 H2\n", "YUV4MPEG2 W2 H2 C999\n", "RIFF\n", "", "YUV4MPEG2 W99999999 H2\n"]
         {

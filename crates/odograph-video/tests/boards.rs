@@ -1,7 +1,7 @@
-//! Chessboards in real pictures: every one that OpenCV finds is found. Needs the pictures (in `ODOGRAPH_DATA`, or `shared/data` beside
-//! the checkout); skips without them and says so.
+//! Chessboard detection in real images: finds every board that OpenCV finds. Needs the images (in
+//! `ODOGRAPH_DATA`, or `shared/data` beside the checkout); prints a message and skips without them.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // the helpers of a test may fail as the test does
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helper functions of tests may panic
 
 use odograph::calibration::{Board, BoardFinder, BoardView, NotFound};
 use odograph_video::{SourceOptions, open};
@@ -29,7 +29,8 @@ fn find(board: &str, path: &Path) -> Result<BoardView, NotFound> {
     BoardFinder::new(&board).find(&frame.gray)
 }
 
-/// Every view is whole, its rows run clockwise to its columns as a board seen from its front does, and neighbours stand apart.
+/// Every view is complete, its rows and columns are clockwise as for a board seen from the front,
+/// and neighbours are distinct.
 fn check(view: &BoardView, columns: usize, rows: usize) {
     assert_eq!(view.points.len(), columns * rows);
     for (index, point) in view.points.iter().enumerate() {
@@ -44,7 +45,7 @@ fn check(view: &BoardView, columns: usize, rows: usize) {
 }
 
 #[test]
-fn every_board_of_the_stereo_pair_is_found() {
+fn all_boards_of_the_stereo_pair_are_found() {
     for side in ["left", "right"] {
         let Some(paths) = pictures("calib_opencv", side) else { return };
         assert!(!paths.is_empty());
@@ -63,13 +64,13 @@ fn every_board_of_the_stereo_pair_is_found() {
 }
 
 #[test]
-fn every_board_of_the_wide_lens_that_is_wholly_in_the_picture_is_found() {
+fn all_complete_boards_of_the_wide_lens_are_found() {
     let Some(paths) = pictures("calib_carnd_wide/calibration_wide", "") else { return };
     for path in paths {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         match find("chessboard:8x6:25mm", &path) {
             Ok(view) => check(&view, 8, 6),
-            // In these two the board is larger than the picture.
+            // In these two images the board extends beyond the image.
             Err(why) if ["GOPR0055.jpg", "test_image.jpg"].contains(&name.as_str()) => {
                 assert!(matches!(why, NotFound::Partial { .. }), "{name}: {why}");
             }
@@ -79,7 +80,7 @@ fn every_board_of_the_wide_lens_that_is_wholly_in_the_picture_is_found() {
 }
 
 #[test]
-fn every_board_of_many_squares_is_found() {
+fn all_boards_with_many_squares_are_found() {
     let Some(paths) = pictures("calib_overhead_table/images", "") else { return };
     for path in paths {
         let view =

@@ -1,9 +1,11 @@
-//! Every clip of the recordings against ffmpeg: the same frames, the same luminance, the same times.
+//! Decodes every clip of the recordings and compares with ffmpeg: same frames, same luminance, same
+//! timestamps.
 //!
-//! Needs the recordings (in `ODOGRAPH_DATA`, or `shared/data` beside the checkout) and `ffmpeg` with `ffprobe`; skips where one of
-//! them is absent. `cargo test -p odograph-video --test clips -- --nocapture` prints the table of `docs/decoding.md`.
+//! Needs the recordings (in `ODOGRAPH_DATA`, or `shared/data` beside the checkout) and `ffmpeg`
+//! with `ffprobe`; skips without them. `cargo test -p odograph-video --test clips -- --nocapture`
+//! prints the table of `docs/decoding.md`.
 
-#![allow(clippy::print_stdout, clippy::unwrap_used)] // the helpers of a test may fail as the test does
+#![allow(clippy::print_stdout, clippy::unwrap_used)] // helper functions of tests may panic
 
 use odograph_video::{SourceOptions, open};
 use std::io::Read;
@@ -35,7 +37,7 @@ fn ffprobe(clip: &Path, entries: &str) -> Vec<String> {
     text.lines().map(|l| l.trim_matches(',').to_string()).filter(|l| !l.is_empty()).collect()
 }
 
-/// What came of comparing a clip.
+/// Result of comparing a clip.
 #[derive(Default)]
 struct Comparison {
     description: String,
@@ -45,11 +47,11 @@ struct Comparison {
     samples: u64,
 }
 
-/// Decodes a clip here and with ffmpeg; panics where the frames or their times are not the same.
+/// Decodes a clip here and with ffmpeg; panics if the frames or their timestamps differ.
 fn compare(clip: &Path) -> Comparison {
     let name = clip.file_name().unwrap().to_string_lossy().into_owned();
     let format = ffprobe(clip, "stream=pix_fmt").remove(0);
-    // The luminance plane itself; a source in RGB has none, and there the conversion is ffmpeg's on both sides.
+    // The luminance plane itself; an RGB source has none and is converted by ffmpeg on both sides.
     let filter = if format.starts_with("yuv") || format == "gray" {
         "extractplanes=y"
     } else {
@@ -128,7 +130,8 @@ fn compare_folder(folder: &str) {
             ),
         };
         println!("| `{folder}/{name}` | {} | {} | {agreement} |", result.description, result.frames);
-        // The last bits of an inverse transform of JPEG are the decoder's own; all other standards say every bit.
+        // JPEG does not specify the last bits of the inverse transform; the other standards are
+        // bit-exact.
         if result.description.starts_with("Motion JPEG") {
             assert!(
                 result.largest_difference <= 3 && result.differing_samples * 20 < result.samples,
@@ -141,11 +144,11 @@ fn compare_folder(folder: &str) {
 }
 
 #[test]
-fn the_same_scene_in_many_codecs() {
+fn all_codecs_agree_with_ffmpeg() {
     compare_folder("codecs");
 }
 
 #[test]
-fn clips_as_people_have_them() {
+fn real_clips_agree_with_ffmpeg() {
     compare_folder("real");
 }

@@ -1,6 +1,6 @@
-//! Folders of pictures, their order, their times, their kinds; and sources that are not what they should be.
+//! Image folders (order, timestamps, formats), and invalid sources.
 
-#![allow(clippy::unwrap_used)] // the helpers of a test may fail as the test does
+#![allow(clippy::unwrap_used)] // helper functions of tests may panic
 
 use odograph::error::{ErrorKind, Result};
 use odograph_video::{Frame, SourceOptions, open};
@@ -44,7 +44,7 @@ fn first_samples(frames: &[Frame]) -> Vec<u8> {
     frames.iter().map(|f| f.gray.samples()[0]).collect()
 }
 
-/// Reads something that cannot be read; gives its one sentence.
+/// Reads an invalid source; returns its error message, which must be one sentence.
 fn sentence(path: &Path) -> String {
     let error = read(path, &SourceOptions::default()).unwrap_err();
     let text = error.to_string();
@@ -55,7 +55,7 @@ fn sentence(path: &Path) -> String {
 }
 
 #[test]
-fn natural_order_and_an_assumed_rate() {
+fn images_are_in_natural_order_at_the_default_rate() {
     let folder = folder(&[
         ("f10.png", gray_png(10)),
         ("f9.pgm", b"P5 2 2 255\n\x09\x09\x09\x09".to_vec()),
@@ -75,7 +75,7 @@ fn natural_order_and_an_assumed_rate() {
 }
 
 #[test]
-fn times_from_a_file_in_every_form() {
+fn timestamps_files_in_every_format() {
     let folder = folder(&[
         ("a.png", gray_png(1)),
         ("b.png", gray_png(2)),
@@ -106,7 +106,7 @@ fn times_from_a_file_in_every_form() {
 }
 
 #[test]
-fn euroc_layout_and_names_that_are_times() {
+fn euroc_layout_and_timestamps_in_file_names() {
     let folder = folder(&[
         (
             "mav0/cam0/data.csv",
@@ -127,7 +127,7 @@ fn euroc_layout_and_names_that_are_times() {
     );
 }
 
-/// A JPEG file's EXIF segment with `DateTimeOriginal` and its fraction, put into a small picture.
+/// A small JPEG image with an EXIF segment that has `DateTimeOriginal` and its fraction.
 fn jpeg_taken(second: u8, fraction: &str) -> Vec<u8> {
     let date = format!("2024:05:06 07:08:{second:02}\0");
     let mut tiff = b"II*\0\x08\0\0\0".to_vec();
@@ -158,7 +158,7 @@ fn jpeg_taken(second: u8, fraction: &str) -> Vec<u8> {
 }
 
 #[test]
-fn times_from_exif_where_every_picture_has_one() {
+fn exif_times_are_used_if_all_images_have_one() {
     let folder = folder(&[
         ("1.jpg", jpeg_taken(9, "25")),
         ("2.jpg", jpeg_taken(9, "75")),
@@ -210,7 +210,7 @@ fn tiff_pictures() {
 }
 
 #[test]
-fn what_is_not_a_source_is_one_sentence() {
+fn invalid_sources_fail_with_one_sentence() {
     assert!(sentence(Path::new("/nowhere/at/all.mp4")).ends_with("there is no such file or folder"));
     assert!(sentence(folder(&[]).path()).ends_with("the folder is empty"));
     let texts = folder(&[("b.txt", b"x".to_vec()), ("a.txt", b"x".to_vec())]);
@@ -233,7 +233,7 @@ fn what_is_not_a_source_is_one_sentence() {
 }
 
 #[test]
-fn files_that_are_not_what_they_are_called() {
+fn files_with_a_wrong_extension_fail_with_a_reason() {
     let random: Vec<u8> = (0u32..5000).map(|n| (n.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let mp4 = |bytes: &[u8]| [b"\0\0\0\x10ftypisom\0\0\0\0", bytes].concat();
     let files = [
@@ -260,7 +260,7 @@ fn files_that_are_not_what_they_are_called() {
 }
 
 #[test]
-fn a_video_that_is_cut_off_gives_what_is_there() {
+fn a_truncated_video_yields_its_complete_frames() {
     let whole =
         fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/h264_fragmented.mp4")).unwrap();
     let (mut most, mut warned) = (0, 0);

@@ -1,10 +1,11 @@
-//! Every decoder and container on a clip of a few kilobytes, against what ffmpeg makes of it.
+//! Every decoder and container on a clip of a few kilobytes, compared with ffmpeg.
 //!
-//! The clips were made with ffmpeg from its own test picture (`-f lavfi -i testsrc2=size=80x48:rate=25 -frames:v 12`); the check
-//! sums are of the luminance planes that ffmpeg 5.1 decodes (`-fps_mode passthrough -vf extractplanes=y -f rawvideo -pix_fmt gray`),
-//! the times those that ffprobe tells.
+//! The clips were made with ffmpeg from its own test picture (`-f lavfi -i
+//! testsrc2=size=80x48:rate=25 -frames:v 12`). The checksums are of the luminance planes that
+//! ffmpeg 5.1 decodes (`-fps_mode passthrough -vf extractplanes=y -f rawvideo -pix_fmt gray`), the
+//! times are those of ffprobe.
 
-#![allow(clippy::unwrap_used)] // the helpers of a test may fail as the test does
+#![allow(clippy::unwrap_used)] // helper functions of tests may panic
 
 use odograph_video::{Frame, Source, SourceOptions, open};
 use std::path::PathBuf;
@@ -21,7 +22,7 @@ fn all(source: &mut Source) -> Vec<Frame> {
     std::iter::from_fn(|| source.next_frame().unwrap()).collect()
 }
 
-/// FNV-1a of all luminance samples.
+/// FNV-1a hash of all luminance samples.
 fn checksum(frames: &[Frame]) -> u64 {
     let samples = frames.iter().flat_map(|f| f.gray.samples());
     samples.fold(0xcbf2_9ce4_8422_2325, |hash, &s| (hash ^ u64::from(s)).wrapping_mul(0x100_0000_01b3))
@@ -43,7 +44,7 @@ fn every_codec_and_container() {
     let clips: [(&str, &str, u64, Vec<i64>); 10] = [
         ("h264_bframes.mp4", "H.264 (High) in MP4, 80x48", 0x5b1a_067d_841c_528f, at_25.clone()),
         ("h264_fragmented.mp4", "H.264 (High) in MP4, 80x48", 0x5b1a_067d_841c_528f, late),
-        // AVI has only times of decoding; the frames take them in the order in which they are shown.
+        // AVI has only decoding timestamps, which are assigned in presentation order.
         ("h264_bframes.avi", "H.264 (High) in AVI, 80x48", 0x5b1a_067d_841c_528f, at_25.clone()),
         ("h264_422.mkv", "H.264 (High 4:2:2) in Matroska, 80x48", 0xcda0_ef8e_6c6d_8428, at_25.clone()),
         ("h264_interlaced.264", "H.264 (High) in a raw stream, 80x48", 0x5a54_6a08_8141_ef3e, at_25.clone()),
@@ -51,7 +52,7 @@ fn every_codec_and_container() {
         ("hevc.h265", "H.265 (Main) in a raw stream, 80x48", 0xefb5_e431_d4ef_3ff0, at_25.clone()),
         ("vp9.webm", "VP9 in Matroska, 80x48", 0x3f20_7e6c_de39_4d95, at_25.clone()),
         ("vfr.mkv", "H.264 (High) in Matroska, 80x48", 0x54b6_5b99_8b65_d5aa, vfr),
-        // Frames before the edit list's start are decoded, because others need them, but not given.
+        // Frames before the start of the edit list are decoded as references but not output.
         ("edited.mov", "H.264 (High) in MP4, 80x48", 0xb14b_156c_061f_83ef, every(40, 4)),
     ];
     for (name, description, sum, expected_times) in clips {
@@ -66,8 +67,9 @@ fn every_codec_and_container() {
 }
 
 #[test]
-fn motion_jpeg_but_for_rounding() {
-    // The standard leaves the last bit of the inverse transform open (ITU-T T.81, annex A): only the mean is compared.
+fn motion_jpeg_agrees_up_to_rounding() {
+    // The standard leaves the last bit of the inverse transform open (ITU-T T.81, annex A): only
+    // the mean is compared.
     let frames = all(&mut opened("mjpeg.avi", &SourceOptions::default()));
     assert_eq!(times(&frames), every(40, 12));
     let sum: u64 = frames[0].gray.samples().iter().map(|&s| u64::from(s)).sum();
@@ -75,14 +77,15 @@ fn motion_jpeg_but_for_rounding() {
 }
 
 #[test]
-fn a_turned_video_is_given_upright() {
+fn a_rotated_video_is_output_upright() {
     let mut source = opened("h264_turned.mp4", &SourceOptions { color: true, ..SourceOptions::default() });
     assert_eq!((source.info().width, source.info().height), (48, 80));
     let frames = all(&mut source);
     assert_eq!(checksum(&frames), 0xe3ac_ca89_d65d_3463);
     let lying =
         all(&mut opened("h264_bframes.mp4", &SourceOptions { color: true, ..SourceOptions::default() }));
-    // The display matrix of the clip says a quarter turn with the clock: the left column becomes the top row, from its end.
+    // The display matrix of the clip is a clockwise quarter turn: the left column, reversed,
+    // becomes the top row.
     let (upright, lying) = (frames[5].rgb(), lying[5].rgb());
     assert_eq!(upright.pixel(0, 0), lying.pixel(0, 47));
     assert_eq!(upright.pixel(47, 79), lying.pixel(79, 0));
@@ -103,7 +106,7 @@ fn color_is_kept_only_on_request() {
 }
 
 #[test]
-fn start_end_every_and_most() {
+fn frames_are_selected_by_start_end_stride_and_count() {
     let chosen = |options: SourceOptions| -> Vec<u64> {
         all(&mut opened("h264_bframes.mp4", &options)).iter().map(|f| f.number).collect()
     };
@@ -118,13 +121,14 @@ fn start_end_every_and_most() {
         [3, 5, 7]
     );
     assert_eq!(chosen(SourceOptions { max_frames: Some(0), ..all_of_it() }), [0u64; 0]);
-    // Start and end count from the first frame, also where the container's times do not start at zero.
+    // Start and end are relative to the first frame, also if the container's timestamps do not
+    // start at zero.
     let mut late = opened("h264_fragmented.mp4", &SourceOptions { start_s: Some(0.4), ..all_of_it() });
     assert_eq!(times(&all(&mut late)), [480, 520]);
 }
 
 #[test]
-fn a_rate_or_a_file_wins_over_the_container() {
+fn a_rate_or_timestamps_file_overrides_the_container() {
     let mut source = opened("vfr.mkv", &SourceOptions { fps: Some(10.0), ..SourceOptions::default() });
     assert_eq!(times(&all(&mut source)), every(100, 9));
 
@@ -145,7 +149,7 @@ fn a_rate_or_a_file_wins_over_the_container() {
 }
 
 #[test]
-fn options_that_cannot_be() {
+fn invalid_options_are_rejected() {
     let wrong = [
         SourceOptions { every: 0, ..SourceOptions::default() },
         SourceOptions { fps: Some(f64::NAN), ..SourceOptions::default() },

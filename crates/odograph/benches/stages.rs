@@ -1,4 +1,5 @@
-//! What each stage of a frame costs: `cargo bench -p odograph`. The ground is rendered, asphalt with 2 gray levels of noise.
+//! Time of each stage of a frame: `cargo bench -p odograph`. The ground is rendered asphalt with
+//! image noise of 2 gray levels.
 
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use odograph::camera::{Camera, Distortion, Rig};
@@ -13,7 +14,7 @@ use std::hint::black_box;
 
 const SIZES: [(usize, usize); 2] = [(640, 480), (1280, 720)];
 
-/// Frames of a curved drive: enough to cross a few keyframes.
+/// Number of frames of a curved drive, enough for a few keyframes.
 const FRAMES: usize = 60;
 
 fn camera(size: (usize, usize)) -> Camera {
@@ -35,7 +36,7 @@ fn frames(size: (usize, usize), count: usize) -> Vec<RenderedFrame> {
         colored: false,
         seed: 5,
     });
-    // From the middle of the drive, where the camera is at speed.
+    // From the middle of the drive, at full speed.
     let simulation = simulation.expect("a sound scene");
     (30..30 + count).filter_map(|number| simulation.frame(number)).collect()
 }
@@ -78,7 +79,7 @@ fn stages(criterion: &mut Criterion) {
         };
         group.bench_function("templates of 500 corners", |b| b.iter(|| templates(black_box(&pyramid))));
 
-        // The next frame, from where the corners were: a few pixels off.
+        // Tracking into the next frame, from the corners' previous positions: a few pixels off.
         let templates = templates(&pyramid);
         let next = Pyramid::new(frames[1].image.clone(), 4);
         let config = FlowConfig::default();

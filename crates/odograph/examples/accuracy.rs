@@ -1,10 +1,13 @@
-//! The accuracy table of the README: rendered drives with exact truth, followed, and what is wrong at the end.
+//! Generates the accuracy table of the README: rendered drives with exact ground truth, tracked by
+//! the odometry, with the error at the end.
 //!
-//! `cargo run --release -p odograph --example accuracy [-- WORD…]` runs the drives whose line contains one of the words, or all.
+//! `cargo run --release -p odograph --example accuracy [-- WORD…]` runs the drives whose line
+//! contains one of the words, or all drives.
 //!
-//! 640x480 at 30 frames a second, a mild barrel lens, 2 gray levels of noise, 0.75 m above the ground.
+//! 640x480 at 30 frames per second, mild barrel distortion, image noise of 2 gray levels, 0.75 m
+//! above the ground.
 
-#![allow(clippy::print_stdout)] // the table is what it is for
+#![allow(clippy::print_stdout)] // prints a table
 
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
@@ -68,7 +71,7 @@ fn drives() -> Result<Vec<Drive>> {
     Ok(drives)
 }
 
-/// Renders and follows one drive; gives its line of the table.
+/// Renders and tracks one drive; returns its line of the table.
 fn line(drive: &Drive) -> Result<String> {
     let rig = Rig::level(RIG_HEIGHT_M);
     let simulation = Simulation::new(SimulationConfig {

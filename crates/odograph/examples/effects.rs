@@ -1,12 +1,15 @@
-//! How exact the odometry stays when a recording is hard: rendered drives with exact truth, followed with nothing but the height told; the
-//! motion model is the program's own choice. Every figure is the median over several seeds (ground, noise, disturbance and way).
+//! Robustness benchmark: rendered drives with disturbances and exact ground truth. Only the camera
+//! height is given; the motion model is chosen automatically. Each result is the median over
+//! several seeds (ground, noise, disturbance and path).
 //!
-//! `cargo run --release -p odograph --example effects [-- [--seeds N] [--first-seed N] WORD…]` runs the rows whose name contains one of the words,
-//! or all. Another first seed makes other recordings: nothing may be tuned on those that are reported.
+//! `cargo run --release -p odograph --example effects [-- [--seeds N] [--first-seed N] WORD…]` runs
+//! the rows whose name contains one of the words, or all rows. Another first seed gives other
+//! recordings; parameters must not be tuned on the seeds that are reported.
 //!
-//! 640x480 at 30 frames a second, a mild barrel lens, 0.75 m above the ground, 2 gray levels of noise unless the row says otherwise.
+//! 640x480 at 30 frames per second, mild barrel distortion, 0.75 m above the ground, image noise of
+//! 2 gray levels unless the row says otherwise.
 
-#![allow(clippy::print_stdout)] // the table is what it is for
+#![allow(clippy::print_stdout)] // prints a table
 
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
@@ -24,19 +27,19 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const RIG_HEIGHT_M: f64 = 0.75;
 
-/// A kind of recording, of which every seed makes another.
+/// One kind of recording, with a different drive for each seed.
 struct Row {
     name: &'static str,
     texture: &'static str,
     /// Speed over ground, metres per second.
     speed_m_s: f64,
-    /// Where it turns on the spot or about a point, radians per second.
+    /// Turn rate for turns on the spot or about a point, radians per second.
     turn_rate_rad_s: f64,
     path: fn(u64) -> PathKind,
     effects: Effects,
 }
 
-/// What one recording of a row came to.
+/// Results of one recording.
 #[derive(Debug, Clone, Copy, Default)]
 struct Figures {
     posed_percent: f64,
@@ -44,7 +47,8 @@ struct Figures {
     heading_deg_per_m: f64,
     end_mm: f64,
     end_deg: f64,
-    /// Mean normalised squared error of (x, y, heading): 3 where the stated covariance is true.
+    /// Normalised estimation error squared (NEES) of x, y and heading, averaged over the frames;
+    /// its expected value is 3 if the covariance is consistent.
     nees: f64,
 }
 
@@ -53,7 +57,7 @@ fn camera() -> Result<Camera> {
     Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), distortion)
 }
 
-/// Four metres of a way that turns all the time.
+/// A random walk of 6 m with continuous turning.
 fn wandering(seed: u64) -> PathKind {
     PathKind::RandomWalk { length_m: 6.0, seed: 100 + seed }
 }
@@ -66,7 +70,7 @@ fn straight(_: u64) -> PathKind {
     PathKind::Straight { length_m: 60.0 }
 }
 
-/// Ten turns about a corner of the image, another corner for every seed.
+/// Ten turns about the ground point in a corner of the image; the corner depends on the seed.
 fn ten_turns(seed: u64) -> PathKind {
     let corner = [(0.0, 0.0), (639.0, 0.0), (0.0, 479.0), (639.0, 479.0)][seed as usize % 4];
     let ray = camera().ok().and_then(|camera| camera.ray_from_pixel(Pixel::new(corner.0, corner.1)));
@@ -157,7 +161,8 @@ fn rows() -> Vec<Row> {
         ),
         row("in the hand, all of it at once", "grass", wandering, in_hand),
         Row {
-            // 0.58 m a frame is 60 % of the 0.96 m that the image is wide; 0.9 ms of it are 10 px.
+            // 0.58 m per frame is 60 % of the image width of 0.96 m; during an exposure of 0.9 ms
+            // the image moves 10 px.
             speed_m_s: 17.3,
             ..row("60 % of the image a frame", "asphalt", straight, with(|e| e.exposure_s = 0.0009))
         },
@@ -170,7 +175,7 @@ fn rows() -> Vec<Row> {
     ]
 }
 
-/// Renders and follows one recording.
+/// Renders and tracks one recording.
 fn measure(row: &Row, seed: u64) -> Result<Figures> {
     let rig = Rig::level(RIG_HEIGHT_M);
     let simulation = Simulation::new(SimulationConfig {
@@ -201,7 +206,7 @@ fn measure(row: &Row, seed: u64) -> Result<Figures> {
             known.pose.y_m - frame.truth.y_m,
             wrap_angle(known.pose.heading_rad - frame.truth.heading_rad),
         );
-        // The first poses are exact by definition.
+        // The first pose is exact by definition.
         if frame.number > 30
             && let Some(information) = known.covariance.fixed_view::<3, 3>(0, 0).into_owned().try_inverse()
         {
@@ -231,7 +236,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     odograph::numerics::median(&mut values).unwrap_or(f64::NAN)
 }
 
-/// A row's medians, as a line of the table.
+/// Formats the medians of a row as a line of the table.
 fn line(row: &Row, results: &[std::result::Result<Figures, String>]) -> String {
     let of = |what: fn(&Figures) -> f64| median(results.iter().flatten().map(what));
     let failed = results.iter().find_map(|result| result.as_ref().err());
@@ -277,7 +282,7 @@ fn main() -> Result<()> {
         "| recording | ground | frames posed | error over each metre | heading over each metre | at the end | heading at the end | NEES (3 is true) |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    // A line is printed as soon as it and those above it are known.
+    // A line is printed as soon as it and all lines above it are complete.
     let results = Mutex::new((vec![Vec::new(); rows.len()], 0));
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {

@@ -1,10 +1,11 @@
-//! How exact the odometry stays when a part of the image does not move with the ground: the carrier's own bumper, dirt on the lens, its shadow,
-//! its lamp. Rendered drives with exact truth; every figure is the median over several seeds and ways.
+//! Accuracy with parts of the image that do not move with the ground: the vehicle's bumper, dirt on
+//! the lens, the vehicle's shadow or lamp. Rendered drives with exact ground truth; each result is
+//! the median over several seeds and paths.
 //!
-//! `cargo run --release -p odograph --example fixed_in_image [-- [--seeds N] [--each] WORD…]` runs the rows whose name contains all of the words;
-//! `--each` shows every drive.
+//! `cargo run --release -p odograph --example fixed_in_image [-- [--seeds N] [--each] WORD…]` runs
+//! the rows whose name contains all of the words; `--each` prints every drive.
 
-#![allow(clippy::print_stdout)] // the table is what it is for
+#![allow(clippy::print_stdout)] // prints a table
 
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
@@ -19,27 +20,27 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const RIG_HEIGHT_M: f64 = 0.75;
 
-/// What covers a part of the image.
+/// The pattern that is fixed in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Fixed {
     Nothing,
-    /// The share of the image that the carrier's printed bumper covers.
+    /// The vehicle's bumper with printed stickers; the fraction of the image that it covers.
     Bumper(f64),
-    /// So many specks on the lens, every other one soft.
+    /// Number of dirt specks on the lens, alternately with soft and sharp edges.
     Dirt(usize),
-    /// A soft shadow of the carrier.
+    /// A soft shadow of the vehicle.
     Shadow,
     /// A lamp of this strength with a highlight.
     Lamp(f64),
 }
 
-/// How the camera goes.
+/// Path of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Way {
     Straight,
     Eight,
     Walk,
-    /// Three seconds of standing first, and again in the end.
+    /// Standing still for three seconds at the beginning and at the end.
     Stands,
 }
 
@@ -50,19 +51,20 @@ struct Drive {
     texture: &'static str,
     way: Way,
     speed_m_s: f64,
-    /// Light that drifts and flickers.
+    /// Whether the illumination drifts and flickers.
     lit: bool,
 }
 
-/// What one drive came to.
+/// Results of one drive.
 #[derive(Debug, Clone, Copy)]
 struct Figures {
     lost_percent: f64,
-    /// Frames with a pose that is off by more than a tenth of the way from the start, at least 20 mm.
+    /// Frames of the first segment whose position error exceeds 10 % of the distance travelled, at
+    /// least 20 mm.
     wrong_percent: f64,
-    /// Error of each metre of way, from where the camera was a metre before, over the pairs in one segment.
+    /// Relative translation error over 1 m of path, over pairs of frames in the same segment.
     drift_percent: f64,
-    /// The part of the true way that the poses cover.
+    /// Estimated path length as a percentage of the true one.
     way_percent: f64,
     masked_percent: f64,
 }
@@ -75,7 +77,7 @@ fn hash(seed: u64, x: i64, y: i64) -> f64 {
     (value >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Smooth noise from -1 to 1 with a period of about one.
+/// Smooth value noise from -1 to 1 with a period of about 1.
 fn value_noise(seed: u64, x: f64, y: f64) -> f64 {
     let (column, row) = (x.floor(), y.floor());
     let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
@@ -86,7 +88,7 @@ fn value_noise(seed: u64, x: f64, y: f64) -> f64 {
     upper + v * (lower - upper)
 }
 
-/// What a pixel becomes: light times the first, plus the second.
+/// Per pixel a factor and an offset: the output is `factor * input + offset`.
 fn overlay(fixed: Fixed, (width, height): (usize, usize), seed: u64) -> Vec<(f32, f32)> {
     let (w, h) = (width as f64, height as f64);
     let mut out = vec![(1.0f32, 0.0f32); width * height];
@@ -106,7 +108,7 @@ fn overlay(fixed: Fixed, (width, height): (usize, usize), seed: u64) -> Vec<(f32
                 let inside_px = row as f64 + 1.0 - (h - scale * outline(column));
                 let covered = (0.5 * inside_px + 0.25).clamp(0.0, 1.0);
                 let (x, y) = (column as f64 / w, (row as f64 - h) / w);
-                // Stickers and print: blocks of 11 px, each with its own gray.
+                // Stickers and print: blocks of 11 px of random gray levels.
                 let stripe = hash(seed ^ 5, (column / 11) as i64, (row / 11) as i64);
                 let scratches = 14.0 * value_noise(seed ^ 2, 110.0 * x, 30.0 * y)
                     + 12.0 * value_noise(seed ^ 3, 25.0 * x, 260.0 * y);
@@ -152,12 +154,12 @@ fn overlay(fixed: Fixed, (width, height): (usize, usize), seed: u64) -> Vec<(f32
     out
 }
 
-/// The image below what covers it, with the sensor's noise.
+/// Applies the overlay to an image and adds sensor noise.
 fn covered(image: &GrayImage, overlay: &[(f32, f32)], number: u64) -> GrayImage {
     let mut state = number.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut out = image.clone();
     for (sample, (times, plus)) in out.samples_mut().iter_mut().zip(overlay) {
-        // Four uniform numbers of 16 bits: 2 gray levels of noise.
+        // Sum of four uniform 16-bit numbers, scaled to a standard deviation of 2 gray levels.
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
@@ -257,7 +259,7 @@ fn figures(poses: &[(GroundPose, Option<(GroundPose, usize)>)], share: f64) -> F
         if let (then, Some((before, s))) = &poses[begin]
             && s == segment
         {
-            // The way from there as the camera saw it, turned by the heading that it had.
+            // The displacement in the camera frame at its start, i.e. rotated by the heading there.
             let seen = |from: &GroundPose, to: &GroundPose| {
                 let (sin, cos) = from.heading_rad.sin_cos();
                 let (dx, dy) = (to.x_m - from.x_m, to.y_m - from.y_m);

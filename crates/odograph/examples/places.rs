@@ -1,20 +1,27 @@
-//! How well ground is recognised, on rendered ground with exact truth.
+//! Place-recognition benchmark on rendered ground with exact ground truth.
 //!
-//! `cargo run --release -p odograph --example places -- recall | unknown | kidnapped | speed [ground …] [seed=N] [area=N]`
+//! `cargo run --release -p odograph --example places -- recall | unknown | kidnapped | speed
+//! [ground …] [seed=N] [area=N]`
 //!
-//! The grounds are the rendered ones, and `repeating`: a floor of one tile of 31 cm again and again, without any mark by which to tell one from the next. The
-//! seed makes other ground and other pictures; what was tuned was tuned with 0.
+//! The grounds are the rendered textures, and `repeating`: a floor of one tile of 31 cm, repeated
+//! without any distinguishing mark. The seed selects ground and images; parameters were tuned with
+//! seed 0.
 //!
-//! * `recall`: pairs of pictures that share 30 % of their ground, at any heading and tilts up to 10°; the second blurred and under other
-//!   light. One map of all first pictures of a ground; the second ones are asked for in it.
-//! * `unknown`: 484 pictures of ground that no map shows, asked for in 49 maps of ten keyframes of the same kind of ground each, and in one
-//!   map of all of them. A query is one picture against one map: 24,200 for each ground.
-//! * `kidnapped`: single pictures anywhere in a map of 1,000 m², or of `area`, at any heading, blurred and under other light: recognised, and measured against the keyframe
-//!   that shows their ground ([`odograph::slam::Mapper::locate`]). The camera's height and tilt are known, as they are where it is mounted.
-//! * `speed`: queries to a map of 10,000 keyframes. It is made of 400 pictures, each 24 times more with its descriptors' bits changed
-//!   by a constant, which keeps their statistics and makes ground of it that is not that of the others.
+//! * `recall`: pairs of images with 30 % overlap, any heading and tilts up to 10°; the second image
+//!   is blurred and under other lighting. All first images of a ground form one map, which is
+//!   queried with the second images.
+//! * `unknown`: 484 images of ground that is in no map, queried against 49 maps of ten keyframes
+//!   each of the same kind of ground, and against one map of all of these. A query is one image
+//!   against one map: 24,200 per ground.
+//! * `kidnapped`: single images anywhere in a map of 1,000 m² (or `area`), with any heading,
+//!   blurred and under other lighting: recognised, and registered against the keyframe that shows
+//!   their ground ([`odograph::slam::Mapper::locate`]). Height and tilt of the camera are known, as
+//!   for a fixed mount.
+//! * `speed`: queries of a map of 10,000 keyframes. It consists of 400 images and 24 copies of
+//!   each, whose descriptors are XORed with a constant. This keeps the descriptor statistics but
+//!   makes each copy a different place.
 
-#![allow(clippy::print_stdout)] // the table is what it is for
+#![allow(clippy::print_stdout)] // prints a table
 
 mod processor_time;
 
@@ -37,7 +44,7 @@ const NOISE_GRAY: f64 = 3.0;
 
 const REPEATING: &str = "repeating";
 
-/// A tile with as much to see on it as can be, laid again and again.
+/// A richly textured tile, repeated.
 fn one_tile() -> Result<Texture> {
     const CELLS: usize = 48;
     let mut random = Random::new(5);
@@ -56,7 +63,7 @@ struct Scene {
 }
 
 impl Scene {
-    /// `size_px` wide, with a view of 0.96 by 0.72 m.
+    /// An image width of `size_px`, with a field of view of 0.96 m by 0.72 m.
     fn new(name: &str, size_px: usize, seed: u64) -> Result<Self> {
         let size = (size_px, size_px * 3 / 4);
         let focal_px = size_px as f64 * 500.0 / 640.0;
@@ -73,7 +80,7 @@ impl Scene {
         Ok(Self { camera, renderer, ground, random: Random::new(11 + seed), config })
     }
 
-    /// Between −1 and 1.
+    /// A uniform random number in [-1, 1).
     fn signed(&mut self) -> f64 {
         self.random.below(1 << 30) as f64 / f64::from(1 << 29) - 1.0
     }
@@ -84,7 +91,7 @@ impl Scene {
         GroundPose { x_m, y_m, heading_rad, roll_rad, pitch_rad, ..GroundPose::level(HEIGHT_M) }
     }
 
-    /// What the camera sees, with noise; blurred and under other light where it is `otherwise_lit`.
+    /// The camera image with noise; if `otherwise_lit`, blurred and under other lighting.
     fn picture(&mut self, pose: &GroundPose, otherwise_lit: bool) -> GrayImage {
         let mut image = self.renderer.gray_view(&self.ground, pose);
         let (mut gain, mut offset, mut slope) = (1.0, 0.0, (0.0, 0.0));
@@ -97,7 +104,7 @@ impl Scene {
         let (width, height) = (image.width(), image.height());
         for (i, sample) in image.samples_mut().iter_mut().enumerate() {
             let (x, y) = ((i % width) as f64 / width as f64 - 0.5, (i / width) as f64 / height as f64 - 0.5);
-            // The sum of four uniform numbers deviates by 0.577 of their width.
+            // The sum of four uniform numbers of unit width has a standard deviation of 0.577.
             let noise: f64 = (0..4).map(|_| self.random.below(1 << 16) as f64 / 65536.0 - 0.5).sum();
             let light = gain * (1.0 + slope.0 * x + slope.1 * y);
             let gray = f64::from(*sample) * light + offset + NOISE_GRAY * noise / 0.577;
@@ -106,7 +113,7 @@ impl Scene {
         image
     }
 
-    /// The signature of what the camera sees, and how long that took, milliseconds.
+    /// The place signature of the camera image, and its computation time, milliseconds.
     fn signature(&mut self, pose: &GroundPose, otherwise_lit: bool) -> (Signature, f64) {
         let pyramid = Pyramid::new(self.picture(pose, otherwise_lit), 4);
         let begun = busy_ms();
@@ -114,7 +121,7 @@ impl Scene {
         (signature, busy_ms() - begun)
     }
 
-    /// The part of the ground that one picture shows which the other shows as well.
+    /// Overlap: the fraction of the ground in view from `of` that is also in view from `with`.
     fn overlap(&self, of: &GroundPose, with: &GroundPose) -> f64 {
         let (columns, rows) = (32, 24);
         let step = self.camera.width() as f64 / columns as f64;
@@ -130,7 +137,7 @@ impl Scene {
     }
 }
 
-/// The mean of 3 by 3 pixels; its border stays.
+/// A 3×3 box filter; border pixels are unchanged.
 fn blur(image: &mut GrayImage) {
     let (source, width) = (image.clone(), image.width());
     for y in 1..image.height() - 1 {
@@ -141,7 +148,7 @@ fn blur(image: &mut GrayImage) {
     }
 }
 
-/// How far a hypothesis puts the query from where it is: metres, and radians.
+/// Error of a hypothesis: position in metres and heading in radians.
 fn error(hypothesis: &PlaceHypothesis, keyframe: &GroundPose, query: &GroundPose) -> (f64, f64) {
     let (sin, cos) = keyframe.heading_rad.sin_cos();
     let (x, y) = (query.x_m - keyframe.x_m, query.y_m - keyframe.y_m);
@@ -149,7 +156,7 @@ fn error(hypothesis: &PlaceHypothesis, keyframe: &GroundPose, query: &GroundPose
     (off_m, wrap_angle(hypothesis.motion[2] - query.heading_rad + keyframe.heading_rad).abs())
 }
 
-/// What became of queries whose places are in the map.
+/// Results of queries whose places are in the map.
 #[derive(Default)]
 struct Score {
     queries: usize,
@@ -177,7 +184,7 @@ impl Score {
         self.queries += 1;
         let Some(best) = found.first() else { return };
         let (off_m, off_rad) = error(best, &keyframes[best.keyframe.0 as usize], pose);
-        // Five spots, and 2°: from there any registration finds the rest.
+        // Within five spots and 2° any registration converges.
         let right = off_m < 5.0 * scene.config.spot_m && off_rad < 2f64.to_radians();
         self.right += usize::from(right);
         self.sure += usize::from(right && best.is_sure());
@@ -222,7 +229,7 @@ fn recall(name: &str, seed: u64) -> Result<()> {
         let (away, towards) = (scene.pose(0.0, 0.0, 10f64.to_radians()), PI * scene.signed());
         let mut query = away;
         let mut distance_m = 0.0;
-        // Pushed away until they share 30 % at most, seen from either.
+        // Move the query away until the overlap is at most 30 % in one direction.
         loop {
             query.x_m = keyframe.x_m + distance_m * towards.cos();
             query.y_m = keyframe.y_m + distance_m * towards.sin();
@@ -244,7 +251,7 @@ fn recall(name: &str, seed: u64) -> Result<()> {
     Ok(())
 }
 
-/// Keyframes over a field, `step_m` apart, in rows that go to and fro.
+/// Keyframes on a grid with a spacing of `step_m`.
 fn field(scene: &mut Scene, side_m: f64, step_m: f64) -> Vec<GroundPose> {
     let steps = (side_m / step_m).ceil() as usize;
     (0..steps * steps)
@@ -283,7 +290,7 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
     let new = KeyframeId(keyframes.len() as u64);
     let mapper = Mapper::continuing(map, &OdometryConfig::default(), SlamConfig::default(), 1, new);
     let (mut off_mm, mut off_deg, mut times_ms, mut wrong) = (Vec::new(), Vec::new(), Vec::new(), 0);
-    // Where the ground is small, no more than there is to see.
+    // A small area gets fewer queries, two per square metre.
     let queries = QUERIES.min((2.0 * area_m2) as usize);
     for _ in 0..queries {
         let (x, y) = (0.5 * side_m * (scene.signed() + 1.0), 0.5 * side_m * (scene.signed() + 1.0));
@@ -294,7 +301,7 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
         times_ms.push(busy_ms() - begun);
         let Some(found) = found else { continue };
         let off_m = (found.pose.x_m - query.x_m).hypot(found.pose.y_m - query.y_m);
-        // Five pixels: whatever is further off is another place.
+        // A position error above five spots counts as another place.
         if off_m > 5.0 * scene.config.spot_m {
             wrong += 1;
             continue;
@@ -318,7 +325,7 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
     Ok(())
 }
 
-/// So many pictures are looked for.
+/// Maximum number of queries.
 const QUERIES: usize = 1000;
 
 fn unknown(name: &str, seed: u64) -> Result<()> {
@@ -333,7 +340,7 @@ fn unknown(name: &str, seed: u64) -> Result<()> {
         index
     };
     let maps: Vec<_> = signatures.chunks(10).map(indexed).chain([indexed(&signatures)]).collect();
-    // Fifty metres away.
+    // 50 m away, on other ground.
     let mut queries = field(&mut scene, 6.5, 0.3);
     queries.iter_mut().for_each(|query| query.x_m += 50.0);
     let (mut asked, mut taken, mut most) = (0, 0, 0.0f64);

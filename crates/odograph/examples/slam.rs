@@ -1,14 +1,17 @@
-//! What loops bring: rendered drives with exact truth, followed with and without a map.
+//! Effect of loop closures: rendered drives with exact ground truth, tracked with and without a
+//! map.
 //!
-//! `cargo run --release -p odograph --example slam [-- WORD…]` runs the drives whose line contains one of the words, or all but the long one, which
-//! must be named: `kilometre`.
+//! `cargo run --release -p odograph --example slam [-- WORD…]` runs the drives whose line contains
+//! one of the words, or all except the long one, which must be named: `kilometre`.
 //!
-//! The kilometre goes at random about a yard of 30 m across. Times are what the map's thread has had a processor for.
+//! The kilometre is a random path within a circular yard of 30 m diameter. Times are the processor
+//! times of the map's thread.
 //!
-//! A camera of 640x480 with a mild barrel lens, 2 gray levels of noise, 0.75 m above the ground; a poor picture is one of 320x240 with 10. Where a line says so, the rig that
-//! the program is told is a little off, which is what bends paths in practice.
+//! The camera has 640x480 pixels, mild barrel distortion and image noise of 2 gray levels, 0.75 m
+//! above the ground; a poor image has 320x240 pixels and noise of 10. Where a line says so, the rig
+//! given to the program has a small error, the common cause of bent trajectories in practice.
 
-#![allow(clippy::print_stdout)] // the table is what it is for
+#![allow(clippy::print_stdout)] // prints a table
 
 mod processor_time;
 
@@ -25,7 +28,7 @@ struct Drive {
     name: &'static str,
     texture: &'static str,
     path: PathKind,
-    /// Roll and pitch of the camera that the program is not told of, radians.
+    /// Tilt error of the given rig: true roll and pitch of the camera, radians.
     untold: (f64, f64),
     speed_m_s: f64,
     size: (usize, usize),
@@ -100,7 +103,8 @@ fn drives() -> Vec<Drive> {
         },
         Drive {
             speed_m_s: 2.0,
-            // A fifth to a quarter of the view a frame, which is enough to be followed and takes a minute or two.
+            // A frame moves by a fifth to a quarter of the view, which can be tracked and takes a
+            // minute or two.
             fps: 10.0,
             size: (320, 240),
             ..drive(
@@ -113,11 +117,13 @@ fn drives() -> Vec<Drive> {
     ]
 }
 
-/// Root mean square and greatest distance of the poses from the truth, millimetres, after the rigid alignment that is usual for the absolute
-/// trajectory error.
+/// RMSE and maximum of the position error, millimetres, after the rigid alignment that is common
+/// for the absolute trajectory error (ATE).
 ///
-/// A tilt that the program is not told of has it place the camera some millimetres beside where it is, always to the same side of the carrier.
-/// No loop can know that, and a carrier that is driven by its own map does not mind; that one constant arm (two numbers) is taken off too.
+/// An unknown mount tilt displaces the estimated camera position by a constant offset of some
+/// millimetres in the vehicle frame. Loop closures cannot observe it, and it does not matter to a
+/// vehicle that uses its own map, so this lever arm (two parameters) is estimated and subtracted as
+/// well.
 fn errors_mm(simulation: &Simulation, frames: &[FrameEstimate]) -> (f64, f64) {
     let off: Vec<(Vector2<f64>, SMatrix<f64, 2, 5>)> = frames
         .iter()
@@ -125,7 +131,7 @@ fn errors_mm(simulation: &Simulation, frames: &[FrameEstimate]) -> (f64, f64) {
             let found = frame.estimate.as_ref()?.pose;
             let truth = simulation.truth(frame.time_s);
             let (sin, cos) = truth.heading_rad.sin_cos();
-            // A shift, a small turn, and the arm.
+            // Jacobian of the alignment: translation, small rotation, lever arm.
             let by = SMatrix::<f64, 2, 5>::from_row_slice(&[
                 1.0, 0.0, -truth.y_m, cos, -sin, //
                 0.0, 1.0, truth.x_m, sin, cos,
@@ -133,7 +139,7 @@ fn errors_mm(simulation: &Simulation, frames: &[FrameEstimate]) -> (f64, f64) {
             Some((Vector2::new(found.x_m - truth.x_m, found.y_m - truth.y_m), by))
         })
         .collect();
-    // Where the carrier never turns the arm is a shift.
+    // Regularised: the lever arm is not observable if the heading is constant.
     let mut normal = SMatrix::<f64, 5, 5>::identity() * 1e-9;
     let mut right = SVector::<f64, 5>::zeros();
     for (off, by) in &off {
@@ -195,7 +201,7 @@ fn line(drive: &Drive) -> Result<String> {
     let (without, with) = (errors_mm(&simulation, &frames), errors_mm(&simulation, &straight));
     let median = odometry_median(&mut times_ms);
     let ties = mapper.map().edges.iter().filter(|e| e.kind == odograph::mapping::EdgeKind::Loop).count();
-    // A closure is false where it ties keyframes that the truth has elsewhere.
+    // Error of a loop closure: its distance from the true relative pose of its keyframes.
     let truth = |id: odograph::mapping::KeyframeId| {
         let found = mapper.map().keyframes.iter().find(|keyframe| keyframe.id == id);
         found.map_or(simulation.truth(0.0), |keyframe| simulation.truth(keyframe.time_s))
@@ -225,7 +231,7 @@ fn line(drive: &Drive) -> Result<String> {
     ))
 }
 
-/// Sorts; gives the median.
+/// Median; sorts the values.
 fn odometry_median(times_ms: &mut [f64]) -> f64 {
     times_ms.sort_unstable_by(f64::total_cmp);
     times_ms.get(times_ms.len() / 2).copied().unwrap_or(0.0)

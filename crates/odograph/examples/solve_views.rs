@@ -1,9 +1,10 @@
-//! Calibrates from points that another program found: a text of `board …`, `size w h`, and for each `view` its lines `index x y`.
+//! Calibrates from points detected by another program. Input is a text with `board …`, `size w h`,
+//! and for each `view` its lines `index x y`.
 //!
-//! `cargo run --example solve_views -- points.txt [model [square] [centred] [bent]]` prints what `odograph calibrate` would
-//! say and how long the solving took.
+//! `cargo run --example solve_views -- points.txt [model [square] [centred] [bent]]` prints the
+//! summary of `odograph calibrate` and the solving time.
 
-#![allow(clippy::print_stdout)] // what it prints is what it is for
+#![allow(clippy::print_stdout)] // prints results
 
 use odograph::calibration::{Board, BoardView, CalibrationConfig, SeenPoint, calibrate};
 use odograph::error::{Error, Result};

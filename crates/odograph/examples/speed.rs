@@ -1,13 +1,16 @@
-//! What a frame costs, stage by stage and as a whole, on a recording: the numbers that `bench/opencv.py` sets beside those of OpenCV.
+//! Processor time per frame on a recording, per stage and in total; `bench/opencv.py` compares it
+//! with OpenCV's.
 //!
 //! ```console
 //! $ cargo run --release -p odograph --example speed -- recording.y4m camera.yaml 0.9
 //! ```
 //!
-//! Reads the luminance of a Y4M file, so that nothing is decoded, and prints one line of JSON: milliseconds of the processor, on one thread.
-//! With `--tracks` also where 500 corners were found in the next frame, and the poses, so that accuracy can be compared too.
-//! The whole pipeline runs a few times over the recording and each frame counts with its quickest time: what a frame costs is the same every
-//! time, and what else the machine does comes and goes. With `--passes N` it runs N times and nothing else is measured: for profilers.
+//! Reads the luminance of a Y4M file, so that no decoder is involved, and prints one line of JSON:
+//! milliseconds of processor time on one thread. With `--tracks` it also prints the tracked
+//! positions of 500 corners in the next frame, and the poses, to compare accuracy. The pipeline
+//! runs several times over the recording, and each frame counts with its minimum time, which
+//! excludes other load of the machine. With `--passes N` it runs N times and measures nothing else,
+//! for use with a profiler.
 
 #![allow(clippy::print_stdout)]
 
@@ -23,13 +26,13 @@ use odograph::odometry::{Odometry, OdometryConfig};
 use std::fmt::Write;
 use std::hint::black_box;
 
-/// As many points as the comparison gives to both programs.
+/// Number of points, the same for both programs of the comparison.
 const POINTS: usize = 500;
 
-/// A stage is measured on every so many frames.
+/// Interval between frames on which stages are measured.
 const STRIDE: usize = 16;
 
-/// At most so many frames are measured stage by stage.
+/// Maximum number of frames on which stages are measured.
 const STAGE_FRAMES: usize = 12;
 
 fn main() -> Result<()> {
@@ -66,8 +69,8 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// The time that the thread has spent on the processor: what else the machine does does not count. Where the system does not tell it, the
-/// time on the wall.
+/// Processor time of this thread, which excludes other load of the machine. Wall-clock time on
+/// systems without it.
 struct Clock(std::time::Duration);
 
 impl Clock {
@@ -89,7 +92,7 @@ impl Clock {
     }
 }
 
-/// The luminance planes of a Y4M file with 8 bits a sample, and its frames per second.
+/// The luminance planes of a Y4M file with 8 bits per sample, and its frame rate.
 fn luminance(bytes: &[u8]) -> Result<(f64, Vec<GrayImage>)> {
     let bad = |what: &str| Error::input(format!("not a Y4M file of 8 bits: {what}"));
     let end = bytes.iter().position(|&b| b == b'\n').ok_or_else(|| bad("no header"))?;
@@ -115,7 +118,7 @@ fn luminance(bytes: &[u8]) -> Result<(f64, Vec<GrayImage>)> {
     if frames.len() < 2 { Err(bad("fewer than two frames")) } else { Ok((fps, frames)) }
 }
 
-/// The whole pipeline over all frames.
+/// Results of the whole pipeline over all frames.
 struct Whole {
     times_ms: Vec<f64>,
     keyframes: u64,
@@ -123,7 +126,7 @@ struct Whole {
     poses: Vec<String>,
 }
 
-/// So many times the whole pipeline runs.
+/// Number of runs of the whole pipeline.
 const PASSES: usize = 5;
 
 fn whole(camera: &Camera, height_m: f64, frames: &[GrayImage], fps: f64, passes: usize) -> Result<Whole> {
@@ -139,7 +142,7 @@ fn pass(camera: &Camera, height_m: f64, frames: &[GrayImage], fps: f64) -> Resul
     let mut odometry = Odometry::new(camera.clone(), Rig::level(height_m), OdometryConfig::default())?;
     let mut run = Whole { times_ms: Vec::new(), keyframes: 0, lost: 0, poses: Vec::new() };
     for (number, frame) in frames.iter().enumerate() {
-        // A decoder would hand the image over.
+        // A decoder would hand over ownership of the image, so the copy is not timed.
         let image = frame.clone();
         let start = Clock::now();
         let found = odometry.process(image, number as f64 / fps)?;
@@ -168,7 +171,7 @@ fn stages(camera: &Camera, frames: &[GrayImage], with_tracks: bool) -> Result<St
     for first in (0..frames.len() - 1).step_by(STRIDE).take(STAGE_FRAMES) {
         let image = &frames[first];
         let mut timed = |stage: usize, work: &mut dyn FnMut()| {
-            // Once to warm up, then the best of three.
+            // One run to warm up, then the best of three.
             work();
             let best = (0..3).map(|_| {
                 let start = Clock::now();
@@ -199,7 +202,7 @@ fn stages(camera: &Camera, frames: &[GrayImage], with_tracks: bool) -> Result<St
         timed(4, &mut || {
             templates = corners.iter().filter_map(|c| Template::new(&pyramid, (c.x, c.y))).collect();
         });
-        // From where the corners were, with nothing known of the movement.
+        // Starts at the corners' previous positions, without motion prediction.
         let mut results = Vec::new();
         timed(5, &mut || {
             results.clear();
@@ -235,7 +238,7 @@ fn stages(camera: &Camera, frames: &[GrayImage], with_tracks: bool) -> Result<St
     Ok(text)
 }
 
-/// Mean, median and the value that one in a hundred exceeds.
+/// Mean, median and 99th percentile.
 fn summary(mut values: Vec<f64>) -> (f64, f64, f64) {
     values.sort_unstable_by(f64::total_cmp);
     let count = values.len().max(1);

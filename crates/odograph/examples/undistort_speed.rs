@@ -1,9 +1,10 @@
-//! How long the correction of whole images takes: `undistort_speed camera.yaml picture.ppm corrected.ppm repetitions`.
+//! Time to undistort whole images: `undistort_speed camera.yaml picture.ppm corrected.ppm
+//! repetitions`.
 //!
-//! The picture is a binary PGM or PPM; so is what is written. Prints the milliseconds of each repetition, one a line, on one thread.
-//! `bench/undistort.py` compares them with OpenCV's.
+//! Input and output are binary PGM or PPM. Prints the time of each repetition in milliseconds, one
+//! a line, on one thread. `bench/undistort.py` compares them with OpenCV's.
 
-#![allow(clippy::print_stdout)] // it is what an example is for
+#![allow(clippy::print_stdout)] // prints times
 
 use odograph::correction::{FieldOfViewKept, ImageCorrection};
 use odograph::formats::camera_file;
@@ -17,7 +18,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("undistort_speed camera.yaml picture.ppm corrected.ppm repetitions".into());
     };
     let bytes = std::fs::read(picture)?;
-    // The header that OpenCV writes: kind, width and height, most, each ended by one white space.
+    // The header as OpenCV writes it: magic number, width, height and maximum, each followed by one
+    // whitespace character.
     let mut fields = bytes.splitn(5, u8::is_ascii_whitespace);
     let mut field = || fields.next().ok_or("a short header");
     let kind = field()?.to_owned();

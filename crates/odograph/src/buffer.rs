@@ -1,26 +1,27 @@
-//! Lists whose memory is used again: what one frame's tracks filled, the next frame's fill.
+//! Reusable buffers: a thread-local free list of `Vec`s whose capacity survives from frame to
+//! frame.
 //!
-//! A frame needs a handful of lists of a few hundred entries each, for a millisecond. Handing each of them down as a buffer of the caller's
-//! would make every step of the pipeline know the insides of the next; taken from the system anew, they would be the only memory that a
-//! frame between keyframes asks for.
+//! A frame needs a few lists of a few hundred entries each for about a millisecond. Passing buffers
+//! down from the caller would expose the internals of every stage to the next. Allocating them anew
+//! would be the only heap allocations of a frame between keyframes.
 
 use std::cell::RefCell;
 use std::ops::{Deref, DerefMut};
 
-/// A list that goes back to its thread's store when it is dropped; otherwise a `Vec`.
+/// A `Vec` that returns to the free list of its thread when it is dropped.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Buffer<T: Stored>(Vec<T>);
 
-/// What lists are kept of. Implemented by [`stored!`].
+/// Element types that have a free list. Implemented by [`stored!`].
 pub trait Stored: Sized {
-    /// Does something with the lists that wait in this thread; nothing where the thread is ending.
+    /// Calls `work` with the free list of this thread; `None` while the thread is being destroyed.
     fn with_store<R>(work: impl FnOnce(&mut Vec<Vec<Self>>) -> R) -> Option<R>;
 }
 
-/// At most so many lists of a kind wait in a thread.
+/// Maximum length of the free list of one type in one thread.
 const MOST_WAITING: usize = 8;
 
-/// Keeps lists of these types.
+/// Implements [`Stored`] for each of the given types, with one thread-local free list per type.
 macro_rules! stored {
     ($($kind:ty),* $(,)?) => { $(
         impl $crate::buffer::Stored for $kind {
@@ -37,7 +38,8 @@ pub(crate) use stored;
 
 stored!(bool, f64, usize);
 
-/// For [`stored!`].
+/// Accesses the thread-local free list for [`stored!`]. `None` where it is destroyed or already
+/// borrowed.
 pub(crate) fn with<T, R>(
     waiting: &'static std::thread::LocalKey<RefCell<Vec<Vec<T>>>>,
     work: impl FnOnce(&mut Vec<Vec<T>>) -> R,
@@ -49,12 +51,12 @@ pub(crate) fn with<T, R>(
 }
 
 impl<T: Stored> Buffer<T> {
-    /// An empty list, with the memory of an earlier one.
+    /// An empty list. Takes its capacity from the free list where one is available.
     pub fn new() -> Self {
         Self(T::with_store(Vec::pop).flatten().unwrap_or_default())
     }
 
-    /// A list of `count` times the same.
+    /// A list of `count` copies of `value`.
     pub fn of(value: T, count: usize) -> Self
     where
         T: Clone,
@@ -122,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_list_has_the_memory_of_the_one_before_and_nothing_of_what_was_in_it() {
+    fn a_new_list_reuses_memory_but_not_contents() {
         let first: Buffer<f64> = (0..1000).map(f64::from).collect();
         let memory = first.as_ptr();
         drop(first);

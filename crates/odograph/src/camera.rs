@@ -1,66 +1,77 @@
-//! The camera model and how the camera sits on its carrier.
+//! Camera model (intrinsics and lens distortion) and mounting of the camera on its carrier
+//! (extrinsics).
 //!
-//! `Camera` turns rays into pixels and back; [`Rig`] says where the camera is above the ground. Together they turn a pixel
-//! into a ground point in metres ([`crate::geometry::GroundPose`]).
+//! [`Camera`] projects rays to pixels and back-projects pixels to rays. [`Rig`] is the pose of the
+//! camera above the ground. Together they map a pixel to a ground point in metres
+//! ([`crate::geometry::GroundPose`]).
 
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel, Ray, length};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
-/// How a lens bends rays before they reach the sensor. All coefficients are dimensionless.
+/// Lens distortion model: maps undistorted to distorted normalised image coordinates. All
+/// coefficients are dimensionless.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "model", rename_all = "kebab-case")]
 pub enum Distortion {
-    /// A pinhole.
+    /// No distortion: a pinhole camera.
     None,
-    /// Brown–Conrady with OpenCV's rational extension (D. C. Brown, "Close-range camera calibration", 1971; OpenCV
-    /// `calib3d`, equation of `projectPoints`):
+    /// Brown–Conrady with OpenCV's rational extension (D. C. Brown, "Close-range camera
+    /// calibration", 1971; OpenCV `calib3d`, equation of `projectPoints`):
+    ///
     /// `d = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)`,
+    ///
     /// `x' = x d + 2 p1 x y + p2 (r² + 2 x²)`, `y' = y d + p1 (r² + 2 y²) + 2 p2 x y`.
     BrownConrady {
-        /// Radial, numerator, r².
+        /// Radial, numerator, coefficient of r².
         k1: f64,
-        /// Radial, numerator, r⁴.
+        /// Radial, numerator, coefficient of r⁴.
         k2: f64,
-        /// Tangential.
+        /// Tangential, first coefficient.
         p1: f64,
-        /// Tangential.
+        /// Tangential, second coefficient.
         p2: f64,
-        /// Radial, numerator, r⁶.
+        /// Radial, numerator, coefficient of r⁶.
         k3: f64,
-        /// Radial, denominator, r².
+        /// Radial, denominator, coefficient of r².
         k4: f64,
-        /// Radial, denominator, r⁴.
+        /// Radial, denominator, coefficient of r⁴.
         k5: f64,
-        /// Radial, denominator, r⁶.
+        /// Radial, denominator, coefficient of r⁶.
         k6: f64,
     },
-    /// Equidistant fisheye of J. Kannala and S. Brandt, "A generic camera model and calibration method for
-    /// conventional, wide-angle, and fish-eye lenses", 2006: `θ' = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)`, θ the angle from the axis.
+    /// Equidistant fisheye (J. Kannala and S. Brandt, "A generic camera model and calibration
+    /// method for conventional, wide-angle, and fish-eye lenses", 2006):
+    ///
+    /// `θ' = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)`, with θ the angle from the optical axis.
     KannalaBrandt {
-        /// θ³ coefficient.
+        /// Coefficient of θ³.
         k1: f64,
-        /// θ⁵ coefficient.
+        /// Coefficient of θ⁵.
         k2: f64,
-        /// θ⁷ coefficient.
+        /// Coefficient of θ⁷.
         k3: f64,
-        /// θ⁹ coefficient.
+        /// Coefficient of θ⁹.
         k4: f64,
     },
-    /// Two spheres one behind the other, for very wide lenses (V. Usenko, N. Demmel and D. Cremers, "The double sphere camera
-    /// model", 2018, equations 40 to 43): with z = 1, `d1 = √(r² + 1)`, `ζ = ξ d1 + 1`, `d2 = √(r² + ζ²)`,
-    /// `x' = x / (α d2 + (1 − α) ζ)`. On the axis the image is `1 / (1 + ξ)` times as large as the focal length says.
+    /// Double sphere model for fisheye and other very wide lenses (V. Usenko, N. Demmel and D.
+    /// Cremers, "The double sphere camera model", 2018, equations 40 to 43): with z = 1,
+    ///
+    /// `d1 = √(r² + 1)`, `ζ = ξ d1 + 1`, `d2 = √(r² + ζ²)`, `x' = x / (α d2 + (1 − α) ζ)`.
+    ///
+    /// On the optical axis the magnification is `1 / (1 + ξ)` times the focal length.
     DoubleSphere {
-        /// Distance of the two spheres' centres, in radii; −1 to 1 for real lenses.
+        /// ξ: distance between the centres of the two unit spheres; −1 to 1 for real lenses.
         xi: f64,
-        /// How far the image's pinhole stands off, 0 (a pinhole where ξ = 0) to 1.
+        /// α: shift of the pinhole behind the second sphere; 0 (a pinhole where ξ = 0) to 1.
         alpha: f64,
     },
 }
 
 impl Distortion {
-    /// Brown–Conrady from OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`: 4, 5 or 8 coefficients (0 is a pinhole).
+    /// Brown–Conrady distortion from coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6]]`.
+    /// `None` unless there are 0 (pinhole), 4, 5 or 8 coefficients.
     pub fn from_opencv(coefficients: &[f64]) -> Option<Self> {
         let c = |i: usize| coefficients.get(i).copied().unwrap_or(0.0);
         match coefficients.len() {
@@ -79,7 +90,7 @@ impl Distortion {
         }
     }
 
-    /// All coefficients, in the order they are declared.
+    /// All coefficients in the order of their declaration.
     pub fn coefficients(&self) -> Vec<f64> {
         match *self {
             Self::None => vec![],
@@ -89,7 +100,7 @@ impl Distortion {
         }
     }
 
-    /// The distorted normalised coordinates of a ray, and their derivative by the ray.
+    /// Distorted normalised image coordinates of a ray, and their Jacobian with respect to the ray.
     #[inline]
     fn distort(&self, ray: Ray) -> ((f64, f64), Matrix2<f64>) {
         let Ray { x, y } = ray;
@@ -99,9 +110,10 @@ impl Distortion {
             Self::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } => {
                 let numerator = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
                 let numerator_by_r2 = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
-                // d radial / d x = 2 x · radial_by_r2, and the same in y.
+                // ∂radial/∂x = 2 x · radial_by_r2; likewise for y.
                 let (radial, radial_by_r2) = if k4 == 0.0 && k5 == 0.0 && k6 == 0.0 {
-                    // As most lenses have it: a division takes as long as all the rest.
+                    // Fast path: most lenses have no denominator, and the division costs as much as
+                    // everything else.
                     (numerator, numerator_by_r2)
                 } else {
                     let denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
@@ -132,7 +144,7 @@ impl Distortion {
                 let bent = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))));
                 let bent_by_angle = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)));
                 let scale = bent / r;
-                // d scale / d r, and dr/dx = x / r.
+                // scale_by_r is d(scale)/dr; the chain rule uses ∂r/∂x = x / r.
                 let scale_by_r = (bent_by_angle / (1.0 + r2) - scale) / r;
                 let (dx, dy) = (x / r, y / r);
                 let derivative = Matrix2::new(
@@ -148,7 +160,7 @@ impl Distortion {
                 let zeta = xi * d1 + 1.0;
                 let d2 = (r2 + zeta * zeta).sqrt();
                 let scale = 1.0 / (alpha * d2 + (1.0 - alpha) * zeta);
-                // d scale / d x = 2 x · scale_by_r2, and the same in y.
+                // ∂scale/∂x = 2 x · scale_by_r2; likewise for y.
                 let zeta_by_r2 = 0.5 * xi / d1;
                 let d2_by_r2 = (0.5 + zeta * zeta_by_r2) / d2;
                 let scale_by_r2 = -scale * scale * (alpha * d2_by_r2 + (1.0 - alpha) * zeta_by_r2);
@@ -164,13 +176,15 @@ impl Distortion {
         }
     }
 
-    /// A ray near the one that reaches normalised image coordinates, for Newton's method to start from.
+    /// Initial guess for Newton's method: a ray near the one that projects to the given normalised
+    /// image coordinates.
     fn ray_near(&self, (x, y): (f64, f64), tangent_limit: f64) -> Option<Ray> {
         let radius = length(x, y);
         let tangent = match *self {
             Self::KannalaBrandt { .. } => radius.min(1.5).tan(),
             Self::DoubleSphere { xi, alpha } => {
-                // Equations 46 to 50 of the paper, which are exact where the ray lies in front of the camera.
+                // Unprojection by equations 46 to 50 of the paper; exact for rays in front of the
+                // camera.
                 let r2 = radius * radius;
                 let under = (1.0 - (2.0 * alpha - 1.0) * r2).max(0.0);
                 let mz = (1.0 - alpha * alpha * r2) / (alpha * under.sqrt() + 1.0 - alpha);
@@ -187,17 +201,20 @@ impl Distortion {
         Some(Ray::new(x * scale, y * scale))
     }
 
-    /// The largest tangent of the angle from the axis up to which the distortion is one to one, at most [`MAX_TANGENT`].
+    /// Largest tangent of the angle from the optical axis up to which the distortion is monotonic
+    /// (invertible), at most [`MAX_TANGENT`].
     fn tangent_limit(&self) -> f64 {
         let steps = 1000;
         let mut before = 0.0;
         for i in 1..=steps {
-            // Even steps in angle: fisheye lenses go far out in tangents.
+            // Equal steps in angle, because the tangent grows without bound towards the edge of a
+            // fisheye.
             let angle = MAX_TANGENT.atan() * i as f64 / steps as f64;
             let tangent = angle.tan();
             let radius = match *self {
                 Self::None => tangent,
-                // The radial part decides; tangential terms are small beside it.
+                // The radial part determines monotonicity; the tangential terms are small in
+                // comparison.
                 Self::BrownConrady { k1, k2, k3, k4, k5, k6, .. } => {
                     let radial = Self::BrownConrady { k1, k2, p1: 0.0, p2: 0.0, k3, k4, k5, k6 };
                     radial.distort(Ray::new(tangent, 0.0)).0.0
@@ -215,13 +232,15 @@ impl Distortion {
     }
 }
 
-/// Rays further from the axis than this (86.2°) are not used: they graze a ground seen from above. A [`Ray`] could not go
-/// beyond 90° in any case, whatever the lens model allows; pixels out there have no ray.
+/// Field-of-view limit: tangent of the largest used angle from the optical axis (86.2°). Rays
+/// farther out graze the ground. A [`Ray`] `(x, y, 1)` cannot represent angles of 90° or more,
+/// whatever the lens model allows; pixels beyond the limit have no ray.
 const MAX_TANGENT: f64 = 15.0;
 
-/// A calibrated camera: image size, focal lengths and principal point in pixels, and a distortion model.
+/// A calibrated camera: image size, intrinsics (focal lengths and principal point in pixels), lens
+/// distortion and, where known, the readout time of its shutter.
 ///
-/// The principal point follows the library's (and OpenCV's) convention that pixel centres are at integers.
+/// Pixel centres are at integer coordinates, as in OpenCV.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "CameraParameters", into = "CameraParameters")]
 pub struct Camera {
@@ -236,7 +255,7 @@ pub struct Camera {
     readout_s: Option<f64>,
 }
 
-/// A camera as plain numbers, unchecked: the form in which it is stored.
+/// The serialised form of a [`Camera`]: plain, unchecked numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct CameraParameters {
     width: usize,
@@ -266,11 +285,12 @@ impl From<Camera> for CameraParameters {
 }
 
 impl Camera {
-    /// A camera from its parameters: image `size` in pixels (width, height), focal lengths `(fx, fy)` and principal point
-    /// `(cx, cy)` in pixels.
+    /// A camera from its intrinsics: image `size` (width, height), focal lengths `(fx, fy)` and
+    /// principal point `(cx, cy)`, all in pixels.
     ///
-    /// Fails where a number is not finite, a focal length is not positive, the size is zero, or the principal point is
-    /// further outside the image than the image is large.
+    /// Fails if a number is not finite, a focal length is not positive, a side of the image is zero
+    /// or longer than 65536 pixels, or the principal point is outside the image by more than the
+    /// image's width or height.
     pub fn new(
         size: (usize, usize),
         focal_px: (f64, f64),
@@ -319,11 +339,12 @@ impl Camera {
         })
     }
 
-    /// The same camera with the readout time of its image, seconds: from the exposure of the first row
-    /// to that of the last. 0 is a global shutter, a negative one reads from the bottom row up, and
-    /// `None` is not known.
+    /// The same camera with its readout time in seconds: the delay between the exposures of the
+    /// first and the last row. 0 is a global shutter, positive a rolling shutter that reads from
+    /// top to bottom, negative one that reads from bottom to top, and `None` an unknown readout
+    /// time.
     ///
-    /// Fails where it is not finite or longer than [`Camera::LONGEST_READOUT_S`].
+    /// Fails if the time is not finite or its magnitude exceeds [`Camera::LONGEST_READOUT_S`].
     pub fn with_readout_s(self, readout_s: Option<f64>) -> Result<Self> {
         match readout_s {
             Some(readout) if !readout.is_finite() || readout.abs() > Self::LONGEST_READOUT_S => {
@@ -337,17 +358,18 @@ impl Camera {
         }
     }
 
-    /// No rolling shutter takes longer: ten frames a second, read without a pause.
+    /// Longest readout time of a rolling shutter, seconds: 10 frames per second, read without a
+    /// pause.
     pub const LONGEST_READOUT_S: f64 = 0.1;
 
-    /// Readout time of the image, seconds; `None` where it is not known.
+    /// Readout time of the shutter, seconds ([`Camera::with_readout_s`]); `None` if unknown.
     pub fn readout_s(&self) -> Option<f64> {
         self.readout_s
     }
 
-    /// A pinhole whose image covers `field_of_view_m` (width, height) on level ground seen from `height_m`: the paper's
-    /// measured field of view, which stands in for a calibration. The field of view runs from outer pixel edge to outer
-    /// pixel edge.
+    /// A pinhole camera whose image covers `field_of_view_m` (width, height, metres) on level
+    /// ground seen from `height_m`: a measured field of view in place of a calibration. The field
+    /// of view is measured between the outer edges of the outermost pixels.
     pub fn from_field_of_view(
         size: (usize, usize),
         field_of_view_m: (f64, f64),
@@ -383,12 +405,14 @@ impl Camera {
         &self.distortion
     }
 
-    /// Where a ray meets the image plane; may lie outside the image. `None` where the lens model is not one to one.
+    /// Projects a ray; the pixel may lie outside the image. `None` where the lens model is not
+    /// invertible.
     pub fn pixel_from_ray(&self, ray: Ray) -> Option<Pixel> {
         self.pixel_and_derivative(ray).map(|(pixel, _)| pixel)
     }
 
-    /// [`Camera::pixel_from_ray`] with the derivative of the pixel by the ray (2 × 2, pixels per tangent).
+    /// [`Camera::pixel_from_ray`] with the 2 × 2 Jacobian of the pixel with respect to the ray,
+    /// pixels per unit tangent.
     #[inline]
     pub fn pixel_and_derivative(&self, ray: Ray) -> Option<(Pixel, Matrix2<f64>)> {
         let beyond = ray.x * ray.x + ray.y * ray.y > self.tangent_limit * self.tangent_limit;
@@ -400,8 +424,8 @@ impl Camera {
         Some((pixel, Matrix2::new(self.fx, 0.0, 0.0, self.fy) * derivative))
     }
 
-    /// The ray that a pixel sees, undistorted: Newton's method on [`Camera::pixel_from_ray`], exact to 1e-9 pixels.
-    /// `None` where no ray of the lens model reaches the pixel.
+    /// Back-projects a pixel to its undistorted ray: Newton's method on [`Camera::pixel_from_ray`],
+    /// exact to 1e-9 pixels. `None` where no ray of the lens model projects to the pixel.
     pub fn ray_from_pixel(&self, pixel: Pixel) -> Option<Ray> {
         let target = ((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy);
         if let Distortion::None = self.distortion {
@@ -424,7 +448,8 @@ impl Camera {
                 inverse[(0, 0)] * residual.0 + inverse[(0, 1)] * residual.1,
                 inverse[(1, 0)] * residual.0 + inverse[(1, 1)] * residual.1,
             );
-            // Halve the step until it helps: far out, barrel distortion makes a full step overshoot.
+            // Step halving (line search): far from the axis, barrel distortion makes a full step
+            // overshoot.
             let mut factor = 1.0;
             loop {
                 let next = Ray::new(ray.x + factor * dx, ray.y + factor * dy);
@@ -444,40 +469,43 @@ impl Camera {
         None
     }
 
-    /// Whether a pixel lies inside the image by at least `margin_px` on every side.
+    /// Whether a pixel is inside the image and at least `margin_px` from every border.
     pub fn contains(&self, pixel: Pixel, margin_px: f64) -> bool {
         let inside = |v: f64, size: usize| v >= margin_px && v <= size as f64 - 1.0 - margin_px;
         inside(pixel.x, self.width) && inside(pixel.y, self.height)
     }
 }
 
-/// How the camera sits on its carrier over flat ground.
+/// Mounting (extrinsics) of the camera on its carrier over flat ground.
 ///
-/// Angles are those of [`GroundPose`]: roll about the carrier's forward axis, pitch about its left axis, each
-/// right-handed and 0 for a camera that looks straight down. With `yaw_rad` = 0 the top of the image is the carrier's forward.
+/// The angles are those of [`GroundPose`]: roll about the carrier's forward axis and pitch about
+/// its left axis, both right-handed and 0 for a nadir-looking camera. With `yaw_rad` = 0 the top of
+/// the image points forward.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rig {
     /// Height of the camera centre above the ground, metres.
     pub height_m: f64,
-    /// Roll against straight down, radians.
+    /// Roll, 0 for a nadir-looking camera, radians.
     #[serde(default)]
     pub roll_rad: f64,
-    /// Pitch against straight down, radians.
+    /// Pitch, 0 for a nadir-looking camera, radians.
     #[serde(default)]
     pub pitch_rad: f64,
-    /// Mount yaw: direction of the top of the image, counter-clockwise from the carrier's forward, radians.
+    /// Mount yaw: direction of the top of the image, counter-clockwise from the carrier's forward
+    /// axis, radians.
     #[serde(default)]
     pub yaw_rad: f64,
 }
 
 impl Rig {
-    /// A camera that looks straight down from `height_m` with the top of its image forward.
+    /// A nadir-looking camera at `height_m` with the top of its image forward.
     pub fn level(height_m: f64) -> Self {
         Self { height_m, roll_rad: 0.0, pitch_rad: 0.0, yaw_rad: 0.0 }
     }
 
-    /// Checks that the height is positive and all is finite, and that the camera still looks at the ground.
+    /// Checks the mounting. Fails if a number is not finite, the height is not positive, or the
+    /// camera does not look at the ground.
     pub fn validated(self) -> Result<Self> {
         let Self { height_m, roll_rad, pitch_rad, yaw_rad } = self;
         if !(height_m.is_finite() && height_m > 0.0) {
@@ -500,7 +528,7 @@ impl Rig {
         Ok(self)
     }
 
-    /// The pose of the camera at the start of a run: over the world's origin, the top of the image along world x.
+    /// Initial pose of a run: above the world's origin, with the top of the image along world x.
     pub fn first_pose(&self) -> GroundPose {
         GroundPose {
             x_m: 0.0,
@@ -575,7 +603,7 @@ mod tests {
 
     #[test]
     fn projection_agrees_with_opencv() {
-        // cv2.projectPoints((0.3, -0.2, 1), …) with the same numbers.
+        // The values of cv2.projectPoints((0.3, -0.2, 1), …) with the same parameters.
         let camera = Camera::new(
             (640, 480),
             (532.83, 532.95),
@@ -593,7 +621,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folding_lens_has_no_pixel_beyond_its_fold() {
+    fn rays_beyond_the_monotonic_range_have_no_pixel() {
         let camera = Camera::new(
             (640, 480),
             (500.0, 500.0),
@@ -601,13 +629,13 @@ mod tests {
             Distortion::from_opencv(&[-0.3, 0.0, 0.0, 0.0]).unwrap(),
         )
         .unwrap();
-        // 1 − 0.9 r² = 0 at r = 1.054.
+        // d/dr (r − 0.3 r³) = 1 − 0.9 r² = 0 at r = 1.054.
         assert!(camera.pixel_from_ray(Ray::new(1.0, 0.0)).is_some());
         assert!(camera.pixel_from_ray(Ray::new(1.2, 0.0)).is_none());
     }
 
     #[test]
-    fn impossible_cameras_are_refused_by_name() {
+    fn invalid_cameras_and_rigs_are_rejected() {
         let bad = Camera::new((640, 480), (f64::NAN, 500.0), (320.0, 240.0), Distortion::None).unwrap_err();
         assert!(bad.to_string().contains("fx is NaN"));
         assert!(Rig::level(-1.0).validated().is_err());
@@ -615,7 +643,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_of_view_is_the_papers() {
+    fn field_of_view_spans_outer_pixel_edges() {
         let camera = Camera::from_field_of_view((640, 480), (1.2, 0.9), 1.0).unwrap();
         let pose = GroundPose::level(1.0);
         let left = pose.ground_from_ray(camera.ray_from_pixel(Pixel::new(-0.5, 239.5)).unwrap()).unwrap();

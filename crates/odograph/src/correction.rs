@@ -1,7 +1,8 @@
-//! Digital image correction (subsystem 2 of the paper): what a lens has bent is made straight again.
+//! Digital image correction (subsystem 2 of the paper): removes lens distortion.
 //!
-//! Points are corrected by themselves, for a few microseconds each: tracking needs nothing else. A whole image is corrected
-//! only where somebody wants a picture: [`ImageCorrection`] looks up once where each of its pixels comes from.
+//! Points are undistorted one by one, for a few microseconds each; tracking needs nothing else.
+//! Whole images are rectified only for display and export: [`ImageCorrection`] precomputes the
+//! remap table once.
 
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
@@ -9,24 +10,25 @@ use crate::geometry::{Pixel, Ray};
 use crate::image::simd::remap::{ONE, Place, Remap};
 use crate::image::{GrayImage, RgbImage};
 
-/// Where a pinhole of the same focal lengths and principal point sees what `camera` sees at `pixel`; may lie outside the image.
-/// `None` where no ray of the lens model reaches the pixel.
+/// Undistorts a pixel: its position in a pinhole camera of the same focal lengths and principal
+/// point as `camera`. May lie outside the image. `None` where the lens model has no ray for the
+/// pixel.
 pub fn undistorted_pixel(camera: &Camera, pixel: Pixel) -> Option<Pixel> {
     camera.ray_from_pixel(pixel).map(|ray| pinhole_pixel(camera, ray))
 }
 
-/// [`undistorted_pixel`] of each of the pixels, in their order.
+/// [`undistorted_pixel`] of each pixel, in the given order.
 pub fn undistorted_pixels(camera: &Camera, pixels: &[Pixel]) -> Vec<Option<Pixel>> {
     pixels.iter().map(|&pixel| undistorted_pixel(camera, pixel)).collect()
 }
 
-/// Where `camera` sees what a pinhole of the same focal lengths and principal point sees at `pixel`; undoes
-/// [`undistorted_pixel`]. `None` where the lens model is not one to one.
+/// Distorts a pixel: the inverse of [`undistorted_pixel`]. `None` where the lens model is not
+/// injective.
 pub fn distorted_pixel(camera: &Camera, pixel: Pixel) -> Option<Pixel> {
     camera.pixel_from_ray(pinhole_ray(camera, pixel))
 }
 
-/// [`distorted_pixel`] of each of the pixels, in their order.
+/// [`distorted_pixel`] of each pixel, in the given order.
 pub fn distorted_pixels(camera: &Camera, pixels: &[Pixel]) -> Vec<Option<Pixel>> {
     pixels.iter().map(|&pixel| distorted_pixel(camera, pixel)).collect()
 }
@@ -41,24 +43,25 @@ fn pinhole_ray(camera: &Camera, pixel: Pixel) -> Ray {
     Ray::new((pixel.x - cx) / fx, (pixel.y - cy) / fy)
 }
 
-/// How much of what the lens sees a corrected image shows. Its size in pixels is that of the source in every case, and the ratio
-/// of its focal lengths too: square pixels stay square.
+/// Field of view of a rectified image. Its size in pixels and the ratio of its focal lengths are
+/// always those of the source, so square pixels stay square.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FieldOfViewKept {
-    /// Focal lengths and principal point stay: the scale at the centre is that of the source.
+    /// Keeps focal lengths and principal point: the scale at the centre is that of the source.
     #[default]
     SameFocalLength,
-    /// As much as fits without an empty pixel.
+    /// The largest field of view without empty pixels.
     ValidPixels,
-    /// Everything; pixels that the lens does not see are black.
+    /// The whole field of view of the source; pixels outside it are black.
     AllPixels,
 }
 
-/// The correction of whole images of one camera.
+/// Rectification of whole images of one camera by a precomputed remap table.
 ///
-/// It holds, for every pixel of the corrected image, where in the source it comes from: the place of the upper left of four
-/// samples and two fractions in 1/2048 pixel, 6 bytes a pixel. That is exact enough that a sample differs by at most one level
-/// from the one computed without rounding, and no lens model is evaluated while images are corrected.
+/// The table holds, for every pixel of the rectified image, its position in the source: the upper
+/// left of the four interpolated samples and two fractions in 1/2048 pixel, 6 bytes a pixel.
+/// Rounding the fractions changes a sample by at most one level. No lens model is evaluated while
+/// images are rectified.
 #[derive(Debug, Clone)]
 pub struct ImageCorrection {
     source: Camera,
@@ -67,10 +70,10 @@ pub struct ImageCorrection {
 }
 
 impl ImageCorrection {
-    /// The correction of images of `camera` to those of a pinhole.
+    /// The rectification of images of `camera` to a pinhole camera.
     ///
-    /// Fails where the lens model does not reach the whole image but all pixels are to be kept, or where the view that is to be
-    /// kept is no camera's.
+    /// Fails where `kept` is all pixels but the lens model does not reach the edge of the image,
+    /// and where the requested field of view has no valid pinhole camera.
     pub fn new(camera: &Camera, kept: FieldOfViewKept) -> Result<Self> {
         let corrected = match kept {
             FieldOfViewKept::SameFocalLength => {
@@ -88,29 +91,30 @@ impl ImageCorrection {
         Ok(Self { source: camera.clone(), corrected, remap })
     }
 
-    /// The camera that takes the corrected images: a pinhole.
+    /// The pinhole camera of the rectified images.
     pub fn camera(&self) -> &Camera {
         &self.corrected
     }
 
-    /// How many pixels of a corrected image lie outside the source; they are black.
+    /// Number of pixels of a rectified image that lie outside the source; they are black.
     pub fn pixels_without_source(&self) -> usize {
         self.remap.without_source()
     }
 
-    /// Where the corrected image shows what the source has at `pixel`; may lie outside the image. `None` where no ray of the lens
-    /// model reaches the pixel.
+    /// Position in the rectified image of a source pixel; may lie outside the image. `None` where
+    /// the lens model has no ray for the pixel.
     pub fn corrected_pixel(&self, pixel: Pixel) -> Option<Pixel> {
         self.source.ray_from_pixel(pixel).map(|ray| pinhole_pixel(&self.corrected, ray))
     }
 
-    /// Where the source has what the corrected image shows at `pixel`; `None` outside the source, whose outer edge is half a pixel
-    /// beyond the centres of its outermost pixels.
+    /// Position in the source of a rectified pixel; `None` outside the source, whose border is half
+    /// a pixel beyond the centres of its outermost pixels.
     pub fn source_pixel(&self, pixel: Pixel) -> Option<Pixel> {
         source_pixel(&self.source, &self.corrected, pixel)
     }
 
-    /// The corrected image: bilinear between pixel centres, the outermost samples out to the edge, black outside.
+    /// The rectified image: bilinear interpolation, border samples replicated over the outer half
+    /// pixel, black outside the source.
     ///
     /// Fails where the image is not of the camera's size.
     pub fn apply(&self, image: &GrayImage) -> Result<GrayImage> {
@@ -119,7 +123,7 @@ impl ImageCorrection {
         Ok(corrected)
     }
 
-    /// [`ImageCorrection::apply`] into an image whose memory is used again. Fails also where that is of another size.
+    /// [`ImageCorrection::apply`] into an existing image. Also fails where that has another size.
     pub fn apply_into(&self, image: &GrayImage, corrected: &mut GrayImage) -> Result<()> {
         self.check_size(image.width(), image.height())?;
         self.check_size(corrected.width(), corrected.height())?;
@@ -127,14 +131,14 @@ impl ImageCorrection {
         Ok(())
     }
 
-    /// [`ImageCorrection::apply`] in colour.
+    /// [`ImageCorrection::apply`] for colour images.
     pub fn apply_rgb(&self, image: &RgbImage) -> Result<RgbImage> {
         let mut corrected = RgbImage::new(self.corrected.width(), self.corrected.height());
         self.apply_rgb_into(image, &mut corrected)?;
         Ok(corrected)
     }
 
-    /// [`ImageCorrection::apply_into`] in colour.
+    /// [`ImageCorrection::apply_into`] for colour images.
     pub fn apply_rgb_into(&self, image: &RgbImage, corrected: &mut RgbImage) -> Result<()> {
         self.check_size(image.width(), image.height())?;
         self.check_size(corrected.width(), corrected.height())?;
@@ -158,7 +162,8 @@ fn source_pixel(source: &Camera, corrected: &Camera, pixel: Pixel) -> Option<Pix
     source.pixel_from_ray(pinhole_ray(corrected, pixel)).filter(|&at| source.contains(at, -0.5))
 }
 
-/// A place between the centres of the source's pixels; what lies beyond the outermost centres is moved to them.
+/// Quantises a source position to a [`Place`]; positions beyond the outermost pixel centres are
+/// clamped to them.
 fn rounded(camera: &Camera, place: Pixel) -> Place {
     let split = |place: f64, size: usize| {
         let place = place.clamp(0.0, size as f64 - 1.0);
@@ -170,7 +175,7 @@ fn rounded(camera: &Camera, place: Pixel) -> Place {
     Place { column, row, right, down }
 }
 
-/// A rectangle of directions: tangents to the left, right, top and bottom.
+/// A rectangular field of view: tangents of the angles of its left, right, top and bottom sides.
 #[derive(Debug, Clone, Copy)]
 struct View {
     left: f64,
@@ -180,7 +185,8 @@ struct View {
 }
 
 impl View {
-    /// The pinhole of the camera's size that looks at the view's middle, with focal lengths `zoom` times the camera's.
+    /// The pinhole camera of the same image size centred on this view, with focal lengths `zoom`
+    /// times those of `camera`.
     fn pinhole(&self, camera: &Camera, zoom: f64) -> Result<Camera> {
         let (w, h) = (camera.width() as f64, camera.height() as f64);
         let (fx, fy) = (zoom * camera.focal_px().0, zoom * camera.focal_px().1);
@@ -191,10 +197,11 @@ impl View {
         Camera::new((camera.width(), camera.height()), (fx, fy), principal_px, Distortion::None)
     }
 
-    /// The zooms at which the view is as wide, and as high, as the image from first to last pixel centre.
+    /// The zooms at which the view's width and height fill the image from first to last pixel
+    /// centre.
     fn zooms(&self, camera: &Camera) -> (f64, f64) {
         let zoom = |pixels: usize, focal_px: f64, tangents: f64| {
-            // One column or row shows any view.
+            // An image of one column or row has no extent to fit.
             if pixels > 1 { (pixels as f64 - 1.0) / (focal_px * tangents) } else { 1.0 }
         };
         let (fx, fy) = camera.focal_px();
@@ -203,7 +210,7 @@ impl View {
     }
 }
 
-/// The pixels of the image's first and last row and column.
+/// The pixels of the first and last rows and columns of the image.
 fn edge_pixels(camera: &Camera) -> impl Iterator<Item = Pixel> {
     let (last_x, last_y) = (camera.width() - 1, camera.height() - 1);
     let rows = (0..=last_x).flat_map(move |x| [(x, 0), (x, last_y)]);
@@ -211,7 +218,7 @@ fn edge_pixels(camera: &Camera) -> impl Iterator<Item = Pixel> {
     rows.chain(columns).map(|(x, y)| Pixel::new(x as f64, y as f64))
 }
 
-/// The pinhole that sees all that the camera sees.
+/// The pinhole camera with the smallest view that contains the whole view of `camera`.
 fn whole_view(camera: &Camera) -> Result<Camera> {
     const OUT_OF_REACH: &str = "the lens model does not reach the edge of the image, so that not all pixels can be kept; keep \
                                 the valid pixels or the focal length instead";
@@ -228,7 +235,7 @@ fn whole_view(camera: &Camera) -> Result<Camera> {
     view.pinhole(camera, across.min(along))
 }
 
-/// The pinhole that sees as much as it can without seeing anything that the camera does not.
+/// The pinhole camera with the largest view inside that of `camera`.
 fn valid_view(camera: &Camera) -> Result<Camera> {
     const NOTHING: &str = "the lens model leaves no rectangle of valid pixels; keep the focal length instead";
     let nothing = || Error::input(NOTHING);
@@ -236,7 +243,7 @@ fn valid_view(camera: &Camera) -> Result<Camera> {
     let mut view =
         View { left: f64::NEG_INFINITY, right: f64::INFINITY, top: f64::NEG_INFINITY, bottom: f64::INFINITY };
     for pixel in edge_pixels(camera) {
-        // Where the model does not reach the edge, what it reaches decides below.
+        // Where the model does not reach the border, the fallback below applies.
         let Some(ray) = camera.ray_from_pixel(pixel) else { continue };
         if pixel.x == 0.0 {
             view.left = view.left.max(ray.x);
@@ -252,7 +259,8 @@ fn valid_view(camera: &Camera) -> Result<Camera> {
         }
     }
     let size = (camera.width(), camera.height());
-    // A side that the model reaches nowhere: as far as it reaches from the principal point towards it.
+    // For a side whose border the model does not reach at all: the outermost pixel it reaches on
+    // the line through the principal point.
     let (cx, cy) = camera.principal_px();
     let across = |x: usize| camera.ray_from_pixel(Pixel::new(x as f64, cy)).map(|ray| ray.x);
     let along = |y: usize| camera.ray_from_pixel(Pixel::new(cx, y as f64)).map(|ray| ray.y);
@@ -276,7 +284,8 @@ fn valid_view(camera: &Camera) -> Result<Camera> {
     if fits(&pinhole) {
         return Ok(pinhole);
     }
-    // A lens whose edges are not simply curved, or that does not reach them: zoom in until everything is seen.
+    // For borders that are not simply curved or that the model does not reach: zoom in until all
+    // pixels are valid, then bisect.
     let (mut too_wide, mut narrow) = (widest, widest);
     let mut pinhole = loop {
         narrow *= 1.25;

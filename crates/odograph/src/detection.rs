@@ -1,5 +1,5 @@
-//! Subsystem 3: objects of interest. Corners that can be found again, by the criterion of J. Shi and C. Tomasi, "Good features to track", 1994:
-//! the smaller eigenvalue of the gradient matrix over a window.
+//! Corner detection (subsystem 3, objects of interest): the minimum eigenvalue of the structure
+//! tensor over a window (J. Shi and C. Tomasi, "Good features to track", 1994).
 
 mod strengths;
 
@@ -10,30 +10,31 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use strengths::Strengths;
 
-/// Over which window the gradient matrix is summed.
+/// Weighting of the window over which the structure tensor is summed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Window {
-    /// All samples count alike.
+    /// Uniform weights.
     Rectangular,
-    /// Samples count by a binomial (near Gaussian) weight of the same extent.
+    /// Binomial weights (approximately Gaussian) of the same extent.
     Gaussian,
 }
 
-/// How corners are chosen.
+/// Parameters of the corner detector.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DetectionConfig {
-    /// At most this many corners.
+    /// Maximum number of corners.
     pub corners: usize,
-    /// Corners are at least this far apart, pixels.
+    /// Minimum distance between corners, pixels.
     pub minimum_distance_px: f64,
-    /// Corners weaker than this part of the strongest are not taken, or, where that leaves less than a quarter of those wanted, weaker than a tenth of it:
-    /// on plain tiles the crossings of joints are strong, and all alike.
+    /// Minimum corner strength as a fraction of the strongest corner's. Where fewer than a quarter
+    /// of `corners` pass, the threshold is lowered to a tenth of this: on plain tiles the crossings
+    /// of joints are strong, and all alike.
     pub quality: f32,
-    /// The window of the gradient matrix.
+    /// Weighting of the window.
     pub window: Window,
-    /// Samples from the window's centre to its edge; the window is 2 r + 1 wide.
+    /// Window radius r: the window is 2 r + 1 pixels wide.
     pub window_radius_px: usize,
 }
 
@@ -52,51 +53,58 @@ impl Default for DetectionConfig {
 /// A corner: its pixel and its strength.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corner {
-    /// Column.
+    /// Column, pixels.
     pub x: usize,
-    /// Row.
+    /// Row, pixels.
     pub y: usize,
-    /// Smaller eigenvalue of the mean gradient matrix over the window, (gray levels per pixel)².
+    /// Minimum eigenvalue of the mean structure tensor over the window, (gray levels per pixel)².
     pub strength: f32,
 }
 
-/// The N best corners at least `margin_px` inside the image, spread over it, strongest first within each round.
+/// Detects up to `config.corners` corners at least `margin_px` from the image border, spread over
+/// the image; strongest first within each round.
 ///
-/// "Spread" means: the image is divided into cells of equal area and cells take turns, each giving its best corner that
-/// keeps the minimum distance, until N are found. A texture that is strong in one place does not draw all corners there.
-/// The image is at most 65,536 pixels wide and high, as is every camera's.
+/// The image is divided into cells of equal area. In each round every cell contributes its
+/// strongest remaining corner that keeps the minimum distance, until enough are chosen. A texture
+/// that is strong in one part of the image thus does not attract all corners. The image is at most
+/// 65,536 pixels wide and high.
 pub fn detect(image: &GrayImage, config: &DetectionConfig, margin_px: usize) -> Vec<Corner> {
     Detection::new((image.width(), image.height()), config, margin_px).corners(image)
 }
 
-/// Gradients weaker than this (gray levels per pixel, squared) are 8-bit rounding, not texture.
+/// Minimum corner strength, (gray levels per pixel)²; weaker ones are 8-bit quantisation, not
+/// texture.
 const SMALLEST_STRENGTH: f32 = 0.02;
 
-/// No corner of an image of 8 bits is stronger, (gray levels per pixel)²: half of the largest sum of squares of both Scharr gradients at one pixel.
+/// Upper bound of the corner strength in an 8-bit image, (gray levels per pixel)²: half of the
+/// largest sum of squares of both Scharr gradients at one pixel.
 const GREATEST_STRENGTH: f32 = 11_304.0;
 
-/// Corners that are looked for a part of the image at a time; what comes of it is what [`detect`] gives.
+/// Incremental corner detection, a part of the image at a time; the result equals that of
+/// [`detect`].
 #[derive(Debug)]
 pub struct Detection {
     size: (usize, usize),
     config: DetectionConfig,
     margin: usize,
     strengths: Strengths,
-    /// The next row whose strengths are to be taken.
+    /// The next row whose strengths are computed.
     next: usize,
     /// The strengths of the last three rows.
     last: [Vec<f32>; 3],
-    /// Whether a pixel is one of the maxima, for a row; a multiple of the blocks in which they are looked through.
+    /// Local-maximum flags of a row, 0 or 1; the length is rounded up to a multiple of [`MARKS`].
     marks: Vec<u8>,
-    /// Pixels that are stronger than their eight neighbours, and strong enough beside the strongest before them, in reading order.
+    /// Local maxima of 8-neighbourhoods that pass the threshold relative to the strongest before
+    /// them, in reading order.
     maxima: Vec<Ranked>,
     strongest: f32,
-    /// Where no corner may be, and so many times the image is halved against that.
+    /// Pixels without corners, and the pyramid level (number of halvings) of the detection image
+    /// relative to the mask.
     mask: Option<(Arc<ImageMask>, u32)>,
 }
 
 impl Detection {
-    /// Of an image of this size. Nothing is looked at yet.
+    /// A detection in images of this size. No row is processed yet.
     pub fn new(size: (usize, usize), config: &DetectionConfig, margin_px: usize) -> Self {
         let (width, height) = size;
         let margin = margin_px.max(1);
@@ -115,13 +123,14 @@ impl Detection {
         }
     }
 
-    /// The same without what is not ground: there is no corner there, however strong. `halvings` is the level of the pyramid that is looked at.
+    /// Excludes masked pixels from detection. `halvings` is the pyramid level of the detection
+    /// image; the mask is for level 0.
     pub fn without(mut self, mask: Option<Arc<ImageMask>>, halvings: u32) -> Self {
         self.mask = mask.map(|mask| (mask, halvings));
         self
     }
 
-    /// Looks at the image down to before this row.
+    /// Processes the rows before row `until`.
     pub fn look(&mut self, image: &GrayImage, until: usize) {
         for read in self.next..until.min(self.size.1) {
             let strengths = self.strengths.row(image, read);
@@ -140,7 +149,8 @@ impl Detection {
             return;
         }
         let [above, here, below] = &self.last;
-        // Ties go to the first in reading order. What is too weak beside the strongest so far is so beside the strongest of all.
+        // Ties go to the first in reading order. The threshold grows with the strongest maximum so
+        // far, so no maximum is rejected here that would pass the final one.
         let least = SMALLEST_STRENGTH.max(FAINTER * self.config.quality * self.strongest);
         mark_local_maxima(above, here, below, least, &mut self.marks[..width]);
         for (block, marks) in self.marks.as_chunks::<MARKS>().0.iter().enumerate() {
@@ -158,10 +168,13 @@ impl Detection {
         }
     }
 
-    /// Whether it is sure already that there will be so many corners.
+    /// Whether at least `count` corners are certain to be found, whatever the remaining rows
+    /// contain.
     ///
-    /// So it is where so many maxima, strong enough whatever comes, lie at least twice the minimum distance apart: as long as corners are wanted each is
-    /// taken itself or is too near to one that is, and that one is near to no other of them.
+    /// This holds where `count` maxima that pass any possible threshold are at least twice the
+    /// minimum distance apart. As long as corners are wanted, each of these maxima is either chosen
+    /// or suppressed by a chosen one within the minimum distance, and that corner cannot suppress
+    /// any other of them.
     pub fn will_find(&self, count: usize) -> bool {
         if count > self.config.corners {
             return false;
@@ -185,7 +198,7 @@ impl Detection {
         taken.len() >= count
     }
 
-    /// Looks at the rest of the image, and chooses the corners.
+    /// Processes the remaining rows and selects the corners.
     pub fn corners(mut self, image: &GrayImage) -> Vec<Corner> {
         self.look(image, self.size.1);
         let (least, faintest) =
@@ -203,14 +216,15 @@ impl Detection {
     }
 }
 
-/// Where less than one in `FEW` of the corners wanted are strong enough, weaker ones by this factor are taken too.
+/// If fewer than 1/`FEW` of the wanted corners are found, the threshold is multiplied by `FAINTER`.
 const FEW: usize = 4;
 const FAINTER: f32 = 0.1;
 
-/// So many marks are looked through at a time: as many as there are bits in a word.
+/// Number of flags processed at a time: the bits of a word.
 const MARKS: usize = 64;
 
-/// A bit for each mark, which is 0 or 1. The product gathers the lowest bits of eight bytes in the highest byte.
+/// Packs flags (each 0 or 1) into bits. The multiplication gathers the lowest bits of eight bytes
+/// in the highest byte.
 fn bits_of(marks: &[u8; MARKS]) -> u64 {
     const GATHER: u64 = 0x0102_0408_1020_4080;
     let eight =
@@ -218,12 +232,12 @@ fn bits_of(marks: &[u8; MARKS]) -> u64 {
     marks.as_chunks::<8>().0.iter().enumerate().map(eight).fold(0, |bits, eight| bits | eight)
 }
 
-/// Takes the best candidates cell by cell; see [`detect`].
+/// Selects the strongest candidates cell by cell; see [`detect`].
 fn spread(candidates: &[Ranked], size: (usize, usize), config: &DetectionConfig) -> Vec<Corner> {
     if candidates.is_empty() {
         return Vec::new();
     }
-    // About four corners a cell: fine enough to spread, coarse enough to choose.
+    // About four corners per cell: fine enough to spread them, coarse enough to have a choice.
     let cell_px = ((size.0 * size.1) as f64 * 4.0 / config.corners.max(1) as f64).sqrt().max(1.0);
     let columns = (size.0 as f64 / cell_px).ceil() as usize;
     let rows = (size.1 as f64 / cell_px).ceil() as usize;
@@ -232,13 +246,13 @@ fn spread(candidates: &[Ranked], size: (usize, usize), config: &DetectionConfig)
     };
     let (column_of, row_of) = (cell_along(size.0, columns), cell_along(size.1, rows));
     let cell_of = |candidate: &Ranked| row_of[candidate.y()] * columns + column_of[candidate.x()];
-    // Sorted into the cells by counting.
+    // Counting sort of the candidates by cell.
     let mut ends = vec![0; columns * rows];
     candidates.iter().for_each(|candidate| ends[cell_of(candidate)] += 1);
     let mut total = 0;
     for end in &mut ends {
         total += *end;
-        *end = total - *end; // where the cell begins, until it is filled
+        *end = total - *end; // start of the cell until it is filled, then its end
     }
     let mut in_cells = vec![Ranked(0); candidates.len()];
     for candidate in candidates {
@@ -274,13 +288,14 @@ fn spread(candidates: &[Ranked], size: (usize, usize), config: &DetectionConfig)
     }
 }
 
-/// A corner as one number that orders as corners do: the stronger is the larger; of equals the first in reading order. The bits of a
-/// positive strength, which order as it does, then those of the place.
+/// A corner packed into one integer whose order is the corner order: stronger is larger, and of
+/// equals the first in reading order is larger. The high 32 bits are the strength, whose float bits
+/// order as the value does because it is positive; the low 32 bits are the inverted position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Ranked(u64);
 
 impl Ranked {
-    /// Places are below 2¹⁶: no camera has more pixels along a side.
+    /// `x` and `y` are below 2¹⁶.
     fn new(x: usize, y: usize, strength: f32) -> Self {
         let place = !(((y as u32) << 16) | x as u32);
         Self((u64::from(strength.to_bits()) << 32) | u64::from(place))
@@ -303,11 +318,12 @@ impl Ranked {
     }
 }
 
-/// The corners of one cell, given from the strongest to the weakest; few are asked for, so that few are sorted at a time.
+/// Candidates of one cell, returned from strongest to weakest. Sorted in parts, because only few of
+/// them are requested.
 struct Cell<'a> {
-    /// Those not given yet; the strongest at the end.
+    /// Candidates not yet returned; the strongest is last.
     candidates: &'a mut [Ranked],
-    /// So many at the end are sorted, and stronger than the others.
+    /// Number of candidates at the end that are sorted, and stronger than all others.
     sorted: usize,
 }
 
@@ -329,7 +345,8 @@ impl Cell<'_> {
     }
 }
 
-/// Corners already taken, in a grid whose cells are as wide as the minimum distance: only nine cells need looking at.
+/// Chosen corners in a grid with cells as wide as the minimum distance: a distance check visits
+/// nine cells.
 struct TakenCorners {
     minimum_distance_px: f64,
     columns: usize,

@@ -1,33 +1,35 @@
-//! The one error type of the workspace.
+//! The error type shared by the whole workspace.
 
 use std::fmt;
 
-/// What kind of thing went wrong; decides the program's exit code.
+/// The category of an error; decides the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The caller asked for something that cannot be (a wrong option, a value out of its range).
+    /// The caller's request is invalid: an unknown option or a value out of range.
     Usage,
-    /// A file, a stream or a picture is missing, damaged or not what it should be.
+    /// A file, stream or image is missing, damaged or of the wrong format.
     Input,
     /// A result could not be written.
     Output,
 }
 
-/// An error as a person reads it: one sentence that says what, where, why and what to do.
+/// An error with a message for people: one sentence that says what failed, where, why, and what to
+/// do.
 ///
-/// Opaque on purpose: code decides by [`Error::kind`], people read the [`Display`](fmt::Display) form.
+/// Opaque on purpose: code branches on [`Error::kind`], people read the [`Display`](fmt::Display)
+/// form.
 #[derive(Debug)]
 pub struct Error {
     kind: ErrorKind,
     message: String,
 }
 
-/// A result with the workspace's [`Error`].
+/// A result whose error is the workspace's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// An error of the given kind with its sentence.
+    /// An error of the given kind with the given message.
     pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
         Self { kind, message: message.into() }
     }
@@ -47,12 +49,12 @@ impl Error {
         Self::new(ErrorKind::Output, message)
     }
 
-    /// What kind of error this is.
+    /// The category of this error.
     pub fn kind(&self) -> ErrorKind {
         self.kind
     }
 
-    /// The same error with the place it happened put before its sentence: `camera.yaml: fx is NaN`.
+    /// The same error with its location prepended to the message: `camera.yaml: fx is NaN`.
     #[must_use]
     pub fn at(self, place: impl fmt::Display) -> Self {
         Self { kind: self.kind, message: format!("{place}: {}", self.message) }

@@ -1,11 +1,15 @@
-//! What stands still in the image while the ground moves: the carrier's own bumper, dirt on the lens, a highlight of its lamp.
+//! Detection of regions that are static in the image while the ground moves: the vehicle's own
+//! bumper, dirt on the lens, a specular highlight of its lamp.
 //!
-//! The image is seen in cells of 4x4 pixels. Of every cell the mean and the variance over time of its brightness gradient are kept, in
-//! the manner of a background model (C. Stauffer and W. Grimson, "Adaptive background mixture models for real-time tracking", 1999) with
-//! one mode: the gradient of moving ground averages out and varies, that of what is fixed in the image stays and varies by no more than
-//! noise. Nothing is tracked for that, so it cannot be misled by a tracker that follows the wrong thing.
+//! The image is divided into cells of 4x4 pixels. Each cell keeps the temporal mean and variance of
+//! its brightness gradient: a single-mode background model in the manner of C. Stauffer and W.
+//! Grimson, "Adaptive background mixture models for real-time tracking", 1999. The gradient of
+//! moving ground averages out and varies; that of a static region keeps its mean and varies only by
+//! noise. The detection uses no feature tracks, so a tracker that follows the wrong surface cannot
+//! mislead it.
 //!
-//! Only images in which much of the view has changed since the last one count as evidence: a camera that stands still teaches nothing.
+//! Only images in which much of the view has changed since the last one used are evidence: images
+//! of a stationary camera are ignored.
 
 mod image_mask;
 mod statistics;
@@ -16,20 +20,20 @@ use crate::image::{GrayImage, noise_variance};
 use statistics::{Cells, Change, Statistics};
 use std::sync::Arc;
 
-/// What an image says about the time since the last one that counted.
+/// Result of the comparison of an image with the last one that was used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SinceLast {
-    /// It was not looked at, or too little has changed to tell.
+    /// The image was skipped, or too little has changed.
     Unclear,
-    /// Most of what is not known to be fixed has moved: this image counts from now on.
+    /// Most of the unmasked texture has moved; the image is added to the statistics.
     Moved,
 }
 
-/// Learns, image by image, what stands still in the image while the rest moves.
+/// Learns the static regions of the image from a sequence of images.
 #[derive(Debug)]
 pub struct FixedPattern {
     size: (usize, usize),
-    /// What a person said is not ground.
+    /// Mask given by the user.
     told: Option<ImageMask>,
     mask: Option<Arc<ImageMask>>,
     images: u64,
@@ -37,42 +41,47 @@ pub struct FixedPattern {
     now: Cells,
     statistics: Statistics,
     change: Change,
-    /// Variance of a pixel's noise, gray levels².
+    /// Variance of the pixel noise, gray levels².
     noise: f64,
-    /// Which cells the last decision found to be fixed, and which this one did.
+    /// Static cells of the previous decision, and the confirmed ones of the current decision.
     before: Vec<bool>,
     lasting: Vec<bool>,
 }
 
-/// After so many samples the picture is complete enough to look at every twelfth image only: a look takes 0.3 ms at 640x480.
+/// Number of samples after which only every twelfth image is compared; a comparison takes 0.3 ms at
+/// 640x480.
 const SETTLED_SAMPLES: u32 = 12;
 const EVERY: u64 = 12;
 
-/// As long as little is known, every image of the first seconds is looked at.
+/// Before that, every image is compared, up to this frame index.
 const FIRST_IMAGES: u64 = 300;
 
-/// The mask is made anew after these numbers of samples, and then every so many.
+/// The mask is recomputed at these numbers of samples, and then every `DECIDE_EVERY` samples.
 const FIRST_DECISIONS: [u32; 6] = [3, 4, 5, 6, 8, 12];
 const DECIDE_EVERY: u32 = 16;
 
-/// An image counts when this part of what has texture has moved: a third where it is not known yet what is fixed, so that a bumper over
-/// more than half of the image is found, and most of the rest where it is, so that somebody who walks past a camera at rest is no evidence.
+/// Minimum fraction of the textured blocks that must have moved for an image to be used. Without a
+/// mask it is a third, so that a bumper over more than half of the image is found. With a mask it
+/// is most of the unmasked blocks, so that a person who walks past a stationary camera is no
+/// evidence.
 const MOVED_SHARE: f64 = 0.33;
 const MOVED_SHARE_OF_GROUND: f64 = 0.6;
 
-/// Fewer blocks with texture than this part of all tell nothing.
+/// Minimum fraction of blocks with texture; with fewer the image is not used.
 const LEAST_TEXTURED: f64 = 0.05;
 
-/// What covers more than this part of the image may take all corners and is believed at once; less must be found twice, for a few samples of moving ground may look
-/// alike by chance.
+/// Static regions larger than this fraction of the image may attract all corners and are masked at
+/// once. Smaller ones must be found in two consecutive decisions after at least `SURE_SAMPLES`
+/// samples, because a few samples of moving ground may be alike by chance.
 const LARGE: f64 = 0.04;
 const SURE_SAMPLES: u32 = 20;
 
-/// Rounding to whole gray levels, and what codecs leave out: noise is at least this, gray levels².
+/// Lower bound of the noise variance, gray levels²: quantisation to integer gray levels and detail
+/// removed by codecs.
 const LEAST_NOISE: f64 = 0.3;
 
 impl FixedPattern {
-    /// Nothing known yet, of images of this size.
+    /// A model without evidence, for images of this size.
     pub fn new(size: (usize, usize)) -> Self {
         let (columns, rows) = image_mask::cells(size);
         let count = columns * rows;
@@ -91,24 +100,24 @@ impl FixedPattern {
         }
     }
 
-    /// The same with what a person said is not ground, which is masked in any case.
+    /// Adds a mask given by the user, which applies in any case.
     pub fn with_told(mut self, told: ImageMask) -> Self {
         self.mask = (!told.is_empty()).then(|| Arc::new(told.clone()));
         self.told = Some(told);
         self
     }
 
-    /// What is known not to be ground; `None` where that is nothing.
+    /// The mask of pixels that are not ground; `None` where it is empty.
     pub fn mask(&self) -> Option<&Arc<ImageMask>> {
         self.mask.as_ref()
     }
 
-    /// The part of the image that is known not to be ground, 0 to 1.
+    /// The masked fraction of the image, 0 to 1.
     pub fn share(&self) -> f64 {
         self.mask.as_ref().map_or(0.0, |mask| mask.share())
     }
 
-    /// The mask as a picture: white is ground, black is not.
+    /// The mask as an image: ground is white, masked pixels are black.
     pub fn picture(&self) -> GrayImage {
         match &self.mask {
             Some(mask) => mask.picture(),
@@ -116,7 +125,7 @@ impl FixedPattern {
         }
     }
 
-    /// Takes the next image.
+    /// Processes the next image.
     pub fn look(&mut self, image: &GrayImage) -> SinceLast {
         let number = self.images;
         self.images += 1;
@@ -136,7 +145,8 @@ impl FixedPattern {
         if (textured as f64) < LEAST_TEXTURED * blocks as f64 || (moved as f64) < wanted * textured as f64 {
             return SinceLast::Unclear;
         }
-        // Both are upper bounds: fine texture looks like noise, and where all moves no block has noise alone.
+        // Both estimates are upper bounds: fine texture is taken for noise, and where everything
+        // moves no block contains noise alone.
         let by_change = self.change.least_noise();
         let by_image = if eager { noise_variance(image) } else { self.noise };
         self.noise = by_image.min(by_change).max(LEAST_NOISE);

@@ -1,12 +1,14 @@
 //! # odograph
 //!
-//! One video camera in, a metric trajectory and map out.
+//! Monocular visual odometry and mapping over flat ground: one video camera in, a metric trajectory
+//! and map out.
 //!
-//! The library takes gray images with timestamps, a calibrated [`camera::Camera`] and its [`camera::Rig`] over flat ground, and
-//! gives poses in metres with their uncertainty. It prints nothing, reads no clock and opens no connection.
+//! The library takes gray images with timestamps, a calibrated [`camera::Camera`] and its mounting
+//! [`camera::Rig`] over flat ground. It returns poses in metres with their covariance. It prints
+//! nothing, reads no clock and opens no connection.
 //!
-//! The modules stand in reading order, which is the order of the data and of the dependencies: a module imports only
-//! modules above it.
+//! The modules are listed in reading order, which is the order of the data flow and of the
+//! dependencies: a module imports only modules listed above it.
 
 pub mod error;
 pub mod buffer;

@@ -1,4 +1,5 @@
-//! What is known of each frame: the values that leave the pipeline and that maps, reports and files are made of.
+//! Per-frame results of the pipeline: poses with covariances, tracking status and statistics. Maps,
+//! reports and files are made of these values.
 
 use crate::geometry::GroundPose;
 use crate::geometry::pose_index::{HEADING, X, Y};
@@ -6,35 +7,39 @@ use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Whether the movement of a frame was measured.
+/// Whether the motion of a frame was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "status")]
 pub enum TrackStatus {
     /// The pose was measured.
     Tracked,
-    /// The pose was not measured; none is given.
+    /// Tracking failed; the frame has no pose.
     Lost {
-        /// Why not.
+        /// Cause of the failure.
         reason: LossReason,
     },
 }
 
-/// Why the movement of a frame could not be measured.
+/// Why the motion of a frame could not be measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum LossReason {
-    /// Too little texture to follow (blank floor, a hand over the lens).
+    /// Too little texture to track (blank floor, a hand over the lens).
     Bare,
-    /// Nothing is seen for want of light.
+    /// The image is too dark.
     Dark,
-    /// There is texture, but hardly any of the keyframe was found again (a cut, a jump).
+    /// The image has texture, but hardly any of the keyframe's corners were tracked (a cut, a
+    /// jump).
     Jump,
-    /// Hardly any of the keyframe was found again because the image is so much less sharp.
+    /// Hardly any of the keyframe's corners were tracked because the image is much less sharp than
+    /// the keyframe.
     Blur,
-    /// What was found again stands still in the image while the camera should have moved: the shadow or a part of its carrier.
+    /// The tracked corners are static in the image although the camera should have moved: the
+    /// carrier's shadow or a part of the carrier.
     Shadow,
-    /// Corners were found again, but they do not move as one plane (moving objects, not a floor).
+    /// Corners were tracked, but their motion is not that of one plane (moving objects, no flat
+    /// ground).
     NotPlanar,
 }
 
@@ -60,7 +65,7 @@ impl fmt::Display for TrackStatus {
     }
 }
 
-/// How fast the camera moves over the ground.
+/// Velocity of the camera over the ground.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Velocity {
     /// Along world x, metres per second.
@@ -78,7 +83,7 @@ impl Velocity {
     }
 }
 
-/// Position and heading as the pixels of one frame have them, before any filter.
+/// Position and heading measured in the pixels of one frame, before any filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneMeasurement {
     /// World x, metres.
@@ -87,77 +92,81 @@ pub struct PlaneMeasurement {
     pub y_m: f64,
     /// Heading, radians.
     pub heading_rad: f64,
-    /// Covariance of the three against the keyframe they were measured from: the noise of this frame alone.
+    /// Covariance of (x, y, heading) relative to the reference keyframe: the measurement noise of
+    /// this frame alone; metres and radians.
     pub covariance: Matrix3<f64>,
 }
 
 impl PlaneMeasurement {
-    /// A measurement of a pose, with the covariance of (x, y, heading, height, roll, pitch) against its keyframe.
+    /// The planar part of a pose measurement; `covariance` is that of (x, y, heading, height, roll,
+    /// pitch) relative to the keyframe.
     pub fn new(pose: &GroundPose, covariance: &Matrix6<f64>) -> Self {
         let covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         Self { x_m: pose.x_m, y_m: pose.y_m, heading_rad: pose.heading_rad, covariance }
     }
 }
 
-/// The pose of a frame with everything that says how well it is known.
+/// Estimated pose of a frame with its uncertainty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseEstimate {
-    /// Where the camera was.
+    /// Pose of the camera, filtered.
     pub pose: GroundPose,
-    /// How it moved.
+    /// Velocity of the camera.
     pub velocity: Velocity,
-    /// Covariance of (x, y, heading, height, roll, pitch) in metres and radians, against the start of the run; rows of
-    /// quantities that the rig holds fixed are zero.
+    /// Covariance of (x, y, heading, height, roll, pitch) relative to the start of the run, metres
+    /// and radians. Rows and columns of quantities that the rig holds fixed are zero.
     pub covariance: Matrix6<f64>,
-    /// What was measured, before the filter that made [`PoseEstimate::pose`] of it.
+    /// The measurement from which the filter estimated [`PoseEstimate::pose`].
     pub measured: PlaneMeasurement,
 }
 
-/// One frame as it left the pipeline.
+/// Result of the pipeline for one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameEstimate {
-    /// Number of the frame in its source, from 0.
+    /// Index of the frame in its source, from 0.
     pub frame: u64,
-    /// Its time, seconds, from the source.
+    /// Timestamp from the source, seconds.
     pub time_s: f64,
-    /// Whether its movement was measured.
+    /// Whether the motion was measured.
     pub status: TrackStatus,
-    /// Its pose; present exactly when [`FrameEstimate::status`] is [`TrackStatus::Tracked`].
+    /// The pose; present exactly if [`FrameEstimate::status`] is [`TrackStatus::Tracked`].
     pub estimate: Option<PoseEstimate>,
-    /// Number of corners found again in this frame.
+    /// Number of corners tracked into this frame.
     pub tracks: usize,
-    /// How many of them agree with the movement.
+    /// Number of inliers among the tracks.
     pub inliers: usize,
-    /// Root mean square distance of the inliers from where the movement puts them, pixels; 0 without inliers.
+    /// Root mean square reprojection error of the inliers, pixels; 0 without inliers.
     pub residual_px: f64,
     /// Whether this frame became a keyframe.
     pub keyframe: bool,
-    /// Number of gaps before this frame: poses of one segment are connected by measurement, those of different ones are not.
+    /// Number of tracking gaps before this frame. Poses of one segment are connected by
+    /// measurements, poses of different segments are not.
     pub segment: usize,
 }
 
-/// What is shown of a frame, in drawings and figures: a fifth of the memory of the whole [`FrameEstimate`], of which an hour has a hundred thousand.
+/// The part of a [`FrameEstimate`] that drawings and figures need, at a fifth of its memory: an
+/// hour of video has a hundred thousand frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameSummary {
-    /// Number of the frame in its source, from 0.
+    /// Index of the frame in its source, from 0.
     pub frame: u64,
-    /// Its time, seconds, from the source.
+    /// Timestamp from the source, seconds.
     pub time_s: f64,
-    /// Where the camera was; present exactly when [`FrameSummary::status`] is [`TrackStatus::Tracked`].
+    /// The pose; present exactly if [`FrameSummary::status`] is [`TrackStatus::Tracked`].
     pub place: Option<PlaceSummary>,
-    /// Root mean square distance of the inliers from where the movement puts them, pixels; 0 without inliers.
+    /// Root mean square reprojection error of the inliers, pixels; 0 without inliers.
     pub residual_px: f64,
-    /// Number of corners found again in this frame.
+    /// Number of corners tracked into this frame.
     pub tracks: u32,
-    /// How many of them agree with the movement.
+    /// Number of inliers among the tracks.
     pub inliers: u32,
-    /// Number of gaps before this frame.
+    /// Number of tracking gaps before this frame.
     pub segment: u32,
-    /// Whether its movement was measured.
+    /// Whether the motion was measured.
     pub status: TrackStatus,
 }
 
-/// What is shown of a pose.
+/// Summary of a pose for drawings and figures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaceSummary {
     /// World x, metres.
@@ -170,9 +179,10 @@ pub struct PlaceSummary {
     pub height_m: f64,
     /// Speed over ground, metres per second.
     pub speed_m_s: f64,
-    /// Variance of x, covariance of x and y, variance of y, square metres, against the start of the run.
+    /// Variance of x, covariance of x and y, variance of y, relative to the start of the run;
+    /// square metres.
     pub position_covariance: [f64; 3],
-    /// Variance of the heading, square radians.
+    /// Variance of the heading relative to the start of the run, square radians.
     pub heading_variance: f64,
 }
 
@@ -207,7 +217,8 @@ impl From<&PoseEstimate> for PlaceSummary {
     }
 }
 
-/// Length of the path over ground through all measured poses, metres; gaps do not count.
+/// Path length over ground through all measured poses, metres; gaps between segments are not
+/// counted.
 pub fn distance_m(frames: &[FrameSummary]) -> f64 {
     let mut before: Option<(u32, PlaceSummary)> = None;
     let mut way_m = 0.0;
@@ -220,24 +231,24 @@ pub fn distance_m(frames: &[FrameSummary]) -> f64 {
     way_m
 }
 
-/// Where a camera was at a time: an entry of a trajectory file, from whatever program it comes.
+/// Pose of a camera with its timestamp: an entry of a trajectory file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StampedPose {
-    /// Seconds, from any beginning that the trajectory's poses share.
+    /// Timestamp, seconds; the epoch is arbitrary but common to all poses of a trajectory.
     pub time_s: f64,
-    /// Takes points in the camera to the world, metres.
+    /// Transform from camera to world coordinates, metres.
     pub world_from_camera: Isometry3<f64>,
 }
 
-/// Poses in the order of their times, which strictly increase.
+/// Timestamped poses with strictly increasing times.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trajectory {
-    /// The poses, earliest first.
+    /// The poses in order of time.
     pub poses: Vec<StampedPose>,
 }
 
 impl StampedPose {
-    /// Where the camera was at a frame; `None` where it is not known.
+    /// The stamped pose of a frame; `None` if the frame has no pose.
     pub fn of_frame(frame: &FrameEstimate) -> Option<Self> {
         let world_from_camera = frame.estimate.as_ref()?.pose.world_from_camera();
         Some(Self { time_s: frame.time_s, world_from_camera })
@@ -245,12 +256,12 @@ impl StampedPose {
 }
 
 impl Trajectory {
-    /// The poses of the frames that have one.
+    /// The poses of all frames that have one.
     pub fn from_frames(frames: &[FrameEstimate]) -> Self {
         Self { poses: frames.iter().filter_map(StampedPose::of_frame).collect() }
     }
 
-    /// Length of the path through all camera centres, metres; gaps count as straight lines.
+    /// Path length through all camera centres, metres; a gap counts as a straight line.
     pub fn length_m(&self) -> f64 {
         let step = |pair: &[StampedPose]| {
             let [a, b] = [0, 1].map(|i: usize| pair[i].world_from_camera.translation.vector);

@@ -1,9 +1,9 @@
-//! Between keyframes a frame is followed without a single allocation: memory is taken once, and used again. What a whole recording is smoothed in is a few
-//! numbers a frame.
+//! Tracking a frame between keyframes allocates no memory: buffers are allocated once and reused.
+//! The smoother needs a constant number of values per frame.
 //!
-//! A binary of its own, because the allocator that counts is the whole program's.
+//! This test is a separate binary because the counting allocator is global to the program.
 
-#![allow(unsafe_code)] // an allocator is made of it
+#![allow(unsafe_code)] // a global allocator needs unsafe code
 #![allow(clippy::unwrap_used)]
 
 use nalgebra::Matrix6;
@@ -19,12 +19,12 @@ use odograph::trajectory::{
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-/// The system's allocator, counting what this thread asks of it.
+/// The system allocator with counters for this thread.
 struct Counting;
 
 thread_local! {
     static ASKED: Cell<usize> = const { Cell::new(0) };
-    /// Bytes that this thread has, and the most that it had.
+    /// Bytes currently allocated by this thread, and their maximum.
     static HELD: Cell<isize> = const { Cell::new(0) };
     static MOST: Cell<isize> = const { Cell::new(0) };
 }
@@ -38,23 +38,23 @@ fn count(more: usize, less: usize) {
     let _ = MOST.try_with(|most| most.set(most.get().max(held.unwrap_or(0))));
 }
 
-// SAFETY: every call is passed on to the system's allocator as it came.
+// SAFETY: all calls are forwarded unchanged to the system allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size(), 0);
-        // SAFETY: the caller's promises are the system's.
+        // SAFETY: the caller's guarantees are those that the system allocator requires.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
         count(0, layout.size());
-        // SAFETY: the caller's promises are the system's.
+        // SAFETY: the caller's guarantees are those that the system allocator requires.
         unsafe { System.dealloc(memory, layout) }
     }
 
     unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count(size, layout.size());
-        // SAFETY: the caller's promises are the system's.
+        // SAFETY: the caller's guarantees are those that the system allocator requires.
         unsafe { System.realloc(memory, layout, size) }
     }
 }
@@ -64,7 +64,8 @@ static ALLOCATOR: Counting = Counting;
 
 const HEIGHT_M: f64 = 0.75;
 
-/// A drive of 1 cm a frame: at 0.72 m of ground in view there is a new keyframe every thirty frames or so.
+/// A drive with 1 cm per frame. With 0.72 m of ground in view, about every thirtieth frame is a
+/// keyframe.
 fn drive(frames: usize) -> (Camera, Vec<GrayImage>) {
     let camera = Camera::from_field_of_view((320, 240), (0.96, 0.72), HEIGHT_M).unwrap();
     let renderer = Renderer::new(&camera);
@@ -76,7 +77,7 @@ fn drive(frames: usize) -> (Camera, Vec<GrayImage>) {
 }
 
 #[test]
-fn between_keyframes_a_frame_allocates_nothing() {
+fn tracking_between_keyframes_allocates_nothing() {
     let (camera, images) = drive(90);
     let mut odometry = Odometry::new(camera, Rig::level(HEIGHT_M), OdometryConfig::default()).unwrap();
     let mut counts = Vec::with_capacity(images.len());
@@ -87,20 +88,21 @@ fn between_keyframes_a_frame_allocates_nothing() {
         assert!(frame.estimate.is_some(), "frame {number}: {:?}", frame.status);
     }
     assert!(odometry.keyframes() >= 3, "{} keyframes", odometry.keyframes());
-    // The first frames take the memory; and the two frames after a keyframe, whose images the keyframe keeps, take those of the next and prepare it.
+    // The first frames allocate the buffers. A keyframe retains the images of its frame, so the two
+    // frames after it allocate new ones and prepare the keyframe.
     let steady: Vec<usize> = (5..counts.len())
         .filter(|&number| counts[number - 2..=number].iter().all(|&(_, keyframe)| !keyframe))
         .map(|number| counts[number].0)
         .collect();
     assert!(steady.len() > 60, "{} frames between keyframes", steady.len());
     assert!(steady.iter().all(|&asked| asked == 0), "{steady:?}, all with keyframes: {counts:?}");
-    // The second of those two has next to nothing left to ask for.
+    // The second frame after a keyframe has almost nothing left to allocate.
     let second = (5..counts.len()).filter(|&number| counts[number - 2].1).map(|number| counts[number].0);
     assert!(second.max().is_some_and(|asked| asked <= 3), "{counts:?}");
 }
 
 #[test]
-fn an_hour_is_smoothed_and_shown_in_a_few_numbers_a_frame() {
+fn smoothing_needs_a_few_numbers_per_frame() {
     const FRAMES: usize = 20_000;
     let pose = |number: usize| GroundPose { x_m: 0.01 * number as f64, ..GroundPose::level(HEIGHT_M) };
     let frame = |number: usize| {
@@ -130,10 +132,12 @@ fn an_hour_is_smoothed_and_shown_in_a_few_numbers_a_frame() {
     drop(path);
     assert_eq!(carrier.path(&Rig::level(HEIGHT_M)).count(), FRAMES);
     let most = (MOST.get() - before) as f64 / FRAMES as f64;
-    // A time, what was measured on three axes, with its variance and whether it was; and, of one axis, what it comes out as and how much the jerk changes.
+    // Per frame: the time; measurement, variance and validity of three axes; for one axis at a
+    // time, the smoothed state and the change of the process noise.
     let needed = 8.0 + 3.0 * 24.0 + (2.0 * 32.0 + 8.0);
     assert!(most < needed + 8.0, "{most} bytes a frame");
     assert!(HELD.get() - before < 1000, "{} bytes stay", HELD.get() - before);
-    // What drawings, charts and figures are made of: a fifth of a whole frame, of which an hour has a hundred thousand.
+    // The values for drawings, charts and statistics are at most a quarter of a frame estimate; an
+    // hour has about 100,000 frames.
     assert!(size_of::<FrameSummary>() <= 120 && size_of::<FrameEstimate>() >= 4 * size_of::<FrameSummary>());
 }

@@ -1,7 +1,8 @@
-//! The rules of the house, held by reading the source: a module imports only modules listed above it in `lib.rs`, `unsafe`
-//! stays in the room of the image kernels, and the libraries print nothing, read no clock and open no connection.
+//! Architecture rules, checked on the source code: a module imports only modules listed above it in
+//! `lib.rs`, `unsafe` is confined to the image kernels, and the libraries print nothing, read no
+//! clock and open no network connection.
 
-#![allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used)] // a test fails by panicking
 
 #[path = "house/source_text.rs"]
 mod source_text;
@@ -10,7 +11,7 @@ use source_text::{Word, code, words};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// A place where a rule is broken.
+/// A violation of a rule.
 #[derive(Debug, PartialEq, Eq)]
 struct Breach {
     file: String,
@@ -22,7 +23,7 @@ fn crates_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The modules that a `lib.rs` lists, in its order.
+/// The modules declared in a `lib.rs`, in order.
 fn listed_modules(lib: &str) -> Vec<String> {
     let code = code(lib);
     let words: Vec<Word<'_>> = words(&code).collect();
@@ -30,8 +31,9 @@ fn listed_modules(lib: &str) -> Vec<String> {
     listed.map(|three| three[1].text.to_owned()).collect()
 }
 
-/// Where the code of `file`, which is the module `path` (outermost first), names a module of the crate's root that is listed
-/// below its own: as `crate::name`, as one of `crate::{name, …}`, or by enough `super::`.
+/// Finds imports of modules that are listed below the importing one. `file` is the module `path`
+/// (outermost first). Recognised are `crate::name`, members of `crate::{name, …}`, and paths with
+/// enough `super::`.
 fn imports_from_below(modules: &[String], path: &[&str], file: &str, text: &str) -> Vec<Breach> {
     let Some(own) = modules.iter().position(|module| path.first() == Some(&module.as_str())) else {
         return Vec::new(); // lib.rs itself
@@ -42,7 +44,8 @@ fn imports_from_below(modules: &[String], path: &[&str], file: &str, text: &str)
     let mut breaches = Vec::new();
     let mut at = 0;
     while at < words.len() {
-        // Where a path that begins here has reached the root of the crate, and what follows is one of its modules.
+        // Index of the token after the part of a path that leads to the crate root, if a path
+        // starts here.
         let root = if is(at, "crate") && is(at + 1, "::") {
             Some(at + 2)
         } else {
@@ -72,7 +75,7 @@ fn imports_from_below(modules: &[String], path: &[&str], file: &str, text: &str)
     breaches
 }
 
-/// The names that a path goes on with: one, or the first ones of every branch of a `{…}`.
+/// The next name of a path, or of each branch of its `{…}`.
 fn first_names<'a, 'b>(words: &'b [Word<'a>], at: usize) -> Vec<&'b Word<'a>> {
     if words.get(at).is_none_or(|word| word.text != "{") {
         return words.get(at).into_iter().collect();
@@ -92,7 +95,7 @@ fn first_names<'a, 'b>(words: &'b [Word<'a>], at: usize) -> Vec<&'b Word<'a>> {
     names
 }
 
-/// What a library must not do, wherever it is written.
+/// Tokens that must not occur in a library.
 const NOT_IN_A_LIBRARY: [(&[&str], &str); 11] = [
     (&["println", "!"], "a library prints nothing"),
     (&["eprintln", "!"], "a library prints nothing"),
@@ -122,7 +125,7 @@ fn forbidden_words(rules: &[(&[&str], &str)], file: &str, text: &str) -> Vec<Bre
     breaches
 }
 
-/// Every source file below `folder`, in a fixed order, without those that hold only tests.
+/// All source files below `folder` in a fixed order, except files that contain only tests.
 fn source_files(folder: &Path) -> Vec<PathBuf> {
     let mut entries: Vec<PathBuf> =
         fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -138,14 +141,15 @@ fn source_files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The module that a file below `src` is, outermost first: `flow/track.rs` is `[flow, track]`, `flow/mod.rs` is `[flow]`.
+/// The module path of a file below `src`, outermost first: `flow/track.rs` is `[flow, track]`,
+/// `flow/mod.rs` is `[flow]`.
 fn module_path(below_src: &Path) -> Vec<String> {
     let without_ending = below_src.with_extension("");
     let names = without_ending.iter().map(|name| name.to_string_lossy().into_owned());
     names.filter(|name| name != "mod" && name != "lib").collect()
 }
 
-/// Runs a check over every source file of a crate and fails with all that it found.
+/// Runs a check over all source files of a crate and panics with all violations.
 fn check_crate(name: &str, check: impl Fn(&Path, &str, &str) -> Vec<Breach>) {
     let src = crates_folder().join(name).join("src");
     let files = source_files(&src);
@@ -178,7 +182,7 @@ fn a_module_imports_only_modules_listed_above_it() {
 }
 
 #[test]
-fn unsafe_code_stays_with_the_image_kernels() {
+fn unsafe_code_is_confined_to_the_image_kernels() {
     let rule: [(&[&str], &str); 1] = [(&["unsafe"], "unsafe code belongs into crates/odograph/src/image")];
     let crates =
         ["odograph", "odograph-video", "odograph-map", "odograph-live", "odograph-cli", "odograph-gate"];
@@ -197,13 +201,13 @@ fn libraries_print_nothing_read_no_clock_and_open_no_connection() {
     }
 }
 
-/// The live library has clocks and connections for its trade; it leaves printing to the program like the others.
+/// The live library needs clocks and network connections, but must not print.
 #[test]
 fn the_live_library_prints_nothing() {
     check_crate("odograph-live", |_, shown, text| forbidden_words(&NOT_IN_A_LIBRARY[..5], shown, text));
 }
 
-/// A small library that breaks the rules, and seems to break them where it does not.
+/// A small library with violations, and with text that only resembles them.
 const WRONG: &str = r##"
 //! Not an import: crate::slam.
 use crate::error::Error; // nor this: crate::slam
@@ -228,7 +232,7 @@ fn g() -> std::time::Instant { std::net::lookup() }
 "##;
 
 #[test]
-fn the_check_of_imports_finds_what_is_wrong_and_nothing_else() {
+fn the_import_check_finds_exactly_the_violations() {
     let modules =
         listed_modules("//! mod no;\npub mod error;\nmod geometry;\npub mod flow;\npub mod slam;\n");
     assert_eq!(modules, ["error", "geometry", "flow", "slam"]);
@@ -236,7 +240,7 @@ fn the_check_of_imports_finds_what_is_wrong_and_nothing_else() {
         imports_from_below(&modules, path, "x.rs", WRONG).iter().map(|breach| breach.line).collect()
     };
     assert_eq!(lines(&["flow"]), [4, 9, 11, 12, 18]);
-    // One level further in, a single `super` stays inside `flow`.
+    // One level deeper, a single `super` stays within `flow`.
     assert_eq!(lines(&["flow", "track"]), [4, 9, 12, 18]);
     assert_eq!(lines(&["geometry"]), [4, 4, 9, 11, 12, 18]);
     assert!(lines(&["slam"]).is_empty());
@@ -246,7 +250,7 @@ fn the_check_of_imports_finds_what_is_wrong_and_nothing_else() {
 }
 
 #[test]
-fn the_check_of_words_finds_what_is_wrong_and_nothing_else() {
+fn the_token_check_finds_exactly_the_violations() {
     let found: Vec<(usize, String)> = forbidden_words(&NOT_IN_A_LIBRARY, "x.rs", WRONG)
         .into_iter()
         .map(|breach| (breach.line, breach.what))
@@ -259,7 +263,7 @@ fn the_check_of_words_finds_what_is_wrong_and_nothing_else() {
 }
 
 #[test]
-fn files_know_which_module_they_are() {
+fn module_paths_follow_from_file_paths() {
     assert_eq!(module_path(Path::new("flow/track.rs")), ["flow", "track"]);
     assert_eq!(module_path(Path::new("flow/mod.rs")), ["flow"]);
     assert_eq!(module_path(Path::new("camera.rs")), ["camera"]);

@@ -1,4 +1,4 @@
-//! The report's section of values over time.
+//! The report's section of quantities over time.
 
 use super::figures::{Figures, sigmas};
 use super::plot::{Range, Series, TimeAxis, plot};
@@ -6,7 +6,7 @@ use odograph::geometry::wrap_angle;
 use odograph::trajectory::{FrameSummary, PlaceSummary};
 use std::fmt::Write;
 
-/// Writes the section: a plot each for what a person may ask about the run.
+/// Writes the section, with one plot per quantity.
 pub fn over_time(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
     let Some(first) = frames.first() else { return };
     let times_s: Vec<f64> = frames.iter().map(|frame| frame.time_s - first.time_s).collect();
@@ -81,7 +81,7 @@ pub fn over_time(frames: &[FrameSummary], figures: &Figures, page: &mut String) 
     page.push_str("</div>\n");
 }
 
-/// The heading of every frame with a pose, degrees, without the jumps of whole turns.
+/// The heading of each frame with a pose, degrees, unwrapped.
 fn continuous_headings(frames: &[FrameSummary]) -> Vec<Option<f64>> {
     let mut before: Option<f64> = None;
     let mut next = |heading_rad: f64| {

@@ -1,22 +1,22 @@
-//! The figures of a run that stand at the head of its report.
+//! Summary statistics of a run, displayed at the top of its report.
 
 use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus, distance_m};
 
-/// A stretch of frames without a pose.
+/// An interval of consecutive frames without a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LostStretch {
-    /// From the first lost frame, seconds since the first frame of the run.
+    /// Time of the first lost frame, seconds since the start of the run.
     pub from_s: f64,
-    /// To the next frame with a pose (the last frame where there is none), seconds since the first
-    /// frame of the run.
+    /// Time of the next frame with a pose (the last frame if there is none), seconds since the
+    /// start of the run.
     pub to_s: f64,
     /// Number of frames without a pose.
     pub frames: usize,
-    /// Why, in the order they came; each once.
+    /// The distinct reasons, in order of occurrence.
     pub reasons: Vec<LossReason>,
 }
 
-/// What the head of the report says.
+/// Summary statistics of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figures {
     pub frames: usize,
@@ -24,7 +24,7 @@ pub struct Figures {
     pub duration_s: f64,
     pub distance_m: f64,
     pub lost: Vec<LostStretch>,
-    /// Distance divided by the time that was not lost, metres per second.
+    /// Distance divided by the tracked time, metres per second.
     pub mean_speed_m_s: Option<f64>,
     pub first: Option<PlaceSummary>,
     pub last: Option<PlaceSummary>,
@@ -50,19 +50,19 @@ impl Figures {
         }
     }
 
-    /// Seconds without a pose, all stretches together.
+    /// Total time without a pose, seconds.
     pub fn lost_s(&self) -> f64 {
         self.lost.iter().map(|stretch| stretch.to_s - stretch.from_s).sum()
     }
 
-    /// Straight from the first position to the last, metres.
+    /// Straight-line distance from the first position to the last, metres.
     pub fn start_to_end_m(&self) -> Option<f64> {
         let (first, last) = (self.first?, self.last?);
         Some((last.x_m - first.x_m).hypot(last.y_m - first.y_m))
     }
 }
 
-/// The runs of frames without a pose.
+/// Finds all intervals without a pose.
 pub fn lost_stretches(frames: &[FrameSummary]) -> Vec<LostStretch> {
     let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
     let mut stretches: Vec<LostStretch> = vec![];
@@ -94,9 +94,9 @@ pub fn lost_stretches(frames: &[FrameSummary]) -> Vec<LostStretch> {
     stretches
 }
 
-/// The frames with a pose that the fewest corners speak for, weakest first, spread over the run so
-/// that one bad moment does not fill the list. The first frame of a stretch has nothing to be
-/// compared with and does not count.
+/// The frames with a pose and the fewest inliers, fewest first, spread over the run so that a
+/// single bad interval does not fill the list. The first frame after a gap has no predecessor and
+/// is excluded.
 pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
     let follows = |pair: &[FrameSummary]| pair[0].place.is_some() && pair[1].place.is_some();
     let mut candidates: Vec<&FrameSummary> =
@@ -116,7 +116,7 @@ pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
     chosen
 }
 
-/// A reason as the report says it.
+/// The reason as a sentence for the report.
 pub fn in_words(reason: LossReason) -> &'static str {
     match reason {
         LossReason::Bare => "too little texture to hold on to (bare floor, something over the lens)",
@@ -131,7 +131,8 @@ pub fn in_words(reason: LossReason) -> &'static str {
     }
 }
 
-/// Standard deviations of the position in its worst direction, metres, and of the heading, radians.
+/// Standard deviations of the position in the direction of its maximum, metres, and of the heading,
+/// radians.
 pub fn sigmas(place: &PlaceSummary) -> (f64, f64) {
     let [xx, xy, yy] = place.position_covariance;
     let worst = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);

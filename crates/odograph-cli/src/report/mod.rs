@@ -1,4 +1,4 @@
-//! What a person looks at afterwards: pictures and report pages, of runs and of calibrations.
+//! Reports of runs and calibrations: pages and images.
 
 pub mod calibration;
 mod charts;

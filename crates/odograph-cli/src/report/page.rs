@@ -1,4 +1,4 @@
-//! The report: one page that stands alone, in plain words, and says the same for the same run.
+//! The report page of a run: self-contained and deterministic.
 
 use super::charts::over_time;
 use super::figures::{Figures, in_words, sigmas, weakest};
@@ -11,73 +11,73 @@ use odograph::mapping::{MapDrawing, Placement};
 use odograph::trajectory::FrameSummary;
 use std::fmt::Write;
 
-/// Rows of the table of lost stretches; a run that is lost more often is told by number.
+/// Maximum number of rows in the table of losses; further ones are only counted.
 const MOST_ROWS: usize = 100;
 
-/// All that the report tells.
+/// Contents of the report.
 pub struct ReportInput<'a> {
-    /// Name of the run, for instance that of the recording; any text.
+    /// Name of the run, e.g. that of the recording; any text.
     pub title: &'a str,
-    /// What was read, in words: file, size, frame rate; any text.
+    /// Description of the source: file, size, frame rate; any text.
     pub source: &'a str,
-    /// Every frame of the run, in order of time.
+    /// All frames of the run, in order of time.
     pub frames: &'a [FrameSummary],
-    /// Where the run was interrupted, as "interrupted after 3 of 5 frames"; `None` where it has all
-    /// of its source.
+    /// How far an interrupted run got, e.g. "interrupted after 3 of 5 frames"; `None` if it is
+    /// complete.
     pub interruption: Option<&'a str>,
-    /// The camera as used.
+    /// The camera that was used.
     pub camera: &'a Camera,
-    /// How it sat over the ground at the start.
+    /// The initial mount of the camera over the ground.
     pub rig: &'a Rig,
-    /// The map as [`MapDrawing::svg`] draws it.
+    /// The map, drawn by [`MapDrawing::svg`].
     pub map_svg: &'a str,
-    /// The ground, where there is a picture of it.
+    /// The orthophoto mosaic of the ground, if there is one.
     pub mosaic: Option<ReportMosaic<'a>>,
-    /// Every parameter as used, as `run.toml` has it.
+    /// All parameters used, in the format of `run.toml`.
     pub run_toml: &'a str,
-    /// What a person should know about the input; sentences.
+    /// Warnings about the input; sentences.
     pub warnings: &'a [String],
-    /// What became of the sensors beside the camera.
+    /// Results of the sensors other than the camera.
     pub sensors: &'a [SensorReport],
-    /// A path from elsewhere, where one was given.
+    /// The comparison with a reference trajectory, if one was given.
     pub reference: Option<&'a ReportReference>,
 }
 
-/// A path from elsewhere beside that of the run.
+/// Comparison of the run with a reference trajectory.
 pub struct ReportReference {
-    /// Both paths from above, a whole SVG document.
+    /// Both trajectories from above, a complete SVG document.
     pub svg: String,
-    /// Name of its file; any text.
+    /// Name of the reference file; any text.
     pub name: String,
-    /// How many frames have a time in it.
+    /// Number of frames with a corresponding reference pose.
     pub compared: usize,
-    /// Its length over those, metres.
+    /// Length of the reference over those frames, metres.
     pub length_m: f64,
-    /// What the lengths of the run were multiplied by; `None` where the paths do not tell it.
+    /// Scale factor applied to the run; `None` if it cannot be estimated.
     pub scale: Option<f64>,
-    /// How far apart the two are then, metres.
+    /// RMSE of the position after alignment, metres.
     pub rms_m: f64,
-    /// The median of that.
+    /// Median position error after alignment, metres.
     pub median_m: f64,
-    /// The most.
+    /// Maximum position error after alignment, metres.
     pub most_m: f64,
 }
 
-/// The mosaic as the report shows it.
+/// The mosaic as displayed in the report.
 pub struct ReportMosaic<'a> {
-    /// The bytes of a PNG file, not larger than a page needs.
+    /// The bytes of a PNG file, downscaled to what a page needs.
     pub png: &'a [u8],
-    /// Its columns.
+    /// Width of the PNG, pixels.
     pub width_px: usize,
-    /// Its rows.
+    /// Height of the PNG, pixels.
     pub height_px: usize,
-    /// Where the full picture lies.
+    /// Georeference of the full-resolution mosaic.
     pub placement: Placement,
-    /// Name of the file with the full picture.
+    /// File name of the full-resolution mosaic.
     pub file_name: &'a str,
 }
 
-/// The report as the text of one HTML file that refers to nothing outside itself.
+/// The report as one HTML file without external references.
 pub fn html(input: &ReportInput<'_>) -> String {
     let figures = Figures::new(input.frames);
     let mut page = head(input.title, input.source, "");
@@ -102,7 +102,7 @@ pub fn html(input: &ReportInput<'_>) -> String {
     page
 }
 
-/// The run in one or two sentences.
+/// Summary of the run in one or two sentences.
 fn lead(figures: &Figures) -> String {
     if figures.with_pose == 0 {
         return "The movement could not be measured in any frame. What stood in the way is told below."
@@ -142,7 +142,7 @@ fn cards(figures: &Figures, page: &mut String) {
     );
     card("Duration", &duration_text(figures.duration_s), "From the first followed frame to the last.", page);
     let share = 100.0 * figures.with_pose as f64 / figures.frames.max(1) as f64;
-    // Rounded down: 100 % is said only where it is all.
+    // Rounded down, so that 100 % appears only if all frames have a pose.
     card(
         "Frames with a pose",
         &format!("{:.1} %", (10.0 * share).floor() / 10.0),
@@ -203,7 +203,7 @@ fn cards(figures: &Figures, page: &mut String) {
     page.push_str("</div>\n");
 }
 
-/// A position as `x, y unit`, to the millimetre or three digits.
+/// Formats a position as `x, y unit`, to the millimetre or three digits.
 fn position_text(x_m: f64, y_m: f64) -> String {
     let (unit, size_m, decimals) = match x_m.abs().max(y_m.abs()) {
         far if far >= 10_000.0 => ("km", 1000.0, 3),
@@ -308,7 +308,7 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
     page.push_str("</table></div>\n");
 }
 
-/// What the other sensors brought; nothing where there are none.
+/// Results of the other sensors; empty if there are none.
 fn sensors(sensors: &[SensorReport], page: &mut String) {
     if sensors.is_empty() {
         return;

@@ -1,14 +1,14 @@
-//! What every report page is made of.
+//! Elements common to all report pages.
 
 use odograph::mapping::drawing::scale::label;
 use odograph::mapping::drawing::svg::escape;
 use std::fmt::Write;
 
-/// The style sheet of every page.
+/// The style sheet of all pages.
 pub const STYLE: &str = include_str!("style.css");
 
-/// A page up to its title and what it was made from; `style` is added to the style sheet. The page
-/// ends with `</main></body></html>`.
+/// The beginning of a page, up to its title and source; `style` is added to the style sheet. The
+/// page ends with `</main></body></html>`.
 pub fn head(title: &str, source: &str, style: &str) -> String {
     let title = escape(title);
     format!(
@@ -20,7 +20,7 @@ pub fn head(title: &str, source: &str, style: &str) -> String {
     )
 }
 
-/// A box of sentences that a person should know; nothing where there are none.
+/// A box of warnings; empty if there are none.
 pub fn warnings(warnings: &[String], page: &mut String) {
     if warnings.is_empty() {
         return;
@@ -32,12 +32,12 @@ pub fn warnings(warnings: &[String], page: &mut String) {
     page.push_str("</ul></div>\n");
 }
 
-/// A figure with its name and what it says.
+/// A value with its name and explanation.
 pub fn card(name: &str, value: &str, says: &str, page: &mut String) {
     let _ = writeln!(page, "<div class=\"card\"><em>{name}</em><b>{value}</b><small>{says}</small></div>");
 }
 
-/// A number with so many decimals; one that rounds to zero has no sign.
+/// Formats a number with `decimals` decimals; a value that rounds to zero has no sign.
 pub fn number(value: f64, decimals: usize) -> String {
     label(value, 10f64.powi(-(decimals as i32)))
 }

@@ -1,4 +1,4 @@
-//! Values over time as small drawings for the report; colours come from the page's style sheet.
+//! Plots of values over time for the report; colours come from the page's style sheet.
 
 use odograph::mapping::drawing::scale::{label, multiples, round_step};
 use odograph::mapping::drawing::svg::coordinate;
@@ -10,26 +10,26 @@ const LEFT: f64 = 62.0;
 const RIGHT: f64 = WIDTH - 12.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = HEIGHT - 46.0;
-/// Columns into which a long run is gathered, two to a drawing unit.
+/// Number of columns to which a long run is reduced, about two per drawing unit.
 const COLUMNS: usize = 900;
 
-/// One line of a plot: a value a frame, `None` where there is none.
+/// One line of a plot: one value per frame, `None` where it is undefined.
 pub struct Series<'a> {
-    /// Class of the style sheet that colours it.
+    /// CSS class that defines its colour.
     pub class: &'a str,
     pub values: Vec<Option<f64>>,
 }
 
-/// What the vertical axis must hold besides the values.
+/// Minimum range of the vertical axis.
 #[derive(Debug, Clone, Copy)]
 pub enum Range {
-    /// From zero up.
+    /// Starts at zero.
     FromZero,
-    /// Around the values, spanning at least this much.
+    /// Centred on the values, with at least this extent.
     Around(f64),
 }
 
-/// The time axis that all plots of a page share.
+/// The time axis shared by all plots of a page.
 pub struct TimeAxis<'a> {
     times_s: &'a [f64],
     shaded_s: &'a [(f64, f64)],
@@ -37,14 +37,14 @@ pub struct TimeAxis<'a> {
 }
 
 impl<'a> TimeAxis<'a> {
-    /// An axis over the frames' times, with stretches from–to to be shaded; all in seconds since
-    /// the first frame.
+    /// Creates an axis from frame times and intervals to be shaded, all in seconds since the first
+    /// frame.
     pub fn new(times_s: &'a [f64], shaded_s: &'a [(f64, f64)]) -> Self {
         let longest = times_s.iter().copied().filter(|t| t.is_finite()).fold(0.0, f64::max);
         Self { times_s, shaded_s, span_s: if longest > 0.0 { longest } else { 1.0 } }
     }
 
-    /// The unit times are told in, and how many seconds it has.
+    /// The unit of the labels, and its length in seconds.
     fn unit(&self) -> (&'static str, f64) {
         match self.span_s {
             s if s > 3.0 * 3600.0 => ("h", 3600.0),
@@ -116,7 +116,7 @@ pub fn plot(name: &str, axis: &TimeAxis<'_>, series: &[Series<'_>], range: Range
     svg + "</svg>"
 }
 
-/// The bottom, the top and the step of the vertical axis.
+/// Minimum, maximum and step of the vertical axis.
 fn vertical(series: &[Series<'_>], range: Range) -> (f64, f64, f64) {
     let values = || {
         series
@@ -144,8 +144,8 @@ fn vertical(series: &[Series<'_>], range: Range) -> (f64, f64, f64) {
     (low, high, round_step(high - low, 5.0))
 }
 
-/// A line through the points, broken where there is none. Where there are many points to a column,
-/// the column's first, least, greatest and last stand for them: the eye sees the same.
+/// A polyline through the points, interrupted at `None`. Columns with many points are reduced to
+/// their first, minimum, maximum and last, which looks the same.
 fn outline(points: impl Iterator<Item = Option<(f64, f64)>> + Clone) -> String {
     let dense = points.clone().count() > 2 * COLUMNS;
     let column = |x: f64| ((x - LEFT) / (RIGHT - LEFT) * COLUMNS as f64) as i64;
@@ -155,7 +155,7 @@ fn outline(points: impl Iterator<Item = Option<(f64, f64)>> + Clone) -> String {
     let mut draw = |gathered: &mut Vec<(f64, f64)>, pen_down: &mut bool| {
         for (x, y) in standing_for(gathered) {
             let (x, y) = (coordinate(x), coordinate(y));
-            // The step of no length makes a dot of a single point between gaps.
+            // A line of zero length draws a dot for a single point between gaps.
             let _ = if *pen_down { write!(d, "L{x} {y}") } else { write!(d, "M{x} {y}h0") };
             *pen_down = true;
         }
@@ -194,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_hour_of_frames_is_a_small_plot_that_keeps_its_spikes() {
+    fn a_plot_of_an_hour_is_small_and_keeps_spikes() {
         let times: Vec<f64> = (0..108_000).map(|k| f64::from(k) / 30.0).collect();
         let values: Vec<_> =
             (0..108_000).map(|k| Some(if k == 54_321 { 9.0 } else { (0.01 * f64::from(k)).sin() })).collect();
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_break_where_there_is_no_value() {
+    fn lines_are_interrupted_at_missing_values() {
         let times: Vec<f64> = (0..9).map(f64::from).collect();
         let values = (0..9).map(|k| (k != 4).then_some(f64::from(k))).collect();
         let axis = TimeAxis::new(&times, &[(4.0, 5.0)]);
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn hostile_values_leave_no_trace() {
+    fn non_finite_values_are_not_drawn() {
         let axis = TimeAxis::new(&[0.0, f64::NAN, 1.0], &[]);
         let values = vec![Some(f64::INFINITY), Some(1.0), Some(f64::NAN)];
         let svg = plot("x", &axis, &[Series { class: "a", values }], Range::Around(0.0));

@@ -1,4 +1,4 @@
-//! Drawings as pictures, with a typeface that travels with the program.
+//! Rasterisation of drawings, with an embedded font.
 
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
@@ -10,17 +10,17 @@ const MEDIUM: &[u8] = include_bytes!("fonts/Roboto-Medium.ttf");
 /// Width of `map.png`, pixels.
 pub const MAP_WIDTH_PX: u32 = 1600;
 
-/// An SVG drawing as the bytes of a PNG file, `width_px` wide. The same on every machine: only the
-/// program's own fonts are used, and nothing that the drawing might refer to outside itself is
-/// opened.
+/// Renders an SVG drawing as PNG, `width_px` wide. The result is the same on every machine: only
+/// embedded fonts are used, and no external references of the drawing are opened.
 pub fn drawing_png(svg: &str, width_px: u32) -> Result<Vec<u8>> {
     let pixels = picture(svg, width_px)?;
-    // The page is opaque, so the colours are not premultiplied by anything.
+    // The background is opaque, so premultiplied colours equal the plain ones.
     let rgb: Vec<u8> = pixels.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     crate::files::png_from_rgb_samples(pixels.width() as usize, pixels.height() as usize, &rgb)
 }
 
-/// An SVG drawing without colours as a gray image, `width_px` wide, made as [`drawing_png`] is.
+/// Renders a monochrome SVG drawing as a gray image, `width_px` wide, in the same way as
+/// [`drawing_png`].
 pub fn gray_picture(svg: &str, width_px: u32) -> Result<GrayImage> {
     let pixels = picture(svg, width_px)?;
     let mut gray = GrayImage::new(pixels.width() as usize, pixels.height() as usize);
@@ -43,8 +43,8 @@ fn picture(svg: &str, width_px: u32) -> Result<tiny_skia::Pixmap> {
             resolve_data: usvg::ImageHrefResolver::default_data_resolver(),
             resolve_string: Box::new(|_, _| None),
         },
-        // Pictures in it are made smaller, where cubics between four by four of their pixels show
-        // nothing that two by two do not.
+        // Embedded images are downscaled, where bicubic interpolation over 4×4 pixels shows nothing
+        // more than bilinear over 2×2.
         image_rendering: usvg::ImageRendering::Smooth,
         ..usvg::Options::default()
     };

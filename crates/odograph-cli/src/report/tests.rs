@@ -11,7 +11,7 @@ fn camera() -> Camera {
     Camera::new((320, 240), (260.0, 262.0), (158.0, 121.0), distortion).unwrap()
 }
 
-/// A figure eight with a stretch that is lost, at 30 frames a second.
+/// A figure eight with an interval of lost frames, at 30 frames per second.
 fn figure_eight(count: u64) -> Vec<FrameSummary> {
     let lost = count / 2..count / 2 + count / 12;
     (0..count)
@@ -95,7 +95,7 @@ fn report(frames: &[FrameSummary], title: &str, warnings: &[String]) -> String {
     })
 }
 
-/// Every element that opens closes, in order, and the page asks for nothing from outside.
+/// Asserts that all elements are closed in order, and that the page has no external references.
 fn assert_sound(page: &str) {
     const VOID: [&str; 4] = ["meta", "img", "br", "!doctype"];
     let mut open = vec![];
@@ -120,7 +120,7 @@ fn assert_sound(page: &str) {
 }
 
 #[test]
-fn the_map_becomes_a_picture_with_its_words() {
+fn the_map_is_rendered_with_its_labels() {
     let frames = figure_eight(600);
     let svg = MapDrawing { title: "drive", ..MapDrawing::default() }.svg(&frames);
     let png = drawing_png(&svg, 1600).unwrap();
@@ -140,7 +140,7 @@ fn the_map_becomes_a_picture_with_its_words() {
 }
 
 #[test]
-fn the_report_says_what_happened() {
+fn the_report_describes_the_run() {
     let frames = figure_eight(600);
     let page = report(&frames, "drive", &[]);
     assert_sound(&page);
@@ -150,7 +150,7 @@ fn the_report_says_what_happened() {
 }
 
 #[test]
-fn names_cannot_write_the_page() {
+fn names_are_escaped_in_the_page() {
     let page = report(&figure_eight(60), "<script>alert('x')</script>.mp4", &["a <b> & \"c\"".into()]);
     assert_sound(&page);
     assert!(page.contains("&lt;script&gt;") && page.contains("a &lt;b&gt; &amp; &quot;c&quot;"));
@@ -172,12 +172,12 @@ fn empty_and_wholly_lost_runs_have_a_report() {
 }
 
 #[test]
-fn an_hour_stays_a_small_page() {
+fn the_report_of_an_hour_is_small() {
     let page = report(&figure_eight(108_000), "an hour", &[]);
     assert!(page.len() < 3_000_000, "{} bytes", page.len());
 }
 
-/// Paths that are hard to draw well.
+/// Trajectories that are hard to draw well.
 fn odd_paths() -> Vec<(&'static str, Vec<FrameSummary>)> {
     let along = |count: u64, pose: &dyn Fn(f64) -> (f64, f64, f64)| -> Vec<FrameSummary> {
         let mut frames = figure_eight(count);
@@ -210,8 +210,8 @@ fn odd_paths() -> Vec<(&'static str, Vec<FrameSummary>)> {
     ]
 }
 
-/// Writes what a person would look at into the folder named by `ODOGRAPH_LOOK`; does nothing where
-/// it is not set.
+/// Writes all outputs for inspection into the folder named by `ODOGRAPH_LOOK`; skipped if it is not
+/// set.
 #[test]
 fn a_look() {
     let Some(folder) = std::env::var_os("ODOGRAPH_LOOK").map(std::path::PathBuf::from) else {

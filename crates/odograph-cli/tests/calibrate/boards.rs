@@ -1,4 +1,4 @@
-//! Recordings of a board, rendered in the test.
+//! Recordings of a calibration board, rendered by the test.
 
 use nalgebra::Isometry3;
 use odograph::calibration::Board;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 pub const BOARD: &str = "chessboard:7x5:30mm";
 
-/// The camera that sees it: 320x240, a little barrel distortion.
+/// The camera: 320x240, mild barrel distortion.
 pub fn camera() -> Camera {
     let distortion = Distortion::from_opencv(&[-0.15, 0.03, 0.0, 0.0]).unwrap();
     Camera::new((320, 240), (300.0, 300.0), (162.0, 118.0), distortion).unwrap()
@@ -25,7 +25,7 @@ pub fn scene_of(board: &str, camera: &Camera) -> BoardScene {
     BoardScene::new(&board, camera, 5)
 }
 
-/// Pictures of the board at so many places.
+/// Images of the board from `count` poses.
 pub fn pictures(scene: &BoardScene, count: usize) -> Vec<GrayImage> {
     scene.poses(count, Framing::Whole, 3).iter().map(|pose| picture(scene, pose)).collect()
 }
@@ -46,7 +46,7 @@ pub fn y4m(frames: &[GrayImage]) -> Vec<u8> {
     stream
 }
 
-/// Each picture held for some frames, as by a person who shows the board and then the next place.
+/// Repeats each image for some frames, like a person who holds the board still in each position.
 pub fn held(pictures: &[GrayImage], frames: usize) -> Vec<GrayImage> {
     pictures.iter().flat_map(|picture| std::iter::repeat_n(picture.clone(), frames)).collect()
 }
@@ -59,7 +59,7 @@ pub fn write_png(path: &Path, image: &GrayImage) {
     encoder.write_header().unwrap().write_image_data(image.samples()).unwrap();
 }
 
-/// A folder of numbered pictures.
+/// Writes a folder of numbered images.
 pub fn folder(path: &Path, pictures: &[GrayImage]) {
     fs::create_dir(path).unwrap();
     for (number, picture) in pictures.iter().enumerate() {

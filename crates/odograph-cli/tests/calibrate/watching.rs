@@ -1,4 +1,5 @@
-//! `odograph calibrate --live` over frames that the test gives one by one, each when the one before was looked at.
+//! `odograph calibrate --live` on frames that the test sends one by one, each after the previous
+//! one has been processed.
 
 use odograph::image::GrayImage;
 use serde_json::Value;
@@ -19,14 +20,14 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Starts the program before a camera of a size, and listens as a page does.
+    /// Starts the program with a camera of the given size, and listens like a page.
     pub fn start(command: &mut Command, (width, height): (usize, usize)) -> Self {
         let mut child =
             command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut frames = child.stdin.take().unwrap();
         let head = format!("YUV4MPEG2 W{width} H{height} F30:1 Ip A1:1 Cmono XCOLORRANGE=FULL\n");
         frames.write_all(head.as_bytes()).unwrap();
-        // What a stream is shows only with its first frame; nothing is on it.
+        // A stream is identified only by its first frame, here a black one.
         frames.write_all(b"FRAME\n").unwrap();
         frames.write_all(&vec![0; width * height]).unwrap();
         let mut told = BufReader::new(child.stderr.take().unwrap());
@@ -48,7 +49,7 @@ impl Camera {
         Self { child, frames: Some(frames), socket, errors, held: 1, told: Value::Null, url }
     }
 
-    /// Gives a frame, and waits until it was looked at; what is told of it.
+    /// Sends a frame, waits until it has been processed, and returns the status.
     pub fn hold(&mut self, picture: &GrayImage) -> Value {
         assert!(self.give(picture), "it takes no frames any more");
         while self.told["looked_at"].as_u64() != Some(self.held) {
@@ -63,7 +64,7 @@ impl Camera {
         frames.write_all(b"FRAME\n").and_then(|()| frames.write_all(picture.samples())).is_ok()
     }
 
-    /// The board held still for three frames; what is told of the last, if there is anything told any more.
+    /// Holds the board still for three frames; returns the last status received.
     pub fn hold_still(&mut self, picture: &GrayImage) -> Value {
         for _ in 0..3 {
             if self.told["verdict"].is_null() && self.give(picture) {
@@ -76,7 +77,7 @@ impl Camera {
         self.told.clone()
     }
 
-    /// Holds the board until what is missing has been found out.
+    /// Holds the board until the guidance about missing views is available.
     pub fn guided(&mut self, picture: &GrayImage) -> Value {
         while self.hold(picture)["views"].as_u64().unwrap() < 3 {}
         self.told.clone()
@@ -90,7 +91,7 @@ impl Camera {
         told
     }
 
-    /// Reads a message; false where the program is gone.
+    /// Reads a message; `false` if the program has ended.
     fn next(&mut self) -> bool {
         let Ok(message) = self.socket.read() else { return false };
         if let Message::Text(text) = message {
@@ -102,7 +103,7 @@ impl Camera {
         true
     }
 
-    /// Waits until the program has ended, and gives what it said.
+    /// Waits until the program has ended, and returns its output.
     pub fn end(mut self) -> Output {
         self.frames = None;
         drop(self.socket);

@@ -1,4 +1,4 @@
-//! A headless Chromium, spoken to in its own protocol (Chrome DevTools Protocol) over a WebSocket.
+//! A headless Chromium, controlled by the Chrome DevTools Protocol over a WebSocket.
 
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
-/// A page is slow where several programs share the machine.
+/// Maximum wait; pages are slow if several programs share the machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 pub struct Browser {
@@ -17,14 +17,14 @@ pub struct Browser {
     _profile: tempfile::TempDir,
 }
 
-/// One tab.
+/// A browser tab.
 #[derive(Clone)]
 pub struct Tab {
     session: String,
 }
 
 impl Browser {
-    /// Starts one; says why where there is none.
+    /// Starts a browser; the error says why there is none.
     pub fn start() -> Result<Self, String> {
         let profile = tempfile::tempdir().map_err(|error| error.to_string())?;
         let program = ["chromium", "chromium-browser", "google-chrome"]
@@ -54,7 +54,7 @@ impl Browser {
             .map_while(Result::ok)
             .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
             .ok_or("chromium ended before it listened")?;
-        // What it says from now on is nobody's concern, but its pipe must not fill up.
+        // Later output is ignored, but its pipe must be drained.
         std::thread::spawn(move || lines.for_each(drop));
         let host = address.trim_start_matches("ws://").split('/').next().unwrap_or_default().to_owned();
         let stream = TcpStream::connect(host).map_err(|error| error.to_string())?;
@@ -72,7 +72,7 @@ impl Browser {
         }
         self.socket.send(Message::text(call.to_string())).unwrap();
         loop {
-            // Events come in between.
+            // Events arrive between responses.
             let Message::Text(text) = self.socket.read().unwrap() else { continue };
             let answer: Value = serde_json::from_str(&text).unwrap();
             if answer["id"] == json!(id) {
@@ -82,7 +82,7 @@ impl Browser {
         }
     }
 
-    /// Opens a page in a tab of a size, light or dark.
+    /// Opens a page in a new tab of a given size, in light or dark mode.
     pub fn open(&mut self, url: &str, size: (u32, u32), dark: bool) -> Tab {
         let target = self.call(None, "Target.createTarget", json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
@@ -90,13 +90,13 @@ impl Browser {
             self.call(None, "Target.attachToTarget", attach)["sessionId"].as_str().unwrap().to_owned();
         let tab = Tab { session };
         self.look(&tab, size, dark);
-        // Keys reach only a page that believes it has the focus.
+        // Key events reach only a focused page.
         self.call(Some(&tab.session), "Emulation.setFocusEmulationEnabled", json!({ "enabled": true }));
         self.call(Some(&tab.session), "Page.navigate", json!({ "url": url }));
         tab
     }
 
-    /// Gives a tab a size, and light or dark.
+    /// Sets the size of a tab, and light or dark mode.
     pub fn look(&mut self, tab: &Tab, (width, height): (u32, u32), dark: bool) {
         let metrics =
             json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600 });
@@ -116,7 +116,7 @@ impl Browser {
 
     /// Waits until an expression is true.
     pub fn wait(&mut self, tab: &Tab, expression: &str) {
-        // A browser draws only the tab that is in front.
+        // A browser draws only the foreground tab.
         self.call(Some(&tab.session), "Page.bringToFront", json!({}));
         let until = Instant::now() + PATIENCE;
         while self.evaluate(tab, &format!("Boolean(document.body && ({expression}))")) != json!(true) {
@@ -137,7 +137,7 @@ impl Browser {
         }
     }
 
-    /// Keeps a picture of a tab where `ODOGRAPH_SCREENSHOTS` names a folder, to be looked at.
+    /// Saves a screenshot if `ODOGRAPH_SCREENSHOTS` names a folder, for inspection.
     pub fn picture(&mut self, tab: &Tab, name: &str) {
         let Some(folder) = std::env::var_os("ODOGRAPH_SCREENSHOTS") else { return };
         self.call(Some(&tab.session), "Page.bringToFront", json!({}));
@@ -154,7 +154,7 @@ impl Drop for Browser {
     }
 }
 
-/// The bytes of base 64.
+/// Decodes Base64.
 fn base64(text: &str) -> Vec<u8> {
     let value = |byte: u8| match byte {
         b'A'..=b'Z' => u32::from(byte - b'A'),

@@ -1,4 +1,4 @@
-//! A disk that is soon full.
+//! Tests with a full disk.
 
 #![cfg(target_os = "linux")]
 
@@ -9,13 +9,13 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A file system in memory, of a size, over a folder; taken away with this value.
+/// A file system in memory of a given size, mounted on a folder; unmounted when dropped.
 pub struct SmallDisk {
     path: PathBuf,
 }
 
 impl SmallDisk {
-    /// Says why where none can be had: mounting is for root, and not everywhere for him.
+    /// The error says why it cannot be mounted: only root may, and not everywhere.
     pub fn mount(path: &Path, bytes: u64) -> Result<Self, String> {
         let options = format!("size={bytes}");
         let done = Command::new("mount").args(["-t", "tmpfs", "-o", &options, "small"]).arg(path).output();
@@ -42,7 +42,7 @@ impl Drop for SmallDisk {
 }
 
 #[test]
-fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_it() {
+fn a_nearly_full_disk_stops_recording_but_not_tracking() {
     let place = Place::new();
     std::fs::create_dir(place.path("disk")).unwrap();
     let disk = match SmallDisk::mount(&place.path("disk"), 32 << 20) {
@@ -65,7 +65,7 @@ fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_i
     let message = told["message"].as_str().unwrap();
     assert!(message.contains("nearly full") && message.contains(" MB are left"), "{message}");
     assert_eq!(told["recording"], json!(true));
-    // Some of the drive shall be on the disk before it is full.
+    // A part of the drive must be recorded before the disk is full.
     let recorded = place.path("disk/out/trajectory.csv.part");
     while !std::fs::read_to_string(&recorded).is_ok_and(|table| table.lines().count() > 20) {
         told = status(&live);
@@ -81,7 +81,8 @@ fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_i
         told = status(&live);
     }
     live.end();
-    // What was recorded before is there, line by line; all of it, where what the map gives back when it closes leaves room for that.
+    // The frames recorded before are in the table, line by line; all of them, if closing the map
+    // frees enough space.
     let written = ["disk/out/trajectory.csv", "disk/out/trajectory.csv.part"];
     let name = written.into_iter().find(|name| place.path(name).exists()).unwrap();
     let table = String::from_utf8(place.read(name)).unwrap();
@@ -91,7 +92,7 @@ fn a_disk_that_fills_up_is_told_before_it_is_full_and_tracking_goes_on_without_i
 }
 
 #[test]
-fn a_map_that_does_not_fit_on_its_disk_costs_no_trajectory() {
+fn a_map_too_large_for_its_disk_costs_no_trajectory() {
     let place = Place::new();
     write_uncompressed(&place.path("drive.y4m"));
     std::fs::create_dir(place.path("disk")).unwrap();
@@ -108,6 +109,6 @@ fn a_map_that_does_not_fit_on_its_disk_costs_no_trajectory() {
     assert!(told.contains("disk/map.gpkg"), "{told}");
     let table = String::from_utf8(place.read("out/trajectory.csv")).unwrap();
     assert_eq!(json!(table.lines().count() - 1), statistics(&place.path("out"))["frames"]);
-    // All of the 121 frames of four seconds.
+    // All 121 frames of four seconds.
     assert!(table.lines().count() > 120 && place.path("out/report.html").is_file(), "{table}");
 }

@@ -1,11 +1,12 @@
-//! What takes long: measured and looked at when it is asked for.
+//! Slow tests and measurements, run on request.
 
 use super::browser::Browser;
 use super::program::{DEMO, Place};
 use serde_json::json;
 use std::io::{BufRead, BufReader};
 
-/// What the page makes of an hour at 30 frames a second, and of the loops in it. The figures are printed, and not judged: they depend on the machine.
+/// Performance of the page with an hour of data at 30 frames per second, and with its loop
+/// closures. The results are printed without limits, since they depend on the machine.
 #[test]
 #[ignore = "a measurement; cargo test -p odograph-cli --test live -- --ignored --nocapture hour"]
 fn an_hour_on_the_page() {
@@ -44,15 +45,15 @@ fn an_hour_on_the_page() {
     })()"#;
     let figures = browser.evaluate(&page, measure);
     println!("an hour: {figures}");
-    // 15 numbers of four bytes for each frame, and a head for each of the messages of 8192 frames.
+    // 15 numbers of four bytes per frame, and a header for each message of 8192 frames.
     assert_eq!(figures["bytes"], json!(108_000 * 60 + 14 * 8));
     view.end();
 }
 
-/// The whole drive as a replay, with its loops.
+/// The whole drive in real time, with its loop closures.
 #[test]
 #[ignore = "takes as long as the drive, half a minute"]
-fn loops_pull_the_path_on_the_page_straight_and_nothing_that_is_told_jumps() {
+fn loop_closures_correct_the_page_but_never_the_pose_stream() {
     let mut browser = Browser::start().unwrap();
     let place = Place::new();
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"));
@@ -73,7 +74,8 @@ fn loops_pull_the_path_on_the_page_straight_and_nothing_that_is_told_jumps() {
     println!("{text}");
     live.end();
     let poses = told.join().unwrap();
-    // No step is longer than the fastest of the drive between frames of which some may have been dropped: 0.6 m/s for a second.
+    // No step is longer than the maximum speed allows between frames of which some may have been
+    // dropped: 0.6 m/s for one second.
     let longest = poses.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1])).fold(0.0, f64::max);
     println!("longest step {longest} m of {} poses", poses.len());
     assert!(longest < 0.6, "{longest}");

@@ -1,4 +1,4 @@
-//! The program in a place of its own, and the bundled drive.
+//! The program in a temporary folder, and the bundled drive.
 
 use jpeg_encoder::{ColorType, Encoder};
 use odograph_video::SourceOptions;
@@ -30,12 +30,12 @@ impl Place {
         fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
-    /// The table of a run that goes around a hall for so many frames at 30 a second, half a metre a second.
+    /// The table of a run through a hall, with `frames` frames at 30 per second, at 0.5 m/s.
     pub fn table_of(&self, frames: usize) -> String {
         let head = "frame,time_s,x_m,y_m,heading_deg,sigma_x_m,sigma_y_m,sigma_heading_deg,speed_m_s,segment,tracks,inliers,status\n";
         let line = |frame: usize| {
             let time_s = frame as f64 / 30.0;
-            // Lanes of twenty metres, a metre apart, there and back.
+            // Parallel lanes of 20 m, 1 m apart, in alternating directions.
             let way_m = 0.5 * time_s;
             let (lane, along) = ((way_m / 20.0).floor(), way_m % 20.0);
             let x_m = if lane % 2.0 == 0.0 { along } else { 20.0 - along } + 0.01 * (7.0 * time_s).sin();
@@ -44,7 +44,7 @@ impl Place {
         head.to_owned() + &(0..frames).map(line).collect::<String>()
     }
 
-    /// A command of the program over the drive's camera and rig.
+    /// A command of the program, with the drive's camera and rig.
     pub fn command(&self, name: &str, arguments: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
         command.current_dir(self.temporary.path()).env("ODOGRAPH_FFMPEG", "").stdin(Stdio::null());
@@ -55,7 +55,7 @@ impl Place {
         command
     }
 
-    /// The same with a page, on a port that is free.
+    /// The same with a page, on a free port.
     pub fn server(&self, name: &str, arguments: &str) -> Serving {
         let arguments = format!("{arguments} --serve 127.0.0.1:0");
         let mut command = self.command(name, &arguments);
@@ -72,7 +72,7 @@ impl Place {
     }
 }
 
-/// A program that serves a page.
+/// A running program that serves a page.
 pub struct Serving {
     child: Child,
     pub url: String,
@@ -87,13 +87,13 @@ impl Serving {
         self.url.trim_start_matches("http://").split('/').next().unwrap().to_owned()
     }
 
-    /// The body of an answer, which must be text.
+    /// The body of a response, which must be text.
     pub fn get(&self, path: &str) -> String {
         let body = self.answer(path).unwrap_or_else(|head| panic!("{path}: {head}"));
         String::from_utf8(body).unwrap()
     }
 
-    /// The body of an answer, or the head of one that has none to give.
+    /// The body of a response; the error is the header section of a failed one.
     pub fn answer(&self, path: &str) -> Result<Vec<u8>, String> {
         let mut stream = TcpStream::connect(self.address()).unwrap();
         let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
@@ -105,7 +105,7 @@ impl Serving {
         if head.starts_with("HTTP/1.1 200") { Ok(answer.split_off(end + 4)) } else { Err(head) }
     }
 
-    /// Asks it to end, and waits until it has.
+    /// Asks the program to end, and waits for it.
     pub fn end(&mut self) {
         let asked = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
         if !asked.is_ok_and(|status| status.success()) {
@@ -122,7 +122,7 @@ impl Drop for Serving {
     }
 }
 
-/// The names of the files in a folder.
+/// The file names in a folder.
 pub fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> = fs::read_dir(folder)
         .unwrap()
@@ -132,7 +132,7 @@ pub fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// What `stats.json` says.
+/// The content of `stats.json`.
 pub fn statistics(folder: &Path) -> Value {
     serde_json::from_slice(&fs::read(folder.join("stats.json")).unwrap()).unwrap()
 }
@@ -143,7 +143,7 @@ fn beginning(every: u64) -> odograph_video::Source {
     odograph_video::open(format!("{DEMO}/drive.mp4"), &options).unwrap()
 }
 
-/// Every other frame of the drive's first seconds as JPEG pictures.
+/// Every second frame of the drive's first seconds as JPEG.
 pub fn pictures() -> Vec<Vec<u8>> {
     let mut source = beginning(2);
     let mut pictures = Vec::new();
@@ -156,7 +156,7 @@ pub fn pictures() -> Vec<Vec<u8>> {
     pictures
 }
 
-/// The drive's first seconds without compression: what costs almost nothing to read comes faster than it can be tracked.
+/// The first seconds of the drive without compression, which can be read faster than tracked.
 pub fn write_uncompressed(path: &Path) {
     let mut file = fs::File::create(path).unwrap();
     file.write_all(b"YUV4MPEG2 W640 H480 F30:1 Cmono\n").unwrap();

@@ -1,5 +1,6 @@
-//! A camera that speaks RTSP (RFC 2326) and sends H.264 over the same connection (RFC 6184, interleaved as in RFC 2326, section 10.12). It sends
-//! the first half of a clip and hangs up, then the second half to who comes back, and then nobody is there any more.
+//! A simulated camera with RTSP (RFC 2326) that sends H.264 over the same connection (RFC 6184,
+//! interleaved as in RFC 2326, section 10.12). It sends the first half of a clip and disconnects,
+//! then the second half on the next connection, and then accepts no more.
 
 use super::program::DEMO;
 use std::io::{BufRead, BufReader, Write};
@@ -8,10 +9,11 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::thread::JoinHandle;
 
-/// The units of a stream, picture by picture: each a list of H.264 units without their start codes.
+/// A stream as a list of images, each of them a list of H.264 NAL units without start codes.
 type Clip = Vec<Vec<Vec<u8>>>;
 
-/// The first seconds of the drive in H.264 as cameras make it, each picture from earlier ones alone, a whole one every half second.
+/// The first seconds of the drive in H.264 as from a camera: no B-frames, a keyframe every half
+/// second.
 pub fn clip(path: &Path) -> Result<Clip, String> {
     let arguments =
         "-c:v libx264 -preset ultrafast -tune zerolatency -bf 0 -g 15 -x264-params sliced-threads=0 -f h264";
@@ -30,7 +32,7 @@ pub fn clip(path: &Path) -> Result<Clip, String> {
     for unit in units(&bytes) {
         let last = clip.last_mut().unwrap();
         last.push(unit.to_vec());
-        // A slice ends the picture, of which there is only one here.
+        // Each image has a single slice, which is its last unit.
         if matches!(unit[0] & 0x1f, 1 | 5) {
             clip.push(Vec::new());
         }
@@ -40,7 +42,7 @@ pub fn clip(path: &Path) -> Result<Clip, String> {
     Ok(clip)
 }
 
-/// What lies between start codes (Annex B).
+/// Splits a byte stream at its start codes (Annex B).
 fn units(bytes: &[u8]) -> Vec<&[u8]> {
     let starts: Vec<usize> =
         (0..bytes.len() - 3).filter(|&k| bytes[k..k + 3] == [0, 0, 1]).map(|k| k + 3).collect();
@@ -61,7 +63,8 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let pictures = clip.len() as u64;
         let serving = std::thread::spawn(move || {
-            // The first picture that is whole after the middle: one that can be begun with.
+            // The second half starts at the first keyframe after the middle, where decoding can
+            // start.
             let whole = |picture: &Vec<Vec<u8>>| picture.iter().any(|unit| unit[0] & 0x1f == 5);
             let middle = (clip.len() / 2..clip.len()).find(|&k| whole(&clip[k])).unwrap();
             let (first, second) = clip.split_at(middle);
@@ -79,18 +82,18 @@ impl Server {
         self.address
     }
 
-    /// How many pictures it sends.
+    /// Number of images sent.
     pub fn sent(&self) -> u64 {
         self.pictures
     }
 
-    /// What it was asked for, in order, when it has ended.
+    /// The requests received, in order; waits for the end.
     pub fn asked(self) -> Vec<String> {
         self.serving.join().unwrap()
     }
 }
 
-/// Answers until it is asked to play, then sends.
+/// Answers requests up to PLAY, then sends.
 fn serve(stream: &TcpStream, pictures: &[Vec<Vec<u8>>], asked: &mut Vec<String>) {
     let mut reader = BufReader::new(stream);
     loop {
@@ -125,7 +128,8 @@ fn serve(stream: &TcpStream, pictures: &[Vec<Vec<u8>>], asked: &mut Vec<String>)
         output.write_all(format!("RTSP/1.0 200 OK\r\n{sequence}\r\n{rest}").as_bytes()).unwrap();
         if method == "PLAY" {
             send(output, pictures);
-            // Hangs up, and hears the other out: closing with something unread would take back what was sent.
+            // Disconnects after reading to the end: closing a socket with unread data would reset
+            // it, and discard what was sent.
             let _ = output.shutdown(Shutdown::Write);
             let _ = std::io::copy(&mut reader, &mut std::io::sink());
             return;
@@ -133,7 +137,8 @@ fn serve(stream: &TcpStream, pictures: &[Vec<Vec<u8>>], asked: &mut Vec<String>)
     }
 }
 
-/// Sends the pictures, each with its time in 90 kHz, 30 a second. Units that are too long for a packet go in pieces (FU-A).
+/// Sends the images at 30 per second with timestamps of 90 kHz. Units that exceed a packet are
+/// fragmented (FU-A).
 fn send(mut output: &TcpStream, pictures: &[Vec<Vec<u8>>]) {
     const LONGEST: usize = 1200;
     let mut sequence = 100_u16;
@@ -146,7 +151,7 @@ fn send(mut output: &TcpStream, pictures: &[Vec<Vec<u8>>]) {
         bytes.extend([0, 0, 0, 9]);
         bytes.extend(payload);
         sequence += 1;
-        // Who listens may hang up.
+        // The client may disconnect.
         output.write_all(&bytes).is_ok()
     };
     for (number, units) in pictures.iter().enumerate() {

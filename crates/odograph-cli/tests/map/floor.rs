@@ -1,4 +1,4 @@
-//! What a run leaves in its map for who opens it, and a path from elsewhere beside its own.
+//! The mosaic that a run stores in its map, and the comparison with a reference trajectory.
 
 use odograph::geometry::Pixel;
 use odograph_map::MapFile;
@@ -16,12 +16,13 @@ fn odograph(arguments: &str, folder: &Path) -> (i32, String) {
 }
 
 #[test]
-fn a_run_leaves_the_floor_in_its_map() {
+fn a_run_stores_the_mosaic_in_its_map() {
     let folder = tempfile::tempdir().unwrap();
     let simulate = "simulate --path straight --length 1.2 --speed 1 --size 160x120 --fps 20 --height 0.8 --texture asphalt -o sim --quiet";
     let simulated = odograph(simulate, folder.path());
     assert_eq!(simulated, (0, String::new()));
-    // The truth in other metres, and turned by a quarter: a receiver knows nothing of where a run begins.
+    // The ground truth scaled and rotated by 90°: a receiver does not know the frame of reference
+    // of a run.
     let truth = fs::read_to_string(folder.path().join("sim/truth.tum")).unwrap();
     let elsewhere: String = truth
         .lines()
@@ -43,27 +44,29 @@ fn a_run_leaves_the_floor_in_its_map() {
     assert_eq!((done.status.code(), String::from_utf8(done.stderr).unwrap().as_str()), (Some(0), ""));
     let page = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     let section = &page[page.find("Beside fixes &amp; more.tum").unwrap()..];
-    // Lengths were doubled, to the exactness of a run that travels a metre.
+    // The reference is scaled by 2; the estimate has the accuracy of a run of 1 m.
     assert!(
         section.contains("lengths were multiplied by 2.00")
             || section.contains("lengths were multiplied by 1.99")
     );
     assert!(section.contains(">reference</text>"));
 
-    // The floor is there without a further command: as much of it as the camera saw, of pixels twice as wide as the image's.
+    // The mosaic exists without a further command: all observed ground, with pixels twice as large
+    // as those of the image.
     let map = MapFile::open_read_only(&folder.path().join("out/map.gpkg")).unwrap();
     let layer = map.mosaic().unwrap().expect("the run lays the ground");
     let pixel_m = 0.8 / map.camera().focal_px().0;
-    // The height may breathe by what the pictures tell, micrometres here.
+    // The height may vary as estimated from the images, here by micrometres.
     assert!((layer.resolution_m / pixel_m - 2.0).abs() < 1e-4, "{} m, {pixel_m} m", layer.resolution_m);
     let (width, _, _) = layer.picture_at(layer.finest);
-    // The lens bends the border of the image: its corners see farthest.
+    // The lens distorts the image border: the corners see farthest.
     let along = |x: f64, y: f64| 0.8 * map.camera().ray_from_pixel(Pixel::new(x, y)).unwrap().y;
     let back_m = along(0.0, 119.0).max(along(159.0, 119.0)).max(along(79.5, 119.0));
     let ahead_m = along(0.0, 0.0).min(along(159.0, 0.0)).min(along(79.5, 0.0));
     let seen_m = 1.2 + back_m - ahead_m;
     let laid_m = width as f64 * layer.resolution_m;
-    // From the first frame to the last, but for what each shows little of that is new; a ground pixel at each end is seen in part.
+    // It covers the ground from the first frame to the last, except for frames that add little new
+    // ground; a ground pixel at each end is partly observed.
     let new_m = 0.1 * (back_m - ahead_m);
     assert!(
         laid_m < seen_m + 2.0 * layer.resolution_m && laid_m > seen_m - new_m,
@@ -71,7 +74,8 @@ fn a_run_leaves_the_floor_in_its_map() {
     );
     drop(map);
 
-    // What cannot be read is told before the work; what does not fit is told beside it.
+    // A missing reference is reported before tracking; one without overlap in time causes a
+    // warning.
     let missing = odograph(&format!("{run} --reference none.tum -o out2 --quiet"), folder.path());
     assert!(missing.0 == 3 && missing.1.contains("none.tum"), "{missing:?}");
     fs::write(folder.path().join("later.tum"), "900 0 0 0 0 0 0 1\n901 1 0 0 0 0 0 1\n902 2 0 0 0 0 0 1\n")
@@ -81,7 +85,7 @@ fn a_run_leaves_the_floor_in_its_map() {
 }
 
 #[test]
-fn a_picture_is_found_in_a_map_which_stays_as_it_is() {
+fn an_image_is_localised_without_changing_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let simulate =
         "simulate --path straight --length 1.2 --speed 1 --size 320x240 --fps 20 --height 0.8 --quiet";
@@ -135,7 +139,7 @@ fn a_picture_is_found_in_a_map_which_stays_as_it_is() {
     let nothing: serde_json::Value = serde_json::from_slice(&nothing.stdout).unwrap();
     assert_eq!(nothing["verdict"], "too-few-features", "{nothing}");
 
-    // Other ground is not found, which is told and written nowhere.
+    // Unknown ground is not recognised, which is reported, and nothing is written.
     let mut others: Vec<_> = fs::read_dir(folder.path().join("other/frames"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -158,7 +162,7 @@ fn a_picture_is_found_in_a_map_which_stays_as_it_is() {
         assert_eq!(json.is_ok_and(never_seen), more == ["--json"]);
     }
     assert!(fs::read(folder.path().join("out/map.gpkg")).unwrap() == map, "the map was changed");
-    // Asked for, it grows.
+    // With `--extend` the map grows.
     let grown = localize(&["sim/frames", "--extend", "-o", "grown"]);
     assert_eq!(grown.status.code(), Some(0), "{}", String::from_utf8_lossy(&grown.stderr));
     let sessions = MapFile::open_read_only(&folder.path().join("out/map.gpkg")).unwrap().sessions().unwrap();

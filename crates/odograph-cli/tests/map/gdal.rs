@@ -1,4 +1,4 @@
-//! Maps as GDAL and OGR read them; skipped, with the reason, where those are not installed.
+//! Maps read by GDAL and OGR; skipped with a message if these are not installed.
 
 use super::ground;
 use super::{made, odograph, text};
@@ -6,7 +6,7 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
 
-/// What a program of GDAL prints; `None` where there is no GDAL. Any warning is a failure.
+/// The output of a GDAL program; `None` if GDAL is not installed. Any warning is a failure.
 fn gdal(program: &str, arguments: &[&str], folder: &Path) -> Option<String> {
     let output = match Command::new(program).args(arguments).current_dir(folder).output() {
         Ok(output) => output,
@@ -27,7 +27,7 @@ fn number(text: &str, after: &str) -> f64 {
     rest[..end].parse().unwrap_or_else(|_| panic!("{after:?} in\n{text}"))
 }
 
-/// The corner (x, y) that gdalinfo names.
+/// A corner (x, y) in the output of gdalinfo.
 fn corner(text: &str, name: &str) -> (f64, f64) {
     let line = text.lines().find(|line| line.starts_with(name)).unwrap();
     let inside = &line[line.find('(').unwrap() + 1..line.find(')').unwrap()];
@@ -42,7 +42,7 @@ fn a_map_opens_in_gdal_with_its_layers_tiles_and_extent() {
     assert!(layers.contains("Layer name: keyframes") && layers.contains("Geometry: Point"), "{layers}");
     assert!(layers.contains("Layer name: paths") && layers.contains("Geometry: Line String"), "{layers}");
     assert_eq!(number(&layers, "Feature Count: "), 12.0);
-    // Keyframes stand from (0, 0) to (1, 0.3).
+    // Keyframes range from (0, 0) to (1, 0.3).
     assert!(layers.contains("Extent: (0.000000, 0.000000) - (1.000000, 0.300000)"), "{layers}");
     let one = gdal(
         "ogrinfo",
@@ -60,7 +60,7 @@ fn a_map_opens_in_gdal_with_its_layers_tiles_and_extent() {
         assert!((x - pose.x_m).hypot(y - pose.y_m) < 1e-9, "{line}");
     }
     assert_eq!(points.split(',').count(), 12);
-    // Each camera saw 0.6 m across and 0.45 m ahead, but for the border of the lens.
+    // Each camera saw 0.6 m by 0.45 m, except for the image border.
     let picture = gdal("gdalinfo", &["map.gpkg"], folder.path()).unwrap();
     let ((left, top), (right, bottom)) = (corner(&picture, "Upper Left"), corner(&picture, "Lower Right"));
     assert!((-0.45..-0.1).contains(&left) && (1.1..1.45).contains(&right), "{picture}");
@@ -69,7 +69,7 @@ fn a_map_opens_in_gdal_with_its_layers_tiles_and_extent() {
 }
 
 #[test]
-fn exports_open_in_gdal_where_they_belong() {
+fn exports_are_georeferenced_in_gdal() {
     let folder = made();
     if gdal("gdalinfo", &["--version"], folder.path()).is_none() {
         return;
@@ -85,7 +85,8 @@ fn exports_open_in_gdal_where_they_belong() {
     for name in ["path.geojson", "path.kml", "path.gpx"] {
         export(&["-o", name, "--anchor", "48.2082,16.3738,90"]);
     }
-    // The same ground has the same colours in the map, in the GeoTIFF, and in the PNG with its world file.
+    // The ground has the same colours in the map, in the GeoTIFF, and in the PNG with its world
+    // file.
     let color = |file: &str, x: &str, y: &str| {
         gdal("gdallocationinfo", &["-valonly", "-geoloc", file, x, y], folder.path())
     };
@@ -98,7 +99,7 @@ fn exports_open_in_gdal_where_they_belong() {
     let placed = gdal("gdalinfo", &["-json", "placed.tif"], folder.path()).unwrap();
     let placed: Value = serde_json::from_str(&placed).unwrap();
     assert!(placed["coordinateSystem"]["wkt"].as_str().unwrap().contains("UTM zone 33N"), "{placed}");
-    // The ninth frame stood at (0.6, 0.3).
+    // The ninth frame was at (0.6, 0.3).
     let path = std::fs::read_to_string(folder.path().join("path.geojson")).unwrap();
     let path: Value = serde_json::from_str(&path).unwrap();
     let ninth = &path["features"][0]["geometry"]["coordinates"][8];

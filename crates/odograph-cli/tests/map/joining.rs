@@ -1,4 +1,4 @@
-//! Maps that are joined and straightened: `odograph map merge` and `odograph map optimize`.
+//! Merged and optimised maps: `odograph map merge` and `odograph map optimize`.
 
 use super::{odograph, text};
 use nalgebra::{Matrix4, Matrix6, Vector4};
@@ -16,7 +16,7 @@ use std::sync::LazyLock;
 
 const HEIGHT_M: f64 = 0.75;
 
-/// It sees 0.96 m across and 0.72 m along; a pixel is 3 mm.
+/// Field of view 0.96 m by 0.72 m; a pixel is 3 mm.
 fn camera() -> Camera {
     Camera::new((320, 240), (250.0, 250.0), (160.0, 119.5), Distortion::None).unwrap()
 }
@@ -26,7 +26,7 @@ static GROUND: LazyLock<Ground> = LazyLock::new(|| {
         .unwrap()
 });
 
-/// Straight on from a place, a quarter of a metre a step.
+/// A straight path with a step of 0.25 m.
 fn way(from: (f64, f64), heading_rad: f64, count: usize) -> Vec<GroundPose> {
     let (sin, cos) = heading_rad.sin_cos();
     let step = |i: usize| 0.25 * i as f64;
@@ -47,7 +47,8 @@ fn tie(from: usize, to: usize, kind: EdgeKind, motion: Vector4<f64>) -> MapEdge 
     MapEdge { from, to, kind, motion, covariance }
 }
 
-/// A map of what is seen from `truth`, with the keyframes at `known`, a frame of the path at each, and these edges.
+/// A map of the images from the poses `truth`, with keyframes and one frame of the trajectory at
+/// the poses `known`, and the given edges.
 fn map_of(path: &Path, truth: &[GroundPose], known: &[GroundPose], edges: &[MapEdge]) {
     let camera = camera();
     let renderer = Renderer::new(&camera);
@@ -76,7 +77,7 @@ fn map_of(path: &Path, truth: &[GroundPose], known: &[GroundPose], edges: &[MapE
     map.close().unwrap();
 }
 
-/// A drive whose frame of reference is its first camera, as it is where it knows nothing else.
+/// A drive in the frame of reference of its first camera, as without prior knowledge.
 fn drive(path: &Path, truth: &[GroundPose]) {
     let level = GroundPose::level(HEIGHT_M);
     let known: Vec<_> =
@@ -92,7 +93,7 @@ fn apart_m(a: &GroundPose, b: &GroundPose) -> f64 {
 }
 
 #[test]
-fn maps_that_overlap_are_joined() {
+fn overlapping_maps_are_merged() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     drive(&at("a.gpkg"), &way((0.0, 0.0), 0.0, 9));
@@ -113,20 +114,21 @@ fn maps_that_overlap_are_joined() {
     assert_eq!(sources, ["a.gpkg", "b.gpkg"]);
     let map = joined.map().unwrap();
     assert_eq!(map.keyframes.len(), 18);
-    // Both lie in the frame of the first, to half a pixel, and each frame of the path with its keyframe.
+    // Both are in the frame of the first map, to half a pixel, and each frame has the pose of its
+    // keyframe.
     let truth: Vec<GroundPose> = way((0.0, 0.0), 0.0, 9).into_iter().chain(second).collect();
     let paths = [0, 1].map(|session| joined.path_of(session).unwrap()).concat();
     for ((keyframe, truth), frame) in map.keyframes.iter().zip(&truth).zip(&paths) {
         assert!(apart_m(&keyframe.pose, truth) < 1.5e-3, "{:?} is not at {truth:?}", keyframe.pose);
         assert!(apart_m(&keyframe.pose, &frame.pose) < 1e-9, "{frame:?} is not at {:?}", keyframe.pose);
     }
-    // Pictures are taken over as they are, and the floor is laid as fine as it was.
+    // Images are copied unchanged, and the mosaic has the same resolution as before.
     let mut other = MapFile::open_read_only(&at("b.gpkg")).unwrap();
     assert_eq!(joined.load(KeyframeId(12)).unwrap(), other.load(KeyframeId(3)).unwrap());
     assert_eq!(joined.mosaic().unwrap().map(|layer| layer.resolution_m), Some(0.01));
     assert_eq!(fs::read(at("a.gpkg")).unwrap(), before[0]);
 
-    // Without a reason to it, nothing is written over and nothing laid over itself.
+    // Files are not overwritten, and maps are not merged without overlap.
     let whole = fs::read(at("c.gpkg")).unwrap();
     fs::write(at("b.gpkg"), &before[1]).unwrap();
     drive(&at("far.gpkg"), &way((30.0, 5.0), 1.0, 5));
@@ -152,10 +154,11 @@ fn maps_that_overlap_are_joined() {
 }
 
 #[test]
-fn a_bent_map_is_straightened_with_its_path() {
+fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.gpkg");
-    // To and fro; every step bends by half a degree, and the way back saw the way there.
+    // Back and forth; every step has a heading error of half a degree, and the return path has loop
+    // closures with the outward path.
     let there = way((0.0, 0.0), 0.0, 6);
     let back = way((1.25, 0.2), std::f64::consts::PI, 6);
     let truth: Vec<GroundPose> = there.into_iter().chain(back).collect();
@@ -183,7 +186,8 @@ fn a_bent_map_is_straightened_with_its_path() {
     assert!(told.starts_with("12 keyframes, 17 edges, 6 of them loops; moved by up to "), "{told}");
     assert_eq!(fs::read(&path).unwrap(), bytes, "the map itself was not asked to be changed");
     let straight = MapFile::open_read_only(&folder.path().join("straight.gpkg")).unwrap();
-    // The loops take up what they can tell: all but a turn of the first keyframes, which nothing but the bent steps measures.
+    // Loop closures correct everything observable: all except a rotation of the first keyframes,
+    // which only the bent steps measure.
     let straight_m = worst_m(&straight);
     assert!(straight_m < 0.2 * bent_m, "{bent_m} m bent, {straight_m} m straightened");
     for (frame, keyframe) in straight.path_of(0).unwrap().iter().zip(straight.map().unwrap().keyframes) {
@@ -192,7 +196,7 @@ fn a_bent_map_is_straightened_with_its_path() {
     }
     drop(straight);
 
-    // Again, in place: it is where it agrees best already, so nothing moves by a micrometre.
+    // Optimised again in place: it is at the optimum already, so nothing moves by a micrometre.
     let told = text(&odograph(&["optimize", "straight.gpkg"], folder.path()));
     assert!(told.0 == 0 && told.1.ends_with("moved by up to 0.00 mm\n"), "{told:?}");
     let (code, _, complaint) =

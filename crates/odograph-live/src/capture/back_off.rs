@@ -1,4 +1,4 @@
-//! Longer and longer pauses between attempts to reach what has gone.
+//! Exponential backoff between attempts to reconnect.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ const FIRST: Duration = Duration::from_millis(250);
 /// The longest pause.
 const LONGEST: Duration = Duration::from_secs(8);
 
-/// How long to wait before the next attempt, and how long it was tried in all.
+/// State of the backoff: the next pause and the total time waited.
 #[derive(Debug)]
 pub(super) struct BackOff {
     next: Duration,
@@ -16,12 +16,12 @@ pub(super) struct BackOff {
 }
 
 impl BackOff {
-    /// Attempts go on until so much time has been spent waiting.
+    /// Allows attempts until a total of `patience` has been waited.
     pub fn new(patience: Duration) -> Self {
         Self { next: FIRST, spent: Duration::ZERO, patience }
     }
 
-    /// The pause before the next attempt; `None` where it is time to give up.
+    /// The pause before the next attempt; `None` if it is time to give up.
     pub fn pause(&mut self) -> Option<Duration> {
         if self.spent >= self.patience {
             return None;
@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_double_and_end_when_patience_does() {
+    fn pauses_double_up_to_the_limit_of_total_time() {
         let mut back_off = BackOff::new(Duration::from_secs(30));
         let pauses: Vec<f64> = std::iter::from_fn(|| back_off.pause()).map(|p| p.as_secs_f64()).collect();
         assert_eq!(pauses, [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 8.0, 6.25]);

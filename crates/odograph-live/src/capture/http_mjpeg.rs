@@ -1,4 +1,4 @@
-//! Pictures over HTTP, as phones and network cameras send them (Motion JPEG in `multipart/x-mixed-replace`).
+//! Motion JPEG over HTTP (`multipart/x-mixed-replace`), as phones and network cameras send it.
 
 use super::back_off::BackOff;
 use super::multipart::{Multipart, boundary};
@@ -10,12 +10,12 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
-/// A camera must answer within this time, and no picture may take longer to come.
+/// Time limit for the camera's response, and for each read of an image.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// The head of the answer must not be longer, bytes.
+/// Maximum length of the response's header section, bytes.
 const MOST_HEAD: u64 = 16 << 10;
 
-/// A stream of pictures from an address.
+/// A Motion JPEG stream over HTTP.
 pub struct HttpMjpeg {
     url: HttpUrl,
     place: String,
@@ -39,11 +39,11 @@ impl std::fmt::Debug for HttpMjpeg {
 }
 
 impl HttpMjpeg {
-    /// Opens an address and waits for the first picture. When the stream breaks off later it is opened again, until that has not
-    /// succeeded for `patience`.
+    /// Connects and waits for the first image. A connection that is lost later is opened again;
+    /// after `patience` without success the source fails.
     ///
     /// # Errors
-    /// Where there is no such stream.
+    /// If there is no such stream at the address.
     pub fn open(address: &str, patience: Duration, watch: Watch) -> Result<Self> {
         let url = HttpUrl::parse(address)?;
         let place = format!("http://{}{}", url.host_header(), url.path);
@@ -54,7 +54,8 @@ impl HttpMjpeg {
             if !connection.next(&mut part).map_err(told)? {
                 return Err(told(io::Error::other("the stream ended at once")));
             }
-            // The first picture of a stream may be damaged; one that is not a JPEG stays not one.
+            // The first image of a stream may be damaged; data that does not start as a JPEG file
+            // is an error.
             match Picture::from_jpeg(&part, true) {
                 Ok(picture) => break picture,
                 Err(error) if part.starts_with(&[0xff, 0xd8]) => drop(error),
@@ -80,7 +81,7 @@ impl HttpMjpeg {
         })
     }
 
-    /// The next picture that can be decoded; `None` where the source was asked to end.
+    /// The next image that can be decoded; `None` if the source was asked to end.
     fn next_picture(&mut self) -> Result<Option<(Picture, Instant)>> {
         let mut back_off = BackOff::new(self.patience);
         loop {
@@ -151,7 +152,8 @@ impl LiveSource for HttpMjpeg {
                 self.place, self.info.width, self.info.height
             )));
         }
-        // The moment it came is its time: the stream has no other. Times that are equal would not be a movement.
+        // The stream carries no timestamps, so the arrival time is used. Timestamps must increase
+        // strictly for the velocity to be defined.
         let time_s = at.saturating_duration_since(self.began).as_secs_f64().max(self.last_time_s + 1e-6);
         self.last_time_s = time_s;
         self.number += 1;
@@ -167,12 +169,12 @@ impl LiveSource for HttpMjpeg {
     }
 }
 
-/// Connects, asks, and reads the head of the answer.
+/// Connects, sends the request, and reads the response's header section.
 fn connect(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
     ask(url).map_err(in_words)
 }
 
-/// What a time that has run out is called differs between systems, and none of the names says it.
+/// Operating systems report timeouts differently, and in messages that do not mention a timeout.
 fn in_words(error: io::Error) -> io::Error {
     match error.kind() {
         io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
@@ -251,7 +253,7 @@ fn answer_head(reader: &mut impl BufRead) -> io::Result<AnswerHead> {
     Ok(AnswerHead { content_type: value("content-type"), chunked })
 }
 
-/// A body in chunks (RFC 9112, section 7.1).
+/// A body in chunked transfer coding (RFC 9112, section 7.1).
 struct Chunks<R> {
     reader: R,
     left: u64,

@@ -1,4 +1,4 @@
-//! Frames as they come: from cameras, from streams, and from recordings at their own pace.
+//! Live video sources: cameras, network streams, and recordings played in real time.
 
 mod back_off;
 mod http_mjpeg;
@@ -22,33 +22,34 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A frame and the moment at which it was there.
+/// A frame with its arrival time.
 #[derive(Debug, Clone)]
 pub struct Captured {
     /// The frame.
     pub frame: Frame,
-    /// When its last byte had come from the camera; of a recording, when its turn came.
+    /// When the frame was received completely; of a recording, when it was due.
     pub at: Instant,
 }
 
-/// Something that gives frames as they come.
+/// A source of live frames.
 pub trait LiveSource: Send {
-    /// What is known of the source.
+    /// Description of the source.
     fn info(&self) -> &SourceInfo;
 
-    /// The next frame; waits for it. `None` at the end: of a recording, or where the source was asked to end.
+    /// Waits for the next frame. `None` at the end of a recording, or if the source was asked to
+    /// end.
     ///
     /// # Errors
-    /// Where no frame can be had any more.
+    /// If no more frames can be received.
     fn next_frame(&mut self) -> Result<Option<Captured>>;
 
-    /// What was noticed since the last call, one sentence each, for people; empties the list.
+    /// Returns and clears the warnings since the last call, one sentence each.
     fn take_warnings(&mut self) -> Vec<String> {
         Vec::new()
     }
 }
 
-/// What a source and those who wait for its frames tell each other.
+/// State shared by a source and its consumers: stop request and connection status.
 #[derive(Debug, Default, Clone)]
 pub struct Watch(Arc<Watched>);
 
@@ -70,12 +71,12 @@ impl Watch {
         self.0.ended.load(Ordering::Relaxed)
     }
 
-    /// Why no frames come at the moment, where that is so.
+    /// The reason why no frames arrive at the moment; `None` while they arrive.
     pub fn waiting(&self) -> Option<String> {
         self.0.waiting.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// How often the source went away and came back.
+    /// Number of times the source was lost and came back.
     pub fn reconnects(&self) -> u64 {
         self.0.reconnects.load(Ordering::Relaxed)
     }
@@ -90,7 +91,7 @@ impl Watch {
         }
     }
 
-    /// Waits until a moment; false where the source was asked to end before.
+    /// Sleeps until `moment`; `false` if the source was asked to end before that.
     fn sleep_until(&self, moment: Instant) -> bool {
         loop {
             if self.ended() {

@@ -1,18 +1,19 @@
-//! `multipart/x-mixed-replace` (RFC 2046, section 5.1): pictures one after another in the answer to one request.
+//! Parser of `multipart/x-mixed-replace` (RFC 2046, section 5.1): a sequence of images in one HTTP
+//! response.
 
 use std::io::{self, BufRead, Read};
 
-/// A picture must not be larger, bytes.
+/// Maximum size of an image, bytes.
 const MOST_PICTURE: usize = 32 << 20;
-/// The head of a part must not be longer, bytes.
+/// Maximum length of a part's header section, bytes.
 const MOST_HEAD: u64 = 16 << 10;
 
-/// Parts of a body.
+/// Splits a body into its parts.
 pub(super) struct Multipart<R> {
     reader: R,
-    /// What stands before every part: two hyphens and the boundary.
+    /// The line prefix between parts: two hyphens and the boundary.
     delimiter: Vec<u8>,
-    /// The delimiter of the next part has been taken from the reader already.
+    /// Whether the delimiter of the next part has already been consumed.
     delimiter_taken: bool,
 }
 
@@ -20,7 +21,7 @@ fn damaged(what: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }
 
-/// The boundary in a `Content-Type` header, where it is one of parts that replace each other.
+/// Parses the boundary in a `Content-Type` header; `None` if its type is not multipart.
 pub(super) fn boundary(content_type: &str) -> Option<String> {
     let (kind, parameters) = content_type.split_once(';')?;
     if !kind.trim().to_ascii_lowercase().starts_with("multipart/") {
@@ -30,7 +31,7 @@ pub(super) fn boundary(content_type: &str) -> Option<String> {
         let (name, value) = parameter.split_once('=')?;
         name.trim().eq_ignore_ascii_case("boundary").then(|| value.trim().trim_matches('"'))
     })?;
-    // Some cameras write the hyphens that belong before it into the boundary itself.
+    // Some cameras include the two leading hyphens in the boundary itself.
     let bare = value.strip_prefix("--").unwrap_or(value);
     (!bare.is_empty() && bare.len() <= 200).then(|| bare.to_owned())
 }
@@ -40,10 +41,10 @@ impl<R: BufRead> Multipart<R> {
         Self { reader, delimiter: format!("--{boundary}").into_bytes(), delimiter_taken: false }
     }
 
-    /// The bytes of the next part into `part`; false at the end.
+    /// Reads the next part into `part`; `false` at the end.
     pub fn next(&mut self, part: &mut Vec<u8>) -> io::Result<bool> {
         part.clear();
-        // Up to the line with the delimiter: what stands before the first one means nothing.
+        // Skips to the next delimiter line. Text before the first one has no meaning.
         let mut line = Vec::new();
         let mut skipped = 0;
         loop {
@@ -73,7 +74,7 @@ impl<R: BufRead> Multipart<R> {
         }
     }
 
-    /// Reads a part's head; gives the length of its body where it says one.
+    /// Reads the header section of a part and returns its `Content-Length`, if present.
     fn head(&mut self) -> io::Result<Option<usize>> {
         let mut length = None;
         let mut line = Vec::new();
@@ -97,14 +98,14 @@ impl<R: BufRead> Multipart<R> {
         }
     }
 
-    /// A body that does not say its length: up to the next line that begins with the delimiter.
+    /// Reads a body of unknown length, up to the next line that starts with the delimiter.
     fn until_delimiter(&mut self, part: &mut Vec<u8>) -> io::Result<bool> {
         loop {
             let buffered = self.reader.fill_buf()?;
             if buffered.is_empty() {
                 return Ok(false);
             }
-            // What was read so far may end within a delimiter: look a little back.
+            // A delimiter may span two reads, so the search starts a little before the new data.
             let before = part.len();
             let from = before.saturating_sub(self.delimiter.len() + 2);
             part.extend_from_slice(buffered);
@@ -112,7 +113,8 @@ impl<R: BufRead> Multipart<R> {
             let found =
                 part[from..].windows(self.delimiter.len()).position(|window| window == self.delimiter);
             if let Some(at) = found.map(|at| at + from) {
-                // The delimiter may have begun in what was taken before; its line is then over after this one.
+                // The delimiter may have begun in an earlier read; the rest of its line is still
+                // unread.
                 self.reader.consume((at + self.delimiter.len()).saturating_sub(before).min(taken));
                 part.truncate(at);
                 while part.last().is_some_and(|byte| *byte == b'\n' || *byte == b'\r') && part.len() + 2 > at
@@ -129,7 +131,7 @@ impl<R: BufRead> Multipart<R> {
         }
     }
 
-    /// One line with its end; empty at the end of the stream.
+    /// Reads a line including its end; empty at the end of the stream.
     fn line(&mut self, line: &mut Vec<u8>) -> io::Result<()> {
         line.clear();
         if std::mem::take(&mut self.delimiter_taken) {
@@ -145,7 +147,8 @@ mod tests {
     use super::*;
     use std::io::BufReader;
 
-    /// Every part of a body, read through a buffer of `size` bytes so that everything falls across its border once.
+    /// All parts of a body, read through a buffer of `size` bytes, so that any token may span two
+    /// reads.
     fn parts(body: &[u8], size: usize) -> Vec<Vec<u8>> {
         let mut multipart = Multipart::new(BufReader::with_capacity(size, body), "cut");
         let mut parts = Vec::new();
@@ -157,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_with_and_without_a_length() {
+    fn parts_with_and_without_content_length_are_read() {
         let with = b"preamble\r\n--cut\r\nContent-Type: image/jpeg\r\nContent-Length: 9\r\n\r\none--cut\n\r\n--cut\r\ncontent-length: 3\r\n\r\ntwo\r\n--cut--\r\n";
         let without =
             b"--cut\r\nContent-Type: image/jpeg\r\n\r\none-\r-\n\r\n--cut\r\n\r\ntwo\r\n--cut--\r\n";
@@ -168,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_stream_ends_and_a_damaged_one_says_so() {
+    fn truncated_streams_end_and_damaged_ones_are_errors() {
         let cut = b"--cut\r\nContent-Length: 3\r\n\r\none\r\n--cut\r\nContent-Length: 30\r\n\r\ntw";
         assert_eq!(parts(cut, 8), [b"one".to_vec()]);
         let mut part = Vec::new();
@@ -179,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn boundaries_as_cameras_write_them() {
+    fn boundaries_of_real_cameras_are_parsed() {
         let known = |text| boundary(text).unwrap_or_default();
         assert_eq!(known("multipart/x-mixed-replace;boundary=abc"), "abc");
         assert_eq!(known("Multipart/x-mixed-replace; charset=x; boundary=\"--abc\""), "abc");

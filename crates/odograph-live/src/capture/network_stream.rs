@@ -1,4 +1,4 @@
-//! A stream from the network that another program decodes (RTSP), opened again when it breaks off.
+//! A network stream decoded by another program (RTSP), with automatic reconnection.
 
 use super::back_off::BackOff;
 use super::{Captured, LiveSource, Watch};
@@ -9,16 +9,17 @@ use std::time::{Duration, Instant};
 /// Opens the stream.
 type Open = Box<dyn FnMut() -> Result<Source> + Send>;
 
-/// A stream that comes at its own pace.
+/// A network stream with reconnection.
 pub struct NetworkStream {
     open: Open,
     place: String,
     info: SourceInfo,
     source: Option<Source>,
     patience: Duration,
-    /// When the newest frame came, and its time.
+    /// Arrival time and timestamp (seconds) of the newest frame.
     newest: Option<(Instant, f64)>,
-    /// What is added to the stream's own times; a stream that is opened again begins anew with them. `None` until its first frame has come.
+    /// Offset added to the stream's timestamps, seconds. A reopened stream starts its own clock
+    /// anew. `None` until the first frame after opening.
     shift_s: Option<f64>,
     number: u64,
     watch: Watch,
@@ -32,13 +33,14 @@ impl std::fmt::Debug for NetworkStream {
 }
 
 impl NetworkStream {
-    /// Opens the stream at an address. When it breaks off later it is opened again, until that has not succeeded for `patience`.
+    /// Opens the stream at an address. A stream that is lost later is opened again; after
+    /// `patience` without success the source fails.
     ///
     /// # Errors
-    /// Where there is no such stream.
+    /// If there is no such stream.
     pub fn open(address: &str, mut open: Open, patience: Duration, watch: Watch) -> Result<Self> {
         let (address, place) = (address.to_owned(), without_credentials(address));
-        // What other programs say of a stream may name it with its password.
+        // Error messages of other programs may contain the address with its password.
         let mut open: Open = {
             let place = place.clone();
             Box::new(move || {
@@ -60,10 +62,10 @@ impl NetworkStream {
         })
     }
 
-    /// The stream's next frame, or in words why there is none.
+    /// The next frame of the stream, or the reason why there is none.
     fn attempt(&mut self) -> std::result::Result<Frame, String> {
         let Some(source) = &mut self.source else {
-            // The pause may have been long: who asked to end meanwhile is not kept waiting for an answer.
+            // Opened only here, not before the pause: the caller checks for a stop request first.
             self.source = Some((self.open)().map_err(|error| error.to_string())?);
             self.shift_s = None;
             return self.attempt();
@@ -77,7 +79,7 @@ impl NetworkStream {
         }
     }
 
-    /// A frame with its place in the whole.
+    /// Assigns frame number and timestamp within the whole recording.
     fn placed(&mut self, mut frame: Frame) -> Result<Captured> {
         let size = (frame.gray.width(), frame.gray.height());
         if size != (self.info.width, self.info.height) {
@@ -91,7 +93,7 @@ impl NetworkStream {
             Some((before, time_s)) => time_s + (at - before).as_secs_f64() - frame.time_s,
             None => 0.0,
         });
-        // Times that are equal would not be a movement.
+        // Timestamps must increase strictly for the velocity to be defined.
         let least_s = self.newest.map_or(f64::NEG_INFINITY, |(_, time_s)| time_s + 1e-6);
         frame.time_s = (frame.time_s + shift_s).max(least_s);
         frame.number = self.number;
@@ -137,7 +139,8 @@ impl LiveSource for NetworkStream {
     }
 }
 
-/// An address without a name and password: it is shown on the page and written into files.
+/// Removes name and password from an address, which is displayed on the page and written into
+/// files.
 pub fn without_credentials(address: &str) -> String {
     let Some((scheme, rest)) = address.split_once("://") else { return address.to_owned() };
     let (host, path) = rest.find('/').map_or((rest, ""), |slash| rest.split_at(slash));
@@ -149,7 +152,7 @@ mod tests {
     use super::*;
     use odograph_video::SourceOptions;
 
-    /// A camera that gives so many pictures each time it is opened; at 0 it cannot be opened.
+    /// A camera that delivers the given number of images per opening; 0 means that opening fails.
     fn camera(pictures: &'static [usize]) -> (tempfile::TempDir, Open) {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().to_owned();
@@ -167,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_that_breaks_off_goes_on_with_later_times_and_further_numbers() {
+    fn reconnected_stream_continues_timestamps_and_frame_numbers() {
         let (_folder, open) = camera(&[3, 0, 2]);
         let watch = Watch::default();
         let patience = Duration::from_millis(800);
@@ -186,7 +189,7 @@ mod tests {
         };
         assert_eq!((times.len(), watch.reconnects()), (5, 1));
         assert!(times.windows(2).all(|pair| pair[1] > pair[0]), "{times:?}");
-        // The break lasted two pauses at least, a quarter and a half of a second.
+        // The interruption lasted at least two pauses, 0.25 s and 0.5 s.
         assert!(times[3] - times[2] > 0.74, "{times:?}");
         assert!(
             failure.contains("rtsp://hall/1 went away") && failure.contains("did not come back"),
@@ -196,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn passwords_are_taken_out_of_addresses_and_of_what_is_said() {
+    fn passwords_are_removed_from_addresses_and_messages() {
         let plain = |address: &str| without_credentials(address);
         assert_eq!(plain("rtsp://me:p@ss@hall:554/a@b"), "rtsp://hall:554/a@b");
         assert_eq!(["rtsp://hall", "-", "a@b.mp4"].map(plain), ["rtsp://hall", "-", "a@b.mp4"]);
@@ -208,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_is_asked_to_end_does() {
+    fn stream_ends_when_asked_to() {
         let (_folder, open) = camera(&[1]);
         let watch = Watch::default();
         let mut stream =

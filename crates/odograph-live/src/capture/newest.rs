@@ -1,19 +1,20 @@
-//! A queue that is never late.
+//! A bounded queue between two threads that can drop its oldest items.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What happens to what comes while the queue is full.
+/// Behaviour of a full queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
-    /// It waits: nothing is lost, and the giver slows down.
+    /// The producer blocks; nothing is lost.
     Wait,
-    /// The oldest gives way: the giver never waits, and what is taken is never old.
+    /// The oldest item is dropped; the producer never blocks, and the consumer never receives stale
+    /// data.
     NewestWins,
 }
 
-/// A short queue between one who gives and one who takes.
+/// A bounded queue between one producer and one consumer.
 #[derive(Debug)]
 pub struct Newest<T> {
     policy: Policy,
@@ -30,19 +31,19 @@ struct State<T> {
     closed: bool,
 }
 
-/// What was taken from a queue.
+/// Result of [`Newest::take`].
 #[derive(Debug, PartialEq, Eq)]
 pub enum Taken<T> {
-    /// The oldest there was.
+    /// The oldest item of the queue.
     Item(T),
-    /// Nothing came in time.
+    /// Timeout: the queue stayed empty.
     Nothing,
-    /// Nothing will come any more.
+    /// The queue is closed and empty.
     End,
 }
 
 impl<T> Newest<T> {
-    /// A queue for at most `capacity` (at least one).
+    /// Creates a queue for at most `capacity` items (at least one).
     pub fn new(policy: Policy, capacity: usize) -> Self {
         let state = State { queue: VecDeque::new(), given: 0, dropped: 0, closed: false };
         Self { policy, capacity: capacity.max(1), state: Mutex::new(state), changed: Condvar::new() }
@@ -52,7 +53,7 @@ impl<T> Newest<T> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives one; false where nobody takes any more.
+    /// Adds an item, according to the policy; `false` if the queue is closed.
     pub fn give(&self, item: T) -> bool {
         let mut state = self.state();
         while self.policy == Policy::Wait && state.queue.len() >= self.capacity && !state.closed {
@@ -72,7 +73,7 @@ impl<T> Newest<T> {
         true
     }
 
-    /// Takes the oldest; waits for it at most so long.
+    /// Removes the oldest item, after waiting for it for at most `patience`.
     pub fn take(&self, patience: Duration) -> Taken<T> {
         let until = Instant::now() + patience;
         let mut state = self.state();
@@ -92,18 +93,18 @@ impl<T> Newest<T> {
         }
     }
 
-    /// Nothing is given any more; what is in the queue can still be taken.
+    /// Closes the queue: no more items can be added, those in the queue can still be taken.
     pub fn close(&self) {
         self.state().closed = true;
         self.changed.notify_all();
     }
 
-    /// How many wait.
+    /// Number of items in the queue.
     pub fn waiting(&self) -> usize {
         self.state().queue.len()
     }
 
-    /// How many were given, and how many of them gave way to newer ones.
+    /// Number of items added in total, and of those dropped.
     pub fn counts(&self) -> (u64, u64) {
         let state = self.state();
         (state.given, state.dropped)
@@ -115,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_win_and_the_others_are_counted() {
+    fn newest_items_are_kept_and_dropped_ones_counted() {
         let queue = Newest::new(Policy::NewestWins, 2);
         (0..5).for_each(|k| assert!(queue.give(k)));
         assert_eq!(queue.counts(), (5, 3));
@@ -127,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn who_waits_loses_nothing() {
+    fn blocking_policy_loses_no_items() {
         let queue = Newest::new(Policy::Wait, 2);
         std::thread::scope(|scope| {
             scope.spawn(|| {

@@ -1,4 +1,4 @@
-//! Bare frames one after another, from a pipe.
+//! Raw frames without headers, from a pipe.
 
 use super::{Captured, LiveSource, Watch};
 use odograph::error::{Error, Result};
@@ -6,23 +6,23 @@ use odograph_video::{Frame, Picture, SampleLayout, SourceInfo};
 use std::io::{ErrorKind, Read};
 use std::time::Instant;
 
-/// How bare frames look, since nothing in them says it.
+/// Format of raw frames; the stream itself does not contain it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RawFormat {
-    /// How samples are laid out.
+    /// Sample layout.
     pub layout: SampleLayout,
-    /// Pixels in a row.
+    /// Width, pixels.
     pub width: usize,
-    /// Rows.
+    /// Height, pixels.
     pub height: usize,
-    /// Frames a second, > 0.
+    /// Frame rate, frames per second, > 0.
     pub frames_per_second: f64,
 }
 
 impl std::str::FromStr for RawFormat {
     type Err = String;
 
-    /// `gray:640x480@30`, `yuyv:…` or `rgb:…`.
+    /// Parses `gray:640x480@30`, `yuyv:…` or `rgb:…`.
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let parsed = || {
             let (layout, rest) = text.split_once(':')?;
@@ -46,7 +46,7 @@ impl std::str::FromStr for RawFormat {
     }
 }
 
-/// Bare frames from a reader.
+/// A source of raw frames from a reader.
 pub struct RawFrames<R> {
     reader: R,
     format: RawFormat,
@@ -58,7 +58,7 @@ pub struct RawFrames<R> {
 }
 
 impl<R: Read + Send> RawFrames<R> {
-    /// Frames of a format from a reader.
+    /// Creates a source that reads frames of `format`.
     pub fn new(reader: R, format: RawFormat, watch: Watch) -> Self {
         let RawFormat { layout, width, height, frames_per_second } = format;
         let name = match layout {
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_of_a_pipe_with_their_times_and_its_cut() {
+    fn raw_frames_have_timestamps_and_truncation_is_reported() {
         let format: RawFormat = "gray:3x2@10".parse().unwrap();
         let mut frames = RawFrames::new(&b"abcdefABCDEFxy"[..], format, Watch::default());
         let first = frames.next_frame().unwrap().unwrap().frame;
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn formats_that_cannot_be() {
+    fn invalid_raw_formats_are_refused() {
         for text in [
             "gray",
             "gray:640x480",

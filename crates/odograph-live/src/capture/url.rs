@@ -1,13 +1,13 @@
-//! Addresses of HTTP streams.
+//! URLs of HTTP streams.
 
 use odograph::error::{Error, Result};
 
-/// What an `http://` address says.
+/// The parts of an `http://` URL.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct HttpUrl {
     pub host: String,
     pub port: u16,
-    /// With its query.
+    /// Including the query.
     pub path: String,
     /// `user:password`.
     pub credentials: Option<String>,
@@ -35,7 +35,7 @@ impl HttpUrl {
             },
         };
         let port = port.map_or(Ok(80), str::parse).map_err(|_| wrong())?;
-        // What could end the line of the request would let an address say more than a place.
+        // Control characters and spaces could end the request line and inject headers.
         let harmless = |text: &str| text.chars().all(|c| !c.is_control() && c != ' ');
         if host.is_empty() || !harmless(host) || !harmless(&path) {
             return Err(wrong());
@@ -43,14 +43,14 @@ impl HttpUrl {
         Ok(Self { host: host.to_owned(), port, path, credentials })
     }
 
-    /// For a `Host` header.
+    /// The value of the `Host` header.
     pub fn host_header(&self) -> String {
         let host = if self.host.contains(':') { format!("[{}]", self.host) } else { self.host.clone() };
         if self.port == 80 { host } else { format!("{host}:{}", self.port) }
     }
 }
 
-/// Base 64 (RFC 4648, section 4).
+/// Base64 encoding (RFC 4648, section 4).
 pub(super) fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let digit = |word: u32, place: u32| DIGITS[(word >> (6 * place)) as usize & 63] as char;
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_that_can_and_cannot_be() {
+    fn valid_urls_are_parsed_and_invalid_ones_refused() {
         let url = HttpUrl::parse("http://me:secret@[::1]:8081/video?a=b#c").unwrap();
         assert_eq!((url.host.as_str(), url.port, url.path.as_str()), ("::1", 8081, "/video?a=b"));
         assert_eq!((url.credentials.as_deref(), url.host_header()), (Some("me:secret"), "[::1]:8081".into()));
@@ -81,9 +81,9 @@ mod tests {
         }
     }
 
-    /// The test vectors of RFC 4648, section 10.
+    /// Test vectors of RFC 4648, section 10.
     #[test]
-    fn base64_of_the_rfc() {
+    fn base64_matches_the_rfc_test_vectors() {
         let vectors = [
             ("", ""),
             ("f", "Zg=="),

@@ -1,4 +1,4 @@
-//! What is known of a frame, as messages of Foxglove's types.
+//! Conversion of frames into Foxglove messages.
 
 use odograph::geometry::GroundPose;
 use odograph::geometry::pose_index::{X, Y};
@@ -6,15 +6,15 @@ use odograph::odometry::TrackView;
 use odograph::trajectory::PoseEstimate;
 use serde_json::{Value, json};
 
-/// The frame of reference in which odometry has the path: it never jumps (REP-105).
+/// The odometry frame of reference, continuous and without jumps (`odom` in REP-105).
 pub const WORLD: &str = "odom";
-/// The camera: x right, y down, z ahead along its axis.
+/// The camera frame: x right, y down, z forward along the optical axis.
 pub const CAMERA: &str = "camera";
 
-/// 95 % of a plane's normal distribution lie within so many standard deviations.
+/// Scale of the 95 % ellipse of a bivariate normal distribution, in standard deviations.
 const DEVIATIONS: f64 = 2.4477;
 
-/// A moment as Foxglove writes it.
+/// A timestamp as a Foxglove `time`.
 pub fn time(nanoseconds: u64) -> Value {
     json!({ "sec": nanoseconds / 1_000_000_000, "nsec": nanoseconds % 1_000_000_000 })
 }
@@ -23,7 +23,7 @@ fn vector(x: f64, y: f64, z: f64) -> Value {
     json!({ "x": x, "y": y, "z": z })
 }
 
-/// A turn about the vertical.
+/// The quaternion of a rotation about the vertical axis.
 fn turned(heading_rad: f64) -> Value {
     let (sin, cos) = (0.5 * heading_rad).sin_cos();
     json!({ "x": 0.0, "y": 0.0, "z": sin, "w": cos })
@@ -33,7 +33,7 @@ fn color(red: f64, green: f64, blue: f64, opacity: f64) -> Value {
     json!({ "r": red, "g": green, "b": blue, "a": opacity })
 }
 
-/// Where the camera is: position, and rotation of its axes.
+/// The camera's pose in the world: position and orientation.
 fn placed(pose: &GroundPose) -> (Value, Value) {
     let world_from_camera = pose.world_from_camera();
     let (at, turn) = (world_from_camera.translation, world_from_camera.rotation);
@@ -56,10 +56,10 @@ pub fn compressed_image(at: u64, jpeg: &[u8]) -> Value {
     json!({ "timestamp": time(at), "frame_id": CAMERA, "data": base64(jpeg), "format": "jpeg" })
 }
 
-/// The tracks on a picture that has `scale` times the camera's size: those that agree with the movement, and the others.
+/// The tracks on an image of `scale` times the camera's size: inliers and outliers in two colours.
 pub fn image_annotations(at: u64, tracks: &[TrackView], scale: f64) -> Value {
     let points = |inlier: bool, color: Value| {
-        // Their origin is the corner of the first pixel, ours its centre.
+        // Foxglove's pixel origin is the corner of the first pixel, ours its centre.
         let place = |pixel: f64| tenths((pixel + 0.5) * scale);
         let points: Vec<Value> = tracks
             .iter()
@@ -75,7 +75,7 @@ pub fn image_annotations(at: u64, tracks: &[TrackView], scale: f64) -> Value {
     json!({ "circles": [], "points": [points(true, agree), points(false, differ)], "texts": [] })
 }
 
-/// A tenth of a pixel, or of a millimetre, is as much as anybody sees.
+/// Rounds to tenths: of a pixel in images, of a millimetre in paths.
 fn tenths(value: f64) -> f64 {
     (10.0 * value).round() / 10.0
 }
@@ -85,7 +85,7 @@ pub fn log(at: u64, warning: bool, message: &str) -> Value {
     json!({ "timestamp": time(at), "level": level, "message": message, "name": "odograph", "file": "", "line": 0 })
 }
 
-/// A scene of one thing, which stays until the next one of its name.
+/// A scene with one entity, which stays until the next one with the same id.
 fn scene(at: u64, id: &str, cylinders: Value, lines: Value) -> Value {
     json!({
         "deletions": [],
@@ -96,12 +96,12 @@ fn scene(at: u64, id: &str, cylinders: Value, lines: Value) -> Value {
     })
 }
 
-/// Nothing any more of what a topic has shown.
+/// Deletes all entities of a topic.
 pub fn cleared(at: u64) -> Value {
     json!({ "deletions": [{ "timestamp": time(at), "type": 1, "id": "" }], "entities": [] })
 }
 
-/// The ellipse on the ground that holds the camera with 95 %.
+/// The 95 % error ellipse of the camera's position on the ground.
 pub fn ellipse(at: u64, known: &PoseEstimate) -> Value {
     let covariance = known.covariance;
     let (a, b, d) = (covariance[(X, X)], covariance[(X, Y)], covariance[(Y, Y)]);
@@ -117,7 +117,7 @@ pub fn ellipse(at: u64, known: &PoseEstimate) -> Value {
     scene(at, "ellipse", json!([cylinder]), json!([]))
 }
 
-/// The path as lines, one for each stretch without a gap; places in metres.
+/// The trajectory as lines, one per segment without a gap; coordinates in metres.
 pub fn path(at: u64, stretches: &[Vec<[f64; 2]>]) -> Value {
     let place = |metres: f64| 1e-3 * tenths(1e3 * metres);
     let line = |stretch: &Vec<[f64; 2]>| {
@@ -130,7 +130,7 @@ pub fn path(at: u64, stretches: &[Vec<[f64; 2]>]) -> Value {
     scene(at, "path", json!([]), stretches.iter().map(line).collect())
 }
 
-/// Bytes as text (RFC 4648, section 4).
+/// Base64 encoding (RFC 4648, section 4).
 fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn base_64_as_the_rfc_has_it() {
+    fn base64_matches_the_rfc_examples() {
         let examples = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")];
         for (bytes, text) in examples {
             assert_eq!(base64(bytes.as_bytes()), text);

@@ -1,7 +1,9 @@
-//! A run as an MCAP file with Foxglove's message types, as JSON: poses, the camera's picture with its tracks, the path, and how sure it is.
+//! Writes a run as an MCAP file with JSON messages of Foxglove's types: poses with their
+//! covariance, the camera image with its tracks, and the trajectory.
 //!
-//! Every second of the recording becomes one whole chunk on disk, so that a file whose writer was killed can be read up to its last second
-//! (MCAP specification, "Chunk"; `mcap recover` gives it the index that it lacks).
+//! Each second of the recording is flushed as one complete chunk, so that the file of a killed
+//! process is readable up to its last second (MCAP specification, "Chunk"; `mcap recover` adds the
+//! missing index).
 
 mod messages;
 mod schemas;
@@ -24,17 +26,17 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-/// A chunk holds so much of the recording, and the path is drawn so often, nanoseconds.
+/// Duration of a chunk, and interval between two updates of the trajectory, nanoseconds.
 const SECOND: u64 = 1_000_000_000;
-/// A chunk that is larger ends earlier, bytes: nothing of it is on disk before.
+/// Maximum size of a chunk, bytes: the data at risk if the process is killed.
 const LARGEST_CHUNK: u64 = 8 << 20;
 
-/// The picture of a frame, where one is to be kept.
+/// The image of a frame with its tracks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
-    /// The camera's picture.
+    /// The camera image.
     pub gray: GrayImage,
-    /// What was followed in it.
+    /// The tracks in it.
     pub tracks: Vec<TrackView>,
 }
 
@@ -51,7 +53,7 @@ pub struct McapFile {
     frames: u32,
 }
 
-/// The topics by their numbers in the file.
+/// Channel ids of the topics in the file.
 struct Channels {
     transform: u16,
     pose: u16,
@@ -64,10 +66,10 @@ struct Channels {
 }
 
 impl McapFile {
-    /// Begins a file of a source, which is described in it.
+    /// Creates a file and writes the description of the source as metadata.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If the file cannot be written.
     pub fn create(path: &Path, source: &str) -> Result<Self> {
         let cannot = |error: &dyn std::fmt::Display| cannot_be_written(path, error);
         let file = File::create(path).map_err(|error| cannot(&error))?;
@@ -96,10 +98,11 @@ impl McapFile {
         })
     }
 
-    /// Takes a frame, and its picture where it is to be kept. Times are those of the source; before its zero there is nothing in MCAP.
+    /// Appends a frame, with its image if it is to be stored. Time stamps are those of the source;
+    /// MCAP has no negative times, so they are clamped at 0.
     ///
     /// # Errors
-    /// Where it cannot be written; nothing can be from then on.
+    /// If the file cannot be written. It is unusable from then on.
     pub fn add(&mut self, frame: &FrameEstimate, latency_ms: f64, picture: Option<&Picture>) -> Result<()> {
         let at = (frame.time_s * 1e9).round() as u64;
         if at.saturating_sub(*self.chunk_began.get_or_insert(at)) >= SECOND {
@@ -143,15 +146,15 @@ impl McapFile {
         Ok(())
     }
 
-    /// How many frames were taken.
+    /// Number of frames written.
     pub fn frames(&self) -> u32 {
         self.frames
     }
 
-    /// Ends the file: with the whole path, and an index of everything.
+    /// Completes the file with the whole trajectory and an index.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If the file cannot be written.
     pub fn finish(mut self) -> Result<()> {
         let cannot = |error| cannot_be_written(&self.path, &error);
         if self.frames > 0 {

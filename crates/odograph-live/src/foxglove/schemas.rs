@@ -1,15 +1,16 @@
-//! The message types that Foxglove knows, as JSON Schema: the fields as <https://docs.foxglove.dev/docs/sdk/schemas> lists them, of those
-//! types that are written here. Foxglove goes by a type's name; other readers by the fields.
+//! JSON Schemas of the Foxglove message types that are written here, with the fields listed at
+//! <https://docs.foxglove.dev/docs/sdk/schemas>. Foxglove identifies a type by its name; other
+//! readers use the fields.
 
 use serde_json::{Map, Value, json};
 
-/// A type with its name.
+/// A named message type.
 pub struct Schema {
     pub name: &'static str,
     pub json: Value,
 }
 
-/// An object whose fields must all be there.
+/// An object whose fields are all required.
 fn object(title: &str, fields: &[(&str, Value)]) -> Value {
     let names: Vec<&str> = fields.iter().map(|(name, _)| *name).collect();
     let properties: Map<String, Value> =
@@ -25,7 +26,7 @@ fn array(items: Value) -> Value {
     json!({ "type": "array", "items": items })
 }
 
-/// Fields that are all of one type.
+/// An object whose fields all have the same type.
 fn alike(title: &str, names: &[&'static str], schema: &Value) -> Value {
     let fields: Vec<(&str, Value)> = names.iter().map(|name| (*name, schema.clone())).collect();
     object(title, &fields)
@@ -107,7 +108,7 @@ pub fn image_annotations() -> Schema {
             ("metadata", pairs()),
         ],
     );
-    // Circles and texts are there for readers that ask for them, and always empty.
+    // Circles and texts are part of the type and always empty.
     let nothing = || array(of_type("object"));
     let fields = [("circles", nothing()), ("points", array(points)), ("texts", nothing())];
     Schema { name, json: object(name, &fields) }
@@ -178,7 +179,7 @@ pub fn log() -> Schema {
     Schema { name, json: object(name, &fields) }
 }
 
-/// The line of `--print poses`, so that every figure of it can be plotted.
+/// The fields of `--print poses`, so that each of them can be plotted.
 pub fn frame() -> Schema {
     let number_or_nothing = || json!({ "type": ["number", "null"] });
     let pose = json!({

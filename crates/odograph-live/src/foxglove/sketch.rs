@@ -1,16 +1,16 @@
-//! A path of bounded size: what is long enough to have too many points has them farther apart.
+//! A trajectory with a bounded number of points: the longer it is, the larger their spacing.
 
-/// No more points than this: a viewer that jumps in time must read all of them at once.
+/// Maximum number of points. A viewer that seeks in time must read all of them at once.
 const MOST_POINTS: usize = 1000;
-/// Points are at least so far apart at first, metres.
+/// Initial minimum distance between two points, metres.
 const FIRST_SPACING_M: f64 = 5e-3;
 
-/// The path so far, thinned.
+/// The thinned trajectory so far.
 #[derive(Debug)]
 pub struct PathSketch {
     spacing_m: f64,
     points: Vec<(usize, [f64; 2])>,
-    /// The newest place, where it is no point of the sketch.
+    /// The newest position, if it is not already a point of the sketch.
     newest: Option<(usize, [f64; 2])>,
 }
 
@@ -21,7 +21,7 @@ impl Default for PathSketch {
 }
 
 impl PathSketch {
-    /// Takes a place, metres, of a stretch without a gap, by its number.
+    /// Adds a position in metres. `segment` is the number of gaps before it.
     pub fn add(&mut self, segment: usize, place: [f64; 2]) {
         if !self.is_far(self.points.last(), (segment, place)) {
             self.newest = Some((segment, place));
@@ -37,7 +37,7 @@ impl PathSketch {
                     kept.push(point);
                 }
             }
-            // Gaps so many that each has its own point: the oldest of them go.
+            // So many gaps that each segment has a single point: drop the oldest ones.
             if kept.len() > MOST_POINTS && self.spacing_m > 1e6 {
                 kept.drain(..kept.len() - MOST_POINTS);
             }
@@ -49,7 +49,7 @@ impl PathSketch {
         last.is_none_or(|(before, [u, v])| *before != segment || (x - u).hypot(y - v) >= self.spacing_m)
     }
 
-    /// The places of each stretch, in order, up to the newest.
+    /// The points of each segment in order, up to the newest position.
     pub fn stretches(&self) -> Vec<Vec<[f64; 2]>> {
         let mut stretches: Vec<(usize, Vec<[f64; 2]>)> = Vec::new();
         for &(segment, place) in self.points.iter().chain(&self.newest) {
@@ -67,10 +67,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_long_path_has_few_points_its_ends_and_its_gaps() {
+    fn thinned_path_keeps_ends_and_gaps_with_few_points() {
         let mut sketch = PathSketch::default();
         for k in 0..200_000 {
-            // A hundred metres out, ten in each stretch, and on the spot at its end.
+            // 100 m long, ten segments of 10 m, and stationary at its end.
             let x = 5e-4 * f64::from(k.min(199_000));
             sketch.add((k / 20_000) as usize, [x, 0.0]);
         }
@@ -79,11 +79,11 @@ mod tests {
         assert_eq!(stretches.len(), 10);
         assert!((MOST_POINTS / 3..=MOST_POINTS + 1).contains(&points), "{points}");
         assert_eq!((stretches[0][0], *stretches[9].last().unwrap()), ([0.0, 0.0], [99.5, 0.0]));
-        // No hole: neighbours are no farther apart than the spacing and a step.
+        // No holes: the distance of neighbours is at most the spacing plus one step.
         let widest =
             stretches.iter().flat_map(|s| s.windows(2)).map(|w| w[1][0] - w[0][0]).fold(0.0, f64::max);
         assert!(widest < 2.0 * sketch.spacing_m && sketch.spacing_m < 0.4, "{widest} {}", sketch.spacing_m);
-        // A path that is nothing but gaps is bounded too.
+        // The size is also bounded if every point is a segment of its own.
         let mut torn = PathSketch::default();
         (0..3000).for_each(|segment| torn.add(segment, [segment as f64, 0.0]));
         assert!(torn.stretches().len() <= MOST_POINTS + 1);

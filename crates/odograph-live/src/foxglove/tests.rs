@@ -6,7 +6,7 @@ use odograph::geometry::{GroundPose, Pixel};
 use odograph::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, Velocity};
 use std::collections::BTreeMap;
 
-/// Ten frames a second along x; the fifth is lost.
+/// Ten frames per second along x; the fifth is lost.
 fn frame(number: u64) -> FrameEstimate {
     let pose = GroundPose { x_m: 0.02 * number as f64, y_m: 0.3, heading_rad: 0.4, ..GroundPose::level(1.2) };
     let mut covariance = Matrix6::zeros();
@@ -38,7 +38,8 @@ fn picture() -> Picture {
     Picture { gray: GrayImage::new(16, 12), tracks: vec![track(2.0, true), track(7.0, false)] }
 }
 
-/// Every message by its topic, with the schema of its channel: a file that is whole, or what a killed writer left.
+/// Reads all messages by topic and checks each against the schema of its channel. The file is
+/// complete (`whole`) or was left by a killed process.
 fn read(path: &Path, whole: bool) -> BTreeMap<String, Vec<(u64, Value)>> {
     let bytes = std::fs::read(path).unwrap();
     let mut messages: BTreeMap<String, Vec<(u64, Value)>> = BTreeMap::new();
@@ -61,7 +62,7 @@ fn read(path: &Path, whole: bool) -> BTreeMap<String, Vec<(u64, Value)>> {
     messages
 }
 
-/// Whether a value is as its JSON Schema says, as far as schemas here say anything.
+/// Asserts that a value conforms to the subset of JSON Schema that is used here.
 fn conforms(value: &Value, schema: &Value, place: &str) {
     let is = |name: &str| match name {
         "object" => value.is_object(),
@@ -96,7 +97,7 @@ fn conforms(value: &Value, schema: &Value, place: &str) {
 }
 
 #[test]
-fn what_was_written_is_read_back_message_by_message_and_each_is_as_its_schema_says() {
+fn messages_read_back_conform_to_their_schemas() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     let mut file = McapFile::create(&path, "a drive").unwrap();
@@ -112,7 +113,8 @@ fn what_was_written_is_read_back_message_by_message_and_each_is_as_its_schema_sa
         [count("/frame"), count("/pose"), count("/tf"), count("/camera"), count("/camera/tracks")],
         [25, 24, 24, 5, 5]
     );
-    // One that clears it where the pose is lost; lost, and found again; at 5, 6 and 7 s, and at the end.
+    // Uncertainty: 24 poses and one deletion at the loss. Log: tracked, lost, tracked. Path: at 5,
+    // 6 and 7 s, and at the end.
     assert_eq!([count("/uncertainty"), count("/log"), count("/path")], [25, 3, 4]);
     let (at, pose) = &messages["/pose"][10];
     assert_eq!(
@@ -121,7 +123,7 @@ fn what_was_written_is_read_back_message_by_message_and_each_is_as_its_schema_sa
     );
     let position = &pose["pose"]["position"];
     assert_eq!((position["x"].as_f64(), position["z"].as_f64()), (Some(0.22), Some(1.2)));
-    // The camera looks down: its axis ahead is the world's downwards.
+    // The camera looks down: its optical axis is the world's -z.
     let part = |name: &str| pose["pose"]["orientation"][name].as_f64().unwrap();
     let turn = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(
         part("w"),
@@ -130,7 +132,7 @@ fn what_was_written_is_read_back_message_by_message_and_each_is_as_its_schema_sa
         part("z"),
     ));
     assert!((turn * nalgebra::Vector3::z() + nalgebra::Vector3::z()).norm() < 1e-12);
-    // 2 mm and 1 mm: the ellipse's axes are 2 · 2.4477 of these.
+    // Standard deviations of 2 mm and 1 mm: the ellipse's axes are 2 · 2.4477 times these.
     let size = &messages["/uncertainty"][0].1["entities"][0]["cylinders"][0]["size"];
     assert!(
         (size["x"].as_f64().unwrap() - 9.791e-3).abs() < 1e-6
@@ -141,7 +143,7 @@ fn what_was_written_is_read_back_message_by_message_and_each_is_as_its_schema_sa
     assert_eq!([0, 1].map(|k| lines[k]["points"].as_array().unwrap().len()), [4, 20]);
     assert_eq!(lines[1]["points"][19]["x"], 0.48);
     let jpeg = messages["/camera"][0].1["data"].as_str().unwrap();
-    // The first bytes of every JPEG picture, FF D8 FF.
+    // Base64 of FF D8 FF, the first bytes of a JPEG file.
     assert!(jpeg.starts_with("/9j/"), "{jpeg}");
     let points = &messages["/camera/tracks"][0].1["points"];
     assert_eq!((&points[0]["points"][0]["x"], &points[1]["points"][0]["x"]), (&2.5.into(), &7.5.into()));
@@ -151,16 +153,16 @@ fn what_was_written_is_read_back_message_by_message_and_each_is_as_its_schema_sa
 }
 
 #[test]
-fn of_a_file_whose_writer_was_killed_all_but_the_last_second_is_there() {
+fn a_killed_writer_loses_only_the_last_second() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     let mut file = McapFile::create(&path, "a drive").unwrap();
     (0..35).for_each(|number| file.add(&frame(number), 3.5, Some(&picture())).unwrap());
-    // Neither ended nor dropped, as when the power goes.
+    // Neither finished nor dropped, as after a power failure.
     std::mem::forget(file);
     let kept = read(&path, false)["/frame"].len();
     assert_eq!(kept, 30);
-    // And where the disk has only a part of the last chunk, which is followed by its index of a kilobyte.
+    // And if the disk holds only a part of the last chunk, whose index takes a kilobyte.
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() - 4000]).unwrap();
     let kept = read(&path, false)["/frame"].len();
@@ -169,7 +171,7 @@ fn of_a_file_whose_writer_was_killed_all_but_the_last_second_is_there() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_full_disk_is_told_and_does_not_panic() {
+fn a_full_disk_is_an_error_not_a_panic() {
     let mut file = match McapFile::create(Path::new("/dev/full"), "a drive") {
         Ok(file) => file,
         Err(error) => return assert!(error.to_string().contains("/dev/full")),

@@ -1,4 +1,5 @@
-// Joins the socket, the controls and the views. Everything that is drawn is drawn once a frame of the screen, however much came.
+// Connects the socket, the controls and the views. All drawing is limited to once per display
+// frame.
 
 import { CAUSES, Track } from "./track.js";
 import { GroundMap } from "./map.js";
@@ -13,7 +14,7 @@ let camera = null, plots = null, calibration = null, introduction = null;
 let status = { phase: "running" };
 let live = true, playing = null, at = -1, ended = false, connected = false;
 
-// ---- the socket
+// ---- socket
 
 let pause = 500;
 function connect() {
@@ -55,7 +56,7 @@ function told(message) {
 function greet(hello) {
   const again = introduction;
   introduction = hello;
-  // After a break all marks and squares come again.
+  // After a reconnect all marks and tiles are sent again.
   map.marks = [];
   document.title = `${hello.title} – odograph`;
   $("title").textContent = hello.title;
@@ -75,12 +76,12 @@ function greet(hello) {
   if (!hello.live) {
     live = false;
     map.setFollow(false);
-    // The whole run is shown as soon as it is there.
+    // Fits the view to the whole run as soon as it has been received.
     const fit = setInterval(() => { if (track.count && track.count >= (status.captured || 1)) { clearInterval(fit); map.showAll(); if (!playing) seek(0); } }, 60);
   }
 }
 
-// ---- what is said
+// ---- status messages
 
 function showStatus() {
   ended = ["saved", "failed"].includes(status.phase);
@@ -129,7 +130,7 @@ function showFigures() {
   const degrees = track.get(at, "heading") * 180 / Math.PI;
   set("speed", track.get(at, "speed").toFixed(2));
   set("heading", (((degrees + 180) % 360 + 360) % 360 - 180).toFixed(1));
-  // Nothing is at minus nought.
+  // Avoids a displayed -0.000.
   const metres = value => (+value.toFixed(3) || 0).toFixed(3);
   set("x", metres(track.get(at, "x")));
   set("y", metres(track.get(at, "y")));
@@ -229,7 +230,7 @@ addEventListener("keydown", event => {
     " ": togglePlay, l: () => introduction?.live && goLive(), f: () => setFollow(!map.follow), 0: () => map.showAll(), "+": () => map.zoom(1.3), "=": () => map.zoom(1.3),
     "-": () => map.zoom(1 / 1.3), m: mark, ",": () => seek(at - 1), ".": () => seek(at + 1), "?": () => $("help").showModal(),
   }[event.key.toLowerCase()];
-  // A focused button or slider keeps the keys that are its own.
+  // A focused button or slider handles its own keys.
   if (!act || (event.key === " " && event.target.matches?.("button, a, input"))) return;
   event.preventDefault();
   act();

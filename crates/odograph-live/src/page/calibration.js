@@ -1,4 +1,4 @@
-// A calibration while it goes on: which parts of the picture have seen the board, and what to show next.
+// Progress of a calibration: image coverage by the board, and which view to show next.
 
 const $ = id => document.getElementById(id);
 
@@ -38,7 +38,7 @@ export class Calibration {
     return told.views ? "Nothing is missing; a few more views make it surer." : "Show the board.";
   }
 
-  /// What the camera sees now: the board, or why not.
+  /// Shows the detected board, or the reason why none was detected.
   state() {
     const told = this.told;
     if (!told) return ["waiting for frames", "wait"];

@@ -1,4 +1,5 @@
-// The camera's picture with its tracks: where each corner was in the keyframe, and where it is now.
+// The camera image with its tracks: each corner's position in the keyframe and in the current
+// frame.
 
 export class CameraView {
   constructor(canvas, width, height) {
@@ -13,7 +14,7 @@ export class CameraView {
     this.overlay = null;
   }
 
-  /// Shows a picture; while one is being decoded only the newest of those that come is kept.
+  /// Shows an image. While one is being decoded, only the newest of the following ones is kept.
   show(bytes) {
     this.waiting = bytes;
     if (!this.busy) this.next();
@@ -24,7 +25,7 @@ export class CameraView {
     while (this.waiting) {
       const bytes = this.waiting;
       this.waiting = null;
-      try { await this.draw(bytes); } catch { /* a picture that cannot be decoded is not shown; the next one is */ }
+      try { await this.draw(bytes); } catch { /* images that cannot be decoded are skipped */ }
     }
     this.busy = false;
   }

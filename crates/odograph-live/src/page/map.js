@@ -1,10 +1,11 @@
-// The path on the ground: squares of the mosaic, the path, the camera and how well its place is known.
+// The ground map: tiles of the mosaic, the trajectory, the camera and its error ellipse.
 
 const TILE = 256;
 const FETCHES = 6;
-// The path is drawn so far beyond the borders, pixels: so far the view can be moved before it is drawn again.
+// Margin of the path layer beyond the view, pixels: the view can pan this far without a redraw.
 const MARGIN = 256;
-// While the view is zoomed the path is shown as it was drawn, larger or smaller; so long after the last step it is drawn anew, milliseconds.
+// While zooming, the path layer is only scaled. It is redrawn this long after the last step,
+// milliseconds.
 const SETTLED = 120;
 
 export class GroundMap {
@@ -25,7 +26,7 @@ export class GroundMap {
     this.changed = true;
     this.onUnfollow = () => {};
     this.listen();
-    // What is resized is empty: it is drawn again before anybody sees it.
+    // Resizing clears a canvas, so it is redrawn before the next display frame.
     new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas);
     this.resize();
   }
@@ -42,7 +43,8 @@ export class GroundMap {
     this.changed = true;
   }
 
-  /// Squares that changed; a new side of the ground's pixels begins a new layer, over the old one until that is replaced.
+  /// Handles changed tiles. A new ground sampling distance starts a new layer on top of the old
+  /// one, which stays until all tiles are replaced.
   groundChanged(metresPerPixel, tiles) {
     let layer = this.layers.at(-1);
     if (!layer || layer.metresPerPixel !== metresPerPixel) {
@@ -59,7 +61,7 @@ export class GroundMap {
     const side = TILE * layer.metresPerPixel;
     const distance = tile => Math.hypot((tile.column + .5) * side - this.view.x, -(tile.row + .5) * side - this.view.y);
     while (this.fetching < FETCHES && layer.wanted.size) {
-      // What is in the middle first.
+      // The tile nearest to the centre of the view first.
       let next = null, nearest = Infinity;
       for (const [key, tile] of layer.wanted) {
         const d = distance(tile);
@@ -72,7 +74,7 @@ export class GroundMap {
       layer.version = (layer.version || 0) + 1;
       image.src = `/tiles/${tile.column}/${tile.row}.png?v=${layer.version}`;
       image.decode().then(() => { layer.tiles.set(key, { ...tile, image }); this.changed = true; document.body.dataset.tiles = this.tileCount; },
-        // There is nothing there any more: a loop has moved the ground elsewhere.
+        // The tile no longer exists: a loop closure has moved the ground elsewhere.
         () => { layer.tiles.delete(key); this.changed = true; }).finally(() => {
         this.fetching--;
         if (!layer.wanted.size && !this.fetching && this.layers.length > 1) { this.layers = [this.layers.at(-1)]; this.changed = true; }
@@ -87,7 +89,7 @@ export class GroundMap {
 
   setFollow(follow) { this.follow = follow; this.changed = true; if (!follow) this.onUnfollow(); }
 
-  /// Keyframes, and between which of them ground was seen again.
+  /// Sets the pose graph: keyframes and loop closures.
   setGraph(graph) { this.graph = graph; this.drawn = null; this.changed = true; document.body.dataset.keyframes = graph.keyframes.length; }
 
   showAll() {
@@ -172,7 +174,7 @@ export class GroundMap {
     this.drawScale(c, color("--ink"), color("--card"));
   }
 
-  /// A round length of about so many pixels, metres.
+  /// A round length for the scale bar, metres, of about the given number of pixels.
   round(pixels) {
     const raw = pixels / this.view.scale, power = 10 ** Math.floor(Math.log10(raw));
     return [1, 2, 5, 10].map(m => m * power).reduce((a, b) => Math.abs(a - raw) < Math.abs(b - raw) ? a : b);
@@ -195,20 +197,21 @@ export class GroundMap {
       for (const tile of layer.tiles.values()) {
         const x = this.toX(tile.column * side), y = this.toY(-tile.row * side);
         if (x > this.width || y > this.height || x + px < 0 || y + px < 0) continue;
-        // A hair larger, so that no seam shows between squares.
+        // Half a pixel larger, to hide seams between tiles.
         c.drawImage(tile.image, x, y, px + .5, px + .5);
       }
     }
   }
 
-  /// Where the path's layer lies on the view as that is now: left, top, width and height, pixels.
+  /// Rectangle of the path layer in the current view: left, top, width and height, pixels.
   layerPlace() {
     const { x, y, scale } = this.drawn, larger = this.view.scale / scale;
     const width = (this.width + 2 * MARGIN) * larger, height = (this.height + 2 * MARGIN) * larger;
     return [this.toX(x) - width / 2, this.toY(y) - height / 2, width, height];
   }
 
-  /// The path has a layer of its own, wider than the view: while that moves within it only what is new is drawn. Gives where the layer lies.
+  /// Draws the path into its own layer, which is larger than the view. While the view stays within
+  /// it, only new records are drawn. Returns the rectangle of the layer.
   drawPath(color) {
     const { scale } = this.view, count = this.track.count;
     const context = this.pathLayer.getContext("2d");
@@ -237,7 +240,7 @@ export class GroundMap {
     const window = { x0: x - halfX, x1: x + halfX, y0: y - halfY, y1: y + halfY };
     context.beginPath();
     this.track.trace(context, from, count - 1, px => (px - x) * scale + middleX, py => middleY - (py - y) * scale, scale, window);
-    // A light border keeps the path readable on any floor.
+    // A light outline keeps the path visible on any ground.
     context.strokeStyle = "#ffffffd0"; context.lineWidth = 5; context.stroke();
     context.strokeStyle = color; context.lineWidth = 2.6; context.stroke();
     return this.layerPlace();
@@ -264,7 +267,7 @@ export class GroundMap {
     c.font = "600 12px system-ui, sans-serif"; c.textBaseline = "middle";
     for (const mark of this.marks) {
       if (mark.x_m === null) continue;
-      // Where its frame lies now.
+      // Current position of its frame, after loop closures.
       const moved = mark.record < this.track.count && Number.isFinite(this.track.get(mark.record, "x"));
       const x = this.toX(moved ? this.track.get(mark.record, "x") : mark.x_m), y = this.toY(moved ? this.track.get(mark.record, "y") : mark.y_m);
       c.fillStyle = color; c.strokeStyle = paper; c.lineWidth = 2;
@@ -277,7 +280,7 @@ export class GroundMap {
     const t = this.track, x = this.toX(t.get(k, "x")), y = this.toY(t.get(k, "y")), heading = t.get(k, "heading");
     const [a, b, d] = ["varX", "covXY", "varY"].map(name => t.get(k, name));
     const middle = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
-    // 95 % of a plane's normal distribution lie within 2.45 standard deviations.
+    // Scale of the 95 % ellipse of a bivariate normal distribution, in standard deviations.
     const radius = value => 2.4477 * Math.sqrt(Math.max(value, 0)) * this.view.scale;
     const main = now ? color("--path") : color("--bad");
     c.fillStyle = main;

@@ -1,4 +1,5 @@
-// Small plots over time. Each column of pixels shows the least and the most of its frames, so that nothing short is lost.
+// Small plots over time. Each pixel column shows the minimum and maximum of its frames, so that
+// short peaks stay visible.
 
 export class Plots {
   constructor(parent, track, live, seek) {
@@ -25,12 +26,12 @@ export class Plots {
     this.span = [0, 1];
   }
 
-  /// Takes away a plot that has nothing to show: of a map only poses are known.
+  /// Removes a plot without data: a map contains only poses.
   drop(name) {
     this.plots = this.plots.filter(plot => plot.name !== name || (plot.canvas.parentElement.remove(), false));
   }
 
-  /// Draws what lies between two times, seconds, and where record `at` is.
+  /// Draws the interval between two times, seconds, with the position of record `at`.
   draw(from, to, at) {
     this.span = [from, to];
     const style = getComputedStyle(document.documentElement), color = name => style.getPropertyValue(name).trim();

@@ -1,4 +1,5 @@
-// The frames of a run, as they come: numbers in one growing array, and in it the path in chunks that can be skipped or thinned when drawn.
+// The frames of a run in one growing array. The path is divided into chunks, which can be skipped
+// or thinned when drawn.
 
 export const FIELDS = ["t", "x", "y", "heading", "varX", "covXY", "varY", "sigmaHeading", "speed", "state", "segment", "tracks", "inliers", "latency", "keyframe"];
 export const LENGTH = FIELDS.length;
@@ -11,7 +12,8 @@ export const CAUSES = ["", "too little texture on the ground", "hardly a corner 
 export class Track {
   constructor() {
     this.values = new Float32Array(4096 * LENGTH);
-    // Place and heading as odometry has them, and what takes those measured against each keyframe to the map: a, b, x, y.
+    // Position and heading in the odometry frame; and for each keyframe the similarity
+    // transformation (a, b, x, y) that maps the frames measured against it into the map frame.
     this.odometry = new Float32Array(4096 * 3);
     this.corrections = null;
     this.count = 0;
@@ -19,7 +21,7 @@ export class Track {
     this.bounds = null;
   }
 
-  /// Takes records from number `first` on. What is known already is not taken twice.
+  /// Appends records from number `first` on, skipping those already present.
   add(first, records) {
     const skip = Math.max(0, this.count - first);
     const fresh = records.subarray(skip * LENGTH);
@@ -41,7 +43,7 @@ export class Track {
     this.count = end;
   }
 
-  /// Takes over where the map has everything after a loop.
+  /// Applies the map's corrections after a loop closure to all frames.
   correct(corrections) {
     this.corrections = corrections.length ? corrections : null;
     this.chunks = [];
@@ -49,7 +51,8 @@ export class Track {
     for (let k = 0; k < this.count; k++) { this.place(k); this.extend(k); }
   }
 
-  /// Puts a record where the map has the keyframe it was measured against; one that is newer than what the map told lies as the newest told.
+  /// Transforms a record into the map frame by the correction of its keyframe. Keyframes newer than
+  /// the corrections use the newest correction.
   place(k) {
     if (!this.corrections) return;
     const known = this.corrections.length / 4, keyframe = this.get(k, "keyframe");
@@ -79,13 +82,13 @@ export class Track {
 
   get(k, name) { return this.values[k * LENGTH + AT[name]]; }
 
-  /// The newest record at or before `k` that has a place.
+  /// The newest record at or before `k` that has a pose.
   lastPlace(k) {
     for (let i = Math.min(k, this.count - 1); i >= 0 && i > k - 2000; i--) if (Number.isFinite(this.get(i, "x"))) return i;
     return -1;
   }
 
-  /// The record at a time, by halving.
+  /// The record at a time, by bisection.
   at(t) {
     let low = 0, high = this.count - 1;
     while (low < high) {
@@ -95,8 +98,9 @@ export class Track {
     return low;
   }
 
-  /// Draws records `from` to `to` into a path; `toX`, `toY` are functions from metres to pixels, `scale` pixels a metre, `window` what
-  /// can be seen, metres. Chunks out of sight are skipped; where a chunk has more points than pixels only some of them are drawn.
+  /// Draws records `from` to `to` into a path. `toX` and `toY` convert metres to pixels, `scale` is
+  /// in pixels per metre, `window` is the visible area in metres. Chunks outside of it are skipped;
+  /// chunks with more points than pixels are thinned.
   trace(context, from, to, toX, toY, scale, window) {
     let pen = false, segment = NaN;
     for (let index = Math.floor(from / CHUNK); index * CHUNK <= to && index < this.chunks.length; index++) {

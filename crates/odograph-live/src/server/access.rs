@@ -1,15 +1,15 @@
-//! Who may look.
+//! Access control.
 
 use super::http::Request;
 use odograph::error::{Error, Result};
 
-/// The name of the cookie that holds the token once it has been given.
+/// Name of the cookie that stores the token after the first request.
 const COOKIE: &str = "odograph";
 
-/// A token nobody guesses: 128 bits of the system's randomness.
+/// Generates a random token of 128 bits from the operating system.
 ///
 /// # Errors
-/// Where the system has no randomness to give.
+/// If the system's random number generator is not available.
 pub fn new_token() -> Result<String> {
     let mut bytes = [0; 16];
     getrandom::fill(&mut bytes)
@@ -17,20 +17,21 @@ pub fn new_token() -> Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Decides about requests.
+/// Decides which requests are allowed.
 #[derive(Debug)]
 pub struct Access {
     token: Option<String>,
 }
 
-/// What becomes of a request.
+/// Outcome of the access check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// It is answered.
+    /// The request is answered.
     Allowed,
-    /// It is answered, and the token is left with the browser so that it need not stand in any address.
+    /// The request is answered with a cookie that stores the token, so that later URLs need not
+    /// contain it.
     AllowedWithCookie,
-    /// It is refused.
+    /// The request is refused.
     Denied,
 }
 
@@ -39,15 +40,16 @@ impl Access {
         Self { token }
     }
 
-    /// The value of a `Set-Cookie` header.
+    /// The value of the `Set-Cookie` header.
     pub fn cookie(&self) -> String {
         format!("{COOKIE}={}; Path=/; HttpOnly; SameSite=Strict", self.token.as_deref().unwrap_or_default())
     }
 
     pub fn judge(&self, request: &Request) -> Verdict {
         let Some(token) = &self.token else {
-            // Without a token only this machine is served. A page from elsewhere can make a browser here ask us under a name of its own
-            // (DNS rebinding); the name gives it away.
+            // Without a token only this machine is served. A foreign page can make a local browser
+            // send requests here under its own host name (DNS rebinding); the `Host` header reveals
+            // that.
             let named = request.header("host").is_some_and(is_loopback_name);
             return if named && same_origin(request) { Verdict::Allowed } else { Verdict::Denied };
         };
@@ -65,7 +67,7 @@ impl Access {
     }
 }
 
-/// Whether a request comes from our own page, as far as the browser says where it comes from.
+/// Whether a request has the origin of this server, or no `Origin` header.
 fn same_origin(request: &Request) -> bool {
     match request.header("origin") {
         None => true,
@@ -85,7 +87,7 @@ fn is_loopback_name(host: &str) -> bool {
         || name.parse::<std::net::Ipv4Addr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Compares without telling by its time where the first difference is.
+/// Compares in constant time, so that the response time reveals nothing about the token.
 fn same(given: &[u8], token: &[u8]) -> bool {
     given.len() == token.len()
         && given.iter().zip(token).fold(0, |different, (a, b)| different | (a ^ b)) == 0
@@ -96,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_this_machine_and_others() {
+    fn only_loopback_names_are_local() {
         for host in ["localhost:8080", "127.0.0.1", "127.9.9.9:1", "[::1]:8080", "LocalHost"] {
             assert!(is_loopback_name(host), "{host}");
         }
@@ -106,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_are_compared_whole_and_differ() {
+    fn tokens_differ_and_are_compared_in_full() {
         let token = new_token().unwrap();
         assert!(token.len() == 32 && token != new_token().unwrap());
         assert!(same(token.as_bytes(), token.as_bytes()));

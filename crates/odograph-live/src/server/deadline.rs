@@ -1,37 +1,38 @@
-//! A connection on which nothing takes longer than it may.
+//! A connection with a deadline for reading and writing.
 
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// A connection with a moment at which reading or writing fails, however little or much goes over it until then.
+/// A connection whose reads and writes fail after a deadline, independent of the amount of data
+/// transferred.
 #[derive(Debug)]
 pub struct Deadlined {
     stream: TcpStream,
     until: Instant,
-    /// Reading waits at most so long and then fails with `WouldBlock`.
+    /// If set, a read waits at most this long and then fails with `WouldBlock`.
     read_patience: Option<Duration>,
 }
 
 impl Deadlined {
-    /// A connection with so much time.
+    /// Sets the deadline to `patience` from now.
     pub fn new(stream: TcpStream, patience: Duration) -> Self {
         Self { stream, until: Instant::now() + patience, read_patience: None }
     }
 
-    /// Gives so much time from now on.
+    /// Moves the deadline to `patience` from now.
     pub fn allow(&mut self, patience: Duration) {
         self.until = Instant::now() + patience;
     }
 
-    /// Reading waits at most so long from now on.
+    /// From now on each read waits at most `patience`.
     pub fn read_for(&mut self, patience: Duration) {
         self.read_patience = Some(patience);
     }
 
     fn left(&self) -> io::Result<Duration> {
         let left = self.until.saturating_duration_since(Instant::now());
-        // A timeout of zero would mean none.
+        // A socket timeout of zero means no timeout, hence the error below 1 ms.
         if left < Duration::from_millis(1) { Err(io::ErrorKind::TimedOut.into()) } else { Ok(left) }
     }
 }
@@ -51,7 +52,7 @@ impl Write for Deadlined {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.stream.set_write_timeout(Some(self.left()?))?;
         self.stream.write(bytes).map_err(|error| match error.kind() {
-            // To a writer "try again" would mean to keep what could not be sent.
+            // A writer that is told to try again would keep the unsent data.
             io::ErrorKind::WouldBlock => io::ErrorKind::TimedOut.into(),
             _ => error,
         })

@@ -1,28 +1,29 @@
-//! Requests and answers of HTTP/1.1 (RFC 9112), as far as a page needs them.
+//! HTTP/1.1 requests and responses (RFC 9112), reduced to what the page needs.
 
 use super::deadline::Deadlined;
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-/// A request's head must not be longer, bytes.
+/// Maximum length of a request's header section, bytes.
 const MOST_HEAD: usize = 8 << 10;
-/// A request's body must not be longer, bytes.
+/// Maximum length of a request's body, bytes.
 const MOST_BODY: usize = 4 << 10;
-/// A request must be there within this time from its first byte on, or from the answer before.
+/// Time limit for a complete request, from the previous response or from the start of the
+/// connection.
 const REQUEST_PATIENCE: Duration = Duration::from_secs(8);
-/// An answer in memory must be taken within this time.
+/// Time limit for sending a response that is held in memory.
 pub const ANSWER_PATIENCE: Duration = Duration::from_secs(15);
 
-/// A request that can be answered.
+/// A valid request.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {
     pub method: Method,
     /// Without the query.
     pub path: String,
-    /// What follows the `?`.
+    /// The part after `?`.
     pub query: String,
-    /// Names in small letters.
+    /// Header names are in lower case.
     headers: Vec<(String, String)>,
     pub body: Vec<u8>,
     pub keep_alive: bool,
@@ -35,29 +36,29 @@ pub enum Method {
     Post,
 }
 
-/// Why a request cannot be answered: a status of HTTP and its name.
+/// The reason why a request is refused: HTTP status code and reason phrase.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Refusal(pub u16, pub &'static str);
 
 impl Request {
-    /// A header's value; its name in small letters.
+    /// The value of a header; `name` must be in lower case.
     pub fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
     }
 
-    /// A value of the query.
+    /// The value of a query parameter.
     pub fn query_value(&self, key: &str) -> Option<&str> {
         self.query.split('&').filter_map(|pair| pair.split_once('=')).find(|(k, _)| *k == key).map(|(_, v)| v)
     }
 
-    /// A cookie's value.
+    /// The value of a cookie.
     pub fn cookie(&self, name: &str) -> Option<&str> {
         let cookies = self.header("cookie")?.split(';').filter_map(|pair| pair.trim().split_once('='));
         cookies.into_iter().find(|(known, _)| *known == name).map(|(_, value)| value)
     }
 }
 
-/// Reads requests off a connection.
+/// Reads requests from a connection.
 pub struct RequestReader {
     stream: Deadlined,
     buffer: Vec<u8>,
@@ -68,17 +69,17 @@ impl RequestReader {
         Self { stream: Deadlined::new(stream, REQUEST_PATIENCE), buffer: Vec::new() }
     }
 
-    /// The connection, to write an answer.
+    /// The connection, for writing a response.
     pub fn stream(&mut self) -> &mut Deadlined {
         &mut self.stream
     }
 
-    /// The connection, with nothing more to be read from here.
+    /// Returns the connection; buffered bytes are discarded.
     pub fn into_stream(self) -> Deadlined {
         self.stream
     }
 
-    /// The next request; `None` where the client has gone or says nothing.
+    /// The next request; `None` if the client closed the connection or sent nothing in time.
     pub fn next(&mut self) -> Result<Option<Request>, Refusal> {
         self.stream.allow(REQUEST_PATIENCE);
         let (mut request, head_length, body_length) = loop {
@@ -103,7 +104,8 @@ impl RequestReader {
         Ok(Some(request))
     }
 
-    /// Reads until the buffer has at most `most` bytes; false where nothing more came in time.
+    /// Reads once, until the buffer holds at most `most` bytes. `false` at the end of the stream or
+    /// after the deadline.
     fn read_more(&mut self, most: usize) -> Result<bool, Refusal> {
         let before = self.buffer.len();
         self.buffer.resize(most.max(before + 1), 0);
@@ -113,7 +115,8 @@ impl RequestReader {
     }
 }
 
-/// A request without its body, the length of its head, and that of its body; `None` while the head is not whole.
+/// Parses a request without its body. Returns it with the length of its header section and of its
+/// body, or `None` while the header section is incomplete.
 fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, Refusal> {
     let mut space = [httparse::EMPTY_HEADER; 64];
     let mut head = httparse::Request::new(&mut space);
@@ -144,7 +147,8 @@ fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, Refusal> 
     if request.header("connection").is_some_and(|value| value.eq_ignore_ascii_case("close")) {
         request.keep_alive = false;
     }
-    // What says its length in two ways is how requests are smuggled; nothing that talks to this page needs it.
+    // A request with two conflicting lengths enables request smuggling; no client of this page
+    // needs `Transfer-Encoding`.
     if request.header("transfer-encoding").is_some() {
         return Err(Refusal(411, "Length Required"));
     }
@@ -160,7 +164,7 @@ fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, Refusal> 
     Ok(Some((request, length, body_length)))
 }
 
-/// An answer.
+/// An HTTP response.
 #[derive(Debug, Default)]
 pub struct Answer {
     pub status: u16,
@@ -185,12 +189,13 @@ impl Answer {
         self
     }
 
-    /// The head, for a body of a length.
+    /// The status line and headers, for a body of `length` bytes.
     pub fn head(&self, length: u64, keep_alive: bool) -> String {
         let mut head = format!("HTTP/1.1 {} {}\r\n", self.status, self.reason);
         head += &format!("Content-Type: {}\r\nContent-Length: {length}\r\n", self.content_type);
         head += &format!("Connection: {}\r\n", if keep_alive { "keep-alive" } else { "close" });
-        // Nothing from elsewhere is ever loaded, nobody else may frame the page, and nothing is kept by the browser.
+        // Nothing is loaded from other origins, no other page may embed this one, and the browser
+        // caches nothing.
         head +=
             "Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n";
         head += "Content-Security-Policy: default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'\r\n";
@@ -200,7 +205,7 @@ impl Answer {
         head + "\r\n"
     }
 
-    /// Writes it, within its time.
+    /// Sends the response within the time limit.
     pub fn write(&self, stream: &mut Deadlined, request: &Request) -> io::Result<()> {
         stream.allow(ANSWER_PATIENCE);
         let mut bytes = self.head(self.body.len() as u64, request.keep_alive).into_bytes();
@@ -220,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_is_read_and_waited_for() {
+    fn request_headers_are_parsed_once_they_are_complete() {
         let text =
             "GET /tiles/1/2.png?r=3&token=a HTTP/1.1\r\nHost: here\r\nCookie: a=1; odograph=xyz\r\n\r\n";
         let (request, length, body) = parse_head(text.as_bytes()).unwrap().unwrap();
@@ -233,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_or_would_be_too_much_is_refused() {
+    fn invalid_and_oversized_requests_are_refused() {
         assert_eq!(refused("BREW / HTTP/1.1\r\n\r\n"), Some(405));
         assert_eq!(refused("\x00\x01\x02\r\n\r\n"), Some(400));
         assert_eq!(refused("GET / HTTP/9.9\r\n\r\n"), Some(400));

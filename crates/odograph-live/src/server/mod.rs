@@ -1,8 +1,9 @@
-//! The page's server: HTTP/1.1 and WebSocket, for browsers near by, over plain threads.
+//! The web server of the page: HTTP/1.1 and WebSocket for browsers on the local network, with one
+//! thread per connection.
 //!
-//! Everything that comes is untrusted. A request has bounds on its size and on its time, an answer on its time; there are never more than
-//! [`MOST_CONNECTIONS`] connections, and each has a thread of its own that holds no lock while it waits for its client. So whatever a client
-//! does, it is only in its own way.
+//! All input is untrusted. Requests are limited in size and time, responses in time. There are at
+//! most [`MOST_CONNECTIONS`] connections, and no thread holds a lock while it waits for its client,
+//! so a client can only slow down itself.
 
 mod access;
 mod deadline;
@@ -22,21 +23,22 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// More than anybody has browsers; beyond it a connection is refused at once.
+/// Maximum number of connections; further ones are refused immediately.
 pub const MOST_CONNECTIONS: usize = 256;
 
-/// Where a page is served, to whom, and what can be downloaded.
+/// Access token and downloadable files.
 #[derive(Debug, Clone, Default)]
 pub struct ServerOptions {
-    /// What a client must know to be let in; `None` lets in everybody who can reach the address, which must then be a loopback one.
+    /// The token that a client must present. With `None` every client is allowed, and the server's
+    /// address must be a loopback address.
     pub token: Option<String>,
-    /// The folder of the run.
+    /// The output folder of the run.
     pub folder: Option<PathBuf>,
-    /// The files in it that may be downloaded: names without folders. No others can be.
+    /// Names of the files in that folder that may be downloaded. All others are refused.
     pub files: Vec<String>,
 }
 
-/// A server that runs until it is dropped.
+/// A running server. It stops when dropped.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -45,7 +47,7 @@ pub struct Server {
     acceptor: Option<JoinHandle<()>>,
 }
 
-/// What the threads of all connections share.
+/// State shared by the threads of all connections.
 struct Shared {
     hub: Arc<Hub>,
     access: Access,
@@ -61,10 +63,10 @@ impl std::fmt::Debug for Shared {
 }
 
 impl Server {
-    /// Begins to serve. A port of 0 takes any that is free.
+    /// Starts the server. Port 0 selects any free port.
     ///
     /// # Errors
-    /// Where the address cannot be had, or is no loopback address and there is no token.
+    /// If the address is not available, or if it is not a loopback address and there is no token.
     pub fn start(address: SocketAddr, hub: Arc<Hub>, options: ServerOptions) -> Result<Self> {
         if options.token.is_none() && !address.ip().is_loopback() {
             return Err(Error::usage(format!("{address} can be reached by others: that needs a token")));
@@ -89,12 +91,12 @@ impl Server {
         Ok(Self { address: bound, token: options.token, shared, acceptor: Some(acceptor) })
     }
 
-    /// Where it listens.
+    /// The address on which the server listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// What to type into a browser, with the token where one is needed.
+    /// The URL of the page, including the token if there is one.
     pub fn url(&self) -> String {
         url(self.address, self.token.as_deref())
     }
@@ -104,7 +106,7 @@ impl Server {
         addresses.iter().map(|address| url(*address, self.token.as_deref())).collect()
     }
 
-    /// How many connections are open.
+    /// Number of open connections.
     pub fn connections(&self) -> usize {
         self.shared.connections.load(Ordering::Relaxed)
     }
@@ -141,7 +143,7 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
             return;
         }
         let Ok((stream, _)) = accepted else {
-            // Out of file descriptors, mostly: they come back.
+            // Mostly caused by a shortage of file descriptors, which is temporary.
             thread::sleep(Duration::from_millis(50));
             continue;
         };
@@ -149,7 +151,7 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
             routes::refuse_for_want_of_room(stream);
             continue;
         };
-        // Where no thread can be had the connection is closed, and the client may try again.
+        // If no thread can be created the connection is closed, and the client may retry.
         let _ = thread::Builder::new()
             .name("page client".into())
             .stack_size(256 << 10)
@@ -157,7 +159,7 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
     }
 }
 
-/// A connection counted until it ends.
+/// One counted connection; releases its slot when dropped.
 struct Seat(Arc<Shared>);
 
 impl Seat {
@@ -176,7 +178,7 @@ impl Drop for Seat {
     }
 }
 
-/// One connection: requests one after another, until it becomes a socket or ends.
+/// Serves one connection: requests in sequence, until it becomes a WebSocket or ends.
 fn serve(seat: &Seat, stream: TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let mut reader = http::RequestReader::new(stream);

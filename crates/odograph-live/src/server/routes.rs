@@ -1,4 +1,4 @@
-//! What is where on the server.
+//! The routes of the server.
 
 use super::Shared;
 use super::access::Verdict;
@@ -13,15 +13,15 @@ use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-/// What comes after an answer.
+/// What follows a response.
 pub enum Next {
     /// Another request.
     Request,
-    /// The connection has become a socket.
+    /// The connection has been upgraded to a WebSocket.
     Socket,
 }
 
-/// The page: where, what kind, and the bytes. Everything it needs is in the program.
+/// The page's files: path, content type and content. All of them are compiled into the program.
 const PAGE: [(&str, &str, &str); 9] = [
     ("/", "text/html; charset=utf-8", include_str!("../page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("../page/style.css")),
@@ -42,7 +42,7 @@ pub fn answer(shared: &Shared, request: &Request, stream: &mut Deadlined) -> io:
     let verdict = shared.access.judge(request);
     let answer = match (verdict, request.method, request.path.as_str()) {
         (Verdict::Denied, _, _) => Answer::refusal(Refusal(403, "Forbidden")),
-        // The token goes into a cookie and out of the address.
+        // Moves the token from the URL into a cookie.
         (Verdict::AllowedWithCookie, Method::Get, "/") => Answer::refusal(Refusal(303, "See Other"))
             .with("Location", "/")
             .with("Set-Cookie", shared.access.cookie()),
@@ -67,14 +67,14 @@ pub fn answer(shared: &Shared, request: &Request, stream: &mut Deadlined) -> io:
     Ok(Next::Request)
 }
 
-/// Answers what is no request.
+/// Responds to an invalid request.
 pub fn refuse(mut stream: Deadlined, refusal: Refusal) -> io::Result<()> {
     let answer = Answer::refusal(refusal);
     stream.allow(Duration::from_secs(2));
     let mut bytes = answer.head(answer.body.len() as u64, false).into_bytes();
     bytes.extend_from_slice(&answer.body);
     stream.write_all(&bytes)?;
-    // Closing with unread bytes would take the answer away again.
+    // Closing a socket with unread bytes would reset it, and the client might lose the response.
     let mut rest = [0; 1 << 14];
     stream.allow(Duration::from_millis(500));
     for _ in 0..16 {
@@ -85,7 +85,7 @@ pub fn refuse(mut stream: Deadlined, refusal: Refusal) -> io::Result<()> {
     Ok(())
 }
 
-/// Says that there are too many, without waiting.
+/// Refuses a connection because there are too many, without blocking.
 pub fn refuse_for_want_of_room(mut stream: TcpStream) {
     let full = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n";
     let _ = stream.set_nonblocking(true).and_then(|()| stream.write_all(full));
@@ -131,13 +131,13 @@ fn post(shared: &Shared, request: &Request, path: &str) -> Answer {
     }
 }
 
-/// `/tiles/COLUMN/ROW.png`.
+/// Parses `/tiles/COLUMN/ROW.png`.
 fn tile(path: &str) -> Option<MosaicSquare> {
     let (column, row) = path.strip_prefix("/tiles/")?.strip_suffix(".png")?.split_once('/')?;
     Some(MosaicSquare { column: column.parse().ok()?, row: row.parse().ok()? })
 }
 
-/// The files that are there, and their sizes in bytes.
+/// The downloadable files that exist, with their sizes in bytes.
 fn files(shared: &Shared) -> Vec<serde_json::Value> {
     let Some(folder) = &shared.options.folder else { return Vec::new() };
     let described = |name: &String| {
@@ -147,7 +147,8 @@ fn files(shared: &Shared) -> Vec<serde_json::Value> {
     shared.options.files.iter().filter_map(described).collect()
 }
 
-/// A file of the run. The name must be one of those on the list, letter by letter: nothing of the request ever becomes part of a path.
+/// Opens a file of the run. The requested name must be equal to one of the list, so no part of the
+/// request ever becomes part of a path.
 fn file<'a>(shared: &'a Shared, name: &str) -> Option<(File, &'a str)> {
     let known = shared.options.files.iter().find(|known| *known == name || encoded(known) == name)?;
     let file = File::open(shared.options.folder.as_ref()?.join(known)).ok()?;
@@ -164,7 +165,7 @@ fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlin
         Some("gpkg") => "application/geopackage+sqlite3",
         _ => "text/plain; charset=utf-8",
     };
-    // The report has its style and pictures in itself; as a download it cannot act in this page's name.
+    // The report is self-contained. Served as a download it cannot act with this page's origin.
     let plain: String = name.rsplit('/').next().unwrap_or(name).chars().map(safe_in_header).collect();
     let answer =
         Answer::ok(content_type, []).with("Content-Disposition", format!("attachment; filename=\"{plain}\""));
@@ -185,7 +186,8 @@ fn send_file(mut file: File, name: &str, request: &Request, stream: &mut Deadlin
     Ok(())
 }
 
-/// A file's name as a page asks for it (RFC 3986, section 2.1; the letters that ECMAScript's `encodeURIComponent` leaves, and slashes).
+/// Percent-encodes a file name as the page requests it: the unreserved characters of ECMAScript's
+/// `encodeURIComponent` and slashes stay (RFC 3986, section 2.1).
 fn encoded(name: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.!~*'()/".contains(&byte);
     name.bytes().fold(String::new(), |mut text, byte| {
@@ -197,12 +199,12 @@ fn encoded(name: &str) -> String {
     })
 }
 
-/// A file's name comes from the command line: what a header cannot hold is replaced.
+/// File names come from the command line. Characters that a header value cannot hold are replaced.
 fn safe_in_header(letter: char) -> char {
     if letter.is_ascii_graphic() && !matches!(letter, '"' | '\\') || letter == ' ' { letter } else { '_' }
 }
 
-/// The answer that makes a connection a WebSocket (RFC 6455, section 4.2.2).
+/// The response that upgrades a connection to a WebSocket (RFC 6455, section 4.2.2).
 fn upgrade(request: &Request) -> Result<String, Refusal> {
     let asks = |name: &str, wanted: &str| {
         request

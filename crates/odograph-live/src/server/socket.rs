@@ -1,4 +1,4 @@
-//! The socket over which a page hears what is new. See `docs/live.md` for its messages.
+//! The WebSocket that pushes updates to a page. `docs/live.md` describes its messages.
 
 use super::deadline::Deadlined;
 use crate::hub::{Hub, News, View};
@@ -9,17 +9,17 @@ use std::time::Duration;
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Error, Message, WebSocket};
 
-/// Kinds of binary messages: their first byte.
+/// First byte of a binary message: its kind.
 const RECORDS: u8 = 1;
 const VIEW: u8 = 2;
-/// How long to wait for news before looking whether the client is still there.
+/// Maximum wait for news before checking whether the client is still connected.
 const PATIENCE: Duration = Duration::from_millis(500);
-/// A client that has not taken its messages after this time is let go.
+/// A client that has not received its messages within this time is disconnected.
 const SEND_PATIENCE: Duration = Duration::from_secs(5);
-/// How long to look for something from the client; it has nothing to say but goodbye.
+/// Read timeout for messages from the client, which has nothing to send except close frames.
 const GLANCE: Duration = Duration::from_millis(1);
 
-/// Tells a client what is new until it goes or the hub closes.
+/// Sends updates to a client until it disconnects or the hub closes.
 pub fn run(hub: &Arc<Hub>, mut stream: Deadlined) -> io::Result<()> {
     stream.read_for(GLANCE);
     let config = WebSocketConfig::default()
@@ -52,9 +52,9 @@ fn send(socket: &mut WebSocket<Deadlined>, messages: impl IntoIterator<Item = Me
     socket.flush()
 }
 
-/// Whether the client has said goodbye, or something that it should not.
+/// Whether the client has closed the connection or violated the protocol.
 fn gone(socket: &mut WebSocket<Deadlined>) -> bool {
-    // A page sends nothing; a client that sends without end is served at most this often in between.
+    // Bounds the work per call for a client that sends without end; a page sends nothing.
     for _ in 0..8 {
         match socket.read() {
             Ok(Message::Close(_)) => return true,
@@ -94,7 +94,8 @@ fn messages(news: &News) -> Vec<Message> {
     messages
 }
 
-/// Kind, number of tracks, record; the tracks; the picture.
+/// Layout: kind, zero byte, number of tracks (u16), record index (u32), tracks, JPEG;
+/// little-endian.
 fn view_bytes(view: &View) -> Vec<u8> {
     let mut bytes = vec![VIEW, 0];
     bytes.extend((view.tracks.len() as u16).to_le_bytes());

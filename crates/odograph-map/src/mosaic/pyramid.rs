@@ -1,4 +1,4 @@
-//! The tables of the pyramid (OGC 12-128, clause 2.2).
+//! Tables of the tile pyramid (OGC 12-128, clause 2.2).
 
 use super::MosaicLayer;
 use crate::geopackage::{self, Extent, UNDEFINED_CARTESIAN};
@@ -8,19 +8,20 @@ use std::ops::Range;
 
 const SIDE: i64 = MOSAIC_TILE_PX as i64;
 
-/// The pyramid while its finest level is put into the file.
+/// The pyramid while its finest level is written.
 pub(super) struct Pyramid {
     finest: u32,
     resolution_m: f64,
-    /// Tile column and row of the left upper corner, from the world's origin.
+    /// Tile column and row of the upper left corner, relative to the world's origin.
     first: (i64, i64),
-    /// The pixels that show ground, from the left upper corner: least and greatest column and row.
+    /// Bounding box of the pixels that show ground, relative to the upper left corner: minimum and
+    /// maximum column, minimum and maximum row.
     shown: Option<[i64; 4]>,
 }
 
 impl Pyramid {
-    /// Takes away what was there, and finds the square of 2ⁿ × 2ⁿ tiles that holds all that will be laid: within these columns and rows, on ground
-    /// pixels of this side.
+    /// Deletes the stored pyramid and starts one of 2ⁿ × 2ⁿ tiles that includes the given tile
+    /// columns and rows at the given resolution, metres per pixel.
     pub fn begin(
         connection: &Connection,
         (columns, rows): (Range<i64>, Range<i64>),
@@ -42,7 +43,7 @@ impl Pyramid {
         self.finest
     }
 
-    /// Column and row of the left upper tile, from the world's origin.
+    /// Column and row of the upper left tile, relative to the world's origin.
     pub fn first(&self) -> (i64, i64) {
         self.first
     }
@@ -52,7 +53,7 @@ impl Pyramid {
         self.shown.is_some()
     }
 
-    /// Puts a tile of the finest level into the file.
+    /// Writes a tile of the finest level.
     pub fn put(&mut self, connection: &Connection, tile: &MosaicTile, png: &[u8]) -> Result<()> {
         let (column, row) = (tile.column - self.first.0, tile.row - self.first.1);
         let side = MOSAIC_TILE_PX;
@@ -69,7 +70,7 @@ impl Pyramid {
         insert(connection, self.finest, column as u64, row as u64, png)
     }
 
-    /// Lists the levels, once all are in the file.
+    /// Registers the levels, after all of them have been written.
     pub fn finish(&self, connection: &Connection) -> Result<()> {
         let side_m = SIDE as f64 * self.resolution_m;
         let (left, top) = (self.first.0 as f64 * side_m, -(self.first.1 as f64) * side_m);
@@ -95,7 +96,7 @@ impl Pyramid {
     }
 }
 
-/// Puts a tile into the file.
+/// Writes a tile.
 pub(super) fn insert(connection: &Connection, level: u32, column: u64, row: u64, png: &[u8]) -> Result<()> {
     connection
         .prepare_cached("INSERT INTO mosaic VALUES (NULL, ?1, ?2, ?3, ?4)")?
@@ -103,7 +104,7 @@ pub(super) fn insert(connection: &Connection, level: u32, column: u64, row: u64,
     Ok(())
 }
 
-/// The PNG of a tile.
+/// Reads the PNG of a tile.
 pub(super) fn select(connection: &Connection, level: u32, column: u64, row: u64) -> Result<Vec<u8>> {
     connection
         .prepare_cached(
@@ -112,7 +113,7 @@ pub(super) fn select(connection: &Connection, level: u32, column: u64, row: u64)
         .query_row(params![level, column, row], |row| row.get(0))
 }
 
-/// The tiles of a level that show ground, column and row, row by row.
+/// Tiles of a level that show ground, as (column, row), row by row.
 pub(super) fn tiles(connection: &Connection, level: u32) -> Result<Vec<(u64, u64)>> {
     let side = 1_i64 << level;
     let mut statement = connection.prepare(
@@ -123,7 +124,7 @@ pub(super) fn tiles(connection: &Connection, level: u32) -> Result<Vec<(u64, u64
     rows.collect()
 }
 
-/// The tiles of a level under which the level that is twice as fine has any.
+/// Tiles of a level that have a child in the next finer level.
 pub(super) fn parents(connection: &Connection, level: u32) -> Result<Vec<(u64, u64)>> {
     let mut statement = connection.prepare(
         "SELECT DISTINCT tile_column / 2, tile_row / 2 FROM mosaic WHERE zoom_level = ?1 ORDER BY 2, 1",
@@ -132,7 +133,7 @@ pub(super) fn parents(connection: &Connection, level: u32) -> Result<Vec<(u64, u
     rows.collect()
 }
 
-/// What the tables say about the pyramid.
+/// Reads the geometry of the pyramid.
 pub(super) fn layer(connection: &Connection) -> Result<MosaicLayer> {
     let (left_m, top_m): (f64, f64) = connection.query_row(
         "SELECT min_x, max_y FROM gpkg_tile_matrix_set WHERE table_name = 'mosaic'",

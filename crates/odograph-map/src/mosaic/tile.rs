@@ -1,4 +1,4 @@
-//! Tiles as PNG: gray where all is gray, without opacity where all is seen.
+//! Tiles as PNG: grayscale if all pixels are gray, without alpha if all are opaque.
 
 use odograph::error::{Error, Result};
 use odograph::mapping::MOSAIC_TILE_PX;
@@ -7,10 +7,10 @@ use std::borrow::Cow;
 use std::io::Cursor;
 
 const SIDE: usize = MOSAIC_TILE_PX;
-/// More memory than decoding any tile needs, bytes.
+/// Memory limit for decoding a tile, bytes.
 const MOST_MEMORY: usize = 8 << 20;
 
-/// A tile's pixels (red, green, blue, opacity) as a PNG.
+/// Encodes an RGBA tile as PNG.
 pub(super) fn encode(rgba: &[u8]) -> Result<Vec<u8>> {
     let gray = rgba.chunks_exact(4).all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
     let opaque = rgba.chunks_exact(4).all(|pixel| pixel[3] == 255);
@@ -34,13 +34,13 @@ pub(super) fn encode(rgba: &[u8]) -> Result<Vec<u8>> {
     encode().map_err(|error| Error::output(format!("a tile of the mosaic cannot be encoded: {error}")))
 }
 
-/// Some of the channels of every pixel.
+/// Selects some of the channels of every pixel.
 fn kept<const N: usize>(rgba: &[u8], of: impl Fn([u8; 4]) -> [u8; N]) -> Cow<'_, [u8]> {
     let pixels: Vec<[u8; N]> = rgba.as_chunks::<4>().0.iter().map(|pixel| of(*pixel)).collect();
     Cow::Owned(pixels.into_flattened())
 }
 
-/// The pixels of a PNG; else what is wrong with it, as the end of a sentence.
+/// Decodes a PNG to RGBA; the error is the end of a sentence.
 pub(super) fn decode(bytes: &[u8]) -> std::result::Result<Vec<u8>, String> {
     let broken = |error: png::DecodingError| format!("cannot be decoded: {error}");
     let limits = png::Limits { bytes: MOST_MEMORY };
@@ -74,7 +74,8 @@ pub(super) fn decode(bytes: &[u8]) -> std::result::Result<Vec<u8>, String> {
     Ok(samples.chunks_exact(channels).take(SIDE * SIDE).flat_map(rgba).collect())
 }
 
-/// A tile half as fine, of the four (left upper, right upper, left lower, right lower) that it covers: the mean of the up to four pixels that show ground.
+/// Reduces four tiles (upper left, upper right, lower left, lower right) to one of half the
+/// resolution: each pixel is the mean of the up to four pixels that show ground.
 pub(super) fn halved(children: [Option<Vec<u8>>; 4]) -> Vec<u8> {
     let mut rgba = [255, 255, 255, 0].repeat(SIDE * SIDE);
     for (k, child) in children.iter().enumerate() {

@@ -10,13 +10,13 @@ fn pose(number: u64) -> GroundPose {
         x_m: 0.1 * number as f64,
         y_m: (0.4 * number as f64).sin(),
         heading_rad: 0.3 * number as f64,
-        // A camera that climbs: what is measured from each is in the metres of its own height.
+        // A rising camera: the motions measured from each keyframe are in units of its own height.
         height_m: 1.0 + 0.02 * number as f64,
         ..GroundPose::level(1.0)
     }
 }
 
-/// The exact edge between two poses, with a covariance that is none too simple.
+/// The exact edge between two poses, with a full covariance.
 fn edge(from: u64, to: u64) -> MapEdge {
     let (a, b) = (pose(from), pose(to));
     let half = Matrix4::from_fn(|row, column| 1e-3 * ((3 * row + column) as f64 + to as f64).sin());
@@ -50,7 +50,7 @@ fn map(count: u64, edges: Vec<MapEdge>) -> GroundMap {
 }
 
 #[test]
-fn what_is_composed_says_where_the_keyframes_are() {
+fn composed_edges_agree_with_the_keyframe_poses() {
     let mut edges: Vec<MapEdge> = (1..20).map(|number| edge(number - 1, number)).collect();
     edges.push(edge(17, 3));
     edges.push(edge(12, 5));
@@ -73,15 +73,16 @@ fn what_is_composed_says_where_the_keyframes_are() {
     }
     assert_eq!(reached, left, "one piece");
     assert!(thinned.edges.iter().all(|edge| left.contains(&edge.from) && left.contains(&edge.to)));
-    // Six footprints of 0.8 m by 0.6 m cannot show all of a way of four metres; chosen badly, they show less than half of it.
+    // Six footprints of 0.8 m by 0.6 m cannot cover a path of four metres; a poor selection covers
+    // less than half of it.
     assert!(thinned.ground_kept > 0.7, "{}", thinned.ground_kept);
 }
 
 #[test]
-fn covariances_are_carried_along_as_the_derivatives_say() {
+fn covariance_propagation_agrees_with_numerical_jacobians() {
     let ties = Ties::of(&map(3, vec![]));
     let (first, second) = (edge(0, 1), edge(1, 2));
-    // Numerically: each of the numbers that go in is moved a little.
+    // Numerical Jacobian by finite differences.
     let step = 1e-6;
     let moved = |edge: &MapEdge, k: usize| {
         let mut edge = *edge;
@@ -108,8 +109,8 @@ fn covariances_are_carried_along_as_the_derivatives_say() {
 }
 
 #[test]
-fn the_keyframe_goes_whose_ground_others_show() {
-    // Four keyframes far apart and five at the same place: of those, four go.
+fn redundant_keyframes_are_removed_first() {
+    // Four keyframes far apart and five at the same position: four of the five are removed.
     let mut map = map(9, vec![]);
     for (number, keyframe) in map.keyframes.iter_mut().enumerate() {
         keyframe.pose =

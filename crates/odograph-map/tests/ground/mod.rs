@@ -1,6 +1,6 @@
-//! A small map over rendered ground, for the tests of this folder.
+//! A small map over rendered ground, for the tests in this folder.
 
-#![allow(clippy::unwrap_used, dead_code)] // in a test, what cannot be is a failure of the test; not every test needs all of it
+#![allow(clippy::unwrap_used, dead_code)] // a test may panic; not every test needs all of it
 
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use odograph::camera::{Camera, Distortion};
@@ -10,18 +10,18 @@ use odograph::mapping::places::{GroundFeature, Signature};
 use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, MapEdge, MapKeyframe};
 use odograph::simulation::{Ground, Renderer, Texture};
 
-/// A small camera with a lens.
+/// A small camera with lens distortion.
 pub fn camera() -> Camera {
     let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0002, -0.0003]).unwrap();
     Camera::new((160, 120), (130.0, 131.0), (79.0, 60.5), distortion).unwrap()
 }
 
-/// Ground with fine and coarse structure.
+/// Ground texture with fine and coarse structure.
 pub fn ground() -> Ground {
     Ground::new(Texture::named("asphalt").unwrap(), 0.004, false, 5).unwrap()
 }
 
-/// Keyframes in lanes: six along x, then the next lane half a metre to the left, and so on.
+/// Keyframes in lanes: six along x, then the next lane 0.3 m to the left, and so on.
 pub fn pose(number: u64) -> GroundPose {
     let (lane, step) = (number / 6, number % 6);
     let along = if lane.is_multiple_of(2) { step } else { 5 - step };
@@ -58,7 +58,7 @@ pub fn keyframe(number: u64, session: u32) -> MapKeyframe {
     }
 }
 
-/// The edge from the keyframe before.
+/// The edge from the previous keyframe.
 pub fn edge_to(number: u64) -> MapEdge {
     MapEdge {
         from: KeyframeId(number - 1),
@@ -69,7 +69,7 @@ pub fn edge_to(number: u64) -> MapEdge {
     }
 }
 
-/// What the camera sees over the ground.
+/// The rendered image of the ground.
 pub fn gray(pose: &GroundPose) -> GrayImage {
     Renderer::new(&camera()).gray_view(&ground(), pose)
 }
@@ -78,7 +78,7 @@ pub fn image(number: u64) -> KeyframeImage {
     KeyframeImage { gray: gray(&pose(number)), color: None }
 }
 
-/// An image in colour whose gray is video's: 16 to 235 for black to white.
+/// A colour image whose gray is in limited video range: 16 to 235 for black to white.
 pub fn color_image() -> KeyframeImage {
     let (width, height) = (160, 120);
     let mut color = RgbImage::new(width, height);

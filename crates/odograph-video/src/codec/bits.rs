@@ -1,6 +1,6 @@
-//! Bits of a raw byte sequence payload (H.264 and H.265, clause 7.2 and 9.1 / 9.2).
+//! Bit reader for raw byte sequence payloads (RBSP; H.264 and H.265, clauses 7.2 and 9.1 / 9.2).
 
-/// Reads bits from the most significant on; every read gives `None` past the end.
+/// Reads bits, most significant first; every read returns `None` past the end.
 #[derive(Debug, Clone)]
 pub(crate) struct Bits<'a> {
     bytes: &'a [u8],
@@ -19,7 +19,7 @@ impl<'a> Bits<'a> {
         Some(bit == 1)
     }
 
-    /// Up to 32 bits as a number.
+    /// An unsigned integer of up to 32 bits.
     pub fn bits(&mut self, count: u32) -> Option<u32> {
         let mut value = 0;
         for _ in 0..count {

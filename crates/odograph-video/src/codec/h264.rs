@@ -1,7 +1,8 @@
-//! H.264 (AVC): a fast decoder for progressive 8-bit 4:2:0, and a complete one behind it.
+//! H.264 (AVC): a fast decoder for progressive 8-bit 4:2:0, and a complete one as fallback.
 //!
-//! `rusty_h264` is two to three times as fast and takes progressive 8-bit 4:2:0; `rust_h264` also takes interlaced video,
-//! 10 bits, 4:2:2 and gray. Both were held to ffmpeg's frames byte by byte. 4:4:4 and lossless are in neither.
+//! `rusty_h264` is two to three times as fast but limited to progressive 8-bit 4:2:0. `rust_h264`
+//! also decodes interlaced video, 10 bits, 4:2:2 and monochrome. Both were compared byte by byte
+//! with the frames of ffmpeg. Neither supports 4:4:4 and lossless coding.
 
 use super::h264_parameters::SequenceParameters;
 use super::nal::Framing;
@@ -14,10 +15,11 @@ use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use rust_h264::nal::{NalUnit, NalUnitType};
 
-/// Most pictures that may wait for an earlier one (`MaxDpbFrames`, H.264 A.3.1).
+/// Maximum reorder depth, pictures (`MaxDpbFrames`, H.264 A.3.1).
 const MAX_REORDER: usize = 16;
 
-/// The decoders for a track, the fast one first where it can be expected to do, and the stream's name.
+/// The decoders for a track, the fast one first unless the parameters exclude it, and a description
+/// of the stream.
 pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
     let set_up = SetUp::read(track, color)?;
     let name = set_up.description();
@@ -41,16 +43,17 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, 
     Ok((decoders, name))
 }
 
-/// What both decoders need to know of the stream before it starts.
+/// Stream configuration for both decoders.
 #[derive(Debug, Clone)]
 struct SetUp {
     framing: Framing,
-    /// Parameter sets from the container, before the first sample.
+    /// Parameter sets from the container, which precede the first sample.
     parameter_sets: Vec<Vec<u8>>,
     parameters: Option<SequenceParameters>,
-    /// From the container; wins over what the stream says.
+    /// Colour encoding in the container; takes precedence over that of the stream.
     encoding: Option<ColorEncoding>,
-    /// The samples' times put the pictures into order; otherwise their order counts do.
+    /// Whether pictures are reordered by the timestamps of the samples or by picture order count
+    /// (POC).
     order_by_time: bool,
     color: bool,
 }
@@ -65,7 +68,8 @@ impl SetUp {
             order_by_time: track.times == Times::Presentation,
             color,
         };
-        // avcC (ISO/IEC 14496-15, 5.3.3.1); an Annex B set-up starts with a start code instead.
+        // An avcC box (ISO/IEC 14496-15, 5.3.3.1), or parameter sets in Annex B format, which begin
+        // with a start code.
         match track.configuration.as_slice() {
             [] => {}
             [0, 0, ..] => {
@@ -109,7 +113,8 @@ impl SetUp {
         self.parameter_sets.push(unit.to_vec());
     }
 
-    /// Looks for a sequence parameter set among a sample's units. Refuses one that asks for too much memory.
+    /// Reads sequence parameter sets from the units of a sample. Fails if a picture would take too
+    /// much memory.
     fn look_for_parameters(&mut self, units: &[&[u8]]) -> Result<()> {
         for unit in units.iter().filter(|u| u[0] & 31 == 7) {
             if let Some(read) = SequenceParameters::read(unit) {
@@ -140,7 +145,7 @@ impl SetUp {
     }
 
     fn decoded(&self, picture: Picture, stamp: Stamp, order_count: i32, starts_group: bool) -> Decoded {
-        // Microseconds are finer than any container's times that could change the order.
+        // Microseconds resolve the timestamps of every container.
         let order = if self.order_by_time { (stamp.time_s * 1e6) as i64 } else { i64::from(order_count) };
         Decoded { picture, stamp, order, starts_group }
     }
@@ -150,11 +155,11 @@ fn starts_group(units: &[&[u8]]) -> bool {
     units.iter().any(|u| u[0] & 31 == 5)
 }
 
-/// `rusty_h264`: a whole access unit in, its picture out.
+/// `rusty_h264`: decodes an access unit to a picture.
 struct Fast {
     set_up: SetUp,
     decoder: rusty_h264::Decoder,
-    /// The access unit with start codes.
+    /// The access unit in Annex B format.
     annex_b: Vec<u8>,
     starts_group: bool,
 }
@@ -168,7 +173,7 @@ impl Fast {
             decoder.annex_b.extend_from_slice(unit);
         }
         let Self { decoder: inner, annex_b, .. } = &mut decoder;
-        // A parameter set it does not understand shows when a slice asks for it.
+        // An unsupported parameter set is reported when a slice refers to it.
         let _ = guarded("H.264", || inner.decode(annex_b))?;
         Ok(decoder)
     }
@@ -209,7 +214,8 @@ impl Decoder for Fast {
                 out.push(self.set_up.decoded(Picture { gray, color }, stamp, order, starts_group));
                 Ok(())
             }
-            // It loses its place after any error; the complete decoder is the one for damaged streams.
+            // After an error its state is inconsistent; damaged streams are decoded by the complete
+            // decoder.
             Err(error) => Err(Refusal::Unsupported(error.to_string())),
         }
     }
@@ -231,11 +237,12 @@ impl Decoder for Fast {
     }
 }
 
-/// `rust_h264`: unit by unit; gives a picture when the next one starts or when it is told that there is no more of it.
+/// `rust_h264`: decodes unit by unit; outputs a picture when the next one starts or when it is
+/// flushed.
 struct Complete {
     set_up: SetUp,
     decoder: rust_h264::decoder::Decoder,
-    /// The stamp and the start of a group of the picture that is being put together.
+    /// Stamp of the picture under construction, and whether it starts a group.
     building: Option<(Stamp, bool)>,
 }
 
@@ -251,8 +258,8 @@ impl Complete {
         Ok(decoder)
     }
 
-    /// A sample holds a whole picture in every container; raw streams come unit by unit, and there the fields of an
-    /// interlaced picture must not be torn apart.
+    /// Whether a sample is a complete picture. It is in every container; in raw streams it need not
+    /// be, and the two fields of an interlaced picture must not be separated.
     fn sample_is_picture(&self) -> bool {
         matches!(self.set_up.framing, Framing::Lengths(_))
             || self.set_up.parameters.as_ref().is_some_and(|p| p.only_frames)
@@ -346,17 +353,18 @@ fn unit_of(unit: &[u8]) -> NalUnit<'_> {
     }
 }
 
-/// Samples of more than 8 bits (little-endian pairs of bytes) as their high 8 bits, rounded.
+/// Narrows little-endian samples of `8 + shift` bits to 8 bits, rounded.
 pub(crate) fn narrow_little_endian(samples: &[u8], shift: u8) -> Vec<u8> {
     samples.chunks_exact(2).map(|b| narrow(u16::from_le_bytes([b[0], b[1]]), shift)).collect()
 }
 
-/// A 16-bit sample whose full scale is 65 535 as 8 bits whose full scale is 255, rounded: pictures, not video.
+/// Narrows a full-scale 16-bit sample (65 535) to 8 bits (255), rounded: for still images, not for
+/// video.
 pub(crate) fn narrow_full_scale(sample: u16) -> u8 {
     ((u32::from(sample) + 128) / 257) as u8
 }
 
-/// A sample of `8 + shift` bits as 8 bits, rounded.
+/// Narrows a sample of `8 + shift` bits to 8 bits, rounded.
 pub(crate) fn narrow(sample: u16, shift: u8) -> u8 {
     let half = (1u32 << shift) >> 1;
     ((u32::from(sample) + half) >> shift).min(255) as u8

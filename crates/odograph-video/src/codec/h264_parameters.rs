@@ -1,4 +1,5 @@
-//! What is needed of an H.264 sequence parameter set (ITU-T H.264, 7.3.2.1.1 and E.1.1).
+//! Parser of the H.264 sequence parameter set (ITU-T H.264, 7.3.2.1.1 and E.1.1), limited to what
+//! is used.
 
 use super::bits::Bits;
 use super::nal::unescape;
@@ -22,7 +23,7 @@ pub(crate) struct SequenceParameters {
 }
 
 impl SequenceParameters {
-    /// Reads a unit of type 7, its header byte included.
+    /// Parses a NAL unit of type 7, including its header byte.
     pub fn read(unit: &[u8]) -> Option<Self> {
         if unit.first()? & 31 != 7 {
             return None;
@@ -97,7 +98,7 @@ impl SequenceParameters {
             reorder_depth: None,
         };
         if bits.bit() == Some(true) {
-            // Usability information that is cut off still says what it says.
+            // Truncated usability information (VUI) is used as far as it can be read.
             let _ = read.usability(&mut bits);
         }
         Some(read)
@@ -126,7 +127,7 @@ impl SequenceParameters {
             let (ticks, scale) = (bits.bits(32)?, bits.bits(32)?);
             bits.bit()?;
             if ticks > 0 && scale > 0 {
-                // A tick is a field: two of them make a frame.
+                // One tick is one field; a frame has two.
                 self.frames_per_second = Some(f64::from(scale) / (2.0 * f64::from(ticks)));
             }
         }
@@ -152,7 +153,7 @@ impl SequenceParameters {
         Some(())
     }
 
-    /// The profile's name, as people know it.
+    /// Common name of the profile.
     pub fn profile_name(&self) -> &'static str {
         match self.profile {
             66 => "Baseline",

@@ -1,4 +1,4 @@
-//! H.265 (HEVC), with `rust_h265`: 8 to 12 bits, 4:2:0 and 4:4:4.
+//! H.265 (HEVC) with `rust_h265`: 8 to 12 bits, 4:2:0 and 4:4:4.
 
 use super::h265_parameters::SequenceParameters;
 use super::nal::Framing;
@@ -12,7 +12,7 @@ use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use rust_h265::{DecodeError, PixelData};
 
-/// Most pictures that may wait for an earlier one (H.265 A.4.2).
+/// Maximum reorder depth, pictures (H.265 A.4.2).
 const MAX_REORDER: usize = 16;
 
 /// The decoder for a track.
@@ -21,7 +21,7 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<Vec<MakeDecoder>> {
     Ok(vec![Box::new(move || Ok(Box::new(Hevc::new(&track, color)?)))])
 }
 
-/// `rust_h265` in decoding order: an access unit in, its picture out.
+/// `rust_h265` in decoding order: decodes an access unit to a picture.
 struct Hevc {
     decoder: rust_h265::Decoder,
     framing: Framing,
@@ -29,9 +29,10 @@ struct Hevc {
     encoding: Option<ColorEncoding>,
     order_by_time: bool,
     color: bool,
-    /// The stream begins here, or again after an end-of-sequence unit.
+    /// Whether the stream starts here, or restarts after an end-of-sequence unit.
     at_beginning: bool,
-    /// Leading pictures that refer to pictures before the beginning are left out (RASL; H.265 8.3.1).
+    /// Whether leading pictures that refer to pictures before the start are skipped (RASL; H.265
+    /// 8.3.1).
     skips_leading: bool,
 }
 
@@ -47,7 +48,8 @@ impl Hevc {
             at_beginning: true,
             skips_leading: true,
         };
-        // hvcC (ISO/IEC 14496-15, 8.3.3.1); an Annex B set-up starts with a start code instead.
+        // An hvcC box (ISO/IEC 14496-15, 8.3.3.1), or parameter sets in Annex B format, which begin
+        // with a start code.
         let mut sets = Vec::new();
         match track.configuration.as_slice() {
             [] => {}
@@ -63,7 +65,7 @@ impl Hevc {
         for unit in sets {
             decoder.look_for_parameters(unit)?;
             if let Some(unit) = rust_h265::parse_nal(unit) {
-                // A parameter set it does not understand shows when a slice asks for it.
+                // An unsupported parameter set is reported when a slice refers to it.
                 let _ = guarded("H.265", || decoder.decoder.decode_nal(&unit))?;
             }
         }
@@ -140,7 +142,7 @@ impl Decoder for Hevc {
                 Err(error) => refusal = Some(Refusal::Damaged(error.to_string())),
             }
         }
-        // The sample was the whole picture.
+        // A sample is a complete picture.
         while let Some(frame) = guarded("H.265", || self.decoder.flush())? {
             self.push(frame, stamp, starts_group, out);
         }
@@ -167,7 +169,7 @@ impl Decoder for Hevc {
     }
 }
 
-/// The units in the arrays of an `hvcC`, from the number of arrays on.
+/// The NAL units in the arrays of an `hvcC` box, starting at the number of arrays.
 fn parameter_sets<'a>(arrays: &'a [u8], units: &mut Vec<&'a [u8]>) -> Option<()> {
     let mut bytes = Bytes::new(arrays);
     for _ in 0..bytes.u8()? {

@@ -1,4 +1,5 @@
-//! What is needed of an H.265 sequence parameter set (ITU-T H.265, 7.3.2.2.1 and E.2.1).
+//! Parser of the H.265 sequence parameter set (ITU-T H.265, 7.3.2.2.1 and E.2.1), limited to what
+//! is used.
 
 use super::bits::Bits;
 use super::nal::unescape;
@@ -16,7 +17,7 @@ pub(crate) struct SequenceParameters {
 }
 
 impl SequenceParameters {
-    /// Reads a unit of type 33, its two header bytes included.
+    /// Parses a NAL unit of type 33, including its two header bytes.
     pub fn read(unit: &[u8]) -> Option<Self> {
         if unit.first()? >> 1 & 63 != 33 {
             return None;
@@ -57,7 +58,7 @@ impl SequenceParameters {
             encoding: ColorEncoding::default(),
             frames_per_second: None,
         };
-        // What comes after is wanted only for colours and the rate of raw streams.
+        // The rest is optional: only colour encoding and frame rate come from it.
         let _ = read.tools_and_usability(&mut bits, order_count_bits);
         Some(read)
     }
@@ -124,7 +125,7 @@ impl SequenceParameters {
         Some(())
     }
 
-    /// The profile's name, as people know it.
+    /// Common name of the profile.
     pub fn profile_name(&self) -> &'static str {
         match self.profile {
             1 => "Main",
@@ -137,7 +138,7 @@ impl SequenceParameters {
     }
 }
 
-/// Gives the general profile.
+/// Skips the profile, tier and level; returns the general profile.
 fn profile_tier_level(bits: &mut Bits<'_>, sub_layers: u32) -> Option<u8> {
     bits.skip(3)?;
     let profile = bits.bits(5)? as u8;
@@ -173,7 +174,8 @@ fn skip_scaling_lists(bits: &mut Bits<'_>) -> Option<()> {
     Some(())
 }
 
-/// Gives the number of pictures in the set, which the next set needs to be read.
+/// Skips a short-term reference picture set; returns its number of pictures, which the next set
+/// depends on.
 fn skip_reference_set(bits: &mut Bits<'_>, set: u32, pictures_before: u32) -> Option<u32> {
     if set > 0 && bits.bit()? {
         bits.bit()?;

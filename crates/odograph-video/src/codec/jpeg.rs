@@ -1,4 +1,4 @@
-//! JPEG (ITU-T T.81), single pictures and the frames of Motion JPEG.
+//! JPEG (ITU-T T.81): still images and the frames of Motion JPEG.
 
 use super::{Decoded, Decoder, Refusal, Stamp};
 use crate::frame::{Chroma, Color, ColorEncoding, Deferred, Matrix, Picture, picture_from_rgb};
@@ -18,10 +18,10 @@ fn options() -> DecoderOptions {
         .set_strict_mode(false)
 }
 
-/// Decodes a picture: the luminance as it stands where the file stores it, and its colours not before they are asked for; otherwise from red,
-/// green and blue.
+/// Decodes a JPEG image. For Y'CbCr the luminance is used unconverted and the chroma is decoded on
+/// demand; other colour spaces are converted from RGB.
 ///
-/// May panic in the decoder; callers guard it.
+/// The decoder may panic; callers must guard the call ([`guarded`]).
 pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     let damaged =
         |error: &dyn std::fmt::Display| Error::input(format!("the JPEG picture cannot be decoded: {error}"));
@@ -47,7 +47,7 @@ pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     picture.ok_or_else(|| damaged(&"it does not have as many samples as its size says"))
 }
 
-/// The colour differences of a picture whose luminance could be decoded.
+/// Decodes the chroma of an image whose luminance has been decoded; `None` on failure.
 fn chroma(bytes: &[u8]) -> Option<Chroma> {
     let whole = || {
         let options = options().jpeg_set_out_colorspace(ColorSpace::YCbCr);
@@ -62,10 +62,11 @@ fn chroma(bytes: &[u8]) -> Option<Chroma> {
     guarded("JPEG", whole).ok()?
 }
 
-/// Motion JPEG: every sample is a picture of its own.
+/// Motion JPEG: every sample is an independent image.
 pub(crate) struct MotionJpeg {
     color: bool,
-    /// The height the container says, to tell when a sample holds the two fields of an interlaced frame.
+    /// Frame height in the container; a sample of half that height is one field of an interlaced
+    /// frame.
     height: usize,
     number: i64,
 }

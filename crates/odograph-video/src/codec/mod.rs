@@ -1,4 +1,4 @@
-//! Codecs: compressed samples → pictures.
+//! Codecs: decode compressed samples to pictures.
 
 pub(crate) mod bits;
 pub(crate) mod h264;
@@ -15,32 +15,32 @@ use crate::container::{Codec, Track};
 use crate::frame::Picture;
 use odograph::error::{Error, Result};
 
-/// What travels with a sample through its decoder to the picture.
+/// Metadata of a sample that is passed through the decoder to the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stamp {
     pub time_s: f64,
     pub shown: bool,
 }
 
-/// A picture in decoding order, with what puts it into the order of presentation.
+/// A picture in decoding order, with its sort key for the presentation order.
 #[derive(Debug, Clone)]
 pub(crate) struct Decoded {
     pub picture: Picture,
     pub stamp: Stamp,
-    /// Place in the order of presentation within the group.
+    /// Sort key of the presentation order within the group.
     pub order: i64,
-    /// The picture starts a new group: everything before it is shown before it.
+    /// The picture starts a new group: all earlier pictures are presented before it.
     pub starts_group: bool,
 }
 
-/// Why a decoder did not decode a sample.
+/// Why a sample was not decoded.
 #[derive(Debug)]
 pub(crate) enum Refusal {
-    /// The stream uses something the decoder does not know; another decoder may.
+    /// The decoder does not support a feature of the stream; another decoder may.
     Unsupported(String),
-    /// This sample is damaged; the decoder goes on with the next.
+    /// The sample is damaged; decoding continues with the next one.
     Damaged(String),
-    /// The decoder cannot be used any more.
+    /// The decoder is unusable from now on.
     Broken(Error),
 }
 
@@ -50,9 +50,9 @@ impl From<Error> for Refusal {
     }
 }
 
-/// Decodes one stream, sample by sample.
+/// A decoder of one stream, sample by sample.
 pub(crate) trait Decoder: Send {
-    /// Decodes one sample and appends the pictures that are finished, in decoding order.
+    /// Decodes one sample and appends the completed pictures, in decoding order.
     fn decode(
         &mut self,
         data: &[u8],
@@ -60,20 +60,22 @@ pub(crate) trait Decoder: Send {
         out: &mut Vec<Decoded>,
     ) -> std::result::Result<(), Refusal>;
 
-    /// Appends the pictures that are still inside.
+    /// Flushes the decoder: appends the remaining pictures.
     fn finish(&mut self, out: &mut Vec<Decoded>) -> std::result::Result<(), Refusal>;
 
-    /// How many pictures may have to wait until the one that is shown first is decoded; 0 where all come in order.
+    /// Reorder depth: maximum number of pictures that precede a picture in decoding order and
+    /// follow it in presentation order.
     fn reorder_depth(&self) -> usize;
 
-    /// Frames a second, where the stream itself says it.
+    /// Frame rate, frames per second; `None` if the stream does not have it.
     fn frames_per_second(&self) -> Option<f64>;
 
-    /// The stream's kind, as people know it, e.g. `H.264 (High)`.
+    /// Human-readable description of the stream, e.g. `H.264 (High)`.
     fn description(&self) -> String;
 }
 
-/// The decoders for a track, the fastest first, each made when its turn comes; and what the track is, as people know it.
+/// Constructors of the decoders for a track, the fastest first, and a human-readable description of
+/// the track.
 pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
     Ok(match &track.codec {
         Codec::H264 => h264::decoders(track, color)?,
@@ -93,5 +95,5 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, 
     })
 }
 
-/// Makes a decoder at the start of its stream.
+/// Constructs a decoder at the start of its stream.
 pub(crate) type MakeDecoder = Box<dyn Fn() -> Result<Box<dyn Decoder>> + Send>;

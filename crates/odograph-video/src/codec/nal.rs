@@ -1,16 +1,16 @@
-//! Network abstraction layer units: the pieces H.264 and H.265 streams are made of.
+//! Network abstraction layer (NAL) units, the packets of H.264 and H.265 streams.
 
-/// How a sample's units are told apart.
+/// Framing of the NAL units of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Framing {
-    /// Start codes between them (Annex B).
+    /// Start codes between the units (Annex B).
     StartCodes,
-    /// A big-endian length of that many bytes (1, 2 or 4) before each.
+    /// A big-endian length of the given number of bytes (1, 2 or 4) before each unit.
     Lengths(usize),
 }
 
 impl Framing {
-    /// Splits a sample into its units, without start codes or lengths. A unit that is cut off is left out.
+    /// Splits a sample into its units, without start codes or lengths. A truncated unit is dropped.
     pub fn split<'a>(self, sample: &'a [u8], units: &mut Vec<&'a [u8]>) {
         units.clear();
         match self {
@@ -51,7 +51,7 @@ fn split_start_codes<'a>(bytes: &'a [u8], units: &mut Vec<&'a [u8]>) {
     }
 }
 
-/// The place of the next `00 00 01`.
+/// Position of the next start code `00 00 01`.
 pub(crate) fn find_start_code(bytes: &[u8], from: usize) -> Option<usize> {
     let mut at = from;
     while at + 2 < bytes.len() {
@@ -64,7 +64,7 @@ pub(crate) fn find_start_code(bytes: &[u8], from: usize) -> Option<usize> {
     None
 }
 
-/// The payload without its emulation prevention bytes (`00 00 03` → `00 00`).
+/// Removes emulation prevention bytes (`00 00 03` → `00 00`).
 pub(crate) fn unescape(payload: &[u8]) -> Vec<u8> {
     let mut out = Vec::with_capacity(payload.len());
     let mut zeros = 0;
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_reach_past_the_end_are_left_out() {
+    fn truncated_units_are_dropped() {
         let mut units = Vec::new();
         Framing::Lengths(2).split(&[0, 1, 7, 0, 9, 1], &mut units);
         assert_eq!(units, [&[7][..]]);

@@ -1,4 +1,4 @@
-//! VP9, with `rusty_vp9`: all profiles, 8 to 12 bits.
+//! VP9 with `rusty_vp9`: all profiles, 8 to 12 bits.
 
 use super::{Decoded, Decoder, Refusal, Stamp, narrow_little_endian};
 use crate::container::Track;
@@ -9,7 +9,8 @@ use odograph::error::Error;
 use odograph::image::GrayImage;
 use rusty_vp9::{BitReader, Vp9Decoder, parse_uncompressed_header};
 
-/// A packet in, at most one picture out; VP9 shows its pictures in the order of its packets.
+/// Decodes a packet to at most one picture; in VP9 the presentation order is the order of the
+/// packets.
 pub(crate) struct Vp9 {
     decoder: Vp9Decoder,
     encoding: Option<ColorEncoding>,
@@ -57,7 +58,7 @@ impl Decoder for Vp9 {
         }
         let damaged = |error: rusty_vp9::Error| Refusal::Damaged(error.to_string());
         guarded("VP9", || self.decoder.push(data, None))?.map_err(damaged)?;
-        // At most eight frames are in a packet; each call takes one.
+        // A packet has at most eight frames; each call decodes one.
         for _ in 0..9 {
             let frame = match guarded("VP9", || self.decoder.next_frame())? {
                 Ok(frame) => frame,

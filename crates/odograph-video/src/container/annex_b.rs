@@ -1,4 +1,5 @@
-//! Raw H.264 and H.265 streams: units between start codes, without times (Annex B of both).
+//! Raw H.264 and H.265 streams: NAL units between start codes, without timestamps (Annex B of both
+//! standards).
 
 use super::{Codec, Packet, PacketReader, Times, Track};
 use crate::codec::nal::find_start_code;
@@ -10,14 +11,14 @@ use std::io::{Read, Seek};
 
 const READ_BYTES: u64 = 1 << 18;
 
-/// The codec of a raw stream from its first bytes; `None` where this is none.
+/// Identifies the codec of a raw stream from its first bytes; `None` if it is not a raw stream.
 pub(crate) fn codec(bytes: &[u8]) -> Option<Codec> {
     let after = match bytes {
         [0, 0, 1, rest @ ..] | [0, 0, 0, 1, rest @ ..] => rest,
         _ => return None,
     };
     match after {
-        // VPS, SPS, PPS, delimiter or SEI of the base layer, temporal layer 0.
+        // VPS, SPS, PPS, access unit delimiter or SEI of the base layer, temporal layer 0.
         [0x40 | 0x42 | 0x44 | 0x46 | 0x4e, 1, ..] => Some(Codec::H265),
         [head, ..]
             if head & 0x80 == 0
@@ -29,14 +30,14 @@ pub(crate) fn codec(bytes: &[u8]) -> Option<Codec> {
     }
 }
 
-/// The access units of a raw stream.
+/// Reads a raw stream access unit by access unit.
 pub(crate) struct AnnexBReader {
     file: File,
     track: Track,
     buffer: Vec<u8>,
-    /// Up to here the buffer was searched for start codes.
+    /// Position up to which the buffer has been searched for start codes.
     searched: usize,
-    /// The start of the unit that is being looked at, and whether a slice came before it in this access unit.
+    /// Start of the current unit, and whether a slice precedes it in this access unit.
     unit: Option<usize>,
     slice_seen: bool,
     at_end: bool,
@@ -68,7 +69,8 @@ impl AnnexBReader {
         }
     }
 
-    /// Whether a unit starts a new access unit after a slice, and whether it is a slice (H.264 7.4.1.2.3, H.265 7.4.2.4.4).
+    /// Whether a unit after a slice starts a new access unit, and whether it is a slice (H.264
+    /// 7.4.1.2.3, H.265 7.4.2.4.4).
     fn role(&self, unit: &[u8]) -> (bool, bool) {
         let [first, second, rest @ ..] = unit else { return (false, false) };
         if self.track.codec == Codec::H265 {
@@ -80,7 +82,8 @@ impl AnnexBReader {
             }
         } else {
             match first & 31 {
-                // The first bit of a slice is set where its first macroblock is the picture's first.
+                // The first bit of a slice is set if its first macroblock is the first of the
+                // picture.
                 1..=5 => (second & 0x80 != 0, true),
                 6..=9 | 14..=18 => (true, false),
                 _ => (false, false),
@@ -88,11 +91,11 @@ impl AnnexBReader {
         }
     }
 
-    /// Where the access unit at the front of the buffer ends, once that is known.
+    /// End of the access unit at the front of the buffer; `None` if more data is needed.
     fn end_of_access_unit(&mut self) -> Option<usize> {
         loop {
             if let Some(start) = self.unit {
-                // Three bytes of a unit tell its role.
+                // The role of a unit follows from its first three bytes.
                 if self.buffer.len() < start + 3 && !self.at_end {
                     return None;
                 }

@@ -1,6 +1,8 @@
-//! AVI (Microsoft RIFF, with the OpenDML extension for large files), also without an index, also cut off.
+//! AVI (Microsoft RIFF, with the OpenDML extension for large files), including truncated files and
+//! files without an index.
 //!
-//! The chunks are walked from front to back; no index is needed, so that a recording whose end is missing plays to the cut.
+//! The chunks are read sequentially and no index is needed, so a truncated recording plays up to
+//! the truncation.
 
 use super::bytes::{Bytes, read_up_to};
 use super::{Codec, Packet, PacketReader, Times, Track};
@@ -10,16 +12,16 @@ use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
-/// The samples of the first video stream of an AVI file.
+/// Reads the samples of the first video stream of an AVI file.
 pub(crate) struct AviReader {
     file: BufReader<File>,
     length: u64,
     at: u64,
     first_sample: u64,
     track: Track,
-    /// The stream's number as the two digits its chunks start with.
+    /// Stream number: the two digits that its chunk names start with.
     stream: [u8; 2],
-    /// A frame lasts `scale / rate` seconds; the first starts after `start` frames.
+    /// The frame duration is `scale / rate` seconds; the first frame starts after `start` frames.
     scale: u32,
     rate: u32,
     start: u32,
@@ -27,7 +29,7 @@ pub(crate) struct AviReader {
     warnings: Vec<String>,
 }
 
-/// How much of the head of the video stream is known.
+/// Progress in reading the header of the video stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Head {
     Searching,
@@ -65,8 +67,8 @@ impl AviReader {
         Ok(reader)
     }
 
-    /// Reads up to the first sample. The lists of the head are entered without looking at their lengths, which some writers get
-    /// wrong.
+    /// Reads up to the first sample. The lists of the header are entered regardless of their
+    /// lengths, which some writers get wrong.
     fn read_head(&mut self) -> Result<()> {
         let mut streams = 0u8;
         let mut state = Head::Searching;
@@ -114,7 +116,7 @@ impl AviReader {
         Ok(())
     }
 
-    /// A `strh` chunk; `None` where it is not a video's.
+    /// Parses a `strh` chunk; `None` if it is not that of a video stream.
     fn read_stream_header(&mut self, header: &[u8]) -> Option<()> {
         let mut header = Bytes::new(header);
         header.take(4).filter(|kind| kind == b"vids")?;
@@ -130,7 +132,7 @@ impl AviReader {
         Some(())
     }
 
-    /// A `strf` chunk: a `BITMAPINFOHEADER`.
+    /// Parses a `strf` chunk: a `BITMAPINFOHEADER`.
     fn read_stream_format(&mut self, format: &[u8]) -> Option<()> {
         let mut format = Bytes::new(format);
         format.skip(4)?;
@@ -141,7 +143,8 @@ impl AviReader {
         Some(())
     }
 
-    /// The head of the next chunk; `None` at the end. Zeros before it are skipped: what is left of wrong lengths.
+    /// Reads the header of the next chunk; `None` at the end. Zeros before it, caused by wrong
+    /// lengths, are skipped.
     fn chunk(&mut self) -> Result<Option<([u8; 4], u32)>> {
         let mut head = [0u8; 8];
         loop {
@@ -169,7 +172,7 @@ impl AviReader {
         Ok(kind)
     }
 
-    /// Chunks of odd size are followed by a byte of padding.
+    /// Skips the padding byte after a chunk of odd size.
     fn align(&mut self, size: u64) -> Result<()> {
         if size % 2 == 1 && self.at < self.length {
             self.file.seek_relative(1).map_err(unreadable)?;
@@ -217,7 +220,7 @@ impl PacketReader for AviReader {
                     packet.time_s = (u64::from(self.start) + number) as f64 * f64::from(self.scale)
                         / f64::from(self.rate);
                     packet.shown = true;
-                    // An empty chunk repeats the frame before it: nothing was seen then.
+                    // An empty chunk repeats the previous frame: no image was taken at that time.
                     if size > 0 {
                         return Ok(true);
                     }
@@ -248,7 +251,7 @@ impl PacketReader for AviReader {
     }
 }
 
-/// The codec of a stream from its four letters.
+/// The codec of a stream from its FourCC.
 pub(super) fn codec(letters: &[u8]) -> Codec {
     match letters.to_ascii_uppercase().as_slice() {
         b"H264" | b"X264" | b"AVC1" | b"DAVC" | b"VSSH" => Codec::H264,

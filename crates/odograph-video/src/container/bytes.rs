@@ -1,10 +1,10 @@
-//! Reading numbers from bytes that may end too early.
+//! Bounds-checked parsing of integers.
 
 use crate::limits;
 use odograph::error::{Error, Result};
 use std::io::Read;
 
-/// A place in a slice; every read gives `None` past the end.
+/// Cursor over a slice; every read returns `None` past the end.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bytes<'a> {
     rest: &'a [u8],
@@ -58,7 +58,8 @@ impl<'a> Bytes<'a> {
     }
 }
 
-/// Reads up to `count` bytes; fewer where the file ends. Memory grows with what is really there.
+/// Reads up to `count` bytes, fewer at the end of the file. Memory is allocated only for bytes that
+/// exist.
 pub(crate) fn read_up_to(reader: &mut impl Read, count: u64, into: &mut Vec<u8>) -> Result<()> {
     into.clear();
     if count > limits::MAX_INDEX_BYTES {

@@ -1,7 +1,8 @@
-//! Matroska and WebM (RFC 9559, EBML of RFC 8794), also of unknown length (live recordings), also cut off.
+//! Matroska and WebM (RFC 9559, EBML of RFC 8794), including files of unknown length (live
+//! recordings) and truncated files.
 //!
-//! The file is read once from front to back. Segments, clusters and block groups are entered without looking at their length:
-//! only what lies inside them matters, so that lengths that are unknown or wrong do no harm.
+//! The file is read sequentially. Segments, clusters and block groups are entered regardless of
+//! their lengths, so unknown or wrong lengths do no harm.
 
 use super::bytes::{Bytes, read_up_to};
 use super::{Codec, Packet, PacketReader, Times, Track};
@@ -12,7 +13,7 @@ use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
-/// The first bytes of every such file.
+/// EBML magic number at the start of every file.
 pub(crate) const MAGIC: [u8; 4] = [0x1a, 0x45, 0xdf, 0xa3];
 
 const SEGMENT: u32 = 0x1853_8067;
@@ -24,7 +25,7 @@ const SIMPLE_BLOCK: u32 = 0xa3;
 const BLOCK_GROUP: u32 = 0xa0;
 const BLOCK: u32 = 0xa1;
 
-/// The samples of the first video track.
+/// Reads the samples of the first video track.
 pub(crate) struct MatroskaReader {
     file: BufReader<File>,
     length: u64,
@@ -32,7 +33,7 @@ pub(crate) struct MatroskaReader {
     first_cluster: u64,
     track: Track,
     number: u64,
-    /// Bytes that were taken away from the front of every sample (header stripping compression).
+    /// Bytes to prepend to every sample (header stripping compression).
     stripped: Vec<u8>,
     tick_ns: u64,
     cluster_ticks: i64,
@@ -116,7 +117,7 @@ impl MatroskaReader {
         self.seek(self.first_cluster)
     }
 
-    /// Chooses the first video track; gives the seconds of a frame, where it says so.
+    /// Selects the first video track; returns its frame duration in seconds, if the file has it.
     fn read_tracks(&mut self, tracks: &[u8]) -> Result<Option<f64>> {
         for (id, entry) in Elements::new(tracks) {
             let value = |wanted| Elements::new(entry).find(|(id, _)| *id == wanted).map(|(_, value)| value);
@@ -159,7 +160,7 @@ impl MatroskaReader {
                     }
                     self.track.encoding = Some(encoding);
                 }
-                // The projection's roll in degrees, counter-clockwise as the viewer sees the picture turned.
+                // Roll of the projection in degrees, counter-clockwise for the viewer.
                 0x7670 => {
                     let roll = Elements::new(value).find(|(id, _)| *id == 0x7675).and_then(|(_, v)| float(v));
                     if let Some(roll) = roll.filter(|r| r.is_finite()) {
@@ -209,7 +210,8 @@ impl MatroskaReader {
         }
     }
 
-    /// The next element's identity and length; a length may be unknown. `None` at the end.
+    /// Reads the id and the size of the next element; the size is `None` if unknown. Returns `None`
+    /// at the end.
     fn element(&mut self) -> Result<Option<(u32, Option<u64>)>> {
         let mut head = [0u8; 12];
         let mut filled = 0;
@@ -258,7 +260,7 @@ impl MatroskaReader {
         Ok(Some(byte[0]))
     }
 
-    /// A block of this track into `packet`; false for another track's.
+    /// Reads a block into `packet`; false if it belongs to another track or is truncated.
     fn block(&mut self, size: u64, packet: &mut Packet) -> Result<bool> {
         if size > limits::MAX_SAMPLE_BYTES {
             return Err(Error::input("a frame claims to take more than 256 MB"));
@@ -328,7 +330,7 @@ impl PacketReader for MatroskaReader {
     }
 }
 
-/// A length without the bit that marks its own length; all ones means unknown.
+/// Decodes a variable-length size (VINT); `None` if all bits are one, which means unknown.
 fn size_of(bytes: &[u8]) -> Option<u64> {
     let (&first, rest) = bytes.split_first()?;
     let value =
@@ -337,7 +339,7 @@ fn size_of(bytes: &[u8]) -> Option<u64> {
     (value != unknown).then_some(value)
 }
 
-/// The elements inside a payload; the last one may be cut off.
+/// Iterates over the elements of a payload; the last one may be truncated.
 struct Elements<'a> {
     rest: &'a [u8],
 }
@@ -416,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn elements_that_are_cut_off_keep_what_is_there() {
+    fn truncated_elements_keep_their_available_bytes() {
         let all: Vec<_> = Elements::new(&[0xd7, 0x81, 5, 0x42, 0x86, 0x84, 1, 2]).collect();
         assert_eq!(all, [(0xd7, &[5][..]), (0x4286, &[1, 2])]);
     }

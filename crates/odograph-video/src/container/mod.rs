@@ -1,4 +1,4 @@
-//! Containers: files → compressed samples of one video track, with their times.
+//! Containers: read the compressed, timestamped samples of one video track from a file.
 
 pub(crate) mod annex_b;
 pub(crate) mod avi;
@@ -13,42 +13,43 @@ use crate::frame::ColorEncoding;
 use crate::rotation::Orientation;
 use odograph::error::Result;
 
-/// How a track is compressed.
+/// Compression format of a track.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Codec {
     H264,
     H265,
     Vp9,
     MotionJpeg,
-    /// Something this crate does not decode, by the name people know it by.
+    /// A codec that this crate does not decode, by its common name.
     Other(String),
 }
 
-/// What the times of a track's samples mean.
+/// Meaning of the timestamps of a track.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Times {
-    /// When the sample's frame is shown.
+    /// Presentation timestamps (PTS).
     Presentation,
-    /// When the sample is decoded: frames take these times in the order in which they are shown.
+    /// Decoding timestamps (DTS): sorted, they are the presentation times of the frames in
+    /// presentation order.
     Decoding,
-    /// The container has no times; samples are numbered 0, 1, 2, …
+    /// The container has no timestamps; samples are numbered 0, 1, 2, …
     Unknown,
 }
 
 /// The video track of a file.
 #[derive(Debug, Clone)]
 pub(crate) struct Track {
-    /// The container's name, as people know it.
+    /// Common name of the container.
     pub container: &'static str,
     pub codec: Codec,
-    /// As the container says; the decoded frames may differ. Zero where it does not say.
+    /// Size in the container, pixels; 0 if unknown. The decoded frames may differ.
     pub width: usize,
     pub height: usize,
-    /// The codec's own set-up (`avcC`, `hvcC`); empty where the stream carries it itself (Annex B).
+    /// Codec configuration (`avcC`, `hvcC`); empty if it is in the stream (Annex B).
     pub configuration: Vec<u8>,
     pub frame_count: Option<u64>,
     pub orientation: Orientation,
-    /// Where the container says it; the stream itself may say it too.
+    /// Colour encoding in the container; `None` if only the stream may have it.
     pub encoding: Option<ColorEncoding>,
     pub times: Times,
 }
@@ -57,19 +58,19 @@ pub(crate) struct Track {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Packet {
     pub data: Vec<u8>,
-    /// In seconds; the sample's number where the container has no times.
+    /// Timestamp, seconds; the index of the sample if the container has no timestamps.
     pub time_s: f64,
-    /// False for samples that are only decoded because others need them (outside the edit list).
+    /// False for samples that are decoded only as references (outside the edit list).
     pub shown: bool,
 }
 
-/// Reads a track's samples one after another, in decoding order.
+/// Reads the samples of a track sequentially, in decoding order.
 pub(crate) trait PacketReader: Send {
     fn track(&self) -> &Track;
-    /// The next sample into `packet`; false at the end.
+    /// Reads the next sample into `packet`; false at the end.
     fn next_packet(&mut self, packet: &mut Packet) -> Result<bool>;
-    /// Starts again with the first sample.
+    /// Restarts at the first sample.
     fn rewind(&mut self) -> Result<()>;
-    /// What was wrong with the file so far, one sentence each; empties the list.
+    /// Drains the warnings about defects of the file, one sentence each.
     fn take_warnings(&mut self) -> Vec<String>;
 }

@@ -1,6 +1,7 @@
-//! MP4 and QuickTime (ISO/IEC 14496-12, QuickTime File Format), also fragmented, also cut off.
+//! MP4 and QuickTime (ISO/IEC 14496-12, QuickTime File Format), including fragmented and truncated
+//! files.
 //!
-//! Only the index is held in memory; samples are read from the file by their place.
+//! Only the index is held in memory; samples are read from the file by their offsets.
 
 use super::bytes::read_up_to;
 use super::mp4_fragments::Fragments;
@@ -11,12 +12,12 @@ use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
-/// The samples of the first video track of an MP4 or QuickTime file.
+/// Reads the samples of the first video track of an MP4 or QuickTime file.
 pub(crate) struct Mp4Reader {
     file: BufReader<File>,
     track: Track,
     samples: Vec<Sample>,
-    /// Ticks of the samples' times in a second.
+    /// Ticks per second of the sample timestamps.
     timescale: f64,
     edits: Vec<Edit>,
     next: usize,
@@ -76,7 +77,7 @@ impl PacketReader for Mp4Reader {
     fn next_packet(&mut self, packet: &mut Packet) -> Result<bool> {
         let Some(sample) = self.samples.get(self.next) else { return Ok(false) };
         let here = self.file.stream_position().map_err(unreadable)?;
-        // A relative seek keeps the buffer where the next sample follows the last one.
+        // A relative seek keeps the buffer if the next sample follows the last one.
         self.file.seek_relative(sample.offset as i64 - here as i64).map_err(unreadable)?;
         read_up_to(&mut self.file, u64::from(sample.size), &mut packet.data)?;
         let time = time_of(&self.edits, self.timescale, sample.time);
@@ -99,7 +100,8 @@ impl PacketReader for Mp4Reader {
     }
 }
 
-/// Moves what is shown so that its first frame comes at once: an edit may start between two frames. (ffmpeg does the same.)
+/// Shifts the edit list so that its first frame is presented without delay: an edit may start
+/// between two frames. (ffmpeg does the same.)
 fn begin_with_a_frame(edits: &mut [Edit], samples: &[Sample], timescale: f64) {
     let Some(delay_s) = edits.first().map(|e| e.starts_at_s) else { return };
     let first_s =
@@ -115,7 +117,7 @@ fn shown(edits: &[Edit], time: i64) -> bool {
     edits.is_empty() || edits.iter().any(|e| (e.media_from..e.media_to).contains(&time))
 }
 
-/// When a sample is shown, in seconds; `None` where the edit list leaves it out.
+/// Presentation time of a sample, seconds; `None` if it is outside the edit list.
 fn time_of(edits: &[Edit], timescale: f64, time: i64) -> Option<f64> {
     if edits.is_empty() {
         return Some(time as f64 / timescale);
@@ -124,8 +126,8 @@ fn time_of(edits: &[Edit], timescale: f64, time: i64) -> Option<f64> {
     Some(edit.starts_at_s + (time - edit.media_from) as f64 / timescale)
 }
 
-/// When a sample that is not shown would be shown if the edit before it (or the first one) had no bounds: decoders need it in its
-/// place among the others.
+/// Time of a sample outside the edit list, extrapolated from the edit before it (or from the first
+/// one). Reordering needs a consistent timestamp for it.
 fn hidden_time_of(edits: &[Edit], timescale: f64, time: i64) -> f64 {
     let edit = edits.iter().rfind(|e| e.media_from <= time).or(edits.first());
     edit.map_or(0.0, |e| e.starts_at_s) + (time - edit.map_or(0, |e| e.media_from)) as f64 / timescale
@@ -138,7 +140,7 @@ struct Index {
     cut: bool,
 }
 
-/// Walks the boxes at the top of the file and reads those of the index.
+/// Reads the top-level boxes of the index.
 fn read_index(file: &mut BufReader<File>, length: u64, warnings: &mut Vec<String>) -> Result<Index> {
     let mut moov: Option<Vec<u8>> = None;
     let mut fragments = Fragments::default();

@@ -1,4 +1,4 @@
-//! What the sample description of an MP4 file says of its video (ISO/IEC 14496-12, 8.5.2 and 12.1).
+//! Sample description of an MP4 video track (ISO/IEC 14496-12, 8.5.2 and 12.1).
 
 use super::bytes::Bytes;
 use super::mp4_tables::{Boxes, child};
@@ -6,7 +6,7 @@ use super::{Codec, Times, Track};
 use crate::frame::{ColorEncoding, Matrix};
 use crate::rotation::Orientation;
 
-/// The track's codec, size and set-up from its first sample entry.
+/// Codec, size and codec configuration of the first sample entry.
 pub(super) fn describe(stsd: &[u8]) -> Option<Track> {
     let mut bytes = Bytes::new(stsd);
     bytes.skip(8)?;
@@ -43,7 +43,7 @@ pub(super) fn describe(stsd: &[u8]) -> Option<Track> {
     })
 }
 
-/// A codec's name from its four letters.
+/// Common name of a codec from its FourCC.
 fn name(kind: &[u8; 4]) -> String {
     match kind {
         b"av01" => "AV1".into(),

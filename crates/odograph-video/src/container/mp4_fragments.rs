@@ -1,11 +1,11 @@
-//! The fragments of an MP4 file (ISO/IEC 14496-12, 8.8).
+//! Fragmented MP4 (ISO/IEC 14496-12, 8.8).
 
 use super::bytes::Bytes;
 use super::mp4_tables::{Boxes, Sample, child, too_many};
 use crate::limits::MAX_SAMPLES;
 use odograph::error::Result;
 
-/// The fragments of a file (`moof` boxes), in the order of the file.
+/// The fragments (`moof` boxes) of a file, in file order, with their offsets.
 #[derive(Debug, Default)]
 pub(super) struct Fragments {
     fragments: Vec<(u64, Vec<u8>)>,
@@ -13,7 +13,7 @@ pub(super) struct Fragments {
 }
 
 impl Fragments {
-    /// Adds the `moof` box that starts at the given place in the file.
+    /// Adds the `moof` box at the given offset of the file.
     pub fn add(&mut self, at: u64, payload: &[u8]) -> Result<()> {
         self.bytes += payload.len() as u64;
         if self.bytes > crate::limits::MAX_INDEX_BYTES {
@@ -23,7 +23,7 @@ impl Fragments {
         Ok(())
     }
 
-    /// Appends the samples of a track; true where there are fragments of it (14496-12, 8.8).
+    /// Appends the samples of a track; true if there are fragments of it (14496-12, 8.8).
     pub fn samples(&self, track: u32, moov: &[u8], samples: &mut Vec<Sample>) -> Result<bool> {
         let defaults = child(moov, b"mvex").and_then(|mvex| {
             Boxes::new(mvex.rest()).filter(|(kind, _)| kind == b"trex").find_map(|(_, payload)| {
@@ -68,7 +68,7 @@ impl Fragments {
     }
 }
 
-/// The `tfhd` box: where a track's data begin and what holds for all of its samples.
+/// The `tfhd` box: base data offset of a track fragment and defaults for its samples.
 struct FragmentHead {
     track: u32,
     base: u64,
@@ -95,7 +95,7 @@ impl FragmentHead {
         Some(Self { track, base, duration, size })
     }
 
-    /// One `trun` box; what it does not say comes from the head.
+    /// Parses one `trun` box; missing fields take the defaults.
     fn run(&self, trun: &[u8], offset: &mut u64, decode_time: &mut i64, samples: &mut Vec<Sample>) {
         let mut bytes = Bytes::new(trun);
         let mut parse = || -> Option<()> {
@@ -124,7 +124,7 @@ impl FragmentHead {
             }
             Some(())
         };
-        // A run that is cut off has the samples it has.
+        // A truncated run has the samples read so far.
         let _ = parse();
     }
 }

@@ -1,4 +1,4 @@
-//! The index of an MP4 file: boxes, sample tables, edit lists.
+//! Index of an MP4 file: boxes, sample tables, edit lists.
 
 use super::bytes::Bytes;
 use super::mp4_description::describe;
@@ -8,7 +8,7 @@ use crate::limits::MAX_SAMPLES;
 use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
 
-/// Where a sample lies in the file and when it is shown, in the track's ticks.
+/// Offset and size of a sample in the file, and its timestamp in the track's ticks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Sample {
     pub offset: u64,
@@ -16,7 +16,7 @@ pub(super) struct Sample {
     pub time: i64,
 }
 
-/// One entry of an edit list, with times in seconds (presentation) and ticks (media).
+/// One entry of an edit list, with presentation times in seconds and media times in ticks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Edit {
     pub starts_at_s: f64,
@@ -32,8 +32,8 @@ pub(super) struct Movie {
     pub edits: Vec<Edit>,
 }
 
-/// A box's kind, the length of its header and its whole size; `None` where this is no box.
-/// A size of 0 means "to the end", which is `available` bytes away.
+/// Type, header length and total size of a box; `None` if it is not a box. A size of 0 extends the
+/// box to the end, `available` bytes away.
 pub(super) fn box_header(bytes: &[u8], available: u64) -> Option<([u8; 4], u64, u64)> {
     let mut bytes = Bytes::new(bytes);
     let short = bytes.u32()?;
@@ -49,7 +49,7 @@ pub(super) fn box_header(bytes: &[u8], available: u64) -> Option<([u8; 4], u64, 
     }
 }
 
-/// The boxes inside a box; the last one may be cut off.
+/// Iterates over the boxes inside a box; the last one may be truncated.
 pub(super) struct Boxes<'a> {
     rest: &'a [u8],
 }
@@ -72,12 +72,12 @@ impl<'a> Iterator for Boxes<'a> {
     }
 }
 
-/// The first box of a kind inside another.
+/// The first box of a given type inside another.
 pub(super) fn child<'a>(parent: &'a [u8], kind: &[u8; 4]) -> Option<Bytes<'a>> {
     Boxes::new(parent).find(|(k, _)| k == kind).map(|(_, payload)| Bytes::new(payload))
 }
 
-/// The first video track that has samples.
+/// The first video track that has samples, otherwise the first video track.
 pub(super) fn movie(moov: &[u8], fragments: &Fragments) -> Result<Movie> {
     let (movie_timescale, movie_matrix) = movie_header(moov).unwrap_or((1000, UPRIGHT));
     let mut seen = None;
@@ -97,7 +97,7 @@ pub(super) fn movie(moov: &[u8], fragments: &Fragments) -> Result<Movie> {
 type Matrix2 = [[i64; 2]; 2];
 const UPRIGHT: Matrix2 = [[1, 0], [0, 1]];
 
-/// The movie's timescale and the turning part of its matrix.
+/// Timescale of the movie and the 2 × 2 part of its matrix.
 fn movie_header(moov: &[u8]) -> Option<(u32, Matrix2)> {
     let mut bytes = child(moov, b"mvhd")?;
     let version = bytes.u32()? >> 24;
@@ -108,7 +108,7 @@ fn movie_header(moov: &[u8]) -> Option<(u32, Matrix2)> {
     Some((timescale.max(1), matrix(&mut bytes).unwrap_or(UPRIGHT)))
 }
 
-/// The signs of a transformation matrix `{a b u; c d v; x y w}` (14496-12, 8.3.2).
+/// Signs of the 2 × 2 part of a transformation matrix `{a b u; c d v; x y w}` (14496-12, 8.3.2).
 fn matrix(bytes: &mut Bytes<'_>) -> Option<Matrix2> {
     let a = i64::from(bytes.i32()?.signum());
     let b = i64::from(bytes.i32()?.signum());
@@ -118,7 +118,7 @@ fn matrix(bytes: &mut Bytes<'_>) -> Option<Matrix2> {
     Some([[a, b], [c, d]])
 }
 
-/// The orientation of a matrix of quarter turns and mirrorings; upright for any other.
+/// The orientation for a matrix of quarter turns and reflections; upright for any other matrix.
 fn orientation(track: Matrix2, movie: Matrix2) -> Orientation {
     let mut m = [[0; 2]; 2];
     for (row, out) in track.iter().zip(m.iter_mut()) {
@@ -194,7 +194,7 @@ fn track(
     Ok(Some(Movie { track: described, timescale, samples, edits }))
 }
 
-/// The edit list (14496-12, 8.6.6) as the stretches of the media that are shown.
+/// Parses the edit list (14496-12, 8.6.6): the media intervals that are presented.
 fn edit_list(trak: &[u8], movie_timescale: f64, timescale: f64) -> Vec<Edit> {
     let mut edits = Vec::new();
     let mut parse = || -> Option<()> {
@@ -212,7 +212,7 @@ fn edit_list(trak: &[u8], movie_timescale: f64, timescale: f64) -> Vec<Edit> {
             let duration_s = duration / movie_timescale;
             if media_time >= 0 {
                 let ticks = (duration_s * timescale).round() as i64;
-                // A duration of zero means "to the end", as in files that are written in fragments.
+                // A duration of 0 means up to the end, as in fragmented files.
                 let media_to = if ticks == 0 { i64::MAX } else { media_time.saturating_add(ticks) };
                 edits.push(Edit { starts_at_s: now_s, media_from: media_time, media_to });
             }
@@ -220,12 +220,13 @@ fn edit_list(trak: &[u8], movie_timescale: f64, timescale: f64) -> Vec<Edit> {
         }
         Some(())
     };
-    // A list that is cut off still says what its first entries say.
+    // A truncated list is used as far as it can be read.
     let _ = parse();
     edits
 }
 
-/// Offsets, sizes and times of the samples of an unfragmented track; whether frames are reordered.
+/// Offsets, sizes and timestamps of the samples of an unfragmented track, and whether frames are
+/// reordered.
 fn sample_table(stbl: &[u8]) -> Result<(Vec<Sample>, bool)> {
     let mut samples: Vec<Sample> = Vec::new();
     let mut sizes = Vec::new();
@@ -284,7 +285,7 @@ fn sample_table(stbl: &[u8]) -> Result<(Vec<Sample>, bool)> {
         let mut at = samples.iter_mut();
         let mut delta = 0;
         'runs: while let (Some(count), Some(step)) = (bytes.u32(), bytes.u32()) {
-            delta = i64::from(step as i32); // QuickTime writers have put negative steps here
+            delta = i64::from(step as i32); // some QuickTime writers write negative deltas
             for _ in 0..count {
                 let Some(sample) = at.next() else { break 'runs };
                 sample.time = decode_time;
@@ -341,7 +342,7 @@ mod tests {
         let table = [
             full_box(b"stsz", &[0, 5, 10, 20, 30, 40, 50]),
             full_box(b"stco", &[3, 1000, 2000, 3000]),
-            // Two samples in the first chunk, then one in each.
+            // Two samples in the first chunk, one in each further chunk.
             full_box(b"stsc", &[2, 1, 2, 1, 2, 1, 1]),
             full_box(b"stts", &[2, 2, 100, 9, 50]),
             full_box(b"ctts", &[2, 1, 7, 1, (-7i32) as u32]),
@@ -355,14 +356,14 @@ mod tests {
     }
 
     #[test]
-    fn a_table_may_claim_what_it_likes() {
+    fn excessive_sample_counts_are_rejected() {
         assert!(sample_table(&full_box(b"stsz", &[1, u32::MAX])).is_err());
         let cut = full_box(b"stsz", &[0, u32::MAX, 5]);
         assert!(sample_table(&cut).unwrap().0.is_empty());
     }
 
     #[test]
-    fn empty_edits_delay_and_others_choose() {
+    fn empty_edits_delay_and_other_edits_select() {
         let list = full_box(b"elst", &[2, 500, u32::MAX, 0x10000, 1000, 64, 0x10000]);
         let mut edts = (8 + list.len() as u32).to_be_bytes().to_vec();
         edts.extend(b"edts");
@@ -375,7 +376,7 @@ mod tests {
     fn turned_and_mirrored_matrices() {
         assert_eq!(orientation(UPRIGHT, UPRIGHT), Orientation::default());
         assert_eq!(orientation([[0, 1], [-1, 0]], UPRIGHT), Orientation::turned(1));
-        // A quarter turn of the track within a movie that is turned by another makes a half turn.
+        // A quarter turn of the track and one of the movie make a half turn.
         assert_eq!(orientation([[0, 1], [-1, 0]], [[0, 1], [-1, 0]]), Orientation::turned(2));
         let mirrored = Orientation { mirrored: true, quarter_turns: 0 };
         assert_eq!(orientation([[-1, 0], [0, 1]], UPRIGHT), mirrored);

@@ -1,4 +1,4 @@
-//! One picture file → one picture.
+//! Decodes an image file.
 
 use super::{exif_data, portable};
 use crate::codec::narrow_full_scale;
@@ -11,7 +11,7 @@ use odograph::image::GrayImage;
 use std::io::{Cursor, Read};
 use std::path::Path;
 
-/// The kinds of pictures, from their first bytes.
+/// Image format, detected from the first bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Png,
@@ -32,12 +32,12 @@ fn kind(bytes: &[u8]) -> Option<Kind> {
     }
 }
 
-/// Whether a file that starts with these bytes is a picture this crate decodes.
+/// Whether a file with these first bytes is an image in a supported format.
 pub(crate) fn is_picture(bytes: &[u8]) -> bool {
     kind(bytes).is_some()
 }
 
-/// Reads and decodes a picture file, upright.
+/// Reads and decodes an image file and rotates it upright.
 pub(super) fn picture(path: &Path, color: bool) -> Result<Picture> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)
@@ -60,8 +60,8 @@ pub(super) fn picture(path: &Path, color: bool) -> Result<Picture> {
     Ok(orientation.upright(picture?))
 }
 
-/// Whether the marker that ends a JPEG picture is missing after its last scan: what the decoder would make up must not be
-/// tracked.
+/// Whether a JPEG image is truncated: its end marker is missing after the last scan. The decoder
+/// would fill in the missing part, which must not be tracked.
 fn jpeg_is_cut_off(bytes: &[u8]) -> bool {
     let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
     last(0xd9) < last(0xda)
@@ -117,7 +117,8 @@ fn tiff(bytes: &[u8], color: bool) -> Result<Picture> {
     assemble(width, height, channels, samples, color)
 }
 
-/// A picture from interleaved samples: gray, gray and alpha, RGB, or RGB and alpha. What is transparent becomes black.
+/// A picture from interleaved gray, gray and alpha, RGB, or RGBA samples. Transparency is blended
+/// over black.
 fn assemble(width: usize, height: usize, channels: usize, samples: Vec<u8>, color: bool) -> Result<Picture> {
     let picture = match channels {
         1 => GrayImage::from_samples(width, height, samples).map(Picture::gray),
@@ -136,7 +137,7 @@ fn assemble(width: usize, height: usize, channels: usize, samples: Vec<u8>, colo
     picture.ok_or_else(|| Error::input("the picture does not have as many samples as its size says"))
 }
 
-/// A sample over black.
+/// Blends a sample over black.
 fn blend(sample: u8, alpha: u8) -> u8 {
     ((u32::from(sample) * u32::from(alpha) + 127) / 255) as u8
 }

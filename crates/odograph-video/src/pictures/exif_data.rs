@@ -1,4 +1,4 @@
-//! When a picture was taken and which way up it is, from its EXIF data.
+//! Capture time and orientation of an image from its EXIF data.
 
 use crate::rotation::Orientation;
 use exif::{DateTime, Exif, In, Reader, Tag, Value};
@@ -6,13 +6,14 @@ use std::fs::File;
 use std::io::{BufReader, Cursor};
 use std::path::Path;
 
-/// Seconds since 1970 on the camera's clock (no time zone), from `DateTimeOriginal` and its fraction.
+/// Seconds since 1970 by the camera's clock (without time zone), from `DateTimeOriginal` and its
+/// fraction.
 pub(super) fn time_of_file(path: &Path) -> Option<f64> {
     let exif = Reader::new().read_from_container(&mut BufReader::new(File::open(path).ok()?)).ok()?;
     time(&exif)
 }
 
-/// The orientation of a picture whose file is in memory.
+/// Orientation of an image whose file is in memory.
 pub(super) fn orientation(file: &[u8]) -> Orientation {
     let exif = Reader::new().read_from_container(&mut Cursor::new(file));
     let value = exif.ok().and_then(|e| e.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0));
@@ -29,7 +30,7 @@ fn ascii(exif: &Exif, tag: Tag) -> Option<&[u8]> {
 fn time(exif: &Exif) -> Option<f64> {
     let mut taken = DateTime::from_ascii(ascii(exif, Tag::DateTimeOriginal)?).ok()?;
     if let Some(fraction) = ascii(exif, Tag::SubSecTimeOriginal) {
-        // A fraction that cannot be read is no fraction.
+        // An unreadable fraction is ignored.
         let _ = taken.parse_subsec(fraction);
     }
     if !(1..=12).contains(&taken.month) || !(1..=31).contains(&taken.day) {
@@ -41,7 +42,8 @@ fn time(exif: &Exif) -> Option<f64> {
     Some(seconds as f64 + f64::from(taken.nanosecond.unwrap_or(0)) * 1e-9)
 }
 
-/// Days of the proleptic Gregorian calendar, counted in years that start in March, so that the leap day is the last.
+/// Days since 1970-01-01 in the proleptic Gregorian calendar. Years start in March, so that the
+/// leap day is the last day.
 fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
     let year = if month <= 2 { year - 1 } else { year };
     let day_of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;

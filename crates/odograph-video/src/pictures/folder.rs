@@ -1,4 +1,4 @@
-//! Folders of pictures: which pictures, in which order, taken when.
+//! Image folders: selection, order and capture times of the images.
 
 use super::{decode, exif_data};
 use crate::frame::Picture;
@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm", "pnm"];
 
-/// Opens a folder of pictures, also one as EuRoC (`data.csv` beside `data/`) or TUM (`rgb.txt` beside `rgb/`) lay it out.
+/// Opens an image folder, including the layouts of EuRoC (`data.csv` beside `data/`) and TUM
+/// (`rgb.txt` beside `rgb/`).
 pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Opened> {
     let listing = Listing::read(folder)?;
     if listing.pictures.is_empty() {
@@ -54,17 +55,17 @@ pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Open
     }))
 }
 
-/// Opens one picture as a source of one frame.
+/// Opens one image as a source with one frame.
 pub(crate) fn open_picture(path: &Path, options: &SourceOptions) -> Result<Opened> {
     open_pictures(vec![path.to_path_buf()], options.timestamps.as_deref(), options, false)
 }
 
 struct Listing {
-    /// In natural order.
+    /// Images in natural order.
     pictures: Vec<PathBuf>,
-    /// In the order of their names.
+    /// Subfolders in order of their names.
     folders: Vec<PathBuf>,
-    /// Something else that is there.
+    /// An example of another entry.
     other: Option<String>,
 }
 
@@ -77,7 +78,8 @@ impl Listing {
             let path = entry.map_err(unreadable)?.path();
             let name = name_of(&path);
             let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-            // Names that start with a dot are other programs' notes, such as the `._` files of macOS.
+            // Names with a leading dot are metadata of other programs, such as the `._` files of
+            // macOS.
             if EXTENSIONS.contains(&extension.as_str()) && !name.starts_with('.') && path.is_file() {
                 listing.pictures.push(path);
             } else {
@@ -98,7 +100,7 @@ fn name_of(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Compares names as people count: runs of digits by their number, so that `2.png` comes before `10.png`.
+/// Natural sort order: compares runs of digits by their value, so that `2.png` precedes `10.png`.
 fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
     loop {
@@ -118,13 +120,13 @@ fn natural_order(a: &str, b: &str) -> Ordering {
                 }
                 (left, right) = (after, other_after);
             }
-            // Names that differ only in leading zeros still have one order.
+            // Tie-break for names that differ only in leading zeros.
             _ => return left.len().cmp(&right.len()).then_with(|| a.cmp(b)),
         }
     }
 }
 
-/// A run of digits without its leading zeros, and what follows.
+/// Splits off a run of digits, without its leading zeros.
 fn digits(bytes: &[u8]) -> (&[u8], &[u8]) {
     let end = bytes.iter().position(|b| !b.is_ascii_digit()).unwrap_or(bytes.len());
     let (number, after) = bytes.split_at(end);
@@ -132,7 +134,7 @@ fn digits(bytes: &[u8]) -> (&[u8], &[u8]) {
     (&number[zeros..], after)
 }
 
-/// `named`: errors name the picture, because the source is a folder.
+/// Opens images as a source. `named`: errors have the image's name, because the source is a folder.
 fn open_pictures(
     pictures: Vec<PathBuf>,
     timestamps: Option<&Path>,
@@ -161,7 +163,7 @@ fn open_pictures(
         frame_count: Some(pictures.len() as u64),
         description: if count == 1 { format!("picture ({kind})") } else { format!("pictures ({kind})") },
         timestamps_used: timestamps.is_some(),
-        // One picture needs no rate.
+        // A single image needs no frame rate.
         times_known: times.is_some() || count == 1,
         frames_per_second: None,
         frames: Box::new(Pictures {
@@ -176,7 +178,7 @@ fn open_pictures(
     })
 }
 
-/// The pictures a file of timestamps names, with their times; or all, where it only has times.
+/// The images named by a timestamps file, with their times; all images if the file has only times.
 fn by_file(
     pictures: Vec<PathBuf>,
     file: &Path,
@@ -227,7 +229,7 @@ fn increasing(times: &[f64]) -> bool {
     times.windows(2).all(|pair| pair[0] < pair[1])
 }
 
-/// Times from EXIF data, where every picture has one and they increase.
+/// Capture times from EXIF data; `None` unless every image has one and they increase.
 fn from_exif(pictures: &[PathBuf], warnings: &mut Vec<String>) -> Option<Vec<f64>> {
     let times: Option<Vec<f64>> = pictures.iter().map(|picture| exif_data::time_of_file(picture)).collect();
     let times = times?;
@@ -241,7 +243,7 @@ fn from_exif(pictures: &[PathBuf], warnings: &mut Vec<String>) -> Option<Vec<f64
     Some(times)
 }
 
-/// Times from names that are times, where every name is one and they increase.
+/// Times from file names; `None` unless every name is a time and they increase.
 fn from_names(pictures: &[PathBuf]) -> Option<Vec<f64>> {
     let times: Option<Vec<f64>> =
         pictures.iter().map(|p| time_from_name(&p.file_stem()?.to_string_lossy())).collect();

@@ -1,4 +1,4 @@
-//! Picture folders and single pictures as sources.
+//! Image folders and single images as sources.
 
 mod decode;
 mod exif_data;

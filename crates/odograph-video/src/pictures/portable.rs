@@ -1,4 +1,4 @@
-//! PGM and PPM, plain and raw (netpbm's formats P2, P3, P5, P6).
+//! PGM and PPM, plain and raw (netpbm formats P2, P3, P5, P6).
 
 use crate::codec::narrow_full_scale;
 use crate::frame::{Picture, picture_from_rgb};
@@ -6,7 +6,7 @@ use crate::limits;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 
-/// Decodes one picture.
+/// Decodes one image.
 pub(super) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     let cut_off = || Error::input("the picture is cut off");
     let (kind, mut rest) = bytes.split_at_checked(2).ok_or_else(cut_off)?;
@@ -30,13 +30,13 @@ pub(super) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
         _ => ((value.min(most) * 255 + most / 2) / most) as u8,
     };
     let narrowed: Vec<u8> = if plain {
-        // A sample takes at least two characters: a short file cannot ask for much memory.
+        // A plain sample has at least two characters, so a short file cannot claim much memory.
         if rest.len() < 2 * samples - 1 {
             return Err(cut_off());
         }
         (0..samples).map_while(|_| self::number(&mut rest)).map(scaled).collect()
     } else {
-        // One white space ends the head.
+        // One white space character ends the header.
         let data = rest.get(1..).ok_or_else(cut_off)?;
         if most < 256 {
             data.iter().take(samples).map(|&s| scaled(usize::from(s))).collect()
@@ -58,7 +58,7 @@ pub(super) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     picture.ok_or_else(cut_off)
 }
 
-/// The next number; white space and comments before it are skipped.
+/// Parses the next number; skips white space and comments before it.
 fn number(rest: &mut &[u8]) -> Option<usize> {
     loop {
         match rest {

@@ -1,20 +1,26 @@
-//! Calibration boards: which points they carry and where those are.
+//! Calibration boards and the positions of their points.
 
 use crate::error::{Error, Result};
 use crate::geometry::Pixel;
 use std::fmt;
 use std::str::FromStr;
 
-/// A flat board with points at known places.
+/// A flat calibration board with points at known positions.
 ///
-/// The board's frame: origin at the first point, x along the rows, y down the columns as printed, z into the paper
-/// (right-handed); all points have z = 0. It is the frame of OpenCV's `objectPoints` for the same board.
+/// The board frame has its origin at the first point, x along the rows, y down the columns as
+/// printed, and z into the paper (right-handed). All points have z = 0. This is the frame of
+/// OpenCV's `objectPoints` for the same board.
 ///
-/// As text, a kind, a count and lengths with their unit: `chessboard:9x6:25mm` (inner corners), `charuco:8x11:20mm` (squares; the
-/// marker's side, 0.75 of a square unless told, and the dictionary may follow: `charuco:8x11:20mm:15mm:4x4_50`),
-/// `aprilgrid:6x6:88mm:26.4mm` (tags, side of a tag, gap between tags; Kalibr's target, the gap is 0.3 of a side unless told),
-/// `circles:7x5:20mm` and `asymmetric-circles:4x11:20mm` (OpenCV's circle grids; the length is the distance of two centres in
-/// a row, and for the asymmetric grid half of it).
+/// The text form is a kind, a count and lengths with units:
+///
+/// * `chessboard:9x6:25mm`: inner corners, side of a square.
+/// * `charuco:8x11:20mm`: squares, side of a square. Optionally the side of a marker (default 0.75
+///   of the square) and the dictionary follow: `charuco:8x11:20mm:15mm:4x4_50`.
+/// * `aprilgrid:6x6:88mm:26.4mm`: tags, side of a tag, gap between tags (default 0.3 of the side).
+///   This is Kalibr's target.
+/// * `circles:7x5:20mm` and `asymmetric-circles:4x11:20mm`: OpenCV's circle grids. The length is
+///   the distance between neighbouring centres in a row; for the asymmetric grid it is half of that
+///   distance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Board {
     kind: BoardKind,
@@ -23,33 +29,36 @@ pub struct Board {
     spacing_m: f64,
 }
 
-/// What is printed on a board, with the lengths that go with it.
+/// The pattern printed on a board, with the lengths specific to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum BoardKind {
-    /// A chessboard, counted in inner corners; the spacing is the side of a square. The whole board must be seen.
+    /// A chessboard, counted in inner corners. The spacing is the side of a square. It is only
+    /// detected as a whole.
     Chessboard,
-    /// A chessboard with an ArUco marker in each white square, counted in squares (OpenCV's `CharucoBoard`): parts of it are
-    /// enough. The spacing is the side of a square.
+    /// A chessboard with an ArUco marker in each white square (OpenCV's `CharucoBoard`), counted in
+    /// squares. The spacing is the side of a square. Partial views are usable.
     Charuco {
-        /// Side of a marker, metres, less than that of a square.
+        /// Side of a marker, metres; less than the side of a square.
         marker_m: f64,
-        /// Which markers.
+        /// The marker dictionary.
         dictionary: Dictionary,
     },
-    /// Kalibr's grid of AprilTags (36h11) whose corners touch small black squares, counted in tags; parts of it are enough. The
-    /// spacing is the distance from a tag to the same corner of the next: side plus gap.
+    /// Kalibr's grid of AprilTags (36h11) with small black squares at the tag corners, counted in
+    /// tags. The spacing is the period of the grid: side of a tag plus gap. Partial views are
+    /// usable.
     AprilGrid {
         /// Side of a tag's black border, metres.
         tag_m: f64,
     },
-    /// A rectangular grid of black discs. The spacing is the distance of neighbouring centres.
+    /// A rectangular grid of black discs. The spacing is the distance between neighbouring centres.
     Circles,
-    /// OpenCV's asymmetric grid: every second row is shifted by one spacing. A row has `columns` discs two spacings apart.
+    /// OpenCV's asymmetric circle grid: every second row is shifted by one spacing. A row has
+    /// `columns` discs two spacings apart.
     AsymmetricCircles,
 }
 
-/// A set of square markers, by OpenCV's name without its `DICT_`.
+/// A dictionary of square fiducial markers, named as in OpenCV without the prefix `DICT_`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Dictionary {
@@ -74,7 +83,7 @@ pub enum Dictionary {
 }
 
 impl Dictionary {
-    /// Every dictionary with its name.
+    /// All dictionaries with their names.
     pub const NAMED: [(&'static str, Self); 9] = [
         ("4x4_50", Self::Aruco4x4_50),
         ("4x4_100", Self::Aruco4x4_100),
@@ -87,7 +96,7 @@ impl Dictionary {
         ("apriltag_36h11", Self::AprilTag36h11),
     ];
 
-    /// How many markers it has.
+    /// Number of markers in the dictionary.
     pub fn markers(self) -> usize {
         match self {
             Self::Aruco4x4_50 | Self::Aruco5x5_50 | Self::Aruco6x6_50 => 50,
@@ -97,49 +106,51 @@ impl Dictionary {
         }
     }
 
-    /// Its name in a board's text.
+    /// The name used in the text form of a [`Board`].
     pub fn name(self) -> &'static str {
         Self::NAMED.iter().find(|(_, dictionary)| *dictionary == self).map_or("", |(name, _)| name)
     }
 }
 
-/// A point of a board, in the board's frame.
+/// A point on a board, in the board frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoardPoint {
-    /// Along the rows, metres.
+    /// Coordinate along the rows, metres.
     pub x_m: f64,
-    /// Down the columns, metres.
+    /// Coordinate down the columns, metres.
     pub y_m: f64,
 }
 
-/// One point of a board seen in an image.
+/// A board point detected in an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SeenPoint {
-    /// Which point: an index into [`Board::points`].
+    /// Index into [`Board::points`].
     pub index: usize,
-    /// Where.
+    /// Detected position in the image, pixels, without correction of the lens distortion.
     pub pixel: Pixel,
 }
 
-/// The points of a board that were seen in one image, in the order of their indices, each once.
+/// The board points detected in one image, sorted by index and without duplicates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardView {
     /// Width and height of the image, pixels.
     pub size: (usize, usize),
-    /// What was seen.
+    /// The detected points.
     pub points: Vec<SeenPoint>,
 }
 
-/// The longest side of a board, the most squares along one, and the least spacing that are taken seriously.
+/// Limits of a valid board: longest side (metres), largest count along a side, smallest spacing
+/// (metres).
 const LARGEST_M: f64 = 20.0;
 const MOST_ALONG_A_SIDE: usize = 200;
 const LEAST_SPACING_M: f64 = 1e-4;
 
 impl Board {
-    /// A board of `columns` by `rows` (inner corners, squares, tags or discs, as its kind counts) with the spacing of the kind.
+    /// A board with `columns` by `rows` elements (inner corners, squares, tags or discs, depending
+    /// on the kind) and the spacing defined by the kind, metres.
     ///
-    /// Fails where a count is too small or too large, a length is not a sensible number of metres, a marker does not fit its
-    /// square, or there are more markers than the dictionary has.
+    /// Fails if a count or a length is out of range, if a marker does not fit its square, or if the
+    /// dictionary has too few markers.
     pub fn new(kind: BoardKind, columns: usize, rows: usize, spacing_m: f64) -> Result<Self> {
         let board = Self { kind, columns, rows, spacing_m };
         let least = match kind {
@@ -188,27 +199,28 @@ impl Board {
         Ok(board)
     }
 
-    /// What is printed on it.
+    /// The printed pattern.
     pub fn kind(&self) -> BoardKind {
         self.kind
     }
 
-    /// How many along a row, as the kind counts.
+    /// Number of columns, in the elements that the kind counts.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// How many down a column, as the kind counts.
+    /// Number of rows, in the elements that the kind counts.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// The spacing of the kind, metres.
+    /// The spacing as defined by the kind, metres.
     pub fn spacing_m(&self) -> f64 {
         self.spacing_m
     }
 
-    /// The markers' dictionary and how many of it are on the board; `None` for boards without markers.
+    /// The marker dictionary and the number of markers on the board; `None` for boards without
+    /// markers.
     pub fn dictionary_and_markers(&self) -> Option<(Dictionary, usize)> {
         let (columns, rows) = (self.columns, self.rows);
         match self.kind {
@@ -218,9 +230,10 @@ impl Board {
         }
     }
 
-    /// How many points a row of the grid of points has, and how many rows there are.
+    /// Columns and rows of the point grid.
     ///
-    /// Inner corners of a chessboard or ChArUco board, disc centres, or twice the tags of an AprilGrid.
+    /// The points are the inner corners of a chessboard or ChArUco board, the disc centres of a
+    /// circle grid, or the tag corners of an AprilGrid (two columns and two rows per tag).
     pub fn grid(&self) -> (usize, usize) {
         match self.kind {
             BoardKind::Charuco { .. } => (self.columns - 1, self.rows - 1),
@@ -229,10 +242,12 @@ impl Board {
         }
     }
 
-    /// All points, row after row of the [`Board::grid`]; a [`SeenPoint`] names them by index.
+    /// All points in row-major order of the [`Board::grid`]; [`SeenPoint::index`] refers to this
+    /// order.
     ///
-    /// The corners of the AprilGrid tag in column i and row j, counted from the top left as printed, are the grid's points (2i, 2j)
-    /// to (2i + 1, 2j + 1). Kalibr numbers its tags from the bottom left: that tag's number is `(rows - 1 - j) * columns + i`.
+    /// The corners of the AprilGrid tag in column i and row j, counted from the top left as
+    /// printed, are the grid points (2i, 2j) to (2i + 1, 2j + 1). Kalibr numbers its tags from the
+    /// bottom left; the number of that tag is `(rows - 1 - j) * columns + i`.
     pub fn points(&self) -> Vec<BoardPoint> {
         let (columns, rows) = self.grid();
         let at = |column: usize, row: usize| {
@@ -252,13 +267,13 @@ impl Board {
         (0..rows).flat_map(|row| (0..columns).map(move |column| at(column, row))).collect()
     }
 
-    /// Whether parts of the board are enough to know which points are seen.
+    /// Whether the points can be identified in a partial view of the board.
     pub fn may_be_partial(&self) -> bool {
         matches!(self.kind, BoardKind::Charuco { .. } | BoardKind::AprilGrid { .. })
     }
 }
 
-/// `25mm`, `2.5cm` or `0.025m` in metres.
+/// Parses a length with its unit, such as `25mm`, `2.5cm` or `0.025m`; returns metres.
 fn length_m(text: &str) -> Result<f64> {
     let units = [("mm", 1e-3), ("cm", 1e-2), ("in", 0.0254), ("m", 1.0)];
     let (number, unit_m) =
@@ -327,7 +342,7 @@ impl FromStr for Board {
     }
 }
 
-/// The smallest of the 4x4 dictionaries that is enough for a ChArUco board.
+/// The smallest 4x4 dictionary with enough markers for a ChArUco board of this size.
 fn smallest_dictionary(columns: usize, rows: usize) -> Dictionary {
     match columns.saturating_mul(rows) / 2 {
         0..=50 => Dictionary::Aruco4x4_50,
@@ -338,7 +353,8 @@ fn smallest_dictionary(columns: usize, rows: usize) -> Dictionary {
 
 impl fmt::Display for Board {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Thousandths of a millimetre are more than a printer can; they keep 26.4 from being 26.400000000000002.
+        // Rounding to a thousandth of a millimetre, finer than any printer, prints 26.4 instead of
+        // 26.400000000000002.
         let mm = |length_m: f64| format!("{}mm", (length_m * 1e6).round() / 1e3);
         let Self { columns, rows, spacing_m, .. } = *self;
         match self.kind {
@@ -362,7 +378,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_text_of_a_board_reads_back_as_the_board() {
+    fn text_form_round_trips() {
         for text in [
             "chessboard:9x6:25mm",
             "charuco:8x11:20mm",
@@ -384,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn points_are_where_opencv_and_kalibr_have_them() {
+    fn points_match_opencv_and_kalibr() {
         let chessboard: Board = "chessboard:9x6:25mm".parse().unwrap();
         assert_eq!(chessboard.points()[10], BoardPoint { x_m: 0.025, y_m: 0.025 });
         let grid: Board = "aprilgrid:6x5:80mm:20mm".parse().unwrap();
@@ -395,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_board_is_refused_with_its_reason() {
+    fn invalid_text_is_rejected_with_a_reason() {
         for (text, reason) in [
             ("chessboard:9x6", "needs a kind, a count and a length"),
             ("chessboard:9x6:25", "not a length with its unit"),

@@ -1,9 +1,9 @@
-//! What the markers look like: their bits.
+//! Bit patterns of the marker dictionaries.
 
 use super::Dictionary;
 
 impl Dictionary {
-    /// Bits along a side of a marker, without its black border.
+    /// Number of bits along the side of a marker, without its black border.
     pub fn bits_per_side(self) -> usize {
         match self {
             Self::Aruco4x4_50 | Self::Aruco4x4_100 | Self::Aruco4x4_250 => 4,
@@ -12,11 +12,12 @@ impl Dictionary {
         }
     }
 
-    /// The bits of marker `id`, upright as OpenCV draws it: row after row from the top left, the first bit the most significant of
-    /// the `bits_per_side²` that count; 1 is white. `None` beyond the last marker.
+    /// Bit pattern of marker `id`, upright as drawn by OpenCV, in row-major order from the top
+    /// left. Only the lowest `bits_per_side²` bits are used; the first is the most significant, and
+    /// 1 is white. `None` if `id` is out of range.
     ///
-    /// OpenCV draws an AprilTag turned by half a turn against its publication (and against Kalibr's targets), where the first bit
-    /// of the published code is at the top left.
+    /// OpenCV draws AprilTags rotated by 180° relative to the publication and to Kalibr's targets,
+    /// where the first bit of the published code is at the top left.
     pub fn marker(self, id: usize) -> Option<u64> {
         let markers: &[u64] = match self.bits_per_side() {
             4 => &ARUCO_4X4,
@@ -24,26 +25,27 @@ impl Dictionary {
             _ if self == Self::AprilTag36h11 => &APRILTAG_36H11,
             _ => &ARUCO_6X6,
         };
-        // The smaller ArUco dictionaries are the beginnings of the larger ones.
+        // Each smaller ArUco dictionary is a prefix of the larger one.
         markers.get(..self.markers())?.get(id).copied()
     }
 
-    /// Bits as in [`Dictionary::marker`] after the marker has been turned clockwise by `quarter_turns`.
+    /// Bit pattern, in the order of [`Dictionary::marker`], after a clockwise rotation of the
+    /// marker by `quarter_turns`.
     pub fn turned(self, bits: u64, quarter_turns: usize) -> u64 {
         let side = self.bits_per_side();
         let bit = |bits: u64, column: usize, row: usize| bits >> (side * side - 1 - row * side - column) & 1;
         (0..quarter_turns % 4).fold(bits, |bits, _| {
-            // Clockwise, what was at the bottom of the first column comes to the top left.
+            // A clockwise rotation moves the bottom of the first column to the top left.
             (0..side * side).fold(0, |turned, at| turned << 1 | bit(bits, at / side, side - 1 - at % side))
         })
     }
 }
 
-// The markers are those of S. Garrido-Jurado et al., "Automatic generation and detection of highly reliable fiducial markers under
-// occlusion", 2014 (ArUco), in the selection that OpenCV ships, and E. Olson, "AprilTag: a robust and flexible visual
-// fiducial system", 2011.
+// Sources of the bit patterns: S. Garrido-Jurado et al., "Automatic generation and detection of
+// highly reliable fiducial markers under occlusion", 2014 (ArUco, in the selection that OpenCV
+// ships), and E. Olson, "AprilTag: a robust and flexible visual fiducial system", 2011.
 
-/// ArUco's markers of 4x4 bits.
+/// ArUco markers of 4x4 bits.
 #[rustfmt::skip]
 const ARUCO_4X4: [u64; 250] = [
     0xb532, 0x0f9a, 0x332d, 0x9946, 0x549e, 0x79cd, 0x9e2e, 0xc4f2, 0xfeda, 0xcf56, 0xf991, 0x11a7, 0x0eb7,
@@ -68,7 +70,7 @@ const ARUCO_4X4: [u64; 250] = [
     0x6dcb, 0x678d, 0x6d31,
 ];
 
-/// ArUco's markers of 5x5 bits.
+/// ArUco markers of 5x5 bits.
 #[rustfmt::skip]
 const ARUCO_5X5: [u64; 250] = [
     0x145b2bc, 0x01c06e6, 0x1af0edd, 0x10395f7, 0x1aeb524, 0x1d4082d, 0x0d3d7ec, 0x0e2146b, 0x10d6132,
@@ -101,7 +103,7 @@ const ARUCO_5X5: [u64; 250] = [
     0x013e4ec, 0x005a105, 0x004c592, 0x00de752, 0x00dde46, 0x01c7c24, 0x01535bb,
 ];
 
-/// ArUco's markers of 6x6 bits.
+/// ArUco markers of 6x6 bits.
 #[rustfmt::skip]
 const ARUCO_6X6: [u64; 250] = [
     0x1e3dd82a6, 0x0efba3891, 0x15907eacd, 0xc91b3069e, 0xd607d6e15, 0xd8e8e0e68, 0x4268b41f5, 0x88a50f29a,
@@ -138,7 +140,8 @@ const ARUCO_6X6: [u64; 250] = [
     0x6feaca457, 0x703d38a60,
 ];
 
-/// AprilTag's family 36h11, with the first bit of its published codes last: a half turn, as OpenCV shows them.
+/// AprilTag family 36h11, rotated by 180° as in OpenCV: the first bit of the published code is the
+/// last here.
 #[rustfmt::skip]
 const APRILTAG_36H11: [u64; 587] = [
     0x21a146bab, 0x92d18fe9b, 0x7089014bb, 0x193979e27, 0x44153d3d7, 0x35cd5b8cf, 0xa10ba56a0, 0x2b874a608,
@@ -227,8 +230,9 @@ mod tests {
     }
 
     #[test]
-    fn markers_differ_by_what_their_families_promise_however_they_are_turned() {
-        // As OpenCV's own tables have it, measured with its Python module: between two markers, and between a marker and itself turned.
+    fn minimum_hamming_distances_match_opencv() {
+        // Minimum Hamming distances between two markers and between a marker and its own rotations,
+        // computed from OpenCV's tables with its Python module.
         for (dictionary, between, itself) in [
             (Dictionary::Aruco4x4_250, 3, 4),
             (Dictionary::Aruco5x5_250, 6, 6),
@@ -251,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn every_dictionary_has_the_markers_it_promises_and_no_more() {
+    fn dictionaries_have_the_stated_number_of_markers() {
         for (name, dictionary) in Dictionary::NAMED {
             let bits = dictionary.bits_per_side().pow(2);
             assert!(
@@ -263,12 +267,13 @@ mod tests {
     }
 
     #[test]
-    fn bits_are_in_the_order_in_which_opencv_draws_them() {
+    fn bit_order_matches_opencv() {
         // Rows of `cv2.aruco.generateImageMarker(dictionary, 0, …)`: 1011 0101 0011 0010 for 4x4.
         assert_eq!(Dictionary::Aruco4x4_50.marker(0), Some(0b1011_0101_0011_0010));
-        // A quarter turn clockwise: the first column from its bottom up is the first row.
+        // Rotated by 90° clockwise, the first column read from the bottom becomes the first row.
         assert_eq!(Dictionary::Aruco4x4_50.turned(0b1011_0101_0011_0010, 1), 0b0001_0010_1101_0111);
-        // Half a turn against the code of the AprilTag library, whose first bit is at the top left.
+        // Rotated by 180° relative to the code in the AprilTag library, whose first bit is at the
+        // top left.
         let published = 0xd_5d62_8584;
         assert_eq!(
             Dictionary::AprilTag36h11.turned(published, 2),

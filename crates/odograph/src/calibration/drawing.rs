@@ -1,15 +1,20 @@
-//! What is printed on a board: black rectangles and discs on a white sheet, in metres.
+//! The printed pattern of a board as black rectangles and discs on a white sheet, in metres.
 
 use super::{Board, BoardKind, BoardPoint, Dictionary};
 use std::ops::Range;
 
-/// A board as it is printed, in the board's frame.
+/// The printed pattern of a board, in the board frame.
 ///
-/// A chessboard has a black square at the top left and one row and column of squares more than corners. A ChArUco board is that of
-/// OpenCV 4.6 and later (not its "legacy pattern"): a black square at the top left, the markers numbered row after row in the white
-/// squares. An AprilGrid is the one that `kalibr_create_target_pdf` draws: tags of 10x10 cells whose border is two cells wide, upright
-/// as published (half a turn against [`Dictionary::marker`]), numbered from the bottom left, with black squares as wide as the gap at
-/// the corners of every tag. The radius of a disc is a quarter of the distance to its nearest neighbour.
+/// * Chessboard: a black square at the top left, and one more row and column of squares than of
+///   inner corners.
+/// * ChArUco board: the layout of OpenCV 4.6 and later (not its "legacy pattern"), with a black
+///   square at the top left and the markers numbered in row-major order over the white squares.
+/// * AprilGrid: the target drawn by `kalibr_create_target_pdf`. Tags have 10x10 cells with a border
+///   two cells wide, are oriented as published (rotated by 180° relative to [`Dictionary::marker`])
+///   and numbered from the bottom left. Black squares as wide as the gap touch the corners of every
+///   tag.
+/// * Circle grids: the radius of a disc is a quarter of the distance to the nearest neighbouring
+///   centre.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawing {
     pattern: Rectangle,
@@ -17,46 +22,47 @@ pub struct Drawing {
     ink: Ink,
 }
 
-/// A rectangle along the axes of the board's frame.
+/// An axis-aligned rectangle in the board frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rectangle {
-    /// The corner with the least coordinates: the top left as printed.
+    /// The corner with the smallest coordinates: top left as printed.
     pub from: BoardPoint,
-    /// The opposite corner.
+    /// The opposite corner: bottom right as printed.
     pub to: BoardPoint,
 }
 
-/// Something black on a board.
+/// A black shape on a board.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
     /// A filled rectangle.
     Rectangle(Rectangle),
     /// A filled disc.
     Disc {
-        /// Its centre.
+        /// Centre.
         center: BoardPoint,
-        /// Its radius, metres.
+        /// Radius, metres.
         radius_m: f64,
     },
 }
 
 impl Rectangle {
-    /// Its extent along x, metres.
+    /// Extent along x, metres.
     pub fn width_m(&self) -> f64 {
         self.to.x_m - self.from.x_m
     }
 
-    /// Its extent along y, metres.
+    /// Extent along y, metres.
     pub fn height_m(&self) -> f64 {
         self.to.y_m - self.from.y_m
     }
 
-    /// Whether a point lies inside; the lower sides belong to it, the upper ones do not.
+    /// Whether a point lies inside. The rectangle is half-open: the sides at `from` are included,
+    /// the sides at `to` are not.
     pub fn contains(&self, point: BoardPoint) -> bool {
         (self.from.x_m..self.to.x_m).contains(&point.x_m) && (self.from.y_m..self.to.y_m).contains(&point.y_m)
     }
 
-    /// As much wider on every side.
+    /// The rectangle expanded by `by_m` on every side.
     fn widened(&self, by_m: f64) -> Self {
         let moved =
             |point: BoardPoint, by_m: f64| BoardPoint { x_m: point.x_m + by_m, y_m: point.y_m + by_m };
@@ -66,7 +72,7 @@ impl Rectangle {
 
 #[derive(Debug, Clone, PartialEq)]
 enum Ink {
-    /// A raster of cells, row after row, between edges that need not be evenly spaced.
+    /// A row-major raster of cells whose edges need not be evenly spaced.
     Cells {
         across: Axis,
         down: Axis,
@@ -76,7 +82,7 @@ enum Ink {
 }
 
 impl Drawing {
-    /// What is printed on `board`.
+    /// The printed pattern of `board`.
     pub fn new(board: &Board) -> Self {
         let (columns, rows, spacing_m) = (board.columns(), board.rows(), board.spacing_m());
         match board.kind() {
@@ -104,7 +110,8 @@ impl Drawing {
                         if (square + square_row) % 2 == 0 {
                             return true;
                         }
-                        // The white squares before this one; each pair of rows has `columns` of them, whichever it begins with.
+                        // Number of white squares before this one. Each pair of rows has `columns`
+                        // white squares, whether the first row starts black or white.
                         let id = (square_row * columns + square) / 2;
                         let inside = (1..=cells).contains(&place) && (1..=cells).contains(&place_row);
                         inside && is_black_cell(markers[id], bits, 1, place - 1, place_row - 1)
@@ -172,12 +179,12 @@ impl Drawing {
         Self { pattern, quiet_m, ink: Ink::Cells { across, down, black } }
     }
 
-    /// The rectangle around all squares, tags or discs, white ones at the border included.
+    /// Bounding rectangle of all squares, tags or discs, including white squares at the border.
     pub fn pattern(&self) -> Rectangle {
         self.pattern
     }
 
-    /// How much white there should be around the pattern at least for it to be found, metres.
+    /// Minimum width of the white quiet zone around the pattern for reliable detection, metres.
     pub fn quiet_m(&self) -> f64 {
         self.quiet_m
     }
@@ -187,8 +194,8 @@ impl Drawing {
         self.pattern.widened(self.quiet_m)
     }
 
-    /// All that is black, as shapes that do not overlap (squares of a chessboard touch at their corners, cells of a marker along
-    /// their sides).
+    /// All black areas as non-overlapping shapes. Squares of a chessboard touch at their corners,
+    /// cells of a marker along their sides.
     pub fn shapes(&self) -> Vec<Shape> {
         match &self.ink {
             Ink::Cells { across, down, black } => {
@@ -210,7 +217,7 @@ impl Drawing {
         }
     }
 
-    /// Whether the board is black at a point; false outside.
+    /// Whether the board is black at a point; false outside the pattern.
     pub fn is_black(&self, point: BoardPoint) -> bool {
         match &self.ink {
             Ink::Cells { across, down, black } => match (across.cell(point.x_m), down.cell(point.y_m)) {
@@ -221,7 +228,8 @@ impl Drawing {
         }
     }
 
-    /// Whether the board is black everywhere, or nowhere, in a small rectangle; `None` where it may be both.
+    /// `Some` if a small rectangle is uniformly black (`true`) or uniformly white (`false`); `None`
+    /// if it may be mixed.
     pub(crate) fn is_black_all_over(&self, part: Rectangle) -> Option<bool> {
         match &self.ink {
             Ink::Cells { across, down, black } => {
@@ -247,10 +255,11 @@ impl Drawing {
     }
 }
 
-/// Cells along a side of one of Kalibr's tags: six bits and a border of two cells on either side.
+/// Cells along the side of one of Kalibr's tags: six bits and a border of two cells on each side.
 const TAG_CELLS: usize = 10;
 
-/// Whether a cell of a marker is black, counted from the corner of its border, which is `border` cells wide.
+/// Whether a marker cell is black. Columns and rows are counted from the corner of the border,
+/// which is `border` cells wide.
 fn is_black_cell(marker: u64, bits: usize, border: usize, column: usize, row: usize) -> bool {
     let inside = border..border + bits;
     if !inside.contains(&column) || !inside.contains(&row) {
@@ -259,11 +268,11 @@ fn is_black_cell(marker: u64, bits: usize, border: usize, column: usize, row: us
     marker >> (bits * bits - 1 - (row - border) * bits - (column - border)) & 1 == 0
 }
 
-/// The black cells of a raster gathered into rectangles, as ranges of columns and rows: runs of a row, and with them the rows below
-/// that have the same run.
+/// Merges the black cells of a raster into rectangles, returned as ranges of columns and rows. Each
+/// run of black cells in a row is extended downwards over rows that have the same run.
 fn merged(black: &[bool], columns: usize) -> Vec<(Range<usize>, Range<usize>)> {
     let mut rectangles: Vec<(Range<usize>, Range<usize>)> = Vec::new();
-    // Those that end at the row before, in the order of their columns.
+    // Rectangles that end at the previous row, in column order.
     let mut open: Vec<usize> = Vec::new();
     for (row, cells) in black.chunks_exact(columns).enumerate() {
         let mut reaching = Vec::new();
@@ -288,17 +297,18 @@ fn merged(black: &[bool], columns: usize) -> Vec<(Range<usize>, Range<usize>)> {
     rectangles
 }
 
-/// Edges of cells along one direction, and a table that finds the cell of a place at once.
+/// Cell edges along one axis, with a lookup table from position to cell.
 #[derive(Debug, Clone, PartialEq)]
 struct Axis {
     edges_m: Vec<f64>,
-    /// For each of evenly spaced places the last edge that is not beyond it.
+    /// For each of the evenly spaced table positions: the last edge at or before it.
     table: Vec<u32>,
     places_per_m: f64,
 }
 
 impl Axis {
-    /// `count` periods from `start_m`, each with the same edges, and a last cell of `end_m` where that is not 0.
+    /// `count` periods of length `period_m` from `start_m`, each with the same edges, followed by a
+    /// last cell of length `end_m` if that is positive.
     fn new(start_m: f64, edges_of_a_period_m: &[f64], period_m: f64, count: usize, end_m: f64) -> Self {
         let period = |number: usize| {
             edges_of_a_period_m.iter().map(move |edge_m| start_m + period_m * number as f64 + edge_m)
@@ -339,7 +349,7 @@ impl Axis {
         if !(place >= 0.0 && at_m < self.edges_m[self.edges_m.len() - 1]) {
             return None;
         }
-        // Rounding may name the place, and so the cell, after the one meant.
+        // Rounding may select the next table entry, and so a cell too far.
         let mut cell = self.table[(place as usize).min(self.table.len() - 1)] as usize;
         while at_m < self.edges_m[cell] {
             cell -= 1;
@@ -351,25 +361,25 @@ impl Axis {
     }
 }
 
-/// Discs on a grid.
+/// A grid of discs.
 #[derive(Debug, Clone, PartialEq)]
 struct Discs {
     centers: Vec<BoardPoint>,
     columns: usize,
     rows: usize,
     spacing_m: f64,
-    /// Whether every second row is shifted by half of the distance of two in a row.
+    /// Whether every second row is shifted by half the distance between neighbours in a row.
     shifted: bool,
     radius_m: f64,
 }
 
 impl Discs {
-    /// How far a point is from the nearest centre; infinite far outside.
+    /// Distance from a point to the nearest disc centre, metres.
     fn distance_m(&self, point: BoardPoint) -> f64 {
         let BoardPoint { x_m, y_m } = point;
         let in_a_row_m = if self.shifted { 2.0 * self.spacing_m } else { self.spacing_m };
         let nearest_row = (y_m / self.spacing_m).floor();
-        // The nearest centre may be in the row above or in that below.
+        // The nearest centre is in the row above or in the row below.
         let distances = [nearest_row, nearest_row + 1.0].map(|row| {
             let row = row.clamp(0.0, (self.rows - 1) as f64);
             let start_m = if self.shifted && row % 2.0 == 1.0 { self.spacing_m } else { 0.0 };
@@ -388,7 +398,8 @@ impl Discs {
             BoardPoint { x_m: (part.from.x_m + part.to.x_m) / 2.0, y_m: (part.from.y_m + part.to.y_m) / 2.0 };
         let reach_m = part.width_m().hypot(part.height_m()) / 2.0;
         let distance_m = self.distance_m(middle);
-        // The distance to the nearest centre changes by no more than the way that is gone.
+        // The distance to the nearest centre is Lipschitz continuous with constant 1, so within the
+        // rectangle it differs from the value at the middle by at most `reach_m`.
         ((distance_m - self.radius_m).abs() > reach_m).then_some(distance_m < self.radius_m)
     }
 }

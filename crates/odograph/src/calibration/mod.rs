@@ -1,8 +1,9 @@
-//! Camera calibration: views of a known board in, a [`crate::camera::Camera`] with its uncertainty out.
+//! Camera calibration from views of a known board: a [`crate::camera::Camera`] with its covariance.
 //!
-//! [`Board`] says where a board's points are, in metres. A finder turns an image into a [`BoardView`]: which of the points
-//! were seen, and at which pixels. [`calibrate`] turns views into a [`Calibration`], and [`board_pose`] says where a board is in
-//! front of a known camera.
+//! [`Board`] defines the positions of a board's points, in metres. A [`BoardFinder`] detects the
+//! board in an image and returns a [`BoardView`]: the indices of the detected points and their
+//! pixels. [`calibrate`] estimates the camera from many views and returns a [`Calibration`].
+//! [`board_pose`] estimates the pose of a board relative to a calibrated camera from one view.
 
 mod board;
 mod dictionary;

@@ -3,7 +3,8 @@ use proptest::prelude::*;
 
 const SIZE: (usize, usize) = (64, 48);
 
-/// Barrel, pincushion, tangential, rational and fisheye lenses, and none; principal points off the middle.
+/// Undistorted, barrel, pincushion, tangential, rational and fisheye lenses with off-centre
+/// principal points.
 fn cameras() -> Vec<Camera> {
     let make = |focal, principal, distortion| Camera::new(SIZE, focal, principal, distortion).unwrap();
     let opencv = |coefficients: &[f64]| Distortion::from_opencv(coefficients).unwrap();
@@ -25,7 +26,7 @@ fn every_way() -> [FieldOfViewKept; 3] {
     [FieldOfViewKept::SameFocalLength, FieldOfViewKept::ValidPixels, FieldOfViewKept::AllPixels]
 }
 
-/// The definition: pixel → ray → distorted pixel → bilinear between the samples, repeated beyond the outermost centres.
+/// Reference: pixel → ray → distorted pixel → bilinear interpolation with replicated border.
 fn by_definition(camera: &Camera, corrected: &Camera, image: &GrayImage, x: usize, y: usize) -> Option<f64> {
     let ray = corrected.ray_from_pixel(Pixel::new(x as f64, y as f64))?;
     let place = camera.pixel_from_ray(ray)?;
@@ -56,7 +57,8 @@ proptest! {
                     for x in 0..SIZE.0 {
                         let got = f64::from(corrected.row(y)[x]);
                         match by_definition(&camera, correction.camera(), &image, x, y) {
-                            // Half a level of rounding, and fractions of 1/2048 pixel: 2 · 255 / 4096.
+                            // Half a level of rounding, plus the quantisation of two fractions to
+                            // 1/2048 pixel: 2 · 255 / 4096.
                             Some(wanted) => prop_assert!((got - wanted).abs() < 0.63, "{x} {y} {got} {wanted}"),
                             None => {
                                 prop_assert_eq!(got, 0.0);
@@ -100,7 +102,7 @@ proptest! {
 }
 
 #[test]
-fn a_pinhole_image_stays_as_it_is() {
+fn rectifying_a_pinhole_image_changes_nothing() {
     let samples = (0..SIZE.0 * SIZE.1).map(|i| (i * 7919 % 251) as u8).collect();
     let image = GrayImage::from_samples(SIZE.0, SIZE.1, samples).unwrap();
     for kept in every_way() {
@@ -111,14 +113,14 @@ fn a_pinhole_image_stays_as_it_is() {
 }
 
 #[test]
-fn valid_pixels_leave_none_empty_and_cannot_be_wider() {
+fn valid_view_has_no_empty_pixels_and_is_maximal() {
     for camera in cameras() {
         let correction = ImageCorrection::new(&camera, FieldOfViewKept::ValidPixels).unwrap();
         assert_eq!(correction.pixels_without_source(), 0, "{camera:?}");
         let pinhole = correction.camera();
         let ratio = |camera: &Camera| camera.focal_px().0 / camera.focal_px().1;
         assert!((ratio(pinhole) - ratio(&camera)).abs() < 1e-12);
-        // The same view with 5 % more of everything would see what the camera does not.
+        // The same view enlarged by 5 % contains directions outside the camera's view.
         let middle = (31.5, 23.5);
         let principal = pinhole.principal_px();
         let focal = (pinhole.focal_px().0 / 1.05, pinhole.focal_px().1 / 1.05);
@@ -130,7 +132,7 @@ fn valid_pixels_leave_none_empty_and_cannot_be_wider() {
 }
 
 #[test]
-fn all_pixels_are_in_the_image_and_touch_its_edges() {
+fn whole_view_contains_all_source_pixels_and_touches_the_border() {
     for camera in cameras() {
         let correction = ImageCorrection::new(&camera, FieldOfViewKept::AllPixels).unwrap();
         let (mut left, mut right, mut top, mut bottom) = (f64::MAX, f64::MIN, f64::MAX, f64::MIN);
@@ -148,8 +150,9 @@ fn all_pixels_are_in_the_image_and_touch_its_edges() {
 }
 
 #[test]
-fn a_lens_that_folds_inside_the_image_keeps_what_it_can() {
-    // 1 − 1.5 r² = 0 at r = 0.82: the corners are beyond.
+fn a_lens_that_folds_inside_the_image_keeps_valid_pixels() {
+    // 1 − 1.5 r² = 0 at r = 0.82: distortion is not monotonic beyond, and the image corners lie
+    // there.
     let lens = Distortion::from_opencv(&[-0.5, 0.0, 0.0, 0.0]).unwrap();
     let camera = Camera::new(SIZE, (50.0, 50.0), (31.5, 23.5), lens).unwrap();
     assert!(camera.ray_from_pixel(Pixel::new(0.0, 0.0)).is_none());
@@ -176,7 +179,7 @@ fn thin_images_are_corrected_too() {
 }
 
 #[test]
-fn an_image_of_another_size_is_refused() {
+fn images_of_another_size_are_rejected() {
     let correction = ImageCorrection::new(&cameras()[1], FieldOfViewKept::SameFocalLength).unwrap();
     let error = correction.apply(&GrayImage::new(10, 10)).unwrap_err();
     assert_eq!(

@@ -1,4 +1,5 @@
-//! How strong a corner every pixel is: the smaller eigenvalue of the gradient matrix over a window, row by row.
+//! Corner strength of every pixel, row by row: the minimum eigenvalue of the structure tensor over
+//! a window.
 
 use super::{DetectionConfig, Window};
 use crate::image::GrayImage;
@@ -6,23 +7,25 @@ use crate::image::simd::{
     add_weighted_products, roll_products, scharr_gradients, smaller_eigenvalues, smaller_eigenvalues_of_sums,
 };
 
-/// A product of two Scharr gradients in (gray levels per pixel)².
+/// Scale of a product of two unnormalised Scharr gradients to (gray levels per pixel)².
 const PER_PRODUCT: f32 = 1.0 / (32.0 * 32.0);
 
-/// The strengths of an image's pixels, row by row from the top. Pixels whose window does not fit into the image have none: 0.
+/// Corner strengths of an image, row by row from the top; 0 where the window exceeds the image.
 #[derive(Debug)]
 pub(super) struct Strengths {
     radius: usize,
-    /// The rows in which the window fits: from the first to before the second.
+    /// The rows whose window lies inside the image, as a half-open range.
     inner: (usize, usize),
     weights: Vec<f32>,
-    /// A ring of the gradients along x and y of the last 2 r + 1 rows, and room for the next.
+    /// Ring buffer of the x and y gradients of the last 2 r + 1 rows; `newest` is the buffer for
+    /// the next row.
     ring: Vec<[Vec<i16>; 2]>,
     newest: [Vec<i16>; 2],
-    /// The next row of the image whose gradients are to be taken.
+    /// The next row whose gradients are computed.
     next: usize,
-    /// The sums of their products along the columns: whole numbers, which are kept up by adding the row that comes and taking off the one
-    /// that goes, where 32 bits hold the sum over the whole window.
+    /// Whether the column sums of the gradient products are integer running sums, updated by adding
+    /// the new row and subtracting the oldest. Requires that the sum over the whole window fits 32
+    /// bits.
     rolls: bool,
     totals: [Vec<i32>; 3],
     columns: [Vec<f32>; 3],
@@ -30,7 +33,7 @@ pub(super) struct Strengths {
 }
 
 impl Strengths {
-    /// Of an image of this size.
+    /// Strengths of images of this size.
     pub fn new((width, height): (usize, usize), config: &DetectionConfig) -> Self {
         let radius = config.window_radius_px;
         let rows = 2 * radius + 1;
@@ -52,7 +55,7 @@ impl Strengths {
         }
     }
 
-    /// Those of a row; rows are to be asked for one after the other, from the first.
+    /// The strengths of row `y`. Rows must be requested in ascending order from the first.
     pub fn row(&mut self, image: &GrayImage, y: usize) -> &[f32] {
         let (first, beyond) = self.inner;
         if (first..beyond).contains(&y) {
@@ -66,7 +69,7 @@ impl Strengths {
         &self.strengths
     }
 
-    /// Takes the gradients of the next row.
+    /// Computes the gradients of the next row.
     fn take(&mut self, image: &GrayImage) {
         let (y, rows) = (self.next, self.ring.len());
         self.next += 1;
@@ -80,7 +83,7 @@ impl Strengths {
         std::mem::swap(&mut self.ring[y % rows], &mut self.newest);
     }
 
-    /// Makes the strengths of a row, around which all gradients are there.
+    /// Computes the strengths of a row; all gradients within its window are present.
     fn judge(&mut self, centre: usize) {
         let (weights, rows) = (&self.weights, self.ring.len());
         let (first, width) = (self.radius + 1, self.strengths.len());

@@ -1,6 +1,6 @@
 use super::*;
 
-/// White squares on black: their corners are the corners.
+/// White squares on black; the only corners are theirs.
 fn squares() -> GrayImage {
     let mut image = GrayImage::new(200, 150);
     for (x0, y0) in [(40, 40), (120, 40), (40, 90), (120, 90)] {
@@ -14,7 +14,7 @@ fn squares() -> GrayImage {
 }
 
 #[test]
-fn the_corners_of_squares_are_found_and_nothing_else() {
+fn only_the_corners_of_squares_are_found() {
     for window in [Window::Rectangular, Window::Gaussian] {
         let config = DetectionConfig { window, quality: 0.3, ..Default::default() };
         let corners = detect(&squares(), &config, 10);
@@ -60,7 +60,7 @@ fn strength_is_the_smaller_eigenvalue_of_the_mean_gradient_matrix() {
 }
 
 #[test]
-fn corners_keep_their_distance_and_their_number() {
+fn corners_keep_their_minimum_distance_and_maximum_count() {
     let mut state = 1u32;
     let samples = (0..320 * 240)
         .map(|_| {
@@ -79,7 +79,7 @@ fn corners_keep_their_distance_and_their_number() {
             assert!(d >= config.minimum_distance_px);
         }
     }
-    // Spread: every quarter of the image has its share.
+    // Corners are spread: every quarter of the image has at least 15.
     let quarter = |c: &Corner| usize::from(c.x >= 160) + 2 * usize::from(c.y >= 120);
     for q in 0..4 {
         let count = corners.iter().filter(|c| quarter(c) == q).count();
@@ -93,7 +93,7 @@ fn a_blank_image_has_no_corners() {
     assert!(detect(&GrayImage::new(3, 3), &DetectionConfig::default(), 5).is_empty());
 }
 
-/// Noise of all gray levels.
+/// Uniform noise over all gray levels.
 fn noise(seed: u32, size: (usize, usize)) -> GrayImage {
     let mut state = seed;
     let samples = (0..size.0 * size.1)
@@ -106,7 +106,7 @@ fn noise(seed: u32, size: (usize, usize)) -> GrayImage {
 }
 
 #[test]
-fn a_part_at_a_time_gives_the_same_corners_and_what_is_sure_comes_true() {
+fn incremental_detection_is_identical_and_its_guaranteed_count_holds() {
     for (image, corners) in [(noise(3, (331, 200)), 400), (noise(4, (331, 200)), 20), (squares(), 400)] {
         let config = DetectionConfig { corners, ..Default::default() };
         let whole = detect(&image, &config, 9);
@@ -124,8 +124,9 @@ fn a_part_at_a_time_gives_the_same_corners_and_what_is_sure_comes_true() {
 }
 
 #[test]
-fn no_corner_is_stronger_than_the_greatest_strength() {
-    // A sum of squares of linear functions is greatest at a corner of what the eight neighbours can be.
+fn no_corner_exceeds_the_upper_bound_of_strength() {
+    // A sum of squares of linear functions (convex) attains its maximum at a vertex of the domain:
+    // each neighbour is 0 or 255.
     let greatest = (0..256u32).map(|bits| {
         let v = |at: u32| if bits >> at & 1 == 1 { 255.0f32 } else { 0.0 };
         let gx = (3.0 * (v(2) - v(0) + v(7) - v(5)) + 10.0 * (v(4) - v(3))) / 32.0;

@@ -1,18 +1,18 @@
-//! Absolute errors: each pose against its own truth.
+//! Absolute trajectory error (ATE): each aligned pose against its ground truth.
 
 use super::association::PosePair;
 use super::statistics::Statistics;
 
-/// Absolute trajectory error: how far each aligned pose is from the truth, in the order of the pairs.
+/// Absolute trajectory error of each aligned pose, in the order of the pairs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AbsoluteErrors {
-    /// Distance of each position from the truth, metres.
+    /// Distance between estimated and true position, metres.
     pub translation_m: Vec<f64>,
-    /// Angle of the rotation between each orientation and the truth, radians in [0, π].
+    /// Angle of the rotation between estimated and true orientation, radians in [0, π].
     pub rotation_rad: Vec<f64>,
-    /// Summary of the distances.
+    /// Statistics of the distances.
     pub translation: Statistics,
-    /// Summary of the angles.
+    /// Statistics of the angles.
     pub rotation: Statistics,
 }
 
@@ -22,7 +22,7 @@ pub(super) fn measure(pairs: &[PosePair]) -> AbsoluteErrors {
     let angle = |pair: &PosePair| (pair.truth.rotation.inverse() * pair.estimate.rotation).angle();
     let translation_m: Vec<_> = pairs.iter().map(distance).collect();
     let rotation_rad: Vec<_> = pairs.iter().map(angle).collect();
-    // Pairs are never empty; a lone zero says the same of none.
+    // There is always at least one pair; the default is never used.
     let summary = |errors: &[f64]| Statistics::of(errors).unwrap_or(NOTHING);
     AbsoluteErrors {
         translation: summary(&translation_m),

@@ -1,22 +1,22 @@
-//! Laying the estimate onto the truth.
+//! Alignment of the estimated trajectory with the ground truth.
 
 use super::association::PosePair;
 use crate::error::{Error, Result};
 use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
 use std::fmt;
 
-/// What the estimate may be moved by before it is compared.
+/// Transformation that aligns the estimate with the ground truth before comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Alignment {
-    /// Nothing: both are in the same world.
+    /// No alignment: both are in the same world frame.
     None,
-    /// The rigid movement that brings the first compared pose onto the truth's.
+    /// Rigid motion that maps the first compared pose to its true pose.
     Origin,
-    /// The turn about z and the shift in x and y that fit all positions best in the x–y plane; heights stay.
+    /// Least-squares rotation about z and translation in x and y; heights are unchanged.
     Se2,
-    /// The rigid movement that fits all positions best.
+    /// Least-squares rigid motion.
     Se3,
-    /// The rigid movement and the scale that fit all positions best.
+    /// Least-squares similarity transform: rigid motion and scale.
     Sim3,
 }
 
@@ -32,27 +32,29 @@ impl fmt::Display for Alignment {
     }
 }
 
-/// A scaling followed by a rigid movement: `truth = rotation · scale · estimate + translation`.
+/// A similarity transform: `truth = rotation · scale · estimate + translation`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Similarity {
-    /// Factor of lengths.
+    /// Scale factor, applied first.
     pub scale: f64,
-    /// Rotation and translation (metres) after the scaling.
+    /// Rotation and translation (metres), applied after the scaling.
     pub truth_from_estimate: Isometry3<f64>,
-    /// Whether the positions determine the rotation. Where they do not (a straight path leaves the turn about itself free, a
-    /// standing camera any turn) that one of the best rotations is taken which brings the first orientations closest together.
+    /// Whether the positions determine the rotation. They do not on a straight path (rotation about
+    /// the path is free) or for a stationary camera (any rotation). Then, of all optimal rotations,
+    /// the one that brings the first orientations closest together is used.
     pub rotation_determined: bool,
 }
 
 impl Similarity {
-    /// A pose of the estimate laid onto the truth.
+    /// Aligns a pose of the estimate with the ground truth.
     pub fn apply(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
         let scaled = Translation3::from(pose.translation.vector * self.scale);
         self.truth_from_estimate * Isometry3::from_parts(scaled, pose.rotation)
     }
 }
 
-/// The movement of the wanted kind. Fails for [`Alignment::Sim3`] where the positions do not determine a scale.
+/// Estimates the transformation of the given kind. Fails for [`Alignment::Sim3`] if the positions
+/// do not determine a scale.
 pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity> {
     let rigid = |truth_from_estimate, rotation_determined| Similarity {
         scale: 1.0,
@@ -68,7 +70,7 @@ pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity
         }
         Alignment::Se2 => {
             let mut sums = Sums::of(pairs);
-            // Without heights only a turn about z is left to gain anything.
+            // With zero rows and columns for z, only a rotation about z changes the objective.
             for index in 0..3 {
                 sums.covariance[(2, index)] = 0.0;
                 sums.covariance[(index, 2)] = 0.0;
@@ -108,33 +110,33 @@ pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity
     })
 }
 
-/// The scale of [`Alignment::Sim3`], where the positions determine it.
+/// The scale of [`Alignment::Sim3`]; `None` if the positions do not determine it.
 pub(super) fn scale(pairs: &[PosePair]) -> Option<f64> {
     let sums = Sums::of(pairs);
     sums.scale(&sums.best_rotation())
 }
 
-/// Relative size below which a difference is rounding.
+/// Relative tolerance below which a difference is rounding.
 const DETERMINED: f64 = 1e-12;
 
-/// What the best movement depends on.
+/// Sufficient statistics of the alignment.
 struct Sums {
     estimate_mean: Vector3<f64>,
     truth_mean: Vector3<f64>,
-    /// Sum of squared distances of the estimate's positions from their mean.
+    /// Sum of squared distances of the estimated positions from their mean, square metres.
     estimate_spread: f64,
-    /// The same of the truth.
+    /// Sum of squared distances of the true positions from their mean, square metres.
     truth_spread: f64,
-    /// Sum of (truth − mean)(estimate − mean)ᵀ.
+    /// Cross-covariance (not divided by the count): sum of (truth − mean)(estimate − mean)ᵀ.
     covariance: Matrix3<f64>,
-    /// The rotation that brings the first orientations together.
+    /// Rotation that maps the first estimated orientation to the true one.
     first_rotation: UnitQuaternion<f64>,
 }
 
-/// A rotation with the value of what it maximises.
+/// An optimal rotation and the value of its objective.
 struct BestRotation {
     rotation: UnitQuaternion<f64>,
-    /// tr(R covarianceᵀ), Umeyama's tr(D S).
+    /// Objective tr(R covarianceᵀ), Umeyama's tr(D S).
     gain: f64,
     determined: bool,
 }
@@ -165,17 +167,19 @@ impl Sums {
         sums
     }
 
-    /// What no element of the covariance can be larger than.
+    /// Upper bound of every element of the cross-covariance.
     fn largest(&self) -> f64 {
         (self.estimate_spread * self.truth_spread).sqrt()
     }
 
-    /// The rotation of S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", 1991,
-    /// found as B. K. P. Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987, does: the
-    /// quaternion is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix, which is always a rotation and
-    /// never a reflection. The difference of the largest two eigenvalues is twice the sum of Umeyama's two smaller (signed)
-    /// singular values; where it vanishes the best rotations are a whole eigenspace, and the one of them that is closest to a
-    /// wanted rotation is the projection of that onto it.
+    /// The rotation of S. Umeyama, "Least-squares estimation of transformation parameters between
+    /// two point patterns", 1991, computed by the method of B. K. P. Horn, "Closed-form solution of
+    /// absolute orientation using unit quaternions", 1987: the quaternion is the eigenvector of the
+    /// largest eigenvalue of a symmetric 4 × 4 matrix. It is always a rotation, never a reflection.
+    ///
+    /// The gap between the largest two eigenvalues is twice the sum of Umeyama's two smaller
+    /// (signed) singular values. If it vanishes, the optimal rotations form an eigenspace, and the
+    /// one closest to a given rotation is the projection of that rotation onto the eigenspace.
     fn best_rotation(&self) -> BestRotation {
         let c = &self.covariance;
         let (xx, yy, zz) = (c[(0, 0)], c[(1, 1)], c[(2, 2)]);

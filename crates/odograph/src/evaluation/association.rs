@@ -1,27 +1,29 @@
-//! Which pose of the estimate belongs to which of the truth.
+//! Association of estimated with true poses by timestamp.
 
 use crate::error::{Error, Result};
 use crate::trajectory::{StampedPose, Trajectory};
 use nalgebra::{Isometry3, Vector3};
 
-/// A pose of the estimate with the pose of the truth that it is compared with, both `world_from_camera`.
+/// An estimated pose and the true pose it is compared with, both `world_from_camera`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PosePair {
-    /// Time of the estimate's pose, seconds.
+    /// Timestamp of the estimated pose, seconds.
     pub time_s: f64,
-    /// Time of the truth's pose, seconds.
+    /// Timestamp of the true pose, seconds.
     pub truth_time_s: f64,
-    /// The estimate, metres.
+    /// Estimated pose, metres.
     pub estimate: Isometry3<f64>,
-    /// The truth, metres.
+    /// True pose, metres.
     pub truth: Isometry3<f64>,
 }
 
-/// Pairs each pose of the trajectory that has fewer with the pose of the other that is nearest in time, the earlier one of two
-/// equally near, where it is no further than `max_time_difference_s` away: evo's rule. A pose of the longer trajectory is used
-/// twice only where the shorter one is denser there.
+/// Associates each pose of the trajectory that has fewer poses with the pose of the other one that
+/// is nearest in time (the earlier one of a tie), if their times differ by at most
+/// `max_time_difference_s`: the rule of the program evo. A pose of the longer trajectory is used
+/// twice only where the shorter one is denser.
 ///
-/// Fails where no poses pair up, a trajectory is empty, its times do not strictly increase or its numbers are not finite.
+/// Fails if no poses can be associated, a trajectory is empty, its times do not strictly increase
+/// or its numbers are not finite.
 pub fn associate(
     estimate: &Trajectory,
     truth: &Trajectory,
@@ -62,7 +64,8 @@ pub fn associate(
     Ok(pairs)
 }
 
-/// Keeps sums of squares far from overflow; nothing on Earth is this far away.
+/// Largest accepted coordinate, metres: beyond any distance on Earth, and small enough that sums of
+/// squares do not overflow.
 const FARTHEST_M: f64 = 1e12;
 
 fn nearest(poses: &[StampedPose], time_s: f64, max_time_difference_s: f64) -> Option<&StampedPose> {
@@ -78,7 +81,8 @@ fn nearest(poses: &[StampedPose], time_s: f64, max_time_difference_s: f64) -> Op
     }
 }
 
-/// First and last time of a trajectory that has poses, increasing times and finite numbers.
+/// First and last time of a trajectory. Fails unless it has poses, strictly increasing times and
+/// finite numbers.
 fn checked_span(trajectory: &Trajectory, name: &str) -> Result<(f64, f64)> {
     let (Some(first), Some(last)) = (trajectory.poses.first(), trajectory.poses.last()) else {
         return Err(Error::input(format!("the {name} has no pose")));
@@ -106,7 +110,7 @@ fn checked_span(trajectory: &Trajectory, name: &str) -> Result<(f64, f64)> {
     Ok((first.time_s, last.time_s))
 }
 
-/// Path length up to each pose of one side of the pairs, metres, 0 for the first.
+/// Cumulative path length at each pose of one side of the pairs, metres; 0 for the first.
 pub(super) fn path_m(pairs: &[PosePair], side: impl Fn(&PosePair) -> &Isometry3<f64>) -> Vec<f64> {
     let mut length_m = 0.0;
     let mut before: Option<Vector3<f64>> = None;

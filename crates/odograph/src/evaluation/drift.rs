@@ -1,30 +1,32 @@
-//! Drift: the error that a stretch of path adds, as a share of its length.
+//! Drift: the relative error over path segments as a fraction of their length.
 
 use super::association::{PosePair, path_m};
 use super::relative::error_between;
 use crate::geometry::wrap_angle;
 use serde::Serialize;
 
-/// Mean error over all segments of one length: from every pose to the first one whose true path is at least that much further,
-/// the relative error of the pose divided by the true length of the segment (as in A. Geiger et al., "Are we ready for
-/// autonomous driving? The KITTI vision benchmark suite", 2012, who start at every tenth frame).
+/// Mean drift over all segments of one length. A segment starts at every pose and ends at the first
+/// pose whose true path length is larger by at least that length. Its drift is the relative error
+/// divided by the true segment length, as in A. Geiger et al., "Are we ready for autonomous
+/// driving? The KITTI vision benchmark suite", 2012, where segments start at every tenth frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SegmentDrift {
-    /// The length asked for, metres of the true path.
+    /// Requested segment length along the true path, metres.
     pub length_m: f64,
-    /// How many segments there are.
+    /// Number of segments.
     pub segments: usize,
-    /// Mean translation error over length, per cent.
+    /// Mean translation error divided by length, per cent.
     pub translation_percent: f64,
-    /// Mean angle of the rotation error over length, degrees per metre.
+    /// Mean angle of the rotation error divided by length, degrees per metre.
     pub rotation_deg_per_m: f64,
-    /// Mean size of the heading error over length, degrees per metre.
+    /// Mean absolute heading error divided by length, degrees per metre.
     pub heading_deg_per_m: f64,
-    /// Mean heading error over length with its sign, counter-clockwise positive, degrees per metre: what does not average out.
+    /// Mean signed heading error divided by length, counter-clockwise positive, degrees per metre:
+    /// the heading bias, which does not average out.
     pub heading_bias_deg_per_m: f64,
 }
 
-/// Drift over each of the lengths for which there is a segment.
+/// Drift for each of the lengths that has at least one segment.
 pub(super) fn measure(pairs: &[PosePair], lengths_m: &[f64]) -> Vec<SegmentDrift> {
     let path_m = path_m(pairs, |pair| &pair.truth);
     lengths_m.iter().filter_map(|&length_m| over(pairs, &path_m, length_m)).collect()
@@ -61,17 +63,18 @@ fn over(pairs: &[PosePair], path_m: &[f64], length_m: f64) -> Option<SegmentDrif
     })
 }
 
-/// The part of a stretch's rotation error that is a turn about the world's z axis, radians in (−π, π], counter-clockwise
-/// positive: the twist about z of the relative error seen in the true world. It does not depend on the estimate's world, and
-/// unlike a difference of Euler angles it is defined in every direction of view; for a camera of constant tilt it is exactly the
-/// error of the change of heading.
+/// Heading component of a segment's rotation error, radians in (−π, π], counter-clockwise positive:
+/// the twist about the world's z axis of the relative rotation error, expressed in the true world
+/// frame. It does not depend on the estimate's world frame and, unlike a difference of Euler
+/// angles, is defined for every viewing direction. For a camera of constant tilt it equals the
+/// error of the heading change.
 pub(super) fn heading_error_rad(start: &PosePair, end: &PosePair) -> f64 {
     let error = error_between(start, end).rotation;
     let in_world = end.truth.rotation * error * end.truth.rotation.inverse();
     wrap_angle(2.0 * in_world.coords.z.atan2(in_world.coords.w))
 }
 
-/// Every power of ten from 1 m that fits into the path, or 0.1 m for a path below 1 m.
+/// Every power of ten from 1 m up to the path length, or 0.1 m for a path shorter than 1 m.
 pub(super) fn usual_lengths_m(path_m: f64) -> Vec<f64> {
     let from = if path_m < 1.0 { -1 } else { 0 };
     (from..=6).map(|power| 10f64.powi(power)).filter(|&length_m| length_m <= path_m).collect()

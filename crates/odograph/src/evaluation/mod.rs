@@ -1,12 +1,14 @@
-//! How good a trajectory is: absolute and relative errors, drift per metre.
+//! Trajectory evaluation: absolute trajectory error, relative pose error, drift.
 //!
-//! The steps, in order: poses are paired by time ([`associate`]), the estimate is laid onto the truth ([`Alignment`]), and the
-//! paired poses are compared: each by itself ([`AbsoluteErrors`], "ATE"), over short stretches ([`RelativeErrors`], "RPE") and
-//! over stretches of given length as a share of that length ([`SegmentDrift`]).
+//! The steps: poses are associated by time ([`associate`]), the estimate is aligned with the ground
+//! truth ([`Alignment`]), and the pairs are compared: each pose by itself ([`AbsoluteErrors`],
+//! "ATE"), over short path segments ([`RelativeErrors`], "RPE"), and over segments of given length
+//! as a fraction of that length ([`SegmentDrift`]).
 //!
-//! Definitions follow J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", 2012, and Z. Zhang and
-//! D. Scaramuzza, "A tutorial on quantitative trajectory evaluation for visual(-inertial) odometry", 2018, in the details
-//! those of the program evo, so that figures can be put side by side.
+//! The definitions follow J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems",
+//! 2012, and Z. Zhang and D. Scaramuzza, "A tutorial on quantitative trajectory evaluation for
+//! visual(-inertial) odometry", 2018; details follow the program evo, so that results are
+//! comparable.
 
 mod absolute;
 mod alignment;
@@ -25,19 +27,20 @@ pub use statistics::Statistics;
 use crate::error::{Error, Result};
 use crate::trajectory::Trajectory;
 
-/// What is to be measured, and how.
+/// Configuration of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EvaluationOptions {
-    /// Poses further apart in time than this are not compared, seconds.
+    /// Largest time difference of associated poses, seconds.
     pub max_time_difference_s: f64,
-    /// How the estimate is laid onto the truth.
+    /// Alignment of the estimate with the ground truth.
     pub alignment: Alignment,
-    /// The stretches of the relative errors.
+    /// Segment lengths of the relative pose errors.
     pub deltas: Vec<Delta>,
-    /// Whether relative errors start at every pose instead of where the stretch before ended.
+    /// Whether relative pose errors start at every pose (overlapping segments) instead of at the
+    /// end of the previous segment.
     pub all_pairs: bool,
-    /// Lengths of the segments that drift is measured over, metres; where empty, every power of ten from 1 m that the path is
-    /// long enough for, and 0.1 m for paths shorter than 1 m.
+    /// Segment lengths of the drift, metres. If empty: every power of ten from 1 m up to the path
+    /// length, or 0.1 m for a path shorter than 1 m.
     pub segment_lengths_m: Vec<f64>,
 }
 
@@ -53,43 +56,44 @@ impl Default for EvaluationOptions {
     }
 }
 
-/// All that was measured.
+/// Result of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluation {
-    /// The compared poses, the estimate's laid onto the truth's.
+    /// The compared poses, after alignment.
     pub pairs: Vec<PosePair>,
-    /// Count of poses in the estimate.
+    /// Number of poses in the estimate.
     pub estimate_poses: usize,
-    /// Count of poses in the truth.
+    /// Number of poses in the ground truth.
     pub truth_poses: usize,
-    /// Time from the first to the last compared pose as a share of the truth's, 0 to 1; `None` for a truth of one pose.
+    /// Time from the first to the last compared pose as a fraction of the ground truth's duration,
+    /// 0 to 1; `None` for a ground truth of a single pose.
     pub time_covered: Option<f64>,
-    /// Path length of the estimate through its compared poses, as aligned, metres.
+    /// Path length of the aligned estimate through its compared poses, metres.
     pub estimate_length_m: f64,
-    /// Path length of the truth through its compared poses, metres.
+    /// Path length of the ground truth through its compared poses, metres.
     pub truth_length_m: f64,
-    /// What laid the estimate onto the truth.
+    /// Transformation that aligned the estimate.
     pub alignment: Similarity,
-    /// The factor that the estimate's lengths must be multiplied by to fit the truth best (Sim(3)), whatever the alignment;
-    /// `None` where the path does not tell it.
+    /// Least-squares (Sim(3)) scale factor for the estimate's lengths, whatever the alignment;
+    /// `None` if the positions do not determine it.
     pub scale: Option<f64>,
-    /// Errors of the poses themselves.
+    /// Absolute trajectory errors.
     pub absolute: AbsoluteErrors,
-    /// Errors over stretches, one entry for each delta for which the path is long enough.
+    /// Relative pose errors, one entry for each delta that has at least one segment.
     pub relative: Vec<RelativeErrors>,
-    /// Errors over segments as shares of their length, one entry for each length for which the path is long enough.
+    /// Drift, one entry for each length that has at least one segment.
     pub drift: Vec<SegmentDrift>,
-    /// Error of the heading at the last pose when the first poses are laid onto each other, radians in (−π, π],
+    /// Heading error at the last pose with the first poses aligned, radians in (−π, π],
     /// counter-clockwise positive.
     pub final_heading_error_rad: f64,
-    /// Error of the position at the last pose when the first poses are laid onto each other, metres.
+    /// Position error at the last pose with the first poses aligned, metres.
     pub final_position_error_m: f64,
 }
 
-/// Compares an estimate with the truth.
+/// Compares an estimated trajectory with the ground truth.
 ///
-/// Fails where no poses belong together in time, an option is out of its range, a trajectory's times do not increase or its
-/// numbers are not finite, or the wanted scale is not determined.
+/// Fails if no poses can be associated, an option is out of range, a trajectory's times do not
+/// strictly increase or its numbers are not finite, or the requested scale is not determined.
 pub fn evaluate(
     estimate: &Trajectory,
     truth: &Trajectory,
@@ -112,7 +116,8 @@ pub fn evaluate(
     }
     let truth_length_m = *association::path_m(&pairs, |pair| &pair.truth).last().unwrap_or(&0.0);
     let estimate_length_m = *association::path_m(&pairs, |pair| &pair.estimate).last().unwrap_or(&0.0);
-    // Halves: the whole of times at both ends of all numbers would be infinite. Only the ratio of spans counts.
+    // Halving before subtracting avoids overflow for extreme times; only the ratio of the spans
+    // matters.
     let span = |first: f64, last: f64| 0.5 * last - 0.5 * first;
     let truth_span_s = span(truth.poses[0].time_s, truth.poses[truth.poses.len() - 1].time_s);
     let paired_span_s = span(pairs[0].truth_time_s, pairs[pairs.len() - 1].truth_time_s);

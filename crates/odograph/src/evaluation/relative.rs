@@ -1,4 +1,4 @@
-//! Relative errors: the movement over a stretch against the true movement over it.
+//! Relative pose error (RPE): estimated against true motion over path segments.
 
 use super::association::{PosePair, path_m};
 use super::statistics::Statistics;
@@ -6,17 +6,17 @@ use crate::error::{Error, Result};
 use nalgebra::Isometry3;
 use std::fmt;
 
-/// How long a stretch is.
+/// Length of a segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Delta {
-    /// A count of compared poses, at least 1.
+    /// Number of compared poses, at least 1.
     Frames(usize),
-    /// A length of the estimate's path, metres, positive.
+    /// Length along the estimated path, metres, positive.
     Metres(f64),
 }
 
 impl Delta {
-    /// Fails where the delta is zero, negative or not finite.
+    /// Fails if the delta is zero, negative or not finite.
     pub(super) fn check(self) -> Result<()> {
         match self {
             Self::Frames(count) if count > 0 => Ok(()),
@@ -38,27 +38,27 @@ impl fmt::Display for Delta {
     }
 }
 
-/// Relative pose error over stretches of one length.
+/// Relative pose errors over segments of one length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RelativeErrors {
-    /// How long the stretches are.
+    /// Length of the segments.
     pub delta: Delta,
-    /// First and last pair of each stretch, as indices into the compared pairs.
+    /// First and last pair of each segment, as indices into the compared pairs.
     pub stretches: Vec<(usize, usize)>,
-    /// Length of the translation that each stretch is off by, metres.
+    /// Norm of the translation error of each segment, metres.
     pub translation_m: Vec<f64>,
-    /// Angle of the rotation that each stretch is off by, radians in [0, π].
+    /// Angle of the rotation error of each segment, radians in [0, π].
     pub rotation_rad: Vec<f64>,
-    /// Summary of the lengths.
+    /// Statistics of the translation errors.
     pub translation: Statistics,
-    /// Summary of the angles.
+    /// Statistics of the rotation errors.
     pub rotation: Statistics,
 }
 
-/// Stretches in metres that start at every pose may be longer or shorter than wanted by this share: evo's default.
+/// Relative tolerance on the length of overlapping segments in metres; the default of evo.
 const LENGTH_TOLERANCE: f64 = 0.1;
 
-/// The relative errors over one delta; `None` where the path is too short for a single stretch.
+/// Relative pose errors for one delta; `None` if the path is shorter than one segment.
 pub(super) fn measure(pairs: &[PosePair], delta: Delta, all_pairs: bool) -> Option<RelativeErrors> {
     let stretches = match (delta, all_pairs) {
         (Delta::Frames(count), true) => {
@@ -96,7 +96,8 @@ fn consecutive(ends: &[usize]) -> Vec<(usize, usize)> {
     ends.windows(2).map(|pair| (pair[0], pair[1])).collect()
 }
 
-/// Stretches that begin where the one before ended, each as short as it can be without being shorter than wanted.
+/// Consecutive segments: each ends at the first pose that is at least `length_m` along the path
+/// from its start.
 fn one_after_another(pairs: &[PosePair], length_m: f64) -> Vec<(usize, usize)> {
     let mut ends = vec![0];
     let mut since_m = 0.0;
@@ -110,7 +111,8 @@ fn one_after_another(pairs: &[PosePair], length_m: f64) -> Vec<(usize, usize)> {
     consecutive(&ends)
 }
 
-/// From every pose the stretch whose length comes nearest to the wanted one, where it is near enough.
+/// Overlapping segments: from every pose the segment whose length is closest to `length_m`, if it
+/// is within the tolerance.
 fn every_start(path_m: &[f64], length_m: f64) -> Vec<(usize, usize)> {
     let stretch = |start: usize| {
         let from_here = |index: usize| path_m[index] - path_m[start];
@@ -118,7 +120,7 @@ fn every_start(path_m: &[f64], length_m: f64) -> Vec<(usize, usize)> {
         let first = start + 1;
         let reached = first + path_m.get(first..)?.partition_point(|&at| at - path_m[start] < length_m);
         let after = (reached < path_m.len()).then_some(reached);
-        // Of several poses at the same place the first one counts.
+        // Of several poses with equal path length, the first one counts.
         let before = (reached > first).then(|| {
             let place = from_here(reached - 1);
             first + path_m[first..reached].partition_point(|&at| at - path_m[start] < place)

@@ -1,30 +1,30 @@
-//! Summaries of many errors.
+//! Summary statistics of errors.
 
 use serde::Serialize;
 
-/// What is told of a set of errors, in the errors' unit (its square for `sse`).
+/// Summary statistics of a set of errors, in the unit of the errors (squared for `sse`).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Statistics {
-    /// How many errors there are.
+    /// Number of errors.
     pub count: usize,
-    /// Root of the mean square.
+    /// Root mean square.
     pub rmse: f64,
     /// Mean.
     pub mean: f64,
-    /// The middle one; the mean of the middle two of an even count.
+    /// Median; the mean of the middle two for an even count.
     pub median: f64,
-    /// Standard deviation about the mean, of the whole population (divided by the count).
+    /// Population standard deviation about the mean (divided by the count).
     pub std: f64,
-    /// Smallest.
+    /// Minimum.
     pub min: f64,
-    /// Largest.
+    /// Maximum.
     pub max: f64,
     /// Sum of squares.
     pub sse: f64,
 }
 
 impl Statistics {
-    /// The summary of finite errors; `None` without any.
+    /// Statistics of finite errors; `None` for an empty slice.
     pub fn of(errors: &[f64]) -> Option<Self> {
         let mut sorted = errors.to_vec();
         sorted.sort_by(f64::total_cmp);

@@ -9,7 +9,7 @@ fn trajectory(poses: impl IntoIterator<Item = Isometry3<f64>>) -> Trajectory {
     Trajectory { poses: poses.into_iter().enumerate().map(stamp).collect() }
 }
 
-/// A camera at 1 m that goes along x by `step_m` a frame and turns by `turn_rad` a frame.
+/// A camera at 1 m height that moves forward by `step_m` and turns by `turn_rad` per frame.
 fn drive(frames: usize, step_m: f64, turn_rad: f64) -> Trajectory {
     let mut pose = GroundPose::level(1.0);
     trajectory((0..frames).map(|_| {
@@ -35,7 +35,7 @@ fn with(alignment: Alignment) -> EvaluationOptions {
 }
 
 #[test]
-fn statistics_are_those_of_numpy() {
+fn statistics_agree_with_numpy() {
     let s = Statistics::of(&[3.0, 1.0, 2.0, 10.0]).unwrap();
     assert_eq!((s.count, s.mean, s.median, s.min, s.max, s.sse), (4, 4.0, 2.5, 1.0, 10.0, 114.0));
     assert!((s.rmse - 28.5f64.sqrt()).abs() < 1e-15 && (s.std - 12.5f64.sqrt()).abs() < 1e-15);
@@ -44,7 +44,7 @@ fn statistics_are_those_of_numpy() {
 
 #[test]
 fn a_known_error_is_measured() {
-    // Two per cent too long, and 0.1° a metre of heading: 10 cm a frame.
+    // A scale error of 2 %, and a heading drift of 0.1° per metre at 10 cm per frame.
     let truth = drive(101, 0.1, 0.0);
     let long = drive(101, 0.102, 0.0);
     let e = evaluate(&long, &truth, &with(Alignment::None)).unwrap();
@@ -69,7 +69,7 @@ fn a_known_error_is_measured() {
 fn poses_pair_with_the_nearest_in_time() {
     let at =
         |time_s: f64| StampedPose { time_s, world_from_camera: Isometry3::translation(time_s, 0.0, 0.0) };
-    // An eighth of a second, with truth a 128th before and after it: exactly as near.
+    // Exact tie: true poses 1/128 s before and after the estimated one.
     let (before, after) = (0.125 - 1.0 / 128.0, 0.125 + 1.0 / 128.0);
     let estimate = Trajectory { poses: [0.004, 0.125, 0.25].map(at).to_vec() };
     let truth = Trajectory { poses: [0.0, 0.05, before, after, 0.2, 0.3].map(at).to_vec() };
@@ -132,7 +132,7 @@ fn degenerate_paths_have_finite_errors() {
             }
         }
     }
-    // A straight path leaves the turn about itself free; the orientations settle it.
+    // On a straight path the rotation about the path is free; the first orientations determine it.
     let e = evaluate(&moved(&straight, &turned, 1.0), &straight, &with(Alignment::Se3)).unwrap();
     assert!(!e.alignment.rotation_determined && e.absolute.translation.max < 1e-12);
     assert!(e.absolute.rotation.max < 1e-7);
@@ -142,7 +142,7 @@ fn degenerate_paths_have_finite_errors() {
 }
 
 #[test]
-fn impossible_options_are_refused() {
+fn invalid_options_are_rejected() {
     let t = drive(10, 0.1, 0.0);
     for options in [
         EvaluationOptions { deltas: vec![Delta::Frames(0)], ..Default::default() },
@@ -218,7 +218,8 @@ proptest! {
                 prop_assert!((x.translation_percent - y.translation_percent).abs() < 1e-9);
                 prop_assert!((x.rotation_deg_per_m - y.rotation_deg_per_m).abs() < 1e-9);
             }
-            // Heading is about the true world's z axis, so only the estimate's world is free.
+            // The heading error is about the true world's z axis, so it is invariant to the
+            // estimate's world only.
             let other = evaluate(&moved(&estimate, &a, 1.0), &truth, &options(all_pairs)).unwrap();
             for (x, y) in one.drift.iter().zip(&other.drift) {
                 prop_assert!((x.heading_bias_deg_per_m - y.heading_bias_deg_per_m).abs() < 1e-6);
@@ -246,7 +247,7 @@ proptest! {
             for j in i + 1..at.len() { if off(j) < off(best) { best = j; } }
             if off(best) <= length_m * 0.1 { expected.push((i, best)); }
         }
-        // Lengths that are equal but for rounding may be decided either way.
+        // Lengths that tie up to rounding may be resolved either way.
         prop_assert_eq!(found.len(), expected.len());
         for (a, b) in found.iter().zip(&expected) {
             prop_assert!(a.0 == b.0 && (at[a.1] - at[b.1]).abs() < 1e-9 || ((at[a.1] - at[a.0] - length_m).abs() - (at[b.1] - at[b.0] - length_m).abs()).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! The way of the carrier: that of the camera without its shaking.
+//! Path of the carrier: the camera's path, low-pass filtered to remove vibration.
 
 use super::SmoothedFrame;
 use super::coordinate::{Measured, smooth_coordinate};
@@ -7,31 +7,35 @@ use crate::trajectory::{StampedPose, Trajectory};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::f64::consts::TAU;
 
-/// Movements that repeat faster than this are the camera's shaking, slower ones are the carrier's way; hertz.
+/// Cutoff frequency between the carrier's motion and the camera's vibration, hertz.
 ///
-/// Wheeled carriers and people steer below 1 Hz; bodies on wheels, masts and engines shake at 4 Hz and more.
+/// Wheeled carriers and people steer below 1 Hz; vehicle bodies, masts and engines vibrate at 4 Hz
+/// and more.
 pub const CARRIER_CUTOFF_HZ: f64 = 2.0;
 
-/// The path of the carrier: the point of the ground below the camera and the carrier's forward (the rig's yaw taken off), on level ground,
-/// z = 0, without what shakes faster than [`CARRIER_CUTOFF_HZ`].
+/// Estimates the path of the carrier: the ground point below the camera and the carrier's forward
+/// direction (heading minus mount yaw), on level ground (z = 0), low-pass filtered at
+/// [`CARRIER_CUTOFF_HZ`].
 ///
-/// A smoothing spline of fifth degree (G. Wahba, "Spline models for observational data", 1990), which is the smoother's estimate for a white
-/// jerk of density `ω⁶` over noise of density 1. It passes a vibration of angular frequency w by 1 / (1 + (w / ω)⁶), without delay.
+/// The filter is a quintic smoothing spline (G. Wahba, "Spline models for observational data",
+/// 1990), which equals the fixed-interval smoother for white jerk of spectral density `ω⁶` and
+/// measurement noise of density 1. Its zero-phase gain at angular frequency w is 1 / (1 + (w /
+/// ω)⁶).
 #[derive(Debug, Default)]
 pub struct Carrier {
     times_s: Vec<f64>,
-    /// x, y and heading.
+    /// x, y (metres) and heading (radians).
     axes: [Vec<f64>; 3],
 }
 
 impl Carrier {
-    /// Of a path of about so many frames.
+    /// An empty path with capacity for `frames` frames.
     pub fn for_frames(frames: usize) -> Self {
         let axes = [(); 3].map(|()| Vec::with_capacity(frames));
         Self { times_s: Vec::with_capacity(frames), axes }
     }
 
-    /// Takes the next frame of the camera's path.
+    /// Appends the next frame of the camera's path.
     pub fn push(&mut self, frame: &SmoothedFrame) {
         let pose = &frame.pose;
         self.times_s.push(frame.time_s);
@@ -40,7 +44,8 @@ impl Carrier {
         }
     }
 
-    /// Where the carrier was at each frame. Of frames at the same moment the first counts.
+    /// The filtered pose of the carrier at each frame. Frames with a repeated timestamp are
+    /// dropped.
     pub fn path(self, rig: &Rig) -> impl Iterator<Item = StampedPose> {
         let Self { times_s, axes } = self;
         let axes = axes.map(|values| without_shaking(&times_s, values));
@@ -59,21 +64,22 @@ impl Carrier {
     }
 }
 
-/// The path of the carrier ([`Carrier`]) of a whole path of the camera.
+/// The path of the carrier ([`Carrier`]) from a complete path of the camera.
 pub fn carrier_path(path: &[SmoothedFrame], rig: &Rig) -> Trajectory {
     let mut carrier = Carrier::for_frames(path.len());
     path.iter().for_each(|frame| carrier.push(frame));
     Trajectory { poses: carrier.path(rig).collect() }
 }
 
-/// The density of the noise: what matters is only that it is small beside speeds of metres a second.
+/// Spectral density of the measurement noise. Its value is uncritical as long as the noise is small
+/// compared with speeds of metres per second.
 const NOISE_DENSITY: f64 = 1e-6;
 
 fn without_shaking(times_s: &[f64], values: Vec<f64>) -> Vec<f64> {
     let last = times_s.len().saturating_sub(1);
     let measured = |(i, value): (usize, f64)| {
         let around = (i.saturating_sub(1), (i + 1).min(last));
-        // A frame stands for the time from half way to the one before to half way to the one after.
+        // Each sample has the weight of the time interval between the midpoints to its neighbours.
         let spacing_s = (times_s[around.1] - times_s[around.0]) / (around.1 - around.0).max(1) as f64;
         Some((value, NOISE_DENSITY / spacing_s.max(1e-6)))
     };

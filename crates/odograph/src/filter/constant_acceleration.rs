@@ -1,15 +1,20 @@
-//! A Kalman filter with constant acceleration for the position and the heading.
+//! Kalman filter with a constant-acceleration model for position and heading.
 //!
-//! The paper's equations (4)–(6): position, velocity and acceleration go over a time step t by
-//! `p ← p + v t + a t² / 2`, `v ← v + a t`, `a ← a`; the position is measured. We take the real time step, the covariance
-//! of the motion measurement, and let the innovations say how much the acceleration changes (white jerk; Y. Bar-Shalom et al.,
+//! Equations (4)–(6) of Perić et al., "Software system for simultaneous localization and mapping
+//! based on video content analysis": the position is measured, and over a time step t the state
+//! propagates as
+//!
+//! `p ← p + v t + a t² / 2`, `v ← v + a t`, `a ← a`.
+//!
+//! We differ in using the actual time step, the covariance of the motion measurement, and an
+//! adaptive process noise (white jerk) estimated from the innovations (Y. Bar-Shalom et al.,
 //! "Estimation with Applications to Tracking and Navigation", 2001, §6.2.3).
 
 use super::FilterConfig;
 use crate::trajectory::Velocity;
 use nalgebra::{Matrix3, Vector3};
 
-/// What the filter makes of the measurements so far.
+/// Filtered position, heading and velocity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Filtered {
     /// World x, metres.
@@ -18,11 +23,11 @@ pub struct Filtered {
     pub y_m: f64,
     /// Heading, radians.
     pub heading_rad: f64,
-    /// How all three change.
+    /// Velocity and heading rate.
     pub velocity: Velocity,
 }
 
-/// The filter: three independent axes x, y and heading.
+/// The filter: three independent axes for x, y and heading.
 #[derive(Debug, Clone)]
 pub struct ConstantAcceleration {
     axes: [Axis; 3],
@@ -30,16 +35,17 @@ pub struct ConstantAcceleration {
 }
 
 impl ConstantAcceleration {
-    /// A filter that starts with a first measurement of (x, y, heading) and its variances. Velocity and acceleration are
-    /// unknown: up to about 10 m/s (rad/s) and 10 m/s² (rad/s²).
+    /// Initialises the filter with a first measurement of (x, y, heading), metres and radians, and
+    /// its variances. Velocity and acceleration have zero mean and a standard deviation of 10 m/s
+    /// (rad/s) and 10 m/s² (rad/s²).
     pub fn new(time_s: f64, measured: [f64; 3], variances: [f64; 3], config: &FilterConfig) -> Self {
         let densities = [config.jerk_density, config.jerk_density, config.heading_jerk_density];
         let axis = |i: usize| Axis::new(measured[i], variances[i], densities[i]);
         Self { axes: [axis(0), axis(1), axis(2)], time_s }
     }
 
-    /// Takes a measurement of (x, y, heading) with its variances at `time_s` (a time not after the last one counts as the same moment) and
-    /// gives the improved values.
+    /// Predicts to `time_s`, updates with a measurement of (x, y, heading) and its variances, and
+    /// returns the filtered state. A time at or before the last one counts as a time step of zero.
     pub fn update(&mut self, time_s: f64, measured: [f64; 3], variances: [f64; 3]) -> Filtered {
         let step_s = (time_s - self.time_s).max(0.0);
         self.time_s = self.time_s.max(time_s);
@@ -49,14 +55,15 @@ impl ConstantAcceleration {
         self.filtered()
     }
 
-    /// Moves all positions by (x, y, heading) at once: the origin was corrected, the camera did not move.
+    /// Shifts the state by (x, y, heading) without affecting velocities: a correction of the
+    /// origin, not a motion of the camera.
     pub fn shift(&mut self, by: [f64; 3]) {
         for (axis, by) in self.axes.iter_mut().zip(by) {
             axis.state[0] += by;
         }
     }
 
-    /// The present values.
+    /// The current state.
     pub fn filtered(&self) -> Filtered {
         let [x, y, heading] = &self.axes;
         Filtered {
@@ -68,28 +75,31 @@ impl ConstantAcceleration {
     }
 }
 
-/// A nanometre (nanoradian), squared: keeps the filter regular when a measurement claims to be perfect.
+/// Lower bound of measurement variances, (1 nm)² or (1 nrad)²: keeps the filter regular for
+/// measurements of zero variance.
 pub(super) const SMALLEST_VARIANCE: f64 = 1e-18;
 
-/// Weight of the newest innovation in the average: about the last ten frames count.
+/// Weight of the newest innovation in the exponential average: a memory of about ten frames.
 const MATCHING_RATE: f64 = 0.1;
 
-/// Four standard deviations, squared: by chance once in 16,000 frames.
+/// Gate on the squared normalised innovation (4 standard deviations, squared): exceeded by chance
+/// once in 16,000 frames.
 const OUT_OF_PROPORTION: f64 = 16.0;
 
-/// One coordinate.
+/// Kalman filter of one coordinate.
 #[derive(Debug, Clone)]
 pub(super) struct Axis {
     /// Position, velocity, acceleration.
     state: Vector3<f64>,
     covariance: Matrix3<f64>,
-    /// Spectral density of the jerk as the innovations of the last frames have it; may be negative where they are small.
+    /// Spectral density of the jerk estimated from the recent innovations; negative where they are
+    /// smaller than predicted.
     matched: f64,
     least_density: f64,
 }
 
 impl Axis {
-    /// Starts at a measurement, with nothing known of velocity and acceleration.
+    /// Initialises the state at a measurement, with unknown velocity and acceleration.
     pub(super) fn new(measured: f64, variance: f64, least_density: f64) -> Self {
         Self {
             state: Vector3::new(measured, 0.0, 0.0),
@@ -99,16 +109,18 @@ impl Axis {
         }
     }
 
-    /// Takes a measurement `t` seconds after the last; gives the density of the jerk that was taken for this step.
+    /// Predicts over `t` seconds and updates with a measurement; returns the spectral density of
+    /// the jerk used in this step.
     pub(super) fn update(&mut self, t: f64, measured: f64, variance: f64) -> f64 {
         let transition = transition(t);
         let jerk = white_jerk(t);
         self.state = transition * self.state;
         let carried = transition * self.covariance * transition.transpose();
         let innovation = measured - self.state[0];
-        // Covariance matching (R. Mehra, 1970): what the squared innovation has beyond the carried and the measurement's variance is
-        // owed to the jerk. Averaged over some frames that is its density; a single innovation that is out of all proportion
-        // counts at once (strong tracking; D. Zhou and P. Frank, 1996).
+        // Covariance matching (R. Mehra, 1970): the excess of the squared innovation over the
+        // propagated variance plus the measurement variance is attributed to the jerk, and its
+        // average is the density. A single innovation beyond the gate takes effect at once (strong
+        // tracking filter; D. Zhou and P. Frank, 1996).
         if jerk[(0, 0)] > 0.0 {
             let owed = (innovation * innovation - carried[(0, 0)] - variance) / jerk[(0, 0)];
             self.matched += MATCHING_RATE * (owed - self.matched);
@@ -121,24 +133,25 @@ impl Axis {
         let predicted = carried + density * jerk;
         let gain = predicted.column(0) / (predicted[(0, 0)] + variance);
         self.state += gain * innovation;
-        // Joseph's form stays symmetric and positive.
+        // Joseph form: keeps the covariance symmetric and positive semidefinite.
         let keep = Matrix3::identity() - gain * Vector3::x().transpose();
         self.covariance = keep * predicted * keep.transpose() + gain * gain.transpose() * variance;
         density
     }
 }
 
-/// Position known to `variance`; velocity and acceleration up to about 10 m/s (rad/s) and 10 m/s² (rad/s²).
+/// Initial covariance: the position's variance, and standard deviations of 10 m/s (rad/s) and 10
+/// m/s² (rad/s²).
 pub(super) fn unknown_motion(variance: f64) -> Matrix3<f64> {
     Matrix3::from_diagonal(&Vector3::new(variance, 100.0, 100.0))
 }
 
-/// What a time step does to position, velocity and acceleration.
+/// State transition matrix of position, velocity and acceleration over a time step.
 pub(super) fn transition(t: f64) -> Matrix3<f64> {
     Matrix3::new(1.0, t, 0.5 * t * t, 0.0, 1.0, t, 0.0, 0.0, 1.0)
 }
 
-/// Covariance that a white jerk of unit density adds over a time step.
+/// Process noise covariance of a white jerk of unit spectral density over a time step.
 pub(super) fn white_jerk(t: f64) -> Matrix3<f64> {
     let (t2, t3) = (t * t, t * t * t);
     Matrix3::new(
@@ -164,7 +177,8 @@ mod tests {
         (-2.0 * uniform(random).ln()).sqrt() * (std::f64::consts::TAU * uniform(random)).cos()
     }
 
-    /// Root mean square errors of measurements and of filtered values along a path x(t), at irregular times.
+    /// Root mean square errors of the measured and the filtered positions along a path x(t) sampled
+    /// at irregular times.
     fn errors(path: impl Fn(f64) -> f64, sigma: f64) -> (f64, f64) {
         let mut random = Random::new(11);
         let variances = [sigma * sigma; 3];
@@ -186,21 +200,22 @@ mod tests {
     }
 
     #[test]
-    fn noisy_positions_on_a_smooth_path_are_improved() {
+    fn filtering_reduces_noise_on_a_smooth_path() {
         let (raw, improved) = errors(|t| 0.5 * t + 0.3 * (0.5 * t).sin(), 0.01);
-        // A filter tuned to this very path would reach half; one that adapts itself must still take off a quarter.
+        // A filter tuned to this path would halve the error; the adaptive one must reduce it by at
+        // least a quarter.
         assert!(improved < 0.75 * raw, "{improved} {raw}");
     }
 
     #[test]
-    fn exact_positions_of_a_shaken_camera_are_not_spoiled() {
+    fn exact_positions_of_a_vibrating_camera_keep_their_accuracy() {
         let shaken = |t: f64| 0.5 * t + 0.003 * (55.0 * t).sin();
         let (raw, improved) = errors(shaken, 1e-4);
         assert!(improved < 1.05 * raw, "{improved} {raw}");
     }
 
     #[test]
-    fn constant_acceleration_is_followed_exactly() {
+    fn constant_acceleration_is_tracked_exactly() {
         let path = |t: f64| 1.0 + 2.0 * t + 0.5 * 0.7 * t * t;
         let mut filter = ConstantAcceleration::new(0.0, [1.0, 0.0, 0.0], [1e-8; 3], &FilterConfig::default());
         let mut last = filter.filtered();
@@ -213,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_doubled_time_stamp_does_no_harm() {
+    fn a_repeated_timestamp_keeps_the_state_finite() {
         let mut filter = ConstantAcceleration::new(0.0, [0.0; 3], [1e-6; 3], &FilterConfig::default());
         filter.update(0.1, [0.1, 0.0, 0.0], [1e-6; 3]);
         let after = filter.update(0.1, [0.1, 0.0, 0.0], [1e-6; 3]);

@@ -1,24 +1,27 @@
-//! One coordinate smoothed over a whole recording.
+//! Fixed-interval smoothing of one coordinate of a recording.
 //!
-//! The estimates are those of H. Rauch, F. Tung and C. Striebel, "Maximum likelihood estimates of linear dynamic systems", 1965, computed
-//! in the form of A. Bryson and M. Frazier (G. Bierman, "Fixed interval smoothing with discrete measurements", 1973), which inverts nothing
-//! but the innovation's variance. The model is that of [`super::ConstantAcceleration`].
+//! The estimates are those of the Rauch–Tung–Striebel smoother (H. Rauch, F. Tung and C. Striebel,
+//! "Maximum likelihood estimates of linear dynamic systems", 1965), computed by the modified
+//! Bryson–Frazier recursion (G. Bierman, "Fixed interval smoothing with discrete measurements",
+//! 1973), which inverts only the innovation variance. The process model is that of
+//! [`super::ConstantAcceleration`].
 
 use super::constant_acceleration::{Axis, SMALLEST_VARIANCE, transition, unknown_motion, white_jerk};
 use nalgebra::{Matrix3, Vector3};
 
-/// A measured value and its variance.
+/// A measured value and its variance; `None` for a missing sample.
 pub(super) type Measured = Option<(f64, f64)>;
 
-/// A coordinate, its velocity and acceleration, and the variance of the coordinate.
+/// Smoothed value, velocity and acceleration of a coordinate, and the variance of the value.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Smoothed {
     pub state: Vector3<f64>,
     pub variance: f64,
 }
 
-/// The density of the jerk in each step (from the sample before to this one): how much the acceleration changes is told by the innovations of a filter
-/// that runs forward in time and of one that runs backward, the larger of the two, so that the first frame of a jerk is not smoothed away.
+/// Adaptive process noise: spectral density of the jerk in each step (from the previous sample to
+/// this one). It is the larger of the densities that a forward and a backward filter estimate from
+/// their innovations, so that the first frame of a sudden jerk is not smoothed away.
 pub(super) fn adapted(times_s: &[f64], measured: &[Measured], least_density: f64) -> Vec<f64> {
     let mut densities = vec![least_density; measured.len()];
     let mut run = |order: &mut dyn Iterator<Item = usize>| {
@@ -39,18 +42,18 @@ pub(super) fn adapted(times_s: &[f64], measured: &[Measured], least_density: f64
     densities
 }
 
-/// What the filter has at one sample, for the way back.
+/// State of the forward filter at one sample, stored for the backward pass.
 #[derive(Debug, Clone)]
 struct Step {
     state: Vector3<f64>,
     covariance: Matrix3<f64>,
     transition: Matrix3<f64>,
-    /// Innovation, its variance and the gain, where there was a measurement.
+    /// Innovation, innovation variance and gain; `None` for a missing sample.
     update: Option<(f64, f64, Vector3<f64>)>,
 }
 
 impl Step {
-    /// The first sample, which must be measured.
+    /// Initial state; the first sample must be measured.
     fn first(measured: Measured) -> Self {
         let (value, variance) = measured.unwrap_or((0.0, 1e6));
         Self {
@@ -61,7 +64,7 @@ impl Step {
         }
     }
 
-    /// The sample so much later.
+    /// Predicts over `step_s` and updates with the measurement, if there is one.
     fn next(&self, step_s: f64, density: f64, measured: Measured) -> Self {
         let t = step_s.max(0.0);
         let transition = transition(t);
@@ -80,10 +83,12 @@ impl Step {
     }
 }
 
-/// So many steps are made again on the way back from the one that was kept before them: they take thirty times the memory of what comes of them.
+/// Checkpoint interval of the forward pass, samples. The steps between checkpoints are recomputed
+/// in the backward pass, because a step takes thirty times the memory of a smoothed sample.
 const MADE_AGAIN: usize = 256;
 
-/// Every sample from all of them. The first one must be measured. `density` is that of the jerk in the step before a sample.
+/// Smooths all samples. The first one must be measured. `density` is the spectral density of the
+/// jerk in the step before a sample.
 pub(super) fn smooth_coordinate(
     times_s: &[f64],
     measured: &[Measured],
@@ -116,14 +121,15 @@ pub(super) fn smooth_coordinate(
     smoothed
 }
 
-/// What the samples behind tell of those before.
+/// Adjoint state and information matrix of the backward recursion: the contribution of all later
+/// samples.
 struct WayBack {
     adjoint: Vector3<f64>,
     information: Matrix3<f64>,
 }
 
 impl WayBack {
-    /// A step with all that came after it; then it counts too.
+    /// Smoothed estimate at a step; then propagates the recursion backward through that step.
     fn pass(&mut self, step: &Step) -> Smoothed {
         let Self { adjoint, information } = self;
         let covariance = step.covariance - step.covariance * *information * step.covariance;

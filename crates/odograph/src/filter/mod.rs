@@ -1,9 +1,11 @@
-//! Subsystem 6: estimation improvement.
+//! Filtering, smoothing and sensor fusion (subsystem 6, estimation improvement).
 //!
-//! * [`ConstantAcceleration`]: the paper's Kalman filter, for what must be known at once;
-//! * [`smooth`]: a smoother for recordings, which knows what came after, and bridges what was lost;
-//! * [`carrier_path`]: the way of the carrier without the shaking of its camera;
-//! * [`fusion`]: cheap sensors beside the camera.
+//! * [`ConstantAcceleration`]: causal Kalman filter after Perić et al., "Software system for
+//!   simultaneous localization and mapping based on video content analysis", for live use;
+//! * [`smooth`]: fixed-interval smoother for recordings, which also interpolates through tracking
+//!   gaps;
+//! * [`carrier_path`]: low-pass filtered path of the carrier, without the vibration of its camera;
+//! * [`fusion`]: fusion with a gyroscope, compass, wheel odometer and range finder.
 
 mod carrier;
 mod constant_acceleration;
@@ -17,11 +19,12 @@ pub use smoother::{PoseSource, SmoothedFrame, SmoothedPath, Smoother, Walk, smoo
 
 use serde::{Deserialize, Serialize};
 
-/// How lively the filter expects the camera to be when it knows nothing yet.
+/// Lower bounds of the process noise of filter and smoother.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FilterConfig {
-    /// Spectral density of the jerk of x and y, (m/s³)² s. It rises with the innovations and sinks back to this.
+    /// Spectral density of the jerk of x and y, (m/s³)² s. The filter raises its density above this
+    /// value when the innovations are larger than predicted.
     pub jerk_density: f64,
     /// Spectral density of the jerk of the heading, (rad/s³)² s.
     pub heading_jerk_density: f64,
@@ -29,7 +32,7 @@ pub struct FilterConfig {
 
 impl Default for FilterConfig {
     fn default() -> Self {
-        // A slow cart: a tenth of a g built up within about a second.
+        // A slow cart: it builds up a tenth of g within about a second.
         Self { jerk_density: 1.0, heading_jerk_density: 10.0 }
     }
 }

@@ -1,9 +1,11 @@
-//! A smoother for recordings: every frame's position and heading from what came before *and* after it.
+//! Fixed-interval smoother for recordings: position and heading of each frame from the measurements
+//! before *and* after it.
 //!
-//! Each coordinate is smoothed by itself ([`super::coordinate`]). Where frames are missing the same equations bridge the gap.
+//! Each coordinate is smoothed independently ([`super::coordinate`]). In gaps without measurements
+//! the same equations interpolate.
 //!
-//! A recording is gone through twice, so that its frames need not be in memory: once to gather what was measured ([`Smoother`]), once to tell where each
-//! frame was ([`SmoothedPath`]).
+//! The recording is read twice, so that its frames need not fit in memory: once to collect the
+//! measurements ([`Smoother`]), once to output the smoothed frames ([`SmoothedPath`]).
 
 use super::FilterConfig;
 use super::constant_acceleration::SMALLEST_VARIANCE;
@@ -14,14 +16,14 @@ use crate::trajectory::{FrameEstimate, PoseEstimate, Velocity};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt;
 
-/// Where the pose of a smoothed frame comes from.
+/// Origin of the pose of a smoothed frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PoseSource {
-    /// Measured in its own pixels, and smoothed.
+    /// Measured in the frame's own pixels, and smoothed.
     Measured,
-    /// Not measured: put between the measured frames before and after, as a camera would have gone.
+    /// Not measured: interpolated by the motion model between the measured frames before and after.
     Bridged,
-    /// Not measured in the pixels: what other sensors tell.
+    /// Not measured by the camera: dead reckoning with other sensors.
     Sensors,
 }
 
@@ -35,27 +37,28 @@ impl fmt::Display for PoseSource {
     }
 }
 
-/// A frame as the whole recording has it.
+/// A frame after smoothing over the whole recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SmoothedFrame {
-    /// Number of the frame in its source, from 0.
+    /// Index of the frame in its source, from 0.
     pub frame: u64,
-    /// Its time, seconds, from the source.
+    /// Timestamp from the source, seconds.
     pub time_s: f64,
-    /// Where the camera was.
+    /// Pose of the camera.
     pub pose: GroundPose,
-    /// How it moved.
+    /// Velocity of the camera.
     pub velocity: Velocity,
-    /// Covariance of (x, y, heading) in metres and radians, against the start of the run.
+    /// Covariance of (x, y, heading) relative to the start of the run, metres and radians.
     pub covariance: Matrix3<f64>,
-    /// Where it comes from.
+    /// Origin of the pose.
     pub source: PoseSource,
-    /// Number of gaps before this frame; a bridged frame counts to the stretch before it.
+    /// Number of tracking gaps before this frame; an interpolated frame belongs to the segment
+    /// before the gap.
     pub segment: usize,
 }
 
-/// The path with what came after each frame taken into account: one entry for each frame from the first measured one to the last,
-/// bridged where a frame could not be measured. Times must not fall.
+/// Smooths a recording: one entry for each frame from the first measured frame to the last,
+/// interpolated where a frame was not measured. Times must not decrease.
 pub fn smooth(frames: &[FrameEstimate], config: &FilterConfig) -> Vec<SmoothedFrame> {
     let mut smoother = Smoother::for_frames(frames.len());
     frames.iter().for_each(|frame| smoother.push(frame));
@@ -66,18 +69,19 @@ pub fn smooth(frames: &[FrameEstimate], config: &FilterConfig) -> Vec<SmoothedFr
     smoothed
 }
 
-/// Gathers what was measured, for [`smooth`] over frames that are not in memory at once.
+/// Collects the measurements of a recording whose frames are not all in memory, for the same result
+/// as [`smooth`].
 #[derive(Debug)]
 pub struct Smoother {
-    /// From the first measured frame on.
+    /// Timestamps from the first measured frame on, seconds.
     times_s: Vec<f64>,
     measured: [Vec<Measured>; 3],
-    /// How many of them there are up to the last measured one.
+    /// Number of frames up to and including the last measured one.
     count: usize,
 }
 
 impl Smoother {
-    /// Of a recording of about so many frames.
+    /// An empty smoother with capacity for `frames` frames.
     pub fn for_frames(frames: usize) -> Self {
         Self {
             times_s: Vec::with_capacity(frames),
@@ -86,7 +90,7 @@ impl Smoother {
         }
     }
 
-    /// Takes the next frame; its time must not be before that of the frame before.
+    /// Appends the next frame; its time must not be before that of the previous frame.
     pub fn push(&mut self, frame: &FrameEstimate) {
         let plane = frame.estimate.as_ref().map(|known| &known.measured);
         if self.times_s.is_empty() && plane.is_none() {
@@ -104,7 +108,7 @@ impl Smoother {
         }
     }
 
-    /// The path of all that was taken.
+    /// Smooths all frames appended so far.
     pub fn smoothed(self, config: &FilterConfig) -> SmoothedPath {
         let times_s = &self.times_s[..self.count];
         let densities = [config.jerk_density, config.jerk_density, config.heading_jerk_density];
@@ -118,33 +122,35 @@ impl Smoother {
     }
 }
 
-/// The coordinates of a smoothed path; what else its frames have comes from the frames themselves, which are gone through again.
+/// Smoothed coordinates of a path. Everything else comes from the frames themselves, which are read
+/// a second time ([`SmoothedPath::walk`]).
 #[derive(Debug)]
 pub struct SmoothedPath {
     axes: [Vec<Smoothed>; 3],
 }
 
 impl SmoothedPath {
-    /// A way through the path.
+    /// Starts the second pass over the frames.
     pub fn walk(&self) -> Walk<'_> {
         Walk { path: self, next: 0, before: None, gap: Vec::new() }
     }
 }
 
-/// On the way through a smoothed path, along the frames that it was made of.
+/// The second pass: combines the frames, read again in the same order, with the smoothed path.
 #[derive(Debug)]
 pub struct Walk<'a> {
     path: &'a SmoothedPath,
-    /// Counted from the first measured frame.
+    /// Index of the next frame, counted from the first measured one.
     next: usize,
     /// The last measured frame.
     before: Option<FrameEstimate>,
-    /// Number and time of those since.
+    /// Index and time of each unmeasured frame since then.
     gap: Vec<(u64, f64)>,
 }
 
 impl Walk<'_> {
-    /// Takes the next of the frames, and gives the smoothed ones that are known with it: those of a gap come with the frame behind it.
+    /// Takes the next frame and outputs the smoothed frames known so far; those of a gap follow
+    /// with the measured frame after it.
     pub fn next(&mut self, frame: &FrameEstimate, take: &mut dyn FnMut(SmoothedFrame)) {
         let Some(known) = &frame.estimate else {
             if self.before.is_some() && self.next + self.gap.len() < self.path.axes[0].len() {
@@ -165,7 +171,7 @@ impl Walk<'_> {
 }
 
 impl SmoothedFrame {
-    /// As an entry of a trajectory.
+    /// The frame as an entry of a trajectory.
     pub fn stamped(&self) -> StampedPose {
         StampedPose { time_s: self.time_s, world_from_camera: self.pose.world_from_camera() }
     }
@@ -183,7 +189,7 @@ impl SmoothedPath {
 
     fn measured(&self, index: usize, frame: &FrameEstimate, known: &PoseEstimate) -> SmoothedFrame {
         let (level, velocity, variances) = self.plane(index);
-        // What smoothing leaves of the frame's own noise; its correlations stay.
+        // Scales the frame's own covariance to the smoothed variances and keeps its correlations.
         let own = known.measured.covariance;
         let left = Matrix3::from_diagonal(&Vector3::from_fn(|axis, _| {
             (variances[axis] / own[(axis, axis)].max(SMALLEST_VARIANCE)).min(1.0).sqrt()
@@ -200,7 +206,7 @@ impl SmoothedPath {
         }
     }
 
-    /// A frame, of this number and time, between two measured ones.
+    /// An unmeasured frame, with its index and time, between two measured ones.
     fn bridged(
         &self,
         index: usize,
@@ -223,12 +229,13 @@ impl SmoothedPath {
     }
 }
 
-/// The covariance of the ground that a frame was measured against.
+/// Covariance of the reference keyframe: the frame's covariance without its own measurement noise.
 fn carried(known: &PoseEstimate) -> Matrix3<f64> {
     known.covariance.fixed_view::<3, 3>(0, 0) - known.measured.covariance
 }
 
-/// Height, tilt and covariance between two measured frames.
+/// Height, roll, pitch and covariance of an unmeasured frame, interpolated between two measured
+/// ones.
 fn bridged(
     (before, after): (&FrameEstimate, &FrameEstimate),
     time_s: f64,
@@ -241,10 +248,13 @@ fn bridged(
     let (since_s, left_s) = (time_s - before.time_s, after.time_s - time_s);
     let share = if since_s + left_s > 0.0 { since_s / (since_s + left_s) } else { 0.0 };
     let between = |from: f64, to: f64| from + share * (to - from);
-    // Where the stretch behind a gap lies is not measured either: its covariance says so, and comes in with the way through the gap.
+    // The pose after a tracking gap is not measured relative to that before it: its covariance
+    // includes that, and is blended in along the gap.
     let ends = carried(a) * (1.0 - share) + carried(b) * share;
-    // A white jerk over a long gap leads beyond what anything that rolls or walks would do: nobody goes further than twice as fast as
-    // at the ends, or sets off at more than 0.2 m/s and 0.2 rad/s (two standard deviations), and then comes back.
+    // Over a long gap, white jerk predicts more than any wheeled carrier or person does. The
+    // standard deviation is bounded by an excursion at half the largest speed at the ends plus 0.1
+    // m/s (0.1 rad/s) that returns in time: two standard deviations allow twice that speed, or 0.2
+    // m/s and 0.2 rad/s from rest.
     let reach_s = since_s.min(left_s);
     let fastest = |of: fn(&Velocity) -> f64| of(&a.velocity).max(of(&b.velocity)).max(of(velocity));
     let limits = [

@@ -1,4 +1,4 @@
-//! The smoother and the carrier's path: on paths with exact truth, and on rendered drives.
+//! Smoother and carrier path on synthetic paths with exact ground truth and on rendered drives.
 
 use super::*;
 use crate::camera::{Camera, Rig};
@@ -14,7 +14,8 @@ fn gaussian(random: &mut Random) -> f64 {
     (-2.0 * uniform(random).ln()).sqrt() * (std::f64::consts::TAU * uniform(random)).cos()
 }
 
-/// Measurements along a path (x, y, heading), 30 a second at times that are irregular by a part `uneven`, with noise of `sigma` that they tell.
+/// Frames measured along a path (x, y, heading) at 30 frames per second, with relative timing
+/// jitter `uneven` and noise of standard deviation `sigma`, which their covariance states.
 fn measured_at(uneven: f64, path: impl Fn(f64) -> [f64; 3], sigma: f64, count: usize) -> Vec<FrameEstimate> {
     let mut random = Random::new(11);
     let mut time_s = 0.0;
@@ -53,7 +54,7 @@ fn lose(frame: &mut FrameEstimate) {
     frame.status = TrackStatus::Lost { reason: LossReason::Bare };
 }
 
-/// Root mean square distance of measured and of smoothed positions from the truth.
+/// Root mean square position errors of the measured and of the smoothed positions.
 fn errors(frames: &[FrameEstimate], path: impl Fn(f64) -> [f64; 3]) -> (f64, f64) {
     let off = |time_s: f64, x_m: f64, y_m: f64| {
         let [x, y, _] = path(time_s);
@@ -71,16 +72,16 @@ fn errors(frames: &[FrameEstimate], path: impl Fn(f64) -> [f64; 3]) -> (f64, f64
 }
 
 #[test]
-fn noisy_positions_are_halved() {
+fn smoothing_halves_the_noise_of_positions() {
     let path = |t: f64| [0.5 * t + 0.3 * (0.5 * t).sin(), 0.2 * (0.7 * t).cos(), 0.1 * t];
     let (raw, smoothed) = errors(&measured(path, 0.01, 900), path);
     assert!(smoothed < 0.5 * raw, "{smoothed} {raw}");
 }
 
 #[test]
-fn exact_positions_are_not_spoiled_by_shaking_or_sudden_starts() {
+fn smoothing_keeps_exact_positions_under_vibration_and_sudden_starts() {
     let shaken = |t: f64| [0.5 * t + 0.003 * (55.0 * t).sin(), 0.002 * (40.0 * t).cos(), 0.0];
-    // Stands, is pushed at once to half a metre a second, and stands again.
+    // At rest, then suddenly at half a metre per second, then at rest again.
     let pushed = |t: f64| [0.5 * (t - 5.0).clamp(0.0, 3.0), 0.0, 0.0];
     for sigma in [1e-4, 1e-6] {
         let (raw, smoothed) = errors(&measured(shaken, sigma, 600), shaken);
@@ -91,11 +92,11 @@ fn exact_positions_are_not_spoiled_by_shaking_or_sudden_starts() {
 }
 
 #[test]
-fn a_gap_within_known_ground_is_bridged_within_its_covariance() {
+fn interpolation_through_a_gap_agrees_with_its_covariance() {
     let path = |t: f64| [0.5 * t + 0.2 * (0.8 * t).sin(), 0.3 * (0.6 * t).cos(), 0.2 * (0.5 * t).sin()];
     let mut frames = measured(path, 1e-4, 600);
     frames[300..330].iter_mut().for_each(lose);
-    // Nothing is told before the first measured frame and after the last.
+    // There is no output before the first measured frame and after the last.
     frames[..5].iter_mut().for_each(lose);
     frames[590..].iter_mut().for_each(lose);
     let smoothed = smooth(&frames, &FilterConfig::default());
@@ -107,7 +108,7 @@ fn a_gap_within_known_ground_is_bridged_within_its_covariance() {
         for (axis, off) in off.into_iter().enumerate() {
             let sigma = frame.covariance[(axis, axis)].sqrt();
             assert!(off.abs() < 3.0 * sigma + 1e-5, "frame {} axis {axis}: {off} {sigma}", frame.frame);
-            // A second at half a metre a second.
+            // One second at half a metre per second.
             assert!(sigma < 0.2, "{sigma}");
         }
     }
@@ -119,7 +120,7 @@ fn a_gap_within_known_ground_is_bridged_within_its_covariance() {
 }
 
 #[test]
-fn behind_a_gap_that_was_not_measured_the_covariance_stays_large() {
+fn covariance_stays_large_after_an_unmeasured_gap() {
     let path = |t: f64| [0.5 * t, 0.0, 0.0];
     let mut frames = measured(path, 1e-4, 300);
     frames[100..130].iter_mut().for_each(lose);
@@ -142,8 +143,9 @@ fn behind_a_gap_that_was_not_measured_the_covariance_stays_large() {
 }
 
 #[test]
-fn the_carrier_does_not_shake() {
-    // A turn at half a metre a second; shaking by 4 mm and 0.5 degrees at 6 and 9 Hz, camera mounted at a yaw of 30 degrees.
+fn the_carrier_path_has_no_vibration() {
+    // A turn at half a metre per second, with vibrations of 4 mm and 0.5° at 6 to 9 Hz and a mount
+    // yaw of 30°.
     let way = |t: f64| [1.0 - (0.5 * t).cos(), (0.5 * t).sin(), 0.5 * t];
     let shaken = |t: f64| {
         let [x, y, heading] = way(t);
@@ -163,11 +165,12 @@ fn the_carrier_does_not_shake() {
         let off_rad = crate::geometry::wrap_angle(forward - (heading - rig.yaw_rad));
         worst = (worst.0.max((at.x - x).hypot(at.y - y)), worst.1.max(off_rad.abs()));
     }
-    // Of 4 mm and 9 mrad a hundredth part: (1 + 3⁶)⁻¹ of what shakes at 6 Hz, and the noise of the measurements.
+    // About a hundredth of 4 mm and 9 mrad: the filter passes (1 + 3⁶)⁻¹ at 6 Hz, plus measurement
+    // noise.
     assert!(worst.0 < 5e-5 && worst.1 < 1e-4, "{worst:?}");
 }
 
-/// A rendered drive with noise, followed: its frames and the simulation.
+/// Odometry of a rendered drive with image noise: the frames and the simulation.
 fn rendered(noise_gray: f64) -> (Vec<FrameEstimate>, Simulation) {
     let rig = Rig::level(0.75);
     let camera = Camera::from_field_of_view((240, 180), (0.96, 0.72), rig.height_m).unwrap();
@@ -190,7 +193,7 @@ fn rendered(noise_gray: f64) -> (Vec<FrameEstimate>, Simulation) {
 }
 
 #[test]
-fn on_rendered_drives_smoothed_positions_are_never_worse_than_measured_ones() {
+fn smoothing_rendered_drives_never_increases_the_error() {
     for (noise_gray, most) in [(12.0, 1.0), (0.5, 1.02)] {
         let (frames, simulation) = rendered(noise_gray);
         assert!(frames.iter().all(|frame| frame.estimate.is_some()));

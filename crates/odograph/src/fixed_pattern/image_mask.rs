@@ -1,15 +1,16 @@
-//! Which parts of the image are not ground.
+//! Mask of the image regions that are not ground.
 
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 
-/// Pixels along the side of a cell.
+/// Side length of a cell, pixels.
 pub const CELL_PX: usize = 4;
 
-/// A patch about a corner reaches this many pixels: corners nearer than that to what is told not to be ground would see it.
+/// Radius of a patch around a corner, pixels: a corner nearer than this to a masked region would
+/// include it.
 const PATCH_REACH_PX: usize = 10;
 
-/// Which cells of 4x4 pixels are not ground, so that no corner may lie there.
+/// Mask in cells of 4x4 pixels: masked cells are not ground and contain no corners.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ImageMask {
     size: (usize, usize),
@@ -19,13 +20,14 @@ pub struct ImageMask {
 }
 
 impl ImageMask {
-    /// All of an image of this size is ground.
+    /// An empty mask for an image of this size: everything is ground.
     pub fn nothing(size: (usize, usize)) -> Self {
         let (columns, rows) = cells(size);
         Self { size, columns, covered: vec![false; columns * rows], count: 0 }
     }
 
-    /// From a picture in which what is not ground is darker than middle gray. Corners keep away from it by the reach of a patch.
+    /// A mask from an image: pixels darker than middle gray (128) are masked, dilated by the radius
+    /// of a patch.
     pub fn from_picture(picture: &GrayImage) -> Self {
         let mut mask = Self::nothing((picture.width(), picture.height()));
         let rows = mask.covered.len() / mask.columns;
@@ -48,7 +50,7 @@ impl ImageMask {
         mask.counted()
     }
 
-    /// Of the cells that were found to be fixed, and what was told beside.
+    /// The union of the cells found to be static and the mask given by the user.
     pub(super) fn of_cells(size: (usize, usize), found: &[bool], told: Option<&Self>) -> Self {
         let mut mask = Self::nothing(size);
         mask.covered.copy_from_slice(found);
@@ -63,38 +65,38 @@ impl ImageMask {
         self
     }
 
-    /// Width and height of the image it is for.
+    /// Width and height of the masked image, pixels.
     pub fn size(&self) -> (usize, usize) {
         self.size
     }
 
-    /// Whether all of the image is ground.
+    /// Whether nothing is masked.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// The part of the image that is not ground, 0 to 1.
+    /// The masked fraction of the image, 0 to 1.
     pub fn share(&self) -> f64 {
         self.count as f64 / self.covered.len().max(1) as f64
     }
 
-    /// Whether a pixel is not ground; what is outside the image belongs to the nearest cell.
+    /// Whether a pixel is masked; pixels outside the image belong to the nearest cell.
     pub fn covers(&self, x: usize, y: usize) -> bool {
         let rows = self.covered.len() / self.columns;
         self.covered[(y / CELL_PX).min(rows - 1) * self.columns + (x / CELL_PX).min(self.columns - 1)]
     }
 
-    /// Whether a place in the image is not ground.
+    /// Whether a position in the image, rounded to the nearest pixel, is masked.
     pub fn covers_pixel(&self, pixel: Pixel) -> bool {
         self.covers(pixel.x.max(0.0).round() as usize, pixel.y.max(0.0).round() as usize)
     }
 
-    /// Whether a cell is not ground.
+    /// Whether a cell is masked.
     pub(super) fn covers_cell(&self, column: usize, row: usize) -> bool {
         self.covered[row * self.columns + column]
     }
 
-    /// White is ground, black is not.
+    /// The mask as an image: ground is white, masked pixels are black.
     pub fn picture(&self) -> GrayImage {
         let mut picture = GrayImage::new(self.size.0, self.size.1);
         let width = self.size.0;
@@ -105,7 +107,7 @@ impl ImageMask {
     }
 }
 
-/// Columns and rows of whole cells; at least one each.
+/// Numbers of columns and rows of whole cells; at least one each.
 pub(super) fn cells((width, height): (usize, usize)) -> (usize, usize) {
     ((width / CELL_PX).max(1), (height / CELL_PX).max(1))
 }

@@ -1,4 +1,4 @@
-//! Gradients of the cells and what becomes of them over time.
+//! Gradients of the cells and their temporal statistics.
 
 use super::image_mask::{CELL_PX, ImageMask, cells};
 use crate::image::GrayImage;
@@ -9,11 +9,12 @@ pub(super) struct Cells {
     columns: usize,
     rows: usize,
     sums: Vec<i16>,
-    /// The sums of four rows along each column.
+    /// Sums of four rows along each column.
     band: Vec<u16>,
 }
 
-/// What the noise of a pixel comes to in the squared gradient of a cell: two differences of two sums of 16.
+/// Expected squared gradient of a cell per unit of pixel noise variance: two components, each the
+/// difference of two sums of 16 samples.
 const GRADIENT_NOISE: f64 = 64.0;
 
 impl Cells {
@@ -22,7 +23,7 @@ impl Cells {
         Self { columns, rows, sums: vec![0; columns * rows], band: vec![0; size.0] }
     }
 
-    /// Takes an image of the size it was made for.
+    /// Computes the sums of an image, which must have the size given to [`Cells::new`].
     pub fn fill(&mut self, image: &GrayImage) {
         let Self { columns, band, sums, .. } = self;
         for (row, sums) in sums.chunks_exact_mut(*columns).enumerate() {
@@ -36,7 +37,8 @@ impl Cells {
         }
     }
 
-    /// The differences to the cells on the right and below, for the cells of a row that have both.
+    /// Forward differences (to the right and below) of the cells of a row that have both
+    /// neighbours.
     fn gradients(&self, row: usize) -> impl Iterator<Item = (i16, i16)> {
         let here = &self.sums[row * self.columns..][..self.columns];
         let below = &self.sums[(row + 1) * self.columns..][..self.columns];
@@ -45,14 +47,15 @@ impl Cells {
     }
 }
 
-/// How much has changed between two images, in blocks of 4x4 cells.
+/// Change between two images, in blocks of 4x4 cells.
 #[derive(Debug)]
 pub(super) struct Change {
-    /// How many blocks there are, and of those that are not masked how many have texture, and how many of these have moved.
+    /// Number of blocks; number of unmasked blocks with texture; number of those that have moved.
     pub blocks: usize,
     pub textured: usize,
     pub moved: usize,
-    /// For each block the squares of the differences of the gradients, the squares of both, and the sums of both along either side.
+    /// Per block: squared gradient differences, sum of the squared gradients of both images, and
+    /// sums of the gradients (x and y of each image).
     differences: Vec<f32>,
     energies: Vec<f32>,
     slopes: Vec<[i32; 4]>,
@@ -60,13 +63,14 @@ pub(super) struct Change {
     columns: usize,
 }
 
-/// Cells along the side of a block.
+/// Side length of a block, cells.
 const BLOCK: usize = 4;
 
-/// A block has texture when its squared gradients are so many times what noise makes of them.
+/// Minimum ratio of a block's squared gradients to their noise expectation for it to have texture.
 const TEXTURED: f32 = 2.0;
 
-/// It has moved when the squares of the differences are more than this part of those of both gradients: what is unrelated has all of them.
+/// Minimum ratio of the squared gradient differences to the squared gradients of both images for a
+/// block to have moved; for uncorrelated gradients the ratio is 1.
 const MOVED: f32 = 0.5;
 
 impl Change {
@@ -87,7 +91,7 @@ impl Change {
         }
     }
 
-    /// Compares two images whose pixels have noise of this variance.
+    /// Compares two images whose pixel noise has the variance `noise`, gray levels².
     pub fn between(&mut self, last: &Cells, now: &Cells, noise: f64, mask: Option<&ImageMask>) {
         self.differences.fill(0.0);
         self.energies.fill(0.0);
@@ -104,7 +108,7 @@ impl Change {
             let blocks = blocks.zip(&mut self.energies[first..]).zip(&mut self.slopes[first..]);
             let mut gradients = last.gradients(row).zip(now.gradients(row));
             for ((difference, energy), slopes) in blocks {
-                // The last block may lack a column.
+                // The last block of a row may lack a column.
                 for ((ax, ay), (bx, by)) in gradients.by_ref().take(BLOCK) {
                     let square =
                         |x: i16, y: i16| (i32::from(x) * i32::from(x) + i32::from(y) * i32::from(y)) as f32;
@@ -114,7 +118,7 @@ impl Change {
                 }
             }
         }
-        // Soft light is a slope all over a block, and no texture.
+        // Subtract the mean gradient of the block: smooth shading is a constant slope, not texture.
         for ((difference, energy), slopes) in
             self.differences.iter_mut().zip(&mut self.energies).zip(&self.slopes)
         {
@@ -136,10 +140,11 @@ impl Change {
         }
     }
 
-    /// At most how much noise the pixels of the two images have, gray levels²: that of the blocks that differ least.
+    /// Upper bound of the pixel noise variance of the two images, gray levels²: from the blocks
+    /// that differ least (5th percentile).
     pub fn least_noise(&mut self) -> f64 {
         const FEW: usize = 20;
-        // A twentieth of blocks of noise alone are below this part of their mean.
+        // Of blocks that contain noise alone, 5 % are below this fraction of their mean.
         const OF_MEAN: f64 = 0.6;
         self.sorted.copy_from_slice(&self.differences);
         let at = self.sorted.len() / FEW;
@@ -151,7 +156,7 @@ impl Change {
     }
 }
 
-/// Mean and variance over time of the gradient of each cell.
+/// Temporal mean and variance of the gradient of each cell.
 #[derive(Debug)]
 pub(super) struct Statistics {
     columns: usize,
@@ -161,40 +166,46 @@ pub(super) struct Statistics {
     mean_x: Vec<f32>,
     mean_y: Vec<f32>,
     square: Vec<f32>,
-    /// Sums over the surroundings of a cell: the matrix of the fixed gradients (xx, xy, yy) and the variance.
+    /// Means over the neighbourhood of a cell: the structure tensor of the static gradients (xx,
+    /// xy, yy) and the variance.
     around: [Vec<f32>; 4],
     along: [Vec<f32>; 3],
-    /// The same of what is fixed alone, within a larger reach.
+    /// The structure tensor of the static cells alone, over a larger neighbourhood.
     shape: [Vec<f32>; 3],
     fixed: Vec<bool>,
     grown: Vec<bool>,
-    /// Whether a cell has fixed gradients that count beside a cell that is surely fixed.
+    /// Whether a cell is static by the weaker criterion that applies next to a static cell.
     also: Vec<bool>,
 }
 
-/// Older samples are forgotten at this rate: dirt that comes on the way is found after about as many.
+/// Memory of the exponential moving average, samples: dirt that appears during the drive is found
+/// after about this many.
 const MOST_SAMPLES: u32 = 48;
 
-/// Cells from the middle to the edge of the surroundings that are judged at once: with those, 20 pixels are, as many as a patch has.
+/// Neighbourhood radius, cells: 5x5 cells are 20 pixels, the size of a patch.
 const REACH: usize = 2;
 
-/// Something is fixed where its gradients are this many times above noise, and so many times what varies.
+/// A cell is static where its mean squared gradient exceeds the noise and the temporal variance by
+/// these factors.
 const OVER_NOISE: f32 = 1.5;
 const OVER_VARIANCE: f32 = 4.0;
 
-/// It is surely so where, within so many cells, such gradients have two directions: this part of their squares is across the stronger one. An edge along which
-/// the camera drives, as the joint of a floor, stays where it is, too.
+/// Minimum ratio of the smaller to the larger eigenvalue of the structure tensor within
+/// `SHAPE_REACH` cells: static gradients must have two directions. An edge along the direction of
+/// travel, such as a floor joint, is static as well (aperture problem).
 const SHAPE_REACH: usize = 5;
 const TWO_DIRECTIONS: f32 = 0.05;
 
-/// And this part within its own surroundings: beside a bumper a joint is still a joint.
+/// The same ratio within `REACH` cells: a joint beside a bumper is not static.
 const OWN_DIRECTIONS: f32 = 0.008;
 
-/// Beside such a place (so many cells away) this part of the variance is enough, for there a patch would see both.
+/// Weaker variance factor for up to `GROWN_CELLS` cells around a static cell, where a patch would
+/// include both.
 const ALSO_OVER_VARIANCE: f32 = 0.2;
 const GROWN_CELLS: usize = 4;
 
-/// What moves has fixed gradients below this part of the variance. At least this part of what has texture must: a camera that shakes about one place blurs
+/// A cell moves where its mean squared gradient is below `MOVES` times its variance. At least
+/// `LEAST_MOVING` of the textured cells must move: a camera that vibrates about one position blurs
 /// everything alike.
 const MOVES: f32 = 0.5;
 const LEAST_MOVING: f64 = 0.25;
@@ -221,12 +232,12 @@ impl Statistics {
         }
     }
 
-    /// How many samples the mean is of.
+    /// Effective number of samples of the moving average.
     pub fn samples(&self) -> u32 {
         self.samples
     }
 
-    /// How many samples were ever added.
+    /// Total number of samples added.
     pub fn added(&self) -> u32 {
         self.added
     }
@@ -248,7 +259,8 @@ impl Statistics {
         }
     }
 
-    /// Which cells are fixed, with what is so near to one that a patch there would see it.
+    /// The static cells, dilated so that no patch outside them includes static texture. `noise` is
+    /// the pixel noise variance, gray levels².
     pub fn fixed_cells(&mut self, noise: f64) -> &[bool] {
         self.sum_up();
         let noise = (GRADIENT_NOISE * noise) as f32;
@@ -263,7 +275,7 @@ impl Statistics {
             for (shape, own) in self.shape.iter_mut().zip([xx, xy, yy]) {
                 shape[at] = if stays { own } else { 0.0 };
             }
-            // The mean of what moves has this left of its variance.
+            // Variance of the mean of independent samples: the remaining energy of a moving cell.
             let by_chance = variance / samples;
             self.also[at] = energy > noise.max(ALSO_OVER_VARIANCE * ground + by_chance);
             if energy + variance > 3.0 * noise {
@@ -293,7 +305,8 @@ impl Statistics {
         &self.fixed
     }
 
-    /// Takes the neighbours of fixed cells too; only those with fixed gradients, or all.
+    /// Dilates the static cells by one cell; with `only_also` restricted to cells that pass the
+    /// weaker criterion.
     fn widen(&mut self, only_also: bool) {
         self.grown.copy_from_slice(&self.fixed);
         for row in 0..self.rows {
@@ -310,14 +323,15 @@ impl Statistics {
         std::mem::swap(&mut self.fixed, &mut self.grown);
     }
 
-    /// The means over the surroundings of each cell.
+    /// Computes the neighbourhood means of each cell.
     fn sum_up(&mut self) {
         let samples = self.samples as f32;
         let unbiased = samples / (samples - 1.0).max(1.0);
         for at in 0..self.fixed.len() {
             let (x, y) = (self.mean_x[at], self.mean_y[at]);
             let variance = unbiased * (self.square[at] - x * x - y * y).max(0.0);
-            // So much of the squares of the means is chance.
+            // Bias of the squared mean: half of the variance (two components) over the number of
+            // samples.
             let chance = 0.5 * variance / samples;
             let own = [x * x - chance, x * y, y * y - chance, variance];
             self.around.iter_mut().zip(own).for_each(|(around, own)| around[at] = own);
@@ -326,7 +340,8 @@ impl Statistics {
         let size = (self.columns, self.rows);
         let smoothed = self.around.iter_mut().chain(self.shape.iter_mut().take(2));
         smoothed.for_each(|values| mean_around(values, &mut self.along[0], size, REACH));
-        // Light that falls off softly is a slope, which is the same all over a patch and moves nothing.
+        // Subtract the tensor of the mean gradient: smooth shading is a constant slope over a patch
+        // and does not affect tracking.
         for at in 0..self.fixed.len() {
             let (x, y) = (self.shape[0][at], self.shape[1][at]);
             for (around, slope) in self.around.iter_mut().zip([x * x, x * y, y * y]) {
@@ -336,7 +351,7 @@ impl Statistics {
     }
 }
 
-/// Makes of each cell's value the mean of those within `reach` cells.
+/// Box filter: replaces each value by the mean of those within `reach` cells.
 fn mean_around(values: &mut [f32], along: &mut [f32], (columns, rows): (usize, usize), reach: usize) {
     for (own, sums) in values.chunks_exact(columns).zip(along.chunks_exact_mut(columns)) {
         for (column, sum) in sums.iter_mut().enumerate() {

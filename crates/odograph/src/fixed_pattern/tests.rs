@@ -6,7 +6,8 @@ use crate::simulation::{Ground, Renderer, Texture};
 
 const HEIGHT_M: f64 = 0.75;
 
-/// What a camera of 320x240 sees of a ground, frame by frame, with one gray level of noise.
+/// Rendered 320x240 images of a ground at the given (x, heading) poses, with one gray level of
+/// noise.
 fn images(texture: &str, poses: impl Iterator<Item = (f64, f64)>) -> Vec<GrayImage> {
     let lens = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
     let camera = Camera::new((320, 240), (250.0, 250.0), (160.5, 119.0), lens).unwrap();
@@ -26,7 +27,7 @@ fn images(texture: &str, poses: impl Iterator<Item = (f64, f64)>) -> Vec<GrayIma
     poses.map(image).collect()
 }
 
-/// Blocks of 7 pixels over the lowest quarter of an image.
+/// Overlays the lowest quarter of an image with random blocks of 7 pixels.
 fn with_bumper(mut image: GrayImage) -> GrayImage {
     let (width, height) = (image.width(), image.height());
     for (at, sample) in image.samples_mut().iter_mut().enumerate().skip(width * height / 4 * 3) {
@@ -49,7 +50,7 @@ fn learned(images: Vec<GrayImage>) -> FixedPattern {
 }
 
 #[test]
-fn moving_ground_has_nothing_fixed() {
+fn moving_ground_is_not_masked() {
     for texture in ["asphalt", "carpet", "concrete", "grass", "tiles", "bricks"] {
         assert_eq!(learned(images(texture, drive(60))).share(), 0.0, "{texture} straight on");
         let turning = (0..60).map(|i| (0.01 * f64::from(i), 0.02 * f64::from(i)));
@@ -58,14 +59,14 @@ fn moving_ground_has_nothing_fixed() {
 }
 
 #[test]
-fn a_camera_that_stands_still_teaches_nothing() {
+fn a_stationary_camera_masks_nothing() {
     let still = images("concrete", std::iter::repeat_n((0.0, 0.0), 40));
     let fixed = learned(still.into_iter().map(with_bumper).collect());
     assert_eq!(fixed.share(), 0.0);
 }
 
 #[test]
-fn a_bumper_is_found_within_ten_frames_and_little_else() {
+fn a_bumper_is_masked_within_ten_frames_and_little_else() {
     for texture in ["concrete", "asphalt", "tiles"] {
         let driving: Vec<GrayImage> = images(texture, drive(10)).into_iter().map(with_bumper).collect();
         let fixed = learned(driving);
@@ -75,13 +76,13 @@ fn a_bumper_is_found_within_ten_frames_and_little_else() {
             pixels.filter(|&(x, y)| mask.covers(x, y)).count() as f64 / (320 * rows.len()) as f64
         };
         assert!(covered(180..240) > 0.95, "{texture}: {}", covered(180..240));
-        // A joint that leads away from the bumper belongs to it for some pixels.
+        // A joint that continues from the bumper is masked for some pixels.
         assert!(covered(0..160) < 0.04, "{texture}: {}", covered(0..160));
     }
 }
 
 #[test]
-fn what_is_told_is_masked_with_the_reach_of_a_patch() {
+fn a_given_mask_is_dilated_by_the_patch_radius() {
     let mut picture = GrayImage::new(320, 240);
     picture.samples_mut().fill(255);
     picture.samples_mut()[100 * 320..110 * 320].fill(0);

@@ -1,18 +1,24 @@
-//! A calibrated camera with all that is known about how sure it is.
+//! Calibration files: a calibrated camera with its covariance and quality figures.
 //!
-//! An OpenCV FileStorage YAML file: [`super::camera_file::parse`] and every program that reads OpenCV's camera files takes the camera from
-//! it and passes over the rest.
+//! The format is OpenCV FileStorage YAML. [`super::camera_file::parse`] and every program that
+//! reads OpenCV camera files read the camera and ignore the other keys.
 
 use super::camera_file;
 use crate::calibration::{Board, Calibration};
 use std::fmt::Write;
 
-/// The text of the file. The same calibration gives the same text: there is no date in it.
+/// Writes a calibration file. The output is deterministic: it has no date.
 ///
-/// Beside the camera of [`camera_file::write`] it holds `lens_model`, `calibration_board`, `verdict` and `reasons`, `views_used`,
-/// `views_seen` and `points_used`; `rms_px` and `hold_out_rms_px`, the root mean square distance of corners from their places in the used
-/// views and in views that were held out; `expected_error_px`, the error of a ray over the image that follows from the covariance (the
-/// camera's rotation taken out); and `parameter_names`, `parameter_values`, `parameter_deviations` and `parameter_covariance`.
+/// Besides the camera of [`camera_file::write`] it has the keys
+///
+/// * `lens_model`, `calibration_board`, `verdict`, `reasons`, `views_used`, `views_seen`,
+///   `points_used`;
+/// * `rms_px` and `hold_out_rms_px`: root mean square reprojection error in the views used and in
+///   held-out views, pixels;
+/// * `expected_error_px`: expected error of a ray over the image, from the covariance, without the
+///   part that a camera rotation compensates, pixels;
+/// * `parameter_names`, `parameter_values`, `parameter_deviations` (standard deviations) and
+///   `parameter_covariance`.
 pub fn write(calibration: &Calibration, board: &Board) -> String {
     let mut text = camera_file::write(&calibration.camera);
     let points: usize =
@@ -40,7 +46,7 @@ pub fn write(calibration: &Calibration, board: &Board) -> String {
     text
 }
 
-/// A number as OpenCV's reader takes it; YAML's words for what is no number.
+/// A number as OpenCV's reader parses it, with YAML's literals for NaN and infinities.
 fn real(value: f64) -> String {
     match value {
         v if v.is_nan() => ".Nan".into(),
@@ -50,7 +56,8 @@ fn real(value: f64) -> String {
     }
 }
 
-/// A text between double quotes, without what would need more than one line.
+/// A double-quoted string on one line: escapes quotes and backslashes, and replaces control
+/// characters by spaces.
 fn quoted(text: &str) -> String {
     let mut safe = String::from('"');
     for character in text.chars() {

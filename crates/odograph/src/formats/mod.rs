@@ -1,7 +1,7 @@
-//! Text to values and back: camera files, rig files, sensor records and trajectories.
+//! Text formats: camera, calibration, rig, sensor and trajectory files.
 //!
-//! Nothing here opens a file: every reader takes the text and every writer returns it. Readers accept any text without
-//! panicking, in time and memory proportional to its length, and say in one sentence what is wrong with it.
+//! Nothing here opens a file: readers take text, writers return it. Readers accept any text without
+//! panicking, in time and memory proportional to its length, and report errors in one sentence.
 
 pub mod calibration_file;
 pub mod camera_file;

@@ -1,15 +1,16 @@
-//! Rig files: how the camera sits over the ground, as TOML that a person can write.
+//! Rig files: the mounting of the camera over the ground, as human-written TOML.
 //!
 //! ```toml
 //! height_m = 0.75    # camera centre above the ground
-//! roll_deg = -0.4    # angles against straight down, 0 where left out
+//! roll_deg = -0.4    # 0 for a nadir-looking camera; default 0
 //! pitch_deg = 1.2
 //! yaw_deg = 90       # top of the image, counter-clockwise from forward
 //! ```
 //!
-//! Each angle may be given in radians instead (`roll_rad`, …). A measured rig has standard deviations besides, which are passed over where only the
-//! rig is wanted: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`, `yaw_deviation_deg`. Any other key is an error: a misspelt angle
-//! would be taken for none.
+//! Each angle may be in radians instead (`roll_rad`, …). A measured rig also has standard
+//! deviations, which [`parse`] ignores: `height_deviation_m`, `roll_deviation_deg`,
+//! `pitch_deviation_deg`, `yaw_deviation_deg`. Any other key is an error, because a misspelt angle
+//! would otherwise be 0.
 
 use crate::camera::Rig;
 use crate::error::{Error, Result};
@@ -17,10 +18,10 @@ use crate::mounting::{MeasuredRig, RigDeviations};
 use std::fmt::Write;
 use toml::{Table, Value};
 
-/// Rig files are a few lines.
+/// Largest accepted file size, bytes; rig files are a few lines.
 const MAX_BYTES: usize = 1 << 20;
 
-/// All keys that a rig file may have.
+/// All valid keys.
 const KEYS: [&str; 11] = [
     "height_m",
     "roll_deg",
@@ -35,13 +36,14 @@ const KEYS: [&str; 11] = [
     "yaw_deviation_deg",
 ];
 
-/// No camera over ground is higher, metres.
+/// Largest accepted height, metres.
 const GREATEST_HEIGHT_M: f64 = 1e6;
 
-/// Reads a rig from TOML text.
+/// Reads a rig from TOML.
 ///
-/// Fails, naming the key, where the height is missing or absurd, a key is not one of a rig file, a value is not a finite number, an angle is given in both units, or
-/// the rig does not look at the ground ([`Rig::validated`]).
+/// Fails, naming the key, if the height is missing or larger than 1e6 m, a key is unknown, a value
+/// is not a finite number, an angle is given in both units, or the rig is invalid
+/// ([`Rig::validated`]).
 pub fn parse(text: &str) -> Result<Rig> {
     if text.len() > MAX_BYTES {
         return Err(Error::input(format!("the rig file has {} bytes; is this the right file?", text.len())));
@@ -96,7 +98,8 @@ fn edits(a: &str, b: &str) -> usize {
     row[b.chars().count()]
 }
 
-/// The rig as TOML text in degrees; [`parse`] returns the identical rig but for the last bit of an angle that no number of degrees gives back.
+/// Writes a rig as TOML in degrees. [`parse`] returns the identical rig, except for the last bit of
+/// an angle that no number of degrees represents.
 pub fn write(rig: &Rig) -> String {
     let mut text = format!("height_m = {:?}\n", rig.height_m);
     for (name, radians) in [("roll", rig.roll_rad), ("pitch", rig.pitch_rad), ("yaw", rig.yaw_rad)] {
@@ -108,7 +111,7 @@ pub fn write(rig: &Rig) -> String {
     text
 }
 
-/// A measured rig: the text of [`write()`] with a line for each standard deviation that is known.
+/// Writes a measured rig: the output of [`write()`] with a line for each known standard deviation.
 pub fn write_measured(measured: &MeasuredRig) -> String {
     let mut text = write(&measured.rig);
     let RigDeviations { height_m, roll_rad, pitch_rad, yaw_rad } = measured.deviations;
@@ -117,14 +120,15 @@ pub fn write_measured(measured: &MeasuredRig) -> String {
     let all = std::iter::once(("height_deviation_m".to_owned(), height_m)).chain(degrees);
     for (key, deviation) in all {
         if let Some(deviation) = deviation {
-            // Three digits: a deviation is not known better.
+            // Three significant digits; a standard deviation is not known more precisely.
             let _ = writeln!(text, "{key} = {deviation:.2e}");
         }
     }
     text
 }
 
-/// The rig of a text with the standard deviations that it holds. Fails as [`parse`] does, and where a deviation is not a positive number.
+/// Reads a rig with its standard deviations. Fails as [`parse`] does, and if a standard deviation
+/// is negative or not finite.
 pub fn parse_measured(text: &str) -> Result<MeasuredRig> {
     let rig = parse(text)?;
     let table: Table = text.trim_start_matches('\u{feff}').parse().map_err(|error: toml::de::Error| {
@@ -148,7 +152,7 @@ pub fn parse_measured(text: &str) -> Result<MeasuredRig> {
     })
 }
 
-/// An angle in radians from the key of either unit; 0 without one.
+/// An angle in radians from the key in either unit; 0 if both are absent.
 fn angle(table: &Table, name: &str) -> Result<f64> {
     let degrees = number(table, &format!("{name}_deg"))?;
     let radians = number(table, &format!("{name}_rad"))?;
@@ -190,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn errors_name_the_key_and_the_value() {
         for (text, part) in [
             ("", "no `height_m`"),
             ("height_m = -1", "-1 m"),
@@ -215,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_measured_rig_keeps_its_deviations_and_is_a_rig() {
+    fn a_measured_rig_round_trips_and_reads_as_a_rig() {
         let rig = Rig { height_m: 0.75, roll_rad: 0.1, pitch_rad: -0.2, yaw_rad: 0.0 };
         let deviations = RigDeviations {
             height_m: Some(0.001),
@@ -233,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn deep_nesting_is_survived() {
+    fn deep_nesting_does_not_crash() {
         for bracket in ["[", "{a="] {
             assert!(parse(&format!("a = {}", bracket.repeat(100_000))).is_err());
         }

@@ -1,20 +1,22 @@
-//! Records of sensors beside the camera as CSV: a line with the names of the columns, then one line a sample.
+//! Sensor records as CSV: a header line with the column names, then one line per sample.
 //!
-//! | sensor | columns beside `time_s` |
+//! | sensor | columns besides `time_s` |
 //! |---|---|
-//! | gyro | `rate_rad_s`, or `x_rad_s`, `y_rad_s` and `z_rad_s` of a sensor mounted anyhow |
-//! | heading | `heading_rad`, counter-clockwise, or `bearing_rad`, clockwise, from any zero |
-//! | wheel | `speed_m_s`, or `distance_m` since any beginning |
+//! | gyro | `rate_rad_s`; for an arbitrary orientation `x_rad_s`, `y_rad_s`, `z_rad_s` |
+//! | heading | `heading_rad` (counter-clockwise) or `bearing_rad` (clockwise), any zero |
+//! | wheel | `speed_m_s`, or `distance_m` with an arbitrary zero |
 //! | range | `height_m` above the ground, or `distance_m` along the camera's optical axis |
 //!
-//! Angles may be in degrees (`rate_deg_s`, `heading_deg`, …). Values are separated by commas, semicolons or white space; columns of other names
-//! are ignored, and so are empty lines and lines that begin with `#`.
+//! Angles may be in degrees (`rate_deg_s`, `heading_deg`, …). Values are separated by commas,
+//! semicolons or white space. Unknown columns, empty lines and lines that begin with `#` are
+//! ignored.
 
 use crate::error::{Error, Result};
 use crate::filter::fusion::{Quantity, SensorKind, SensorRecord};
 use std::fmt::Write;
 
-/// A name that a column may have, what it is multiplied with, and what it then is.
+/// Column names of a quantity, with the factor that converts the values to SI units (and to
+/// counter-clockwise).
 struct Known {
     sensor: SensorKind,
     names: &'static [&'static str],
@@ -45,8 +47,9 @@ const KNOWN: [Known; 12] = [
 
 /// Reads the record of a sensor.
 ///
-/// Fails, naming the line, where the first line does not name the columns of such a sensor, a line has another number of values than
-/// that, a value is not a finite number, or a time is not later than the one before; and where there are fewer than two samples.
+/// Fails, naming the line, if the header does not have the columns of the sensor, a line has a
+/// different number of values than the header, a value is not a finite number, or a time is not
+/// later than the one before. Also fails if there are fewer than two samples.
 pub fn parse(text: &str, sensor: SensorKind) -> Result<SensorRecord> {
     let text = text.trim_start_matches('\u{feff}');
     let mut lines = text
@@ -103,7 +106,7 @@ pub fn parse(text: &str, sensor: SensorKind) -> Result<SensorRecord> {
     SensorRecord::new(known.quantity, times_s, channels)
 }
 
-/// A record as text that [`parse`] reads, to 1e-6 s and 1e-6 of its unit.
+/// Writes a record for [`parse`], rounded to 1e-6 s and 1e-6 of its unit.
 pub fn write(record: &SensorRecord) -> String {
     let quantity = record.quantity();
     let names = KNOWN.iter().find(|known| known.quantity == quantity && known.factor == 1.0);
@@ -132,11 +135,11 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn columns_are_found_by_name_and_turned_into_si_units() {
+    fn columns_are_selected_by_name_and_converted_to_si_units() {
         let record =
             parse("# a compass\ntime_s;note;bearing_deg\n0;1;350\n1;2;10\n", SensorKind::Heading).unwrap();
         let samples: Vec<(f64, Vec<f64>)> = record.samples().collect();
-        // Clockwise to counter-clockwise, and no jump where north is passed.
+        // Converted from clockwise to counter-clockwise, and unwrapped across north.
         assert!((samples[1].1[0] - samples[0].1[0] + 20f64.to_radians()).abs() < 1e-12);
         let three = parse("time_s,x_rad_s,y_rad_s,z_rad_s\n0 1 2 3\n1 4 5 6\n", SensorKind::Gyro).unwrap();
         assert_eq!(three.quantity(), Quantity::TurnRates);
@@ -151,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn errors_name_the_line_and_the_value() {
         for (text, part) in [
             ("", "nothing in the file"),
             ("1.0,2.0\n", "line 1 is \"1.0,2.0\"; it must name the columns, time_s and rate_rad_s or"),

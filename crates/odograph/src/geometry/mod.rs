@@ -1,11 +1,13 @@
-//! Frames of reference, points and poses.
+//! Coordinate frames, points and poses.
 //!
 //! * **Image**: pixels; `x` right, `y` down; integer coordinates are pixel centres ([`Pixel`]).
-//! * **Camera**: x right, y down, z forward along the optical axis, metres. A direction in it is a [`Ray`] `(x, y, 1)`.
-//! * **World**: z up, the ground is z = 0, metres. The origin is the ground point below the first camera position, x the
-//!   direction that is up in the first image, y to the left. Heading is counter-clockwise positive seen from above.
+//! * **Camera**: x right, y down, z forward along the optical axis, metres. A direction in this
+//!   frame is a [`Ray`] `(x, y, 1)`.
+//! * **World**: z up, ground plane z = 0, metres. The origin is the ground point below the first
+//!   camera position; x is the upward direction of the first image, y points to the left. Heading
+//!   is positive counter-clockwise seen from above.
 //!
-//! A transform is named `target_from_source`.
+//! Transforms are named `target_from_source`.
 
 mod planar;
 
@@ -14,12 +16,12 @@ pub use planar::{PlaneTransform, Se2, Sim2, WithCovariance, propagated};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// A point in the (distorted) image as the camera delivers it, in pixels.
+/// A point in the original (distorted) camera image, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pixel {
-    /// To the right, 0 at the centre of the leftmost column.
+    /// Horizontal coordinate, positive to the right; 0 is the centre of the leftmost column.
     pub x: f64,
-    /// Downwards, 0 at the centre of the top row.
+    /// Vertical coordinate, positive downwards; 0 is the centre of the top row.
     pub y: f64,
 }
 
@@ -35,18 +37,20 @@ impl Pixel {
     }
 }
 
-/// The length of the vector (`x`, `y`). Not `hypot`, which C libraries round each in its way and whose care for the greatest and the least numbers no
-/// length here needs: so it has the same bits on every machine.
+/// Euclidean length of the vector (`x`, `y`), bit-identical on every machine. `hypot` is not: C
+/// libraries round it differently, and no length here needs its protection against overflow and
+/// underflow.
 pub(crate) fn length(x: f64, y: f64) -> f64 {
     (x * x + y * y).sqrt()
 }
 
-/// A viewing direction in the camera frame, the vector (`x`, `y`, 1): normalised, undistorted image coordinates.
+/// A viewing direction in the camera frame, the vector (`x`, `y`, 1): undistorted normalised image
+/// coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
-    /// Tangent of the angle to the right.
+    /// Tangent of the horizontal angle from the optical axis, positive to the right.
     pub x: f64,
-    /// Tangent of the angle downwards.
+    /// Tangent of the vertical angle from the optical axis, positive downwards.
     pub y: f64,
 }
 
@@ -56,16 +60,16 @@ impl Ray {
         Self { x, y }
     }
 
-    /// As a vector with z = 1.
+    /// The direction as a vector with z = 1.
     pub fn vector(self) -> Vector3<f64> {
         Vector3::new(self.x, self.y, 1.0)
     }
 }
 
-/// A point on the ground (world z = 0), in metres.
+/// A point on the ground plane (world z = 0), in metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct GroundPoint {
-    /// World x: the direction that is up in the first image.
+    /// World x: the upward direction of the first image.
     pub x_m: f64,
     /// World y: to the left in the first image.
     pub y_m: f64,
@@ -83,24 +87,26 @@ impl GroundPoint {
     }
 }
 
-/// Where a camera is over the ground, in the six numbers a ground camera is thought of.
+/// The pose of a camera above the ground plane: six degrees of freedom.
 ///
-/// `world_from_camera` has the translation (x, y, height) and the rotation `Rz(heading) · Ry(pitch) · Rx(roll) · N`,
-/// where `N` is the camera that looks straight down with the top of its image forward
-/// ([`nadir_from_camera`]). With roll = pitch = 0 the optical axis is plumb.
+/// `world_from_camera` has the translation (x, y, height) and the rotation `Rz(heading) · Ry(pitch)
+/// · Rx(roll) · N`, where `N` ([`nadir_from_camera`]) is a camera that looks straight down with the
+/// top of its image forward. With roll = pitch = 0 the optical axis is vertical.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct GroundPose {
     /// World x of the camera centre, metres.
     pub x_m: f64,
     /// World y of the camera centre, metres.
     pub y_m: f64,
-    /// Direction that is up in the image, counter-clockwise from world x, radians, any number of turns.
+    /// Direction of the image's top, counter-clockwise from world x, radians; not wrapped.
     pub heading_rad: f64,
-    /// Height of the camera centre above the ground, metres, positive.
+    /// Height of the camera centre above the ground plane, metres, positive.
     pub height_m: f64,
-    /// Rotation about the forward axis, right-handed: positive when the image's left side is raised, radians.
+    /// Rotation about the forward axis, right-handed, radians: positive when the camera's left side
+    /// is raised.
     pub roll_rad: f64,
-    /// Rotation about the left axis, right-handed: positive when the camera looks backwards of plumb, radians.
+    /// Rotation about the left axis, right-handed, radians: positive when the optical axis meets
+    /// the ground behind the camera.
     pub pitch_rad: f64,
 }
 
@@ -123,23 +129,23 @@ pub mod pose_index {
     pub const PITCH: usize = 5;
 }
 
-/// The rotation of a camera that looks straight down with the top of its image along world x.
+/// Rotation of a nadir camera: it looks straight down, the top of its image along world x.
 pub fn nadir_from_camera() -> Matrix3<f64> {
     Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0)
 }
 
 impl GroundPose {
-    /// A level camera at `height_m` over the world's origin.
+    /// A level camera at `height_m` above the world origin.
     pub fn level(height_m: f64) -> Self {
         Self { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, height_m, roll_rad: 0.0, pitch_rad: 0.0 }
     }
 
-    /// The six numbers in the order (x, y, heading, height, roll, pitch), metres and radians.
+    /// The pose as the vector (x, y, heading, height, roll, pitch), metres and radians.
     pub fn to_vector(&self) -> Vector6<f64> {
         Vector6::new(self.x_m, self.y_m, self.heading_rad, self.height_m, self.roll_rad, self.pitch_rad)
     }
 
-    /// From the six numbers of [`GroundPose::to_vector`].
+    /// The pose of a vector in the order of [`GroundPose::to_vector`].
     pub fn from_vector(numbers: &Vector6<f64>) -> Self {
         let [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad] = (*numbers).into();
         Self { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad }
@@ -169,18 +175,18 @@ impl GroundPose {
         }
     }
 
-    /// The rotation that takes camera vectors to world vectors.
+    /// Rotation matrix from camera to world coordinates.
     pub fn world_from_camera_rotation(&self) -> Matrix3<f64> {
         let turn = Rotation3::from_euler_angles(self.roll_rad, self.pitch_rad, self.heading_rad);
         turn.matrix() * nadir_from_camera()
     }
 
-    /// The camera centre in the world, metres.
+    /// The camera centre in world coordinates, metres.
     pub fn position(&self) -> Vector3<f64> {
         Vector3::new(self.x_m, self.y_m, self.height_m)
     }
 
-    /// As a rigid transform.
+    /// The pose as a rigid transform.
     pub fn world_from_camera(&self) -> Isometry3<f64> {
         let rotation = Rotation3::from_matrix_unchecked(self.world_from_camera_rotation());
         Isometry3::from_parts(
@@ -189,7 +195,8 @@ impl GroundPose {
         )
     }
 
-    /// From a rigid transform; the inverse of [`GroundPose::world_from_camera`] up to whole turns of the heading.
+    /// The pose of a rigid transform: the inverse of [`GroundPose::world_from_camera`] up to full
+    /// turns of the heading.
     pub fn from_world_from_camera(world_from_camera: &Isometry3<f64>) -> Self {
         let rotation = world_from_camera.rotation.to_rotation_matrix();
         let turn = Rotation3::from_matrix_unchecked(rotation.matrix() * nadir_from_camera().transpose());
@@ -198,7 +205,8 @@ impl GroundPose {
         Self { x_m: t.x, y_m: t.y, heading_rad, height_m: t.z, roll_rad, pitch_rad }
     }
 
-    /// The ground point that a viewing ray meets; `None` where the ray does not go downwards.
+    /// Intersection of a viewing ray with the ground plane; `None` where the ray does not point
+    /// downwards.
     pub fn ground_from_ray(&self, ray: Ray) -> Option<GroundPoint> {
         let direction = self.world_from_camera_rotation() * ray.vector();
         (direction.z < -1e-9).then(|| {
@@ -207,7 +215,8 @@ impl GroundPose {
         })
     }
 
-    /// The viewing ray towards a ground point; `None` where the point is not in front of the camera.
+    /// The viewing ray towards a ground point; `None` where the point is not in front of the
+    /// camera.
     pub fn ray_from_ground(&self, point: GroundPoint) -> Option<Ray> {
         let from_camera = Vector3::new(point.x_m - self.x_m, point.y_m - self.y_m, -self.height_m);
         let in_camera = self.world_from_camera_rotation().transpose() * from_camera;
@@ -215,7 +224,7 @@ impl GroundPose {
     }
 }
 
-/// The angle brought into (−π, π], radians.
+/// The angle wrapped into (−π, π], radians.
 pub fn wrap_angle(angle_rad: f64) -> f64 {
     let turn = std::f64::consts::TAU;
     let wrapped = angle_rad.rem_euclid(turn);
@@ -228,7 +237,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_level_camera_sees_forward_at_the_top_and_left_at_the_left() {
+    fn level_camera_sees_forward_at_top_and_left_at_left() {
         let pose = GroundPose::level(2.0);
         let top = pose.ground_from_ray(Ray::new(0.0, -0.5)).unwrap();
         assert!((top.x_m - 1.0).abs() < 1e-12 && top.y_m.abs() < 1e-12);

@@ -1,6 +1,7 @@
-//! Images as the rest of the library sees them.
+//! Image types.
 //!
-//! Pixel centres are at integer coordinates: pixel (0, 0) is the centre of the top-left pixel; `x` runs right, `y` down.
+//! Integer coordinates are pixel centres: (0, 0) is the centre of the top left pixel; `x` points
+//! right, `y` down.
 
 mod noise;
 mod pyramid;
@@ -9,7 +10,7 @@ pub(crate) mod simd;
 pub use noise::noise_variance;
 pub use pyramid::Pyramid;
 
-/// An owned gray (luminance) image, 8 bits a pixel, rows packed without padding.
+/// An owned gray (luminance) image, 8 bits per pixel, rows without padding.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GrayImage {
     width: usize,
@@ -18,12 +19,13 @@ pub struct GrayImage {
 }
 
 impl GrayImage {
-    /// A black image.
+    /// A black image of the given size, pixels.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, samples: vec![0; width * height] }
     }
 
-    /// An image from its samples in row order; `None` unless there are exactly `width * height` of them.
+    /// An image from its samples in row order; `None` unless there are exactly `width * height` of
+    /// them.
     pub fn from_samples(width: usize, height: usize, samples: Vec<u8>) -> Option<Self> {
         (samples.len() == width.checked_mul(height)?).then_some(Self { width, height, samples })
     }
@@ -43,22 +45,27 @@ impl GrayImage {
         &self.samples
     }
 
-    /// All samples in row order, to be written.
+    /// All samples in row order, mutable.
     pub fn samples_mut(&mut self) -> &mut [u8] {
         &mut self.samples
     }
 
-    /// The samples, without the image around them.
+    /// Takes the samples out of the image, in row order.
     pub fn into_samples(self) -> Vec<u8> {
         self.samples
     }
 
-    /// One row of samples. Panics if `y` is not below [`GrayImage::height`].
+    /// One row of samples.
+    ///
+    /// # Panics
+    ///
+    /// Panics unless `y` is below [`GrayImage::height`].
     pub fn row(&self, y: usize) -> &[u8] {
         &self.samples[y * self.width..][..self.width]
     }
 
-    /// Makes this an image of the given size, keeping the allocation where it is large enough; samples are unspecified.
+    /// Resizes the image, reusing the allocation where it is large enough. The samples are
+    /// unspecified afterwards.
     pub fn resize(&mut self, width: usize, height: usize) {
         self.width = width;
         self.height = height;
@@ -66,7 +73,8 @@ impl GrayImage {
     }
 }
 
-/// An owned colour image, 8 bits each of red, green and blue (sRGB), interleaved, rows packed without padding.
+/// An owned colour image, 8 bits each of red, green and blue (sRGB), interleaved, rows without
+/// padding.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RgbImage {
     width: usize,
@@ -75,12 +83,13 @@ pub struct RgbImage {
 }
 
 impl RgbImage {
-    /// A black image.
+    /// A black image of the given size, pixels.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, samples: vec![0; 3 * width * height] }
     }
 
-    /// An image from its interleaved samples; `None` unless there are exactly `3 * width * height` of them.
+    /// An image from its interleaved samples in row order; `None` unless their number is exactly `3
+    /// * width * height`.
     pub fn from_samples(width: usize, height: usize, samples: Vec<u8>) -> Option<Self> {
         (samples.len() == width.checked_mul(height)?.checked_mul(3)?).then_some(Self {
             width,
@@ -99,17 +108,21 @@ impl RgbImage {
         self.height
     }
 
-    /// All samples: red, green, blue, red, … in row order.
+    /// All samples in row order, interleaved: red, green, blue, red, …
     pub fn samples(&self) -> &[u8] {
         &self.samples
     }
 
-    /// All samples, to be written.
+    /// All samples in row order, interleaved and mutable.
     pub fn samples_mut(&mut self) -> &mut [u8] {
         &mut self.samples
     }
 
-    /// The colour of a pixel. Panics outside the image.
+    /// The colour (red, green, blue) of a pixel.
+    ///
+    /// # Panics
+    ///
+    /// Panics outside the image.
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         let at = 3 * (y * self.width + x);
         [self.samples[at], self.samples[at + 1], self.samples[at + 2]]

@@ -1,22 +1,23 @@
-//! How much noise an image has.
+//! Estimation of the image noise.
 
 use super::GrayImage;
 use crate::numerics::NORMAL_MEDIAN;
 
-/// About so many rows are looked at.
+/// Approximate number of rows sampled.
 const ROWS: usize = 60;
 
-/// The weights of the nine samples are 1, −2 or 4: the sum of their squares.
+/// Sum of the squares of the nine mask weights, which are 1, −2 and 4.
 const WEIGHTS_SQUARED: f64 = 36.0;
 
-/// The largest magnitude: eight times white less eight times black.
+/// Largest magnitude of the mask response: eight times white minus eight times black.
 const MOST: usize = 8 * 255;
 
-/// At most how much noise the samples of an image have: a variance, gray levels².
+/// Upper bound of the noise variance of the samples, gray levels².
 ///
-/// It is told by second differences along rows of second differences along columns (J. Immerkær, "Fast noise variance estimation", 1996), of which neither soft
-/// texture nor straight edges along rows and columns leave anything. The median of their magnitude is taken: what has edges in less than half of its area tells its
-/// noise, and texture that is fine everywhere tells more than there is.
+/// The mask of J. Immerkær ("Fast noise variance estimation", 1996), a second difference along rows
+/// of second differences along columns, suppresses smooth texture and straight edges along rows and
+/// columns. The standard deviation is estimated from the median absolute response, which is robust
+/// to edges in up to half of the area. Texture that is fine everywhere biases the estimate upwards.
 pub fn noise_variance(image: &GrayImage) -> f64 {
     let mut counts = [0u32; MOST + 1];
     for y in (1..image.height().saturating_sub(1)).step_by((image.height() / ROWS).max(1)) {
@@ -32,7 +33,8 @@ pub fn noise_variance(image: &GrayImage) -> f64 {
     for (magnitude, &count) in counts.iter().enumerate() {
         let count = f64::from(count);
         if below + count >= half && count > 0.0 {
-            // A magnitude stands for all that is rounded to it; 0 for what is on both sides of it.
+            // A bin covers the interval of values rounded to it; bin 0 covers half a unit of
+            // magnitude.
             let (from, width) = if magnitude == 0 { (0.0, 0.5) } else { (magnitude as f64 - 0.5, 1.0) };
             let median = from + width * (half - below) / count;
             return (median / NORMAL_MEDIAN).powi(2) / WEIGHTS_SQUARED;
@@ -47,7 +49,8 @@ mod tests {
     use super::*;
     use crate::motion::Random;
 
-    /// A chessboard with squares of 24 pixels and noise of that standard deviation.
+    /// A chessboard with squares of 24 pixels and noise of the given standard deviation, gray
+    /// levels.
     fn board(noise_gray: f64) -> GrayImage {
         let mut random = Random::new(3);
         let mut normal = || (0..12).map(|_| random.below(1 << 16) as f64 / 65536.0).sum::<f64>() - 6.0;
@@ -60,11 +63,11 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_told_whatever_else_is_in_the_image() {
+    fn noise_variance_is_estimated_in_spite_of_edges() {
         for noise_gray in [0.5f64, 1.0, 2.0, 4.0, 8.0] {
-            // Rounding has a twelfth of a squared gray level.
+            // Quantisation adds a variance of 1/12 squared gray level.
             let (there, found) = (noise_gray * noise_gray + 1.0 / 12.0, noise_variance(&board(noise_gray)));
-            // The median of 19,000 differences, a sixth of which lie on edges.
+            // Tolerance of a median of 19,000 responses, a sixth of which lie on edges.
             assert!((found / there - 1.0).abs() < 0.15, "{noise_gray}: {there} {found}");
         }
         assert!(noise_variance(&board(0.0)) < 0.1);

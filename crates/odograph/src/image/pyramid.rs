@@ -1,22 +1,25 @@
-//! The Gaussian pyramid: each level half the size of the one below, sample (x, y) of level l over sample (2x, 2y) of level l − 1.
+//! Gaussian pyramid: each level has half the size of the one below; sample (x, y) of level l is at
+//! sample (2x, 2y) of level l − 1.
 
 use super::simd::{blur_and_halve, blur_rows};
 use super::{GrayImage, noise_variance};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// An image with its smaller copies, which are made when the first of them is asked for. Level 0 is the image itself.
+/// A Gaussian pyramid. Level 0 is the image itself; the coarser levels are computed on first
+/// access.
 ///
-/// Because a level keeps the even samples of the blurred level below, a point at `p` in level 0 is at `p / 2^l` in level l.
+/// A level keeps the even samples of the blurred level below, so a point at `p` in level 0 is at `p
+/// / 2^l` in level l.
 #[derive(Debug)]
 pub struct Pyramid {
     base: GrayImage,
-    /// No more levels than this are wanted.
+    /// Maximum number of levels requested.
     most: usize,
-    /// How many there are, made or not.
+    /// Number of levels, computed or not.
     levels: usize,
     coarser: OnceLock<Vec<GrayImage>>,
     noise_variance: OnceLock<f64>,
-    /// The memory of coarser levels made before.
+    /// Reusable memory of the coarser levels.
     spare: Box<Mutex<Spare>>,
 }
 
@@ -26,7 +29,7 @@ struct Spare {
     column_sums: Vec<u16>,
 }
 
-/// Levels smaller than this on a side are not made: no patch fits into them.
+/// Minimum side length of a level, pixels; a patch does not fit into smaller ones.
 const SMALLEST_SIDE: usize = 24;
 
 impl Pyramid {
@@ -43,7 +46,7 @@ impl Pyramid {
         }
     }
 
-    /// Makes this the pyramid of another image and gives the image it was made of before. The memory of the coarser levels is used again.
+    /// Replaces the image and returns the previous one. The memory of the coarser levels is reused.
     pub fn replace(&mut self, image: GrayImage) -> GrayImage {
         if let Some(coarser) = self.coarser.take() {
             self.spare.get_mut().unwrap_or_else(PoisonError::into_inner).coarser = coarser;
@@ -53,22 +56,24 @@ impl Pyramid {
         std::mem::replace(&mut self.base, image)
     }
 
-    /// How many levels there are; at least one.
+    /// Number of levels; at least one.
     pub fn levels(&self) -> usize {
         self.levels
     }
 
-    /// The full image.
+    /// The full-resolution image.
     pub fn base(&self) -> &GrayImage {
         &self.base
     }
 
-    /// At most how much noise the full image has; see [`noise_variance`].
+    /// Upper bound of the noise variance of the full-resolution image, gray levels²; see
+    /// [`noise_variance`].
     pub fn noise_variance(&self) -> f64 {
         *self.noise_variance.get_or_init(|| noise_variance(&self.base))
     }
 
-    /// A level, 0 being the full image; the coarsest where there are not so many.
+    /// A level; 0 is the full-resolution image. Returns the coarsest level where `level` exceeds
+    /// it.
     pub fn level(&self, level: usize) -> &GrayImage {
         match level {
             0 => &self.base,
@@ -79,7 +84,7 @@ impl Pyramid {
         }
     }
 
-    /// The levels above the full image.
+    /// The levels coarser than the full-resolution image.
     pub fn coarser(&self) -> &[GrayImage] {
         self.coarser.get_or_init(|| {
             let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
@@ -104,7 +109,7 @@ impl Pyramid {
     }
 }
 
-/// Width and height of the levels above an image of which no more than `most` levels are wanted.
+/// Width and height of the coarser levels of an image with at most `most` levels in total.
 fn coarser_sizes(image: &GrayImage, most: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
     let half = |&(width, height): &(usize, usize)| {
         let half = (width.div_ceil(2), height.div_ceil(2));
@@ -113,8 +118,9 @@ fn coarser_sizes(image: &GrayImage, most: usize) -> impl Iterator<Item = (usize,
     std::iter::successors(Some((image.width(), image.height())), half).skip(1).take(most.saturating_sub(1))
 }
 
-/// Blurs with the binomial 1 4 6 4 1 in both directions and keeps every second sample (P. Burt and E. Adelson, "The Laplacian pyramid",
-/// 1983); beyond the border the image is mirrored about its outermost samples.
+/// Filters with the binomial kernel 1 4 6 4 1 in both directions and decimates by two (P. Burt and
+/// E. Adelson, "The Laplacian pyramid", 1983). Beyond the border the image is mirrored about its
+/// outermost samples.
 fn halve(below: &GrayImage, above: &mut GrayImage, sums: &mut Vec<u16>) {
     let (width, height) = (below.width(), below.height());
     let mirrored = |i: isize, size: usize| -> usize {
@@ -122,7 +128,8 @@ fn halve(below: &GrayImage, above: &mut GrayImage, sums: &mut Vec<u16>) {
         let i = i.abs();
         (if i > last { 2 * last - i } else { i }).clamp(0, last) as usize
     };
-    // Two extra sums on the left and right hold the mirrored border, so that the row pass has no special cases.
+    // Two extra sums on either side hold the mirrored border, so that the row pass has no special
+    // cases.
     sums.resize(width + 4, 0);
     let above_width = above.width();
     for (y, out) in above.samples_mut().chunks_exact_mut(above_width).enumerate() {
@@ -141,7 +148,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The definition, written without a thought for speed.
+    /// Direct implementation of the definition.
     fn halve_by_definition(image: &GrayImage, x: usize, y: usize) -> u8 {
         let weights = [1i64, 4, 6, 4, 1];
         let mirrored = |i: i64, size: i64| {
@@ -185,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_replaced_image_gives_the_pyramid_of_a_new_one() {
+    fn replacing_the_image_rebuilds_the_pyramid() {
         let ramp = |step: usize| {
             GrayImage::from_samples(64, 64, (0..64 * 64).map(|i| (i * step % 251) as u8).collect()).unwrap()
         };

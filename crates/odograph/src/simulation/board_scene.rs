@@ -1,4 +1,4 @@
-//! A calibration board before a camera, with exact truth.
+//! Rendered images of a calibration board with exact ground truth.
 
 use super::noise::{GaussianStream, cell, mix, uniform, value_noise};
 use crate::calibration::{Board, BoardPoint, BoardView, Drawing, Rectangle, SeenPoint};
@@ -13,25 +13,28 @@ mod poses;
 pub use light::{BoardEffects, Occlusion};
 pub use poses::Framing;
 
-/// A board, printed on a white sheet, and a camera that sees it before a cluttered background which stands still in the image.
+/// A board printed on a white sheet, in front of a cluttered background that is static in the
+/// image.
 ///
-/// A pixel is the mean of what its area sees: black and white at 64 places, found through the rays of its four corners (between
-/// which the lens and the perspective are taken as linear: less than 0.001 px for lenses that people calibrate). What is wholly
-/// black, white or background is not sampled.
+/// A pixel is the mean over its area, sampled at 64 points. The points are interpolated bilinearly
+/// between the intersections of its four corner rays with the board, which neglects the curvature
+/// of lens and perspective within a pixel: less than 0.001 px for common lenses. Pixels that are
+/// entirely black, white or background are not sampled.
 #[derive(Debug, Clone)]
 pub struct BoardScene {
     board: Board,
     camera: Camera,
     drawing: Drawing,
     sheet: Rectangle,
-    /// Rays of the corners of all pixels, row after row, one more a row and column than pixels; NaN where the lens model has none.
+    /// Rays of the corners of all pixels in row order, one more per row and column than pixels; NaN
+    /// where the lens model has none.
     rays: Vec<[f64; 2]>,
-    /// What is seen beside the sheet, gray levels.
+    /// Background beside the sheet, gray levels.
     background: Vec<f32>,
 }
 
 impl BoardScene {
-    /// The scene of a board and a camera; `seed` decides the background.
+    /// The scene of a board and a camera; `seed` determines the background.
     pub fn new(board: &Board, camera: &Camera, seed: u64) -> Self {
         let drawing = Drawing::new(board);
         let (width, height) = (camera.width(), camera.height());
@@ -50,19 +53,20 @@ impl BoardScene {
         }
     }
 
-    /// The board.
+    /// The calibration board.
     pub fn board(&self) -> &Board {
         &self.board
     }
 
-    /// The camera.
+    /// The camera model.
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
 
-    /// Where each point of the board is in the image, exactly, for those inside the image (from the outer edge of its first pixels
-    /// to that of its last) in front of the camera. Of a disc it is the image of the centre, which is not the centre of the image.
-    /// What [`BoardEffects`] hide or mirror is seen here all the same.
+    /// True image positions of the board points in front of the camera and inside the image
+    /// (including the outer half of its border pixels). For a disc it is the projection of its
+    /// centre, which is not the centre of the projected ellipse. Ignores occlusion and mirroring by
+    /// [`BoardEffects`].
     pub fn true_view(&self, camera_from_board: &Isometry3<f64>) -> BoardView {
         let points = self.board.points().into_iter().enumerate();
         let seen = points.filter_map(|(index, point)| {
@@ -72,7 +76,8 @@ impl BoardScene {
         BoardView { size: (self.camera.width(), self.camera.height()), points: seen.collect() }
     }
 
-    /// Where the camera sees a point of the board's plane; may lie outside the image. `None` behind the camera and beyond the lens.
+    /// Projection of a point of the board plane; may lie outside the image. `None` behind the
+    /// camera and outside the lens model.
     pub fn project(&self, camera_from_board: &Isometry3<f64>, point: BoardPoint) -> Option<Pixel> {
         let at = camera_from_board * Point3::new(point.x_m, point.y_m, 0.0);
         if at.z <= 0.0 {
@@ -81,7 +86,7 @@ impl BoardScene {
         self.camera.pixel_from_ray(Ray::new(at.x / at.z, at.y / at.z))
     }
 
-    /// What the camera sees.
+    /// Renders the image of the board at a pose.
     pub fn render(&self, camera_from_board: &Isometry3<f64>, effects: &BoardEffects) -> GrayImage {
         let (width, height) = (self.camera.width(), self.camera.height());
         let mut light = vec![0.0f32; width * height];
@@ -89,18 +94,19 @@ impl BoardScene {
         effects.develop(width, height, light)
     }
 
-    /// Fills `light` with gray levels before any effect of light or lens.
+    /// Fills `light` with gray levels before any effect of illumination, lens or sensor.
     fn expose(&self, camera_from_board: &Isometry3<f64>, effects: &BoardEffects, light: &mut [f32]) {
         let width = self.camera.width();
         let rotation = camera_from_board.rotation.to_rotation_matrix();
-        // A point (x, y) of the board lies on the ray H (x, y, 1), so that H⁻¹ ray is (x, y, 1) over its depth.
+        // A point (x, y) of the board lies on the ray H (x, y, 1), so H⁻¹ · ray is (x, y, 1)
+        // divided by its depth.
         let camera_from_plane = Matrix3::from_columns(&[
             rotation.matrix().column(0).into_owned(),
             rotation.matrix().column(1).into_owned(),
             camera_from_board.translation.vector,
         ]);
         let Some(plane_from_camera) = camera_from_plane.try_inverse() else {
-            // The board's plane goes through the camera: it is a line at most.
+            // The board plane contains the camera centre: its image is a line at most.
             light.copy_from_slice(&self.background);
             return;
         };
@@ -127,7 +133,8 @@ impl BoardScene {
         }
     }
 
-    /// Which share of a pixel is black, and which share is on the sheet, from where its corners meet the board's plane.
+    /// Fractions of a pixel that are black and on the sheet, from the intersections of its corner
+    /// rays with the board plane.
     fn shares(&self, corners: &[BoardPoint; 4]) -> (f32, f32) {
         let bound = |of: fn(&BoardPoint) -> f64, pick: fn(f64, f64) -> f64| {
             corners.iter().map(of).reduce(pick).unwrap_or(f64::NAN)
@@ -169,17 +176,18 @@ impl BoardScene {
     }
 }
 
-/// At how many places a pixel that is not all of one colour is sampled.
+/// Sample points per pixel that is not of one colour.
 const PLACES: usize = 64;
 
-/// A rank-one lattice: every place has a column and a row of its own, so that an edge along a side of the pixel is placed to 1/64
-/// of a pixel, and the generator 19 spreads the places evenly.
+/// Rank-one lattice. Every point has its own column and row, so that an edge parallel to a side of
+/// the pixel is resolved to 1/64 pixel; the generator 19 spreads the points evenly.
 fn place_in_pixel(place: usize) -> (f64, f64) {
     let at = |n: usize| ((n % PLACES) as f64 + 0.5) / PLACES as f64;
     (at(place), at(place * 19))
 }
 
-/// The white sheet: a square's width of white at least, as a board that was cut out and put on a plate has it.
+/// The white sheet around the pattern: the board's quiet zone, and at least one square of white
+/// (half a square for boards that may be partially visible).
 fn sheet(drawing: &Drawing, board: &Board) -> Rectangle {
     let pattern = drawing.pattern();
     let by_m = drawing.quiet_m().max(board.spacing_m() * if board.may_be_partial() { 0.5 } else { 1.0 });
@@ -189,7 +197,8 @@ fn sheet(drawing: &Drawing, board: &Board) -> Rectangle {
     }
 }
 
-/// A room out of focus, and sharp things in it: blotches of two sizes and rectangles that are turned in all directions.
+/// Cluttered background: blotches of two sizes (out of focus) and sharp rectangles in random
+/// orientations.
 fn background(width: usize, height: usize, seed: u64) -> Vec<f32> {
     let diagonal_px = (width as f64).hypot(height as f64);
     let (coarse, fine) = (mix(seed ^ 1) as u32, mix(seed ^ 2) as u32);

@@ -1,4 +1,4 @@
-//! What makes a recording hard: each effect off by default, each repeatable by seed.
+//! Disturbances and image degradations. Each is off by default and reproducible by its seed.
 
 use super::fixtures::{Bumper, Cover, Dirt, Lamp};
 use super::noise::{GaussianStream, Wobble, mix, uniform, value_noise};
@@ -9,125 +9,129 @@ use crate::error::{Error, Result};
 use crate::geometry::{GroundPoint, GroundPose};
 use serde::{Deserialize, Serialize};
 
-/// All effects; [`Effects::default`] is a perfect camera that drives smoothly over steadily lit ground.
+/// All effects. [`Effects::default`] is an ideal camera with smooth motion over evenly lit flat
+/// ground.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Effects {
-    /// Exposure time, seconds; 0 is a perfectly sharp image. The truth is the pose in the middle of the exposure.
+    /// Exposure time, seconds; 0 is no motion blur. The ground truth is the pose in the middle of
+    /// the exposure.
     pub exposure_s: f64,
-    /// How long the sensor takes from the first row to the last, seconds; 0 is a global shutter. Row `r` of `H` is exposed
-    /// `readout_s · ((r + 0.5) / H − 0.5)` after the time of the frame, to which the truth belongs. At most the time between frames.
+    /// Readout time from the first row to the last, seconds; 0 is a global shutter. Row `r` of `H`
+    /// is exposed `readout_s · ((r + 0.5) / H − 0.5)` after the time of the frame, which is the
+    /// time of the ground truth. At most the frame period.
     pub readout_s: f64,
-    /// Standard deviation of the sensor's noise, gray levels.
+    /// Standard deviation of the sensor noise, gray levels.
     pub noise_gray: f64,
-    /// How much darker the corner of the image is than its centre, 0 to 1 (falls with the square of the distance).
+    /// Vignetting: relative loss of brightness in the image corners, 0 to 1; quadratic in the
+    /// distance from the centre.
     pub vignetting: f64,
-    /// Shaking of the camera.
+    /// Vibration of the camera.
     pub vibration: Option<Vibration>,
-    /// Slow change of the height; amplitude as a fraction of the rig's height.
+    /// Slow variation of the camera height; amplitude as a fraction of the mounting height.
     pub height_change: Option<Wander>,
-    /// Slow change of roll and pitch; amplitude in radians.
+    /// Slow variation of roll and pitch; amplitude in radians.
     pub tilt_change: Option<Wander>,
-    /// A focal length that changes.
+    /// Focus breathing: a varying focal length.
     pub breathing: Option<Breathing>,
-    /// Ground that is not flat.
+    /// Uneven ground.
     pub terrain: Terrain,
-    /// Ground that moves by itself.
+    /// Ground texture that moves by itself.
     pub sway: Option<Sway>,
-    /// Light that changes.
+    /// Varying illumination.
     pub lighting: Option<Lighting>,
     /// Sudden changes of the camera's exposure.
     pub exposure_jumps: Option<ExposureJumps>,
-    /// The carrier's own shadow, which stands still in the image.
+    /// Shadow of the vehicle, static in the image.
     pub carrier_shadow: Option<Shadow>,
-    /// A part of the carrier, which stands still in the image.
+    /// A part of the vehicle in view, static in the image.
     pub bumper: Option<Bumper>,
-    /// Specks on the lens, which stand still in the image.
+    /// Dirt on the lens, static in the image.
     pub dirt: Option<Dirt>,
-    /// A lamp on the carrier, whose spot stands still in the image.
+    /// A lamp on the vehicle whose light spot is static in the image.
     pub lamp: Option<Lamp>,
-    /// Darkness (0 to 1) of shadows that lie on the ground; 0 is none.
+    /// Darkness of shadows fixed to the ground, 0 (no shadows) to 1.
     pub ground_shadow: f64,
-    /// Things that cross the ground below the camera.
+    /// Moving objects that cross the view.
     pub object: Option<MovingObject>,
-    /// Times when the lens is covered.
+    /// Time intervals in which the lens is covered.
     pub blackouts: Vec<Blackout>,
-    /// Frames that are missing or late.
+    /// Dropped frames and timing jitter.
     pub timing: Timing,
 }
 
-/// Shaking of the camera: smooth and random, around one frequency, up to the amplitudes given.
+/// Vibration: smooth random motion around one frequency, bounded by the given amplitudes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Vibration {
-    /// To the sides and in height, metres.
+    /// Amplitude of each coordinate of the position, metres.
     pub shift_m: f64,
-    /// In heading, roll and pitch, radians.
+    /// Amplitude of heading, roll and pitch, radians.
     pub turn_rad: f64,
-    /// Hertz.
+    /// Centre frequency, hertz.
     pub frequency_hz: f64,
 }
 
-/// A slow smooth random change.
+/// A slow smooth random variation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wander {
-    /// Largest change to either side.
+    /// Maximum deviation to either side.
     pub amplitude: f64,
-    /// About how long it takes there and back, seconds.
+    /// Approximate period, seconds.
     pub period_s: f64,
 }
 
-/// A focus that goes back and forth and with it the focal length, in a sine that begins at the camera's own.
+/// Focus breathing: the focal length varies as a sine of time, nominal at time 0.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Breathing {
-    /// Largest change of the focal length to either side, a fraction.
+    /// Maximum relative change of the focal length to either side.
     pub share: f64,
-    /// Time there and back, seconds.
+    /// Period, seconds.
     pub period_s: f64,
 }
 
 impl Breathing {
-    /// By which share the focal length is longer at a time, in seconds.
+    /// Relative change of the focal length at a time, seconds.
     pub fn share_at(&self, time_s: f64) -> f64 {
         self.share * (std::f64::consts::TAU * time_s / self.period_s).sin()
     }
 }
 
-/// Light that drifts and flickers.
+/// Illumination drift and flicker.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lighting {
-    /// Slow change of brightness to either side, a fraction, with a period of about 7 s.
+    /// Amplitude of the slow gain variation, a fraction; its period is about 7 s.
     pub drift: f64,
-    /// Slow change of the black level to either side, gray levels.
+    /// Amplitude of the slow variation of the black level, gray levels.
     pub offset_gray: f64,
-    /// Flicker of lamps to either side, a fraction.
+    /// Amplitude of the lamp flicker, a fraction.
     pub flicker: f64,
-    /// Its frequency, hertz (100 for lamps on 50 Hz mains).
+    /// Frequency of the flicker, hertz (100 for lamps on 50 Hz mains).
     pub flicker_hz: f64,
 }
 
-/// Exposure that jumps to a new value at regular times.
+/// Exposure that changes abruptly at regular intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExposureJumps {
-    /// Largest change of brightness to either side, a fraction.
+    /// Maximum relative change of brightness to either side.
     pub amount: f64,
-    /// Time between jumps, seconds.
+    /// Interval between changes, seconds.
     pub every_s: f64,
 }
 
-/// A soft round shadow that stands still in the image.
+/// A soft round shadow, static in the image.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shadow {
-    /// Share of the light it takes, 0 to 1.
+    /// Fraction of the light it removes, 0 to 1.
     pub darkness: f64,
-    /// Its centre, in image widths and heights from the top left corner.
+    /// Centre, in image widths and heights from the top left corner.
     pub center: (f64, f64),
-    /// Its radius, in image heights.
+    /// Radius, in image heights.
     pub radius: f64,
 }
 
@@ -137,40 +141,41 @@ impl Default for Shadow {
     }
 }
 
-/// Discs that slide over the ground through the view, one after the other, each in its own direction.
+/// Discs that cross the view over the ground one after the other, each in a random direction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MovingObject {
-    /// Radius of the disc, metres.
+    /// Radius of a disc, metres.
     pub radius_m: f64,
-    /// Its speed over ground, metres per second.
+    /// Speed over ground, metres per second.
     pub speed_m_s: f64,
-    /// Time from one to the next, seconds; the first is in the middle of the view after half of it.
+    /// Interval between discs, seconds; the first is in the middle of the view after half of it.
     pub every_s: f64,
 }
 
-/// A time when the lens is covered: hardly any light, no ground.
+/// A time interval in which the lens is covered: the image is nearly black.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Blackout {
-    /// First covered time, seconds.
+    /// Start of the interval, seconds.
     pub from_s: f64,
-    /// First time that is free again, seconds.
+    /// End of the interval, exclusive, seconds.
     pub to_s: f64,
 }
 
-/// Frames that are missing or late; the timestamps tell the truth about both.
+/// Dropped and late frames; the timestamps are true.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Timing {
-    /// Share of frames that are missing, 0 to below 1.
+    /// Fraction of frames that are dropped, 0 to below 1.
     pub dropped: f64,
-    /// Standard deviation of the time at which a frame is taken, seconds (cut off at 0.4 frame periods).
+    /// Standard deviation of the jitter of the capture time, seconds (truncated at 0.4 frame
+    /// periods).
     pub jitter_s: f64,
 }
 
 impl Effects {
-    /// Checks that every number is in its range; the error names the first that is not.
+    /// Checks that every value is in range; the error names the first that is not.
     pub fn validated(self) -> Result<Self> {
         let mut checks = vec![
             ("exposure time", self.exposure_s, 0.0..10.0),
@@ -252,7 +257,7 @@ impl Effects {
     }
 }
 
-/// The effects that move the camera, with their random functions drawn.
+/// Effects that move the camera, with their random functions.
 #[derive(Debug, Clone)]
 pub(super) struct Disturbance {
     vibration: Option<(Vibration, [Wobble; 6])>,
@@ -274,7 +279,8 @@ impl Disturbance {
         }
     }
 
-    /// The pose as the disturbed camera has it. At time 0 everything starts from zero, so that the first pose stays the rig's.
+    /// The disturbed pose. Every disturbance is zero at time 0, so that the first pose is the
+    /// mounting pose.
     pub(super) fn applied(&self, pose: GroundPose, time_s: f64) -> GroundPose {
         let mut pose = pose;
         let since_start = |wobble: &Wobble| wobble.at(time_s) - wobble.at(0.0);
@@ -299,21 +305,21 @@ impl Disturbance {
     }
 }
 
-/// How long after the time of its frame a row of so many is exposed, seconds: 0 for the middle of the image.
+/// Time offset of a row from the time of its frame, seconds; 0 in the middle of the `rows` rows.
 pub(super) fn row_offset_s(readout_s: f64, row: usize, rows: usize) -> f64 {
     readout_s * ((row as f64 + 0.5) / rows as f64 - 0.5)
 }
 
-/// The effects between the ground's light and the delivered image.
+/// Effects between the light from the ground and the delivered image.
 #[derive(Debug, Clone)]
 pub(super) struct Exposure {
     width: usize,
     readout_s: f64,
-    /// Per pixel: what vignetting, the carrier's shadow, its lamp and dirt make of the light.
+    /// Per pixel: gain from vignetting, vehicle shadow, lamp and dirt.
     shade: Vec<f32>,
-    /// Per pixel: what hides the ground; empty where nothing does.
+    /// Per pixel: occlusion by the bumper; empty without one.
     covers: Vec<Cover>,
-    /// Per pixel: what a lamp's highlight adds, gray levels; empty where there is no lamp.
+    /// Per pixel: additive specular highlight of the lamp, gray levels; empty without one.
     highlight: Vec<f32>,
     lighting: Option<(Lighting, Wobble, Wobble)>,
     jumps: Option<ExposureJumps>,
@@ -322,7 +328,7 @@ pub(super) struct Exposure {
     seed: u64,
 }
 
-/// What a covered lens delivers, gray levels.
+/// Gray level of an image with a covered lens.
 const COVERED_GRAY: f32 = 6.0;
 
 impl Exposure {
@@ -372,7 +378,8 @@ impl Exposure {
         self.blackouts.iter().any(|b| (b.from_s..b.to_s).contains(&time_s))
     }
 
-    /// Turns light (planes of gray levels, one a channel) into the 8-bit samples of frame `number`, interleaved.
+    /// Converts light (one plane of gray levels per channel) to the interleaved 8-bit samples of
+    /// frame `number`.
     pub(super) fn develop(&self, planes: &[f32], number: u64, time_s: f64) -> Vec<u8> {
         let pixels = self.shade.len();
         let (width, rows) = (self.width, pixels / self.width);
@@ -399,14 +406,14 @@ impl Exposure {
                 if self.noise_gray > 0.0 {
                     gray += self.noise_gray * noise.sample();
                 }
-                // Saturates at both ends, rounds to nearest.
+                // The cast saturates at both ends; 0.5 rounds to nearest.
                 samples[i * channels + channel] = (gray + 0.5) as u8;
             }
         }
         samples
     }
 
-    /// What the light at a row's time and the exposure of its frame make of gray levels.
+    /// Gain and offset of a row: illumination at the row's time and exposure of its frame.
     fn gain_and_offset(&self, row_s: f64, frame_s: f64) -> (f32, f32) {
         let (mut gain, mut offset) = (1.0, 0.0);
         if let Some((light, drift, black)) = &self.lighting {
@@ -422,7 +429,7 @@ impl Exposure {
     }
 }
 
-/// The moving discs, with the camera's path they cross.
+/// The moving discs.
 #[derive(Debug, Clone)]
 pub(super) struct Discs {
     object: MovingObject,
@@ -432,7 +439,7 @@ pub(super) struct Discs {
 /// A disc at one moment.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Disc {
-    /// Where its centre is.
+    /// Centre of the disc.
     pub(super) center: GroundPoint,
     radius_m: f64,
     seed: u32,
@@ -443,10 +450,10 @@ impl Discs {
         Self { object, seed: mix(seed ^ 0x0B1EC7) }
     }
 
-    /// The discs that may be in view; `pose_at` tells where the camera is at a time.
+    /// Discs that may be in view; `pose_at` is the camera pose as a function of time.
     pub(super) fn at(&self, time_s: f64, pose_at: impl Fn(f64) -> GroundPose) -> Vec<Disc> {
         let now = (time_s / self.object.every_s).floor() as i64;
-        // The one of this period, and its neighbours that may still or already be in view.
+        // The disc of this period, and its neighbours, which may still or already be in view.
         (now - 1..=now + 1)
             .filter(|number| *number >= 0)
             .map(|number| {
@@ -463,14 +470,15 @@ impl Discs {
 }
 
 impl Disc {
-    /// Colour of the disc at a ground point and how much of a pixel with that footprint it covers.
+    /// Colour of the disc at a ground point, and the fraction of a pixel of that footprint that it
+    /// covers.
     pub(super) fn color(&self, point: GroundPoint, footprint_m: f64) -> Option<([f32; 3], f32)> {
         let inside_m = self.radius_m - point.distance(self.center);
         let covered = (0.5 + inside_m / footprint_m).clamp(0.0, 1.0) as f32;
         if covered <= 0.0 {
             return None;
         }
-        // The pattern moves with the disc: blotches of a tenth and a third of its size.
+        // The pattern moves with the disc: blotches of a third and a tenth of its radius.
         let (x, y) = (point.x_m - self.center.x_m, point.y_m - self.center.y_m);
         let blotch = |size: f64, seed: u32| {
             value_noise(self.seed ^ seed, x / (size * self.radius_m), y / (size * self.radius_m))

@@ -1,19 +1,21 @@
-//! Things that stand still in the image while the ground moves: a bumper, dirt on the lens, the light of an own lamp.
+//! Regions that are static in the image while the ground moves: a bumper, dirt on the lens, the
+//! light of the vehicle's own lamp.
 
 use super::noise::{mix, smooth_step, uniform, value_noise};
 use crate::geometry::length;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// A part of the carrier at the bottom edge of the image: striped, scratched, with an uneven outline and two brackets.
+/// A part of the vehicle at the bottom of the image: striped, scratched, with an uneven outline and
+/// two brackets.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Bumper {
-    /// Share of the image that it covers, above 0 to 0.9.
+    /// Fraction of the image it covers, above 0 to 0.9.
     pub share: f64,
 }
 
-/// Dark specks on the lens: every other one soft, the others with an edge.
+/// Dark specks on the lens, alternately soft and sharp-edged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dirt {
@@ -21,11 +23,12 @@ pub struct Dirt {
     pub count: u32,
 }
 
-/// A lamp beside the camera: a bright spot that falls off, darkness around it, and a highlight that saturates.
+/// A lamp beside the camera: a bright spot with fall-off, darkness around it, and a saturated
+/// specular highlight.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lamp {
-    /// Share of the light that the lamp gives, 0 to 1; what is left falls everywhere.
+    /// Fraction of the light that comes from the lamp, 0 to 1; the rest is uniform ambient light.
     pub strength: f64,
     /// Centre of the spot, in image widths and heights from the top left corner.
     pub center: (f64, f64),
@@ -40,26 +43,26 @@ impl Default for Lamp {
 }
 
 impl Lamp {
-    /// How much light falls on what a pixel sees, 1 where all of it came from everywhere.
+    /// Relative illumination at a pixel, 1 for purely ambient light.
     pub(super) fn light(&self, (x, y): (f64, f64), (width, height): (f64, f64)) -> f64 {
         let distance = length(x - self.center.0 * width, y - self.center.1 * height) / (self.radius * height);
         1.0 - 0.85 * self.strength + 2.0 * self.strength * (-distance * distance).exp()
     }
 
-    /// What the highlight adds, gray levels: far beyond white in its middle.
+    /// Specular highlight at a pixel, gray levels; far above white in its centre.
     pub(super) fn highlight_gray(&self, (x, y): (f64, f64), (width, height): (f64, f64)) -> f64 {
-        // The mirror image of the lamp lies a little beside the middle of its spot.
+        // The specular reflection is offset from the centre of the spot.
         let (x0, y0) = (self.center.0 * width, (self.center.1 + 0.12 * self.radius) * height);
         let distance = length(x - x0, y - y0) / (0.14 * self.radius * height);
         700.0 * self.strength * (-distance * distance).exp()
     }
 }
 
-/// What covers a pixel: the share of it and the colour.
+/// Occlusion of a pixel: covered fraction and colour.
 pub(super) type Cover = (f32, [f32; 3]);
 
 impl Bumper {
-    /// What it covers of every pixel, in row order.
+    /// The occlusion of every pixel, in row order.
     pub(super) fn covers(&self, width: usize, height: usize, seed: u64) -> Vec<Cover> {
         let seed = mix(seed ^ 0xB0_3BE4) as u32;
         let (w, h) = (width as f64, height as f64);
@@ -77,14 +80,14 @@ impl Bumper {
             .map(|i| {
                 let (column, row) = (i % width, i / width);
                 let inside_px = row as f64 + 1.0 - (h - scale * outline[column]);
-                // Near the camera nothing is quite sharp: the edge takes two pixels.
+                // Out of focus so close to the camera: the edge is two pixels wide.
                 let covered = (0.5 * inside_px + 0.25).clamp(0.0, 1.0) as f32;
                 (covered, self.color((column as f64 / w, (row as f64 - h) / w), inside_px / w, seed))
             })
             .collect()
     }
 
-    /// Its colour at a place, in image widths; `inside` is how far that is from the outline.
+    /// Colour at a position in image widths; `inside` is the distance from the outline.
     fn color(&self, (x, y): (f64, f64), inside: f64, seed: u32) -> [f32; 3] {
         let stripe = smooth_step(8.0 * ((TAU * (x + y) / 0.075).sin()) + 0.5) as f32;
         let scratches = 14.0 * value_noise(seed ^ 2, 110.0 * x, 30.0 * y)
@@ -100,7 +103,7 @@ impl Bumper {
 }
 
 impl Dirt {
-    /// Multiplies the light that reaches each pixel with what the specks let through.
+    /// Multiplies the light of each pixel by the transmission of the specks.
     pub(super) fn darken(&self, shade: &mut [f32], width: usize, seed: u64) {
         let (w, h) = (width as f64, (shade.len() / width) as f64);
         for speck in 0..u64::from(self.count) {
@@ -135,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bumper_covers_the_share_asked_for_from_the_bottom() {
+    fn a_bumper_covers_the_configured_fraction_from_the_bottom() {
         for share in [0.05, 0.15, 0.25] {
             let covers = Bumper { share }.covers(320, 240, 3);
             let covered = covers.iter().map(|(covered, _)| f64::from(*covered)).sum::<f64>() / 76_800.0;
@@ -151,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn dirt_only_darkens_and_only_where_its_specks_are() {
+    fn dirt_only_darkens_within_its_specks() {
         let mut shade = vec![1.0; 320 * 240];
         Dirt { count: 8 }.darken(&mut shade, 320, 3);
         let touched = shade.iter().filter(|left| **left < 1.0).count();

@@ -1,4 +1,4 @@
-//! The ground as a raster that is made where it is looked at.
+//! The ground as a raster that is computed on demand.
 
 use super::patterns::ground_shadow;
 use super::texture::{Texture, luminance};
@@ -7,19 +7,22 @@ use crate::geometry::GroundPoint;
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError, RwLock};
 
-/// Texels along the side of a chunk.
+/// Side length of a chunk, texels.
 pub(super) const CHUNK: usize = 128;
-/// Texels along the side of a stored chunk: one more before and two after, so that a bicubic sample never needs a second chunk.
+/// Side length of a stored chunk, texels: one more before and two after, so that bicubic
+/// interpolation needs only one chunk.
 pub(super) const STRIDE: usize = CHUNK + 3;
-/// Stored samples are gray levels times this.
+/// Scale of the stored samples per gray level.
 pub(super) const SAMPLE_SCALE: f32 = 256.0;
-/// Chunks are thrown away when they hold more than this; they come back the same.
+/// Memory limit of the chunk cache. Beyond it the cache is cleared; chunks are deterministic and
+/// can be recomputed.
 const MEMORY_LIMIT_BYTES: usize = 384 << 20;
 
-/// A texture, rasterised at a resolution that suits a camera, chunk by chunk as it is looked at.
+/// A texture rasterised at a resolution that suits a camera, in chunks computed on demand.
 ///
-/// Level 0 has two texels for every `footprint_m`; every further level is half as fine, every negative one twice. Each holds what a
-/// pixel with a footprint of two of its texels sees. May be shared between threads.
+/// Level 0 has two texels per `footprint_m`; each further level halves the resolution, each
+/// negative one doubles it. A texel holds the texture averaged over a footprint of two texels. May
+/// be shared between threads.
 #[derive(Debug)]
 pub struct Ground {
     texture: Texture,
@@ -30,17 +33,17 @@ pub struct Ground {
     chunks: RwLock<HashMap<ChunkIndex, Arc<Chunk>>>,
 }
 
-/// Which piece of the raster: level, and chunk counts along x and y.
+/// Index of a chunk: level, and chunk coordinates along x and y.
 pub(super) type ChunkIndex = (i32, i64, i64);
 
-/// A piece of the raster: one plane of `STRIDE` × `STRIDE` samples a channel.
+/// A chunk of the raster: one plane of `STRIDE` × `STRIDE` samples per channel.
 #[derive(Debug)]
 pub(super) struct Chunk {
     samples: Vec<u16>,
 }
 
 impl Chunk {
-    /// The samples of one channel, row by row.
+    /// The samples of one channel in row order.
     #[inline]
     pub(super) fn plane(&self, channel: usize) -> &[u16] {
         &self.samples[channel * STRIDE * STRIDE..][..STRIDE * STRIDE]
@@ -48,7 +51,8 @@ impl Chunk {
 }
 
 impl Ground {
-    /// A ground for a camera whose pixels cover about `footprint_m` of it. `colored` ground costs three times as much as gray.
+    /// A ground for a camera whose pixels have a footprint of about `footprint_m`. Coloured ground
+    /// costs three times as much as gray.
     ///
     /// Fails where the footprint is not a positive number of metres.
     pub fn new(texture: Texture, footprint_m: f64, colored: bool, seed: u64) -> Result<Self> {
@@ -60,30 +64,31 @@ impl Ground {
         Ok(Self { texture, footprint_m, colored, shadow: 0.0, seed, chunks: RwLock::default() })
     }
 
-    /// The same ground with shadows lying on it, which take `darkness` (0 to 1) of the light.
+    /// Adds shadows fixed to the ground, which remove the fraction `darkness` (0 to 1) of the
+    /// light.
     #[must_use]
     pub fn with_shadows(self, darkness: f64) -> Self {
         Self { shadow: darkness.clamp(0.0, 1.0) as f32, chunks: RwLock::default(), ..self }
     }
 
-    /// Number of channels: 3 where the ground is coloured, else 1.
+    /// Number of channels: 3 for coloured ground, otherwise 1.
     pub fn channels(&self) -> usize {
         if self.colored { 3 } else { 1 }
     }
 
-    /// The footprint this ground was made for, metres.
+    /// The pixel footprint this ground was made for, metres.
     pub fn footprint_m(&self) -> f64 {
         self.footprint_m
     }
 
-    /// Size of a texel of a level, metres.
+    /// Texel size of a level, metres.
     pub(super) fn texel_m(&self, level: i32) -> f64 {
         0.5 * self.footprint_m * f64::from(level).exp2()
     }
 
-    /// A chunk, made now if nobody has looked there before.
+    /// A chunk from the cache, computed if it is missing.
     pub(super) fn chunk(&self, index: ChunkIndex) -> Arc<Chunk> {
-        // A poisoned lock only means that another thread panicked between two whole insertions.
+        // A poisoned lock only means that another thread panicked between two complete insertions.
         let known = self.chunks.read().unwrap_or_else(PoisonError::into_inner).get(&index).cloned();
         known.unwrap_or_else(|| {
             let chunk = Arc::new(self.rasterised(index));
@@ -130,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neighbouring_chunks_share_their_borders() {
+    fn neighbouring_chunks_agree_on_their_overlap() {
         let ground = Ground::new(Texture::Asphalt, 0.0015, false, 1).unwrap();
         let (left, right) = (ground.chunk((0, -1, 0)), ground.chunk((0, 0, 0)));
         for row in 0..STRIDE {
@@ -141,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gray_ground_is_the_luminance_of_the_coloured_one() {
+    fn gray_ground_is_the_luminance_of_coloured_ground() {
         let gray = Ground::new(Texture::Bricks, 0.0015, false, 1).unwrap().chunk((0, 3, 4));
         let color = Ground::new(Texture::Bricks, 0.0015, true, 1).unwrap().chunk((0, 3, 4));
         for i in (0..STRIDE * STRIDE).step_by(97) {
@@ -151,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_footprint_of_nothing_is_refused() {
+    fn a_zero_footprint_is_rejected() {
         assert!(Ground::new(Texture::Bare, 0.0, false, 1).is_err());
     }
 }

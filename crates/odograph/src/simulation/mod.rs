@@ -1,12 +1,15 @@
-//! Rendered ground with exact truth, for tests, demos and measurements.
+//! Synthetic image sequences with exact ground truth, for tests, demos and benchmarks.
 //!
-//! A [`Simulation`] is a camera on a [`Path`] over a [`Texture`], with [`Effects`] that make it hard. Every frame is a
-//! function of its number alone, so frames may be asked for in any order and from any number of threads.
+//! A [`Simulation`] is a camera on a [`Path`] over a [`Texture`], degraded by [`Effects`]. Every
+//! frame is a pure function of its index, so frames can be rendered in any order and from any
+//! number of threads.
 //!
-//! Why the truth is exact: the ground is one continuous brightness function (a bicubic interpolation of a raster that is finer
-//! than a pixel and holds what a pixel of that size would see), and every pixel is that function at the point its undistorted ray
-//! meets the ground. Nothing is resampled between ground and image, so neither the lens nor the pose is approximated. With a rolling
-//! shutter every row has the pose of its own time; on ground that is not flat every ray is followed to where it first meets it.
+//! Why the ground truth is exact: the ground is one continuous brightness function, a bicubic
+//! interpolation of a raster that is finer than a pixel and band-limited to a pixel's footprint.
+//! Every pixel is that function at the intersection of its undistorted ray with the ground. Nothing
+//! is resampled between ground and image, so neither the lens model nor the pose is approximated.
+//! With a rolling shutter every row has the pose of its own exposure time. On uneven ground every
+//! ray is traced to its first intersection.
 
 mod board_scene;
 mod effects;

@@ -1,8 +1,9 @@
-//! Repeatable randomness: hashes, noise over the plane, and smooth random functions of time.
+//! Reproducible randomness: hashes, noise over the plane and smooth random functions of time.
 
 use std::f64::consts::TAU;
 
-/// Mixes 64 bits (the finaliser of SplitMix64; Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
+/// 64-bit hash: the finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom
+/// number generators", 2014).
 pub(super) fn mix(value: u64) -> u64 {
     let mut z = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -10,12 +11,12 @@ pub(super) fn mix(value: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A number in [0, 1) from a seed and the index of the draw.
+/// Uniform number in [0, 1), a hash of the seed and the index.
 pub(super) fn uniform(seed: u64, index: u64) -> f64 {
     (mix(seed ^ mix(index)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A number in [0, 1) that belongs to an integer cell of the plane.
+/// Uniform number in [0, 1), a hash of an integer cell of the plane.
 #[inline]
 pub(super) fn cell(seed: u32, x: i32, y: i32) -> f32 {
     let mut h =
@@ -26,12 +27,13 @@ pub(super) fn cell(seed: u32, x: i32, y: i32) -> f32 {
     (h >> 8) as f32 / (1u32 << 24) as f32
 }
 
-/// Value noise in [−1, 1] with lattice spacing 1: random values at the integer points, joined with continuous second derivative.
+/// Value noise in [−1, 1] with lattice spacing 1: random values at integer points, interpolated
+/// with continuous second derivatives.
 #[inline]
 pub(super) fn value_noise(seed: u32, x: f64, y: f64) -> f32 {
     let (floor_x, floor_y) = (x.floor(), y.floor());
     let (u, v) = ((x - floor_x) as f32, (y - floor_y) as f32);
-    // Far out the lattice wraps; 2³¹ cells are further than any path goes.
+    // The lattice wraps after 2³² cells, which is farther than any path reaches.
     let (i, j) = (floor_x as i64 as i32, floor_y as i64 as i32);
     let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
     let (a, b) = (fade(u), fade(v));
@@ -41,22 +43,23 @@ pub(super) fn value_noise(seed: u32, x: f64, y: f64) -> f32 {
     2.0 * (top * (1.0 - b) + bottom * b) - 1.0
 }
 
-/// How much of a structure of size `spacing_m` a pixel that covers `footprint_m` still sees, 0 to 1: structures that it could
-/// only alias are left out.
+/// Contrast, 0 to 1, of a structure of size `spacing_m` in a pixel with a footprint of
+/// `footprint_m`: fades out structures that would alias.
 #[inline]
 pub(super) fn visibility(spacing_m: f64, footprint_m: f64) -> f32 {
     smooth_step((spacing_m / footprint_m - 1.1) / 1.7) as f32
 }
 
-/// 0 below 0, 1 above 1, and a cubic with zero slope at both ends between.
+/// Smoothstep: 0 below 0, 1 above 1, between them a cubic with zero slope at both ends.
 #[inline]
 pub(super) fn smooth_step(t: f64) -> f64 {
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Noise of several octaves: lattice spacings `coarsest_m`, half of it, … `octaves` times, each `roughness` times as strong as
-/// the one before; the sum of strengths is 1. Octaves are turned against each other so that no lattice shows.
+/// Fractal noise: `octaves` octaves of value noise with lattice spacings `coarsest_m`, half of it,
+/// and so on. Amplitudes fall by the factor `roughness` per octave and sum to 1. Successive octaves
+/// are rotated to hide the lattice.
 pub(super) fn fractal(
     seed: u32,
     (x_m, y_m): (f64, f64),
@@ -76,43 +79,44 @@ pub(super) fn fractal(
         total += strength;
         strength *= roughness;
         spacing_m *= 0.5;
-        // A turn by 36.87°, exact in short decimals.
+        // A rotation by 36.87°, exact in short decimals.
         (x, y) = (0.8 * x - 0.6 * y, 0.6 * x + 0.8 * y);
     }
     sum / total
 }
 
-/// A smooth random function of time in [−1, 1]: a few sines around one frequency.
+/// A smooth random function of time in [−1, 1]: the mean of four sines around one frequency.
 #[derive(Debug, Clone)]
 pub(super) struct Wobble {
     waves: [(f64, f64); 4],
 }
 
 impl Wobble {
-    /// Frequencies between 0.6 and 1.4 times `frequency_hz`, phases from the seed.
+    /// Frequencies between 0.6 and 1.4 times `frequency_hz`; phases from the seed.
     pub(super) fn new(seed: u64, frequency_hz: f64) -> Self {
         let wave = |i: u64| {
-            // One wave in each quarter of the band: they never fall together into a single sine.
+            // One sine in each quarter of the band, so that they never coincide.
             let spread = 0.6 + 0.2 * (i as f64 + uniform(seed, 2 * i));
             (TAU * frequency_hz * spread, TAU * uniform(seed, 2 * i + 1))
         };
         Self { waves: [wave(0), wave(1), wave(2), wave(3)] }
     }
 
-    /// The value at a time, in seconds.
+    /// The value at a time, seconds.
     pub(super) fn at(&self, time_s: f64) -> f64 {
         self.waves.iter().map(|(rate, phase)| (rate * time_s + phase).sin()).sum::<f64>() / 4.0
     }
 }
 
-/// A fast stream of Gaussian numbers (sum of eight uniform ones: variance exact, tails to ±4.9 σ).
+/// A fast stream of approximately Gaussian numbers: sums of eight uniform ones, with exact variance
+/// and tails to ±4.9 σ.
 #[derive(Debug, Clone)]
 pub(super) struct GaussianStream {
     state: u64,
 }
 
 impl GaussianStream {
-    /// A stream that depends on the seed alone.
+    /// A stream determined by the seed alone.
     pub(super) fn new(seed: u64) -> Self {
         Self { state: mix(seed) }
     }
@@ -154,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_smooth_across_cells_and_stays_in_its_range() {
+    fn noise_is_continuous_and_bounded() {
         for i in 0..2000 {
             let x = f64::from(i) * 0.0501 - 50.0;
             let here = value_noise(7, x, 0.37 * x);

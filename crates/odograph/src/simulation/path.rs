@@ -1,6 +1,7 @@
-//! Where the camera goes: paths over the ground as smooth functions of time.
+//! Paths of the camera over the ground as smooth functions of time.
 //!
-//! Every path has continuous velocity and acceleration (it is C² in time): starts, stops and turns are ramped, never abrupt.
+//! Every path is C² in time: velocity and acceleration are continuous, and starts, stops and turns
+//! are ramped.
 
 mod motion;
 
@@ -12,69 +13,75 @@ use motion::{Bend, Law, Motion, curve};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// The shape of a path. Lengths in metres, angles in radians, counter-clockwise positive. Forward is the carrier's forward.
+/// The shape of a path. Lengths in metres, angles in radians, positive counter-clockwise. Forward
+/// is the vehicle's forward direction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "shape", rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum PathKind {
-    /// Stands still.
+    /// At rest.
     Still {
-        /// For how long, seconds.
+        /// Duration, seconds.
         duration_s: f64,
     },
     /// Straight ahead.
     Straight {
-        /// How far.
+        /// Length, metres.
         length_m: f64,
     },
-    /// Forward, left, back, right without ever turning: the paper's square. Rests at the corners.
+    /// Forward, left, back, right with constant heading: the square of the paper. At rest in the
+    /// corners.
     SquareByTranslation {
-        /// Side of the square.
+        /// Side of the square, metres.
         side_m: f64,
     },
-    /// Around a square with a left turn on the spot at every corner.
+    /// Around a square with a left turn in place at every corner.
     SquareWithTurns {
-        /// Side of the square.
+        /// Side of the square, metres.
         side_m: f64,
     },
-    /// Turns about a ground point, given in the world; about the one that a corner of the image sees for the paper's
-    /// Figure 14a: `camera.ray_from_pixel(corner)`, then `rig.first_pose().ground_from_ray(ray)`.
+    /// Rotation about a point on the ground, in world coordinates. For Figure 14a of the paper it
+    /// is the point seen in a corner of the image: `camera.ray_from_pixel(corner)`, then
+    /// `rig.first_pose().ground_from_ray(ray)`.
     Pivot {
-        /// The ground point that stays where it is in the image.
+        /// Centre of rotation; it stays at the same pixel.
         about: GroundPoint,
-        /// How far it turns, any number of turns.
+        /// Total angle, radians; any number of turns.
         turn_rad: f64,
     },
-    /// The lemniscate of Gerono, started at its crossing: a closed path that crosses itself in the middle of every lap.
+    /// Lemniscate of Gerono, started at its crossing: a closed path that crosses itself in the
+    /// middle of every lap.
     FigureEight {
-        /// From tip to tip.
+        /// Length from tip to tip, metres.
         length_m: f64,
-        /// How often.
+        /// Number of laps.
         laps: f64,
     },
-    /// Up and down a field in parallel lanes, with half turns to the left and right.
+    /// Parallel lanes back and forth over a field, with U-turns alternating to the left and right.
     Lanes {
-        /// Straight part of every lane.
+        /// Length of the straight part of each lane, metres.
         length_m: f64,
-        /// Distance between lanes.
+        /// Distance between lanes, metres.
         spacing_m: f64,
-        /// How many.
+        /// Number of lanes.
         count: u32,
     },
-    /// Forward with a heading that wanders smoothly and at random, as a mower without a plan goes.
+    /// Forward with a smooth random heading, as an unguided robotic mower drives.
     RandomWalk {
-        /// How far.
+        /// Path length, metres.
         length_m: f64,
-        /// Which of them.
+        /// Seed of the random heading.
         seed: u64,
     },
-    /// The same without leaving a round yard about the start, as a mower with a fence goes: it crosses its own way again and again.
+    /// A random walk confined to a disc around the start, as of a robotic mower with a boundary: it
+    /// crosses its own path many times.
     RandomWithin {
-        /// How far.
+        /// Path length, metres.
         length_m: f64,
-        /// How far the yard reaches. A turn takes 1.2 m to either side, and the wheel another metre, so it is 10 m at least.
+        /// Radius of the disc, metres; at least 10, because the minimum turning radius is 1.2 m and
+        /// the steering takes another metre.
         radius_m: f64,
-        /// Which of them.
+        /// Seed of the random heading.
         seed: u64,
     },
 }
@@ -85,11 +92,11 @@ pub struct Path {
     segments: Vec<Segment>,
     duration_s: f64,
     length_m: f64,
-    /// Whether places are in the world already, not in the frame of the carrier at the start.
+    /// Whether positions are in the world frame already, not in the vehicle frame at the start.
     in_world: bool,
 }
 
-/// A piece of the path with its own law of progress.
+/// A segment of the path with its own timing law.
 #[derive(Debug, Clone)]
 struct Segment {
     start_s: f64,
@@ -99,10 +106,11 @@ struct Segment {
 }
 
 impl Path {
-    /// The path of that shape at a speed over ground and, where it turns on the spot or about a point, a turn rate. With
-    /// `at_rest` it starts and ends at rest; otherwise it is at full speed from the first frame to the last.
+    /// The path of that shape at a speed over ground, and at a turn rate where it turns in place or
+    /// about a point. With `at_rest` it starts and ends at rest; otherwise it is at full speed from
+    /// the first frame to the last.
     ///
-    /// Fails where a number is not positive and finite, or the path is longer than a day.
+    /// Fails where a value is not positive and finite, or the path takes more than a day.
     pub fn new(kind: PathKind, speed_m_s: f64, turn_rate_rad_s: f64, at_rest: bool) -> Result<Self> {
         positive("speed", speed_m_s, "metres per second")?;
         positive("turn rate", turn_rate_rad_s, "radians per second")?;
@@ -145,7 +153,7 @@ impl Path {
                 positive("length", length_m, "metres")?;
                 positive("number of laps", laps, "laps")?;
                 let motion = Motion::Eight { half_length_m: length_m / 2.0 };
-                // The mean speed over a lap is the speed asked for.
+                // The mean speed over a lap is the configured speed.
                 let rate = speed_m_s * TAU / motion.lap_length_m();
                 path.add(motion, Law::ramped(TAU * laps, rate, at_rest, at_rest));
             }
@@ -160,7 +168,7 @@ impl Path {
                     path.add(line(0.0), path.drive(length_m, at_rest && first, at_rest && last));
                     if !last {
                         let turn_rad = if lane % 2 == 0 { PI } else { -PI };
-                        // A half turn of length 1 ends this far to the side; all of it scales with its length.
+                        // Lateral displacement of a U-turn of length 1; it scales with the length.
                         let side = curve(Bend::Once { length_m: 1.0, turn_rad }, 1.0).end(1.0).y_m.abs();
                         let turn_m = spacing_m / side;
                         path.add(
@@ -172,7 +180,7 @@ impl Path {
             }
             PathKind::RandomWalk { length_m, seed } => {
                 positive("length", length_m, "metres")?;
-                // One change of direction in about two metres, up to 150° to either side.
+                // About one change of direction in two metres, by up to 150° to either side.
                 let bend = Bend::Wandering { wobble: Wobble::new(seed, 0.25), amplitude_rad: 2.6 };
                 path.add(curve(bend, length_m), path.drive(length_m, at_rest, at_rest));
             }
@@ -195,29 +203,33 @@ impl Path {
                 "the path would take {duration_s:.0} s; make it shorter or faster, a day is the limit"
             )));
         }
-        // A pivot is given in the world; all other shapes run along the carrier's forward.
+        // A pivot is in world coordinates; all other shapes start along the vehicle's forward
+        // direction.
         let in_world = matches!(kind, PathKind::Pivot { .. });
         let mut path = Self { segments: path.segments, duration_s, length_m: 0.0, in_world };
         path.length_m = path.measured_length_m();
         Ok(path)
     }
 
-    /// How long the path takes, seconds.
+    /// Duration of the path, seconds.
     pub fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
-    /// Length of the camera's way over the ground, metres.
+    /// Length of the camera's path over the ground, metres.
     pub fn length_m(&self) -> f64 {
         self.length_m
     }
 
-    /// The pose of a camera mounted as `rig` says, at a time in seconds; before the start and after the end the camera stands.
+    /// Pose at a time, seconds, of a camera mounted as in `rig`; at rest before the start and after
+    /// the end.
     ///
-    /// The world is that of [`crate::geometry`]: at time 0 the camera is over the origin and the top of its image points along x.
+    /// The world frame is that of [`crate::geometry`]: at time 0 the camera is above the origin and
+    /// the top of its image points along x.
     pub fn pose(&self, time_s: f64, rig: &Rig) -> GroundPose {
         let place = self.place(time_s);
-        // The world's x is where the image's top points, which the mount yaw turns away from the carrier's forward.
+        // World x is the direction of the image's top, which the mount yaw rotates away from the
+        // vehicle's forward direction.
         let forward_rad = if self.in_world { 0.0 } else { -rig.yaw_rad };
         let (x_m, y_m) = Se2::rotation(forward_rad).rotate(place.x_m, place.y_m);
         GroundPose { x_m, y_m, heading_rad: place.heading_rad, ..rig.first_pose() }

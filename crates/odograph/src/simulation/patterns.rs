@@ -1,4 +1,4 @@
-//! Textures made from numbers. Colours are gray levels 0 to 255; lengths are metres.
+//! Procedural textures. Colours are gray levels 0 to 255; lengths are metres.
 
 use super::noise::{cell, fractal, smooth_step, value_noise, visibility};
 
@@ -8,7 +8,7 @@ fn tinted(gray: f32, tint: [f32; 3]) -> [f32; 3] {
     tint.map(|t| (gray * t).clamp(0.0, 255.0))
 }
 
-/// Stones in bitumen: octaves between 16 and 1 mm carry the detail, metres carry the wear.
+/// Stones in bitumen: octaves from 16 to 1 mm for the detail, metres for the wear.
 pub(super) fn asphalt(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
     let wear = fractal(seed ^ 1, at, footprint_m, 1.2, 4, 0.6);
     let stones = fractal(seed ^ 2, at, footprint_m, 0.016, 5, 0.95);
@@ -17,7 +17,8 @@ pub(super) fn asphalt(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
     tinted(102.0 + 16.0 * wear + 115.0 * stones + 150.0 * bright, [1.0, 1.0, 1.02])
 }
 
-/// Loops of 5 by 4 mm, each with its own brightness, higher in the middle; yarn of two shades in clouds.
+/// Loops of 5 by 4 mm, each with its own brightness and brighter in the middle; two shades of yarn
+/// in clouds.
 pub(super) fn carpet(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
     let (loop_x, loop_y) = (0.005, 0.004);
     // Real rows are not quite straight.
@@ -40,13 +41,13 @@ pub(super) fn carpet(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
     tinted(gray, [1.08, 0.98, 0.92])
 }
 
-/// Square tiles with a grout of 4 mm, each a little lighter or darker, with faint marbling.
+/// Square tiles with 4 mm of grout, each slightly lighter or darker, with faint marbling.
 pub(super) fn tiles(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
     let side = 0.20;
     let grout = joint(x, side, 0.004, footprint_m).max(joint(y, side, 0.004, footprint_m));
     let (i, j) = ((x / side).floor() as i64 as i32, (y / side).floor() as i64 as i32);
     let own = cell(seed ^ 21, i, j) - 0.5;
-    // Marbling starts anew on every tile.
+    // The marbling is different on every tile.
     let shift = f64::from(cell(seed ^ 22, i, j)) * 50.0;
     let marble = fractal(seed ^ 23, (x + shift, y - shift), footprint_m, 0.05, 5, 0.6);
     let face = 168.0 + 6.0 * own + 10.0 * marble;
@@ -71,9 +72,10 @@ pub(super) fn bricks(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
     std::array::from_fn(|c| brick[c] + mortar_share * (mortar[c] - brick[c]))
 }
 
-/// Blades: noise drawn out along five directions, the brightest one on top, over dark soil.
+/// Blades: noise elongated along five directions, the brightest on top, over dark soil.
 pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3] {
-    // Blades are bent: the ground is shifted by millimetres, differently every few centimetres.
+    // Bent blades: coordinates are shifted by millimetres, with a correlation length of
+    // centimetres.
     let bend = |seed: u32| 0.006 * f64::from(value_noise(seed, x / 0.04, y / 0.04));
     let (bent_x, bent_y) = (x + bend(seed ^ 40), y + bend(seed ^ 41));
     let seen = visibility(0.004, footprint_m);
@@ -91,50 +93,51 @@ pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3]
     tinted(gray, [0.85 + dry, 1.18, 0.48 + 0.5 * dry])
 }
 
-/// Clouds over decimetres, fine grain, and a pore here and there.
+/// Clouds over decimetres, fine grain and sparse pores.
 pub(super) fn concrete(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
     let clouds = fractal(seed ^ 51, at, footprint_m, 0.8, 5, 0.6);
     let grain = fractal(seed ^ 52, at, footprint_m, 0.064, 6, 0.9);
-    // What is cut off sharply has finer structure than what it was cut from; it goes where a pixel could only alias it.
+    // Thresholding adds frequencies above those of its input, so the pores fade out before a pixel
+    // would alias them.
     let pores =
         visibility(0.006, footprint_m) * (fractal(seed ^ 53, at, footprint_m, 0.012, 2, 0.5) - 0.62).max(0.0);
     tinted(148.0 + 9.0 * clouds + 17.0 * grain - 130.0 * pores, [1.0, 1.0, 0.98])
 }
 
-/// A painted floor: what little there is, is about one gray level.
+/// A painted floor with a contrast of about one gray level.
 pub(super) fn bare(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
     let clouds = fractal(seed ^ 61, at, footprint_m, 0.5, 4, 0.7);
     let grain = fractal(seed ^ 62, at, footprint_m, 0.02, 4, 0.8);
     tinted(152.0 + 1.6 * clouds + 2.0 * grain, [1.0, 1.0, 1.0])
 }
 
-/// How much a point belongs to a patch, 0 to 1; patches cover about a third of the ground.
+/// Membership of a point in a patch, 0 to 1; patches cover about a third of the ground.
 pub(super) fn patch(seed: u32, (x, y): Point, patch_m: f64) -> f32 {
     let coarse = fractal(seed ^ 71, (x, y), 1e-4, patch_m, 3, 0.4);
-    // Borders are ragged over centimetres.
+    // Borders are ragged at the scale of centimetres.
     let ragged = fractal(seed ^ 72, (x, y), 1e-4, 0.12, 4, 0.7);
     smooth_step(0.5 + f64::from(coarse - 0.06 + 0.10 * ragged) / 0.12) as f32
 }
 
-/// Darkness of shadows that lie on the ground, 0 (lit) to 1.
+/// Darkness of the shadows fixed to the ground, 0 (lit) to 1.
 pub(super) fn ground_shadow(seed: u32, (x, y): Point) -> f32 {
-    // Drawn out, as the shadows of poles and branches are.
+    // Elongated, as the shadows of poles and branches are.
     let (along, across) = (0.94 * x + 0.34 * y, -0.34 * x + 0.94 * y);
     let value = value_noise(seed ^ 81, along / 3.0, across / 0.6);
     smooth_step(f64::from(value - 0.25) / 0.12) as f32
 }
 
-/// How much of a pixel lies on a joint of `width` that comes every `period`, 0 to 1.
+/// Fraction of a pixel covered by a joint of `width` that repeats every `period`, 0 to 1.
 fn joint(x: f64, period: f64, width: f64, footprint_m: f64) -> f32 {
     let from_middle = (x / period - (x / period).round()).abs() * period;
-    // Half a pixel of the joint's edge on either side, and edges are never sharper than a millimetre.
+    // The edge is blurred by the footprint of the pixel, and by at least a millimetre.
     let soft = footprint_m.max(0.001);
     let covered = smooth_step(0.5 + (0.5 * width - from_middle) / (1.5 * soft));
     // A joint narrower than the pixel cannot fill it.
     (covered * (width / footprint_m).min(1.0)) as f32
 }
 
-/// The part after the decimal point, from the floor.
+/// Fractional part relative to the floor, in [0, 1).
 trait FractFloor {
     fn fract_floor(self) -> f64;
 }

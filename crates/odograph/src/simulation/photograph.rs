@@ -1,21 +1,22 @@
-//! Photographed floors, laid out over the plane.
+//! Photographs of floors, tiled over the ground plane.
 
 use super::noise::{cell, fractal};
 use crate::error::{Error, Result};
 use crate::image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-/// How a photograph covers more ground than it shows.
+/// Tiling of the ground plane with a photograph.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tiling {
-    /// Side by side, for photographs whose edges fit together.
+    /// Repeated side by side, for photographs with matching edges.
     Repeat,
-    /// Every other one mirrored: seamless for any photograph.
+    /// Every other copy mirrored: seamless for any photograph.
     Mirror,
-    /// Pieces from anywhere in the photograph, blended into each other with kept contrast, so that nothing repeats: for ground
-    /// without order, such as asphalt or grass (E. Heitz and F. Neyret, "High-performance by-example noise using a
-    /// histogram-preserving blending operator", 2018; variance is kept, not the whole histogram).
+    /// Random patches of the photograph, blended with preserved variance, so that nothing repeats.
+    /// For stochastic textures such as asphalt or grass (E. Heitz and F. Neyret, "High-performance
+    /// by-example noise using a histogram-preserving blending operator", 2018; here the variance is
+    /// preserved, not the whole histogram).
     Scatter,
 }
 
@@ -28,7 +29,7 @@ pub struct Photograph {
     mean: [f32; 3],
 }
 
-/// One level of the pyramid; each holds the mean of 2 × 2 pixels of the one before.
+/// A level of the image pyramid: means of 2 × 2 pixels of the level below.
 #[derive(Debug)]
 struct Level {
     width: usize,
@@ -64,9 +65,10 @@ impl Photograph {
         Ok(Self { levels, metres_per_pixel, tiling, mean })
     }
 
-    /// The colour at a ground point; see [`super::Texture::color`].
+    /// Colour at a ground point; see [`super::Texture::color`].
     pub(super) fn color(&self, seed: u32, at: (f64, f64), footprint_m: f64) -> [f32; 3] {
-        // Between the two levels whose pixels are about as large as the footprint, a little to the soft side.
+        // Interpolates between the two levels whose pixels are about as large as the footprint,
+        // biased towards the coarser one.
         let fineness =
             ((footprint_m / self.metres_per_pixel).log2() + 0.3).clamp(0.0, (self.levels.len() - 1) as f64);
         let (index, share) = (fineness as usize, fineness.fract() as f32);
@@ -75,7 +77,8 @@ impl Photograph {
             let coarser = self.color_at_level(seed, at, index + 1);
             color = std::array::from_fn(|c| color[c] + share * (coarser[c] - color[c]));
         }
-        // A slow change of light and tint over metres, so that no two places look the same from afar.
+        // Low-frequency variation of brightness and tint over metres, so that tiles differ at large
+        // scale.
         let light = 1.0 + 0.10 * fractal(seed ^ 91, at, footprint_m, 1.7, 3, 0.6);
         let warmth = 0.04 * fractal(seed ^ 92, at, footprint_m, 2.3, 2, 0.6);
         [color[0] * light * (1.0 + warmth), color[1] * light, color[2] * light * (1.0 - warmth)]
@@ -92,13 +95,15 @@ impl Photograph {
         }
     }
 
-    /// Three pieces of the photograph, from the corners of the triangle of a skewed grid that the point lies in.
+    /// Blends three patches, one for each vertex of the triangle of the skewed grid that contains
+    /// the point.
     fn scattered(&self, seed: u32, (x, y): (f64, f64), level: &Level, scale: f64) -> [f32; 3] {
         let width_m = self.levels[0].width as f64 * self.metres_per_pixel;
         let height_m = self.levels[0].height as f64 * self.metres_per_pixel;
-        // A piece reaches one grid step around its corner: cut from the inside, it never shows the photograph's edge.
+        // A patch extends one grid step around its vertex. Its centre keeps that distance from the
+        // border of the photograph.
         let grid = 0.25 * width_m.min(height_m);
-        // Skewing the plane turns squares into rhombi of two equilateral triangles.
+        // The skew maps squares to rhombi of two equilateral triangles.
         let (u, v) = ((x - 0.577_350_269 * y) / grid, 1.154_700_538 * y / grid);
         let (i, j) = (u.floor(), v.floor());
         let (fu, fv) = ((u - i) as f32, (v - j) as f32);
@@ -108,7 +113,7 @@ impl Photograph {
         } else {
             [(i + 1, j + 1, fu + fv - 1.0), (i, j + 1, 1.0 - fu), (i + 1, j, 1.0 - fv)]
         };
-        // Narrow borders: a piece should show itself, not a mixture.
+        // Cubed weights make the blended borders narrow.
         let weights = corners.map(|(_, _, w)| w * w * w);
         let total: f32 = weights.iter().sum();
         let mut sum = [0.0f32; 3];
@@ -129,7 +134,8 @@ impl Photograph {
                 sum[c] += weight * (piece[c] - self.mean[c]);
             }
         }
-        // Blending independent pieces loses variance by the sum of squared weights; dividing by its root gives it back.
+        // Blending independent patches scales the variance by the sum of squared weights; dividing
+        // by its square root restores it.
         let gain = 1.0 / square.sqrt();
         std::array::from_fn(|c| self.mean[c] + gain * sum[c])
     }
@@ -153,7 +159,8 @@ impl Level {
         Some(Self { width, height, samples })
     }
 
-    /// Catmull–Rom interpolation at a point in pixels counted from the outer corner, so that all levels agree.
+    /// Catmull–Rom interpolation. Pixel coordinates are measured from the outer corner of the
+    /// image, so that all levels are aligned.
     fn bicubic(&self, x: f64, y: f64, fold: fn(i64, i64) -> usize) -> [f32; 3] {
         let (x, y) = (x - 0.5, y - 0.5);
         let (left, top) = (x.floor(), y.floor());
@@ -184,8 +191,8 @@ fn mirror(i: i64, size: i64) -> usize {
     there.min(2 * size - 1 - there) as usize
 }
 
-/// Catmull–Rom weights of the four samples around a point a fraction `t` after the second
-/// (R. Keys, "Cubic convolution interpolation for digital image processing", 1981, a = −1/2).
+/// Catmull–Rom weights of four samples for a point at the fraction `t` between the second and the
+/// third (R. Keys, "Cubic convolution interpolation for digital image processing", 1981, a = −1/2).
 #[inline]
 pub(super) fn cubic_weights(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
@@ -211,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn scattered_photographs_keep_their_contrast_and_do_not_repeat() {
+    fn scattered_photographs_preserve_contrast_and_do_not_repeat() {
         let photograph = Photograph::new(&speckled(), 0.01, Tiling::Scatter).unwrap();
         let line = |offset: f64| -> Vec<f64> {
             (0..4000)
@@ -224,13 +231,14 @@ mod tests {
             (v.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / v.len() as f64).sqrt()
         };
         let difference: Vec<f64> = here.iter().zip(&there).map(|(a, b)| a - b).collect();
-        // Uniform speckles deviate by 74; clamping at 0 and 255 and the interpolation take a part.
+        // Uniform speckles have a standard deviation of 74; clamping to 0 to 255 and the
+        // interpolation reduce it.
         assert!(deviation(&here) > 45.0, "{}", deviation(&here));
         assert!(deviation(&difference) > deviation(&here), "one period on, the ground is the same");
     }
 
     #[test]
-    fn unusable_photographs_are_refused() {
+    fn unusable_photographs_are_rejected() {
         assert!(Photograph::new(&RgbImage::new(4, 4), 0.01, Tiling::Repeat).is_err());
         assert!(Photograph::new(&speckled(), f64::NAN, Tiling::Repeat).is_err());
     }

@@ -1,4 +1,4 @@
-//! From ground to image: every pixel is the ground at the point its ray meets.
+//! Rendering: every pixel is the ground texture at the intersection of its ray.
 
 use super::ground::{CHUNK, Chunk, Ground, SAMPLE_SCALE, STRIDE};
 use super::photograph::cubic_weights;
@@ -11,19 +11,20 @@ use crate::image::GrayImage;
 use nalgebra::Matrix3;
 use std::sync::Arc;
 
-/// Pixels along the side of the blocks that an image is rendered in.
+/// Side length of the blocks in which an image is rendered, pixels.
 const BLOCK: usize = 32;
-/// Ground further away than this many heights is not drawn: it lies beyond the last texture detail a pixel could show.
+/// Ground farther away than this many camera heights is not rendered; no texture detail is resolved
+/// there.
 const REACH_IN_HEIGHTS: f32 = 40.0;
-/// What pixels see that do not look at the ground, gray levels.
+/// Gray level of pixels that do not see the ground.
 const SKY: f32 = 150.0;
 
-/// A camera made ready to look at the ground: the undistorted ray of every pixel is found once.
+/// A renderer for one camera; the undistorted ray of every pixel is precomputed.
 #[derive(Debug, Clone)]
 pub struct Renderer {
     width: usize,
     height: usize,
-    /// Ray of every pixel in row order; NaN where the lens model has none.
+    /// Rays of all pixels in row order; NaN where the lens model has none.
     rays: Vec<[f32; 2]>,
     focal_px: f64,
 }
@@ -42,11 +43,12 @@ impl Renderer {
         Self { width, height, rays, focal_px: (fx * fy).sqrt() }
     }
 
-    /// The renderer of the same lens focused so that its focal length is `1 + share` times as long, between `shorter` and `longer`,
-    /// those at −`largest` and +`largest`: exact to the third order of the share, which is less than 0.001 px for 5 %.
+    /// The renderer with its focal length scaled by `1 + share`, interpolated quadratically between
+    /// this one and those at −`largest` (`shorter`) and +`largest` (`longer`). The error is of
+    /// third order in the share: less than 0.001 px for 5 %.
     pub(super) fn refocused(&self, [shorter, longer]: &[Self; 2], share: f64, largest: f64) -> Self {
         let t = (share / largest) as f32;
-        // Lagrange's weights for the nodes −1, 0 and 1.
+        // Lagrange weights for the nodes −1, 0 and 1.
         let [before, here, after] = [0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)];
         let rays = self.rays.iter().zip(&shorter.rays).zip(&longer.rays);
         let rays = rays.map(|((now, short), long)| {
@@ -55,28 +57,34 @@ impl Renderer {
         Self { rays: rays.collect(), focal_px: self.focal_px * (1.0 + share), ..*self }
     }
 
-    /// Image width in pixels.
+    /// Image width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Image height in pixels.
+    /// Image height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// How much ground a pixel at the principal point covers from a height, metres: what a [`Ground`] for this camera is made with.
+    /// Ground footprint of a pixel at the principal point from a height, metres; the resolution of
+    /// a [`Ground`] for this camera.
     pub fn footprint_m(&self, height_m: f64) -> f64 {
         height_m / self.focal_px
     }
 
-    /// Adds `weight` times what the camera sees from `pose` to `image`: one plane of `width` × `height` gray levels a channel of
-    /// the ground. Adding the views of several poses makes motion blur. Panics where `image` has another size.
+    /// Adds `weight` times the view from `pose` to `image`, which has one plane of `width` ×
+    /// `height` gray levels per channel of the ground. Accumulating the views of several poses
+    /// renders motion blur.
+    ///
+    /// # Panics
+    ///
+    /// Panics where `image` has another size.
     pub fn add_view(&self, ground: &Ground, pose: &GroundPose, weight: f32, image: &mut [f32]) {
         self.add_scene(ground, &Scene::flat(std::slice::from_ref(pose)), weight, image);
     }
 
-    /// As [`Renderer::add_view`], of a scene that may be more than one pose over flat ground.
+    /// [`Renderer::add_view`] of a scene with row-wise poses, uneven or swaying ground.
     pub(super) fn add_scene(&self, ground: &Ground, scene: &Scene<'_>, weight: f32, image: &mut [f32]) {
         assert_eq!(
             image.len(),
@@ -95,7 +103,7 @@ impl Renderer {
         }
     }
 
-    /// What the camera sees from `pose`, without any effects, in gray.
+    /// Gray image from `pose`, without effects.
     pub fn gray_view(&self, ground: &Ground, pose: &GroundPose) -> GrayImage {
         let pixels = self.width * self.height;
         let mut planes = vec![0.0; pixels * ground.channels()];
@@ -111,9 +119,10 @@ impl Renderer {
         image
     }
 
-    /// Covers parts of a view that [`Renderer::add_view`] put into an empty image with something that lies on the ground: `cover` tells for a ground point
-    /// and a pixel's footprint (metres) the colour that covers it in an image row, and which share of the pixel is covered, if any
-    /// is. `pose_of_row` tells the pose of the camera over that ground.
+    /// Composites an object on the ground over a view rendered by [`Renderer::add_view`] into an
+    /// empty image. `cover` maps an image row, a ground point and a pixel footprint (metres) to the
+    /// colour of the object and the covered fraction of the pixel, if any. `pose_of_row` is the
+    /// camera pose of an image row relative to that ground.
     pub(super) fn cover(
         &self,
         ground: &Ground,
@@ -154,7 +163,7 @@ impl Renderer {
         image: &mut [f32],
     ) {
         block.meet_ground(self, scene);
-        // Before the surface is met: stones would make the footprint of a single pixel look larger or smaller than it is.
+        // Computed on the level ground: relief would distort the footprint of single pixels.
         let mut level = block.level(ground);
         if let Some(surface) = scene.surface {
             block.meet_surface(surface, scene);
@@ -162,7 +171,7 @@ impl Renderer {
         if let Some(sway) = scene.sway {
             block.displace(sway, scene);
         }
-        // A block that looks far out may span so much ground that a coarser level serves it better.
+        // A block with an oblique view may span so much ground that a coarser level suffices.
         while block.place_in_chunks(ground, scene.origin, level) > 12 {
             level += 1;
         }
@@ -189,10 +198,11 @@ impl Renderer {
     }
 }
 
-/// What is looked at in one instant, or in one readout: where the camera is while each row is exposed, and what the ground is like.
+/// One instant or one readout: the camera pose of each row and the state of the ground.
 pub(super) struct Scene<'a> {
     rows: Vec<RowView>,
-    /// The ground point that the rows' positions are told from, so that single precision is enough for them.
+    /// Ground point relative to which the row positions are given, so that single precision
+    /// suffices.
     origin: GroundPoint,
     /// Height of the level plane near the camera, metres.
     level_m: f64,
@@ -200,10 +210,10 @@ pub(super) struct Scene<'a> {
     sway: Option<&'a Swaying>,
 }
 
-/// The camera while one row is exposed.
+/// The camera during the exposure of one row.
 struct RowView {
     rotation: Matrix3<f32>,
-    /// Above the level plane, metres.
+    /// Height above the level plane, metres.
     height: f32,
     x_m: f32,
     y_m: f32,
@@ -211,12 +221,13 @@ struct RowView {
 }
 
 impl<'a> Scene<'a> {
-    /// Flat ground that stands still: one pose for every row, or one for all.
+    /// Flat, static ground; one pose for all rows or one per row.
     fn flat(poses: &[GroundPose]) -> Self {
         Self::new(poses, &[0.0], None, None)
     }
 
-    /// One pose and time for every row, or one for all. The rows' origin is the ground point below the middle one.
+    /// One pose and time for all rows or one per row. The origin is the ground point below the
+    /// middle row's camera.
     pub(super) fn new(
         poses: &[GroundPose],
         times_s: &[f64],
@@ -241,7 +252,7 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// The least and the greatest of some numbers; NaN is none.
+/// Minimum and maximum of a set of numbers; ignores NaN.
 #[derive(Clone, Copy)]
 struct Span {
     least: f32,
@@ -257,14 +268,14 @@ impl Span {
     }
 }
 
-/// A block of pixels on its way to the ground, kept from block to block for its memory.
+/// Working memory of a block of pixels, reused from block to block.
 #[derive(Default)]
 struct Block {
     left: usize,
     top: usize,
     columns: usize,
     rows: usize,
-    /// Where each pixel meets the ground: metres from the scene's origin, then texels from the corner of the first chunk.
+    /// Ground position of each pixel, in texels from the corner of the first chunk.
     x: Vec<f32>,
     y: Vec<f32>,
     chunks: Vec<Arc<Chunk>>,
@@ -273,11 +284,11 @@ struct Block {
     chunk_rows: usize,
     x_m: Vec<f32>,
     y_m: Vec<f32>,
-    /// How bright the surface is where each pixel meets it, 1 where it is flat.
+    /// Relative brightness of the surface at each pixel's intersection, 1 where it is flat.
     shade: Vec<f32>,
 }
 
-/// Four by four samples of a chunk and their weights.
+/// 4 × 4 samples of a chunk and their interpolation weights.
 struct Sampler<'a> {
     chunk: &'a Chunk,
     start: usize,
@@ -286,7 +297,8 @@ struct Sampler<'a> {
 }
 
 impl Block {
-    /// Finds the ground point of every pixel, in metres from the scene's origin, on level ground; NaN where there is none.
+    /// Intersects every pixel's ray with the level plane, in metres from the scene's origin; NaN
+    /// without an intersection.
     fn meet_ground(&mut self, renderer: &Renderer, scene: &Scene<'_>) {
         for buffer in [&mut self.x_m, &mut self.y_m, &mut self.x, &mut self.y] {
             buffer.resize(BLOCK * BLOCK, f32::NAN);
@@ -306,7 +318,8 @@ impl Block {
         }
     }
 
-    /// Moves every point from the level plane to where its ray first meets the surface, and finds how bright it is there.
+    /// Moves every point from the level plane to the first intersection of its ray with the
+    /// surface, and evaluates the shading there.
     fn meet_surface(&mut self, surface: &Surface, scene: &Scene<'_>) {
         self.shade.resize(BLOCK * BLOCK, 1.0);
         let Some(bounds) = self.bounds(surface, scene) else { return };
@@ -333,7 +346,8 @@ impl Block {
         }
     }
 
-    /// Between which heights, metres, all rays of this block meet the surface; `None` where no ray looks down.
+    /// Bounds, in metres above z = 0, of the heights at which all rays of this block intersect the
+    /// surface; `None` where no ray looks down.
     fn bounds(&self, surface: &Surface, scene: &Scene<'_>) -> Option<(f64, f64)> {
         let (mut x, mut y) = (Span::EMPTY, Span::EMPTY);
         let (mut rows_x, mut rows_y, mut rows_height) = (Span::EMPTY, Span::EMPTY, Span::EMPTY);
@@ -350,7 +364,8 @@ impl Block {
         if x.least > x.most {
             return None;
         }
-        // Where the rays are at a height between the two: the points on the level plane, scaled about the camera.
+        // Extent of the rays between two heights: the points on the level plane, scaled about the
+        // camera.
         let over = |(low, high): (f64, f64), points: &Span, cameras: &Span| {
             let mut area = Span::EMPTY;
             for z in [low, high] {
@@ -365,7 +380,8 @@ impl Block {
             area
         };
         let mut bounds = (scene.level_m, scene.level_m);
-        // Grows until the surface above all places that rays pass between the bounds lies between them.
+        // Grows the bounds until they contain the surface over the whole extent of the rays between
+        // them.
         for _ in 0..12 {
             let (area_x, area_y) = (over(bounds, &x, &rows_x), over(bounds, &y, &rows_y));
             let world =
@@ -380,7 +396,8 @@ impl Block {
         Some(bounds)
     }
 
-    /// Moves every point to where the piece of ground lies at rest that has swayed under the pixel.
+    /// Backward mapping of the sway: moves every point to the rest position of the ground that is
+    /// displaced under the pixel.
     fn displace(&mut self, sway: &Swaying, scene: &Scene<'_>) {
         for row in 0..self.rows {
             let time_s = scene.row(self.top + row).time_s;
@@ -398,7 +415,8 @@ impl Block {
         }
     }
 
-    /// The level of the ground whose texels suit the footprint of the pixels in the middle of this block.
+    /// Raster level whose texel size matches the footprint of the pixels in the middle of this
+    /// block.
     fn level(&self, ground: &Ground) -> i32 {
         let (row, column) = ((self.rows - 1) / 2, (self.columns - 1) / 2);
         let at = row * BLOCK + column;
@@ -410,11 +428,13 @@ impl Block {
         if level.is_finite() { level.clamp(-8.0, 16.0) as i32 } else { 0 }
     }
 
-    /// Turns metres into texels of `level` and finds the chunks around; gives the larger number of chunks along x or y.
+    /// Converts metres to texels of `level` and determines the required chunks; returns the larger
+    /// number of chunks along x or y.
     fn place_in_chunks(&mut self, ground: &Ground, origin: GroundPoint, level: i32) -> i64 {
         let texel_m = ground.texel_m(level);
         let per_metre = (1.0 / texel_m) as f32;
-        // The camera's own place is split into whole chunks and a small rest, so that single precision is enough for the rest.
+        // The origin is split into whole chunks and a remainder, for which single precision
+        // suffices.
         let split = |metres: f64| {
             let chunks = (metres / texel_m / CHUNK as f64).floor();
             (chunks as i64, (metres / texel_m - chunks * CHUNK as f64) as f32)
@@ -426,7 +446,7 @@ impl Block {
                 let x = self.x_m[at] * per_metre + rest_x;
                 let y = self.y_m[at] * per_metre + rest_y;
                 (self.x[at], self.y[at]) = (x, y);
-                // NaN leaves both as they are.
+                // `min` and `max` ignore NaN.
                 least = [least[0].min(x), least[1].min(y)];
                 most = [most[0].max(x), most[1].max(y)];
             }

@@ -1,4 +1,4 @@
-//! Cheap sensors that ride along: what they would have written, with the errors that such sensors have.
+//! Simulated low-cost sensors on the vehicle, with their typical errors.
 
 use super::noise::{GaussianStream, mix, uniform};
 use super::sequence::Simulation;
@@ -7,43 +7,45 @@ use crate::filter::fusion::{Quantity, SensorRecord, Sensors};
 use crate::geometry::{GroundPoint, GroundPose};
 use serde::Serialize;
 
-/// The errors of one sensor.
+/// Errors of one sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SensorErrors {
-    /// How far its clock is ahead of the camera's, seconds.
+    /// Clock offset: sensor time minus camera time, seconds.
     pub offset_s: f64,
-    /// What its readings are multiplied with.
+    /// Scale factor of the readings.
     pub scale: f64,
-    /// What is added to them: bias of a gyroscope (rad/s), zero of a compass (radians) or range finder (metres).
+    /// Additive offset: bias of a gyroscope (rad/s), zero of a compass (radians) or of a range
+    /// finder (metres).
     pub zero: f64,
-    /// Standard deviation of a reading.
+    /// Standard deviation of the noise of a reading.
     pub noise: f64,
 }
 
-/// What the sensors of a simulated drive wrote, and the errors that are in it.
+/// Sensor records of a simulated drive with the true errors.
 #[derive(Debug, Clone)]
 pub struct SimulatedSensors {
-    /// Gyroscope at 100 Hz, compass at 20 Hz, wheel at 50 Hz and range finder at 25 Hz.
+    /// Gyroscope at 100 Hz, compass at 20 Hz, wheel odometer at 50 Hz and range finder at 25 Hz.
     pub records: Sensors,
-    /// Of the gyroscope.
+    /// Errors of the gyroscope.
     pub gyro: SensorErrors,
-    /// Of the compass.
+    /// Errors of the compass.
     pub heading: SensorErrors,
-    /// Of the wheel.
+    /// Errors of the wheel odometer.
     pub wheel: SensorErrors,
-    /// Of the range finder.
+    /// Errors of the range finder.
     pub range: SensorErrors,
 }
 
-/// Sensors are switched on before the camera and off after it, seconds.
+/// Time by which the records begin before the first and end after the last frame, seconds.
 const MARGIN_S: f64 = 1.5;
 
 impl Simulation {
-    /// Sensors on the same carrier; the seed of the simulation decides their errors. The wheel runs along the carrier's forward, at the ground
-    /// point below the camera, and knows nothing of the camera's shaking.
+    /// Sensors on the same vehicle; the seed of the simulation determines their errors. The wheel
+    /// measures the speed along the vehicle's forward direction at the ground point below the
+    /// camera, without the vibration of the camera.
     pub fn sensors(&self) -> Result<SimulatedSensors> {
         let seed = |number: u64| mix(self.config().seed ^ (0x5E45 << 20) ^ number);
-        // Between −1 and 1.
+        // Uniform in [−1, 1).
         let either = |number: u64| 2.0 * uniform(seed(number), 0) - 1.0;
         let errors = |number: u64, scale: f64, zero: f64, noise: f64| SensorErrors {
             offset_s: 0.08 * either(10 * number),

@@ -1,4 +1,4 @@
-//! A whole simulated recording.
+//! A simulated image sequence.
 
 use super::effects::{Breathing, Disc, Discs, Disturbance, Effects, Exposure, row_offset_s};
 use super::ground::Ground;
@@ -13,35 +13,36 @@ use crate::error::{Error, Result};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::{GrayImage, RgbImage};
 
-/// Everything a simulated recording is made from.
+/// Configuration of a simulated sequence.
 #[derive(Debug, Clone)]
 pub struct SimulationConfig {
-    /// The camera.
+    /// Intrinsics and distortion of the camera.
     pub camera: Camera,
-    /// How it is mounted.
+    /// Mounting of the camera (extrinsics).
     pub rig: Rig,
-    /// What the ground looks like.
+    /// Texture of the ground.
     pub texture: Texture,
-    /// Where it goes.
+    /// Path of the camera.
     pub path: Path,
-    /// What makes it hard.
+    /// Disturbances and image degradations.
     pub effects: Effects,
-    /// Frames per second.
+    /// Frame rate, frames per second.
     pub fps: f64,
-    /// How long it records, seconds; `None` is to the end of the path.
+    /// Duration, seconds; `None` is the duration of the path.
     pub duration_s: Option<f64>,
-    /// Whether frames have colours.
+    /// Whether frames are also rendered in colour.
     pub colored: bool,
-    /// Decides everything that is random.
+    /// Seed of all random effects.
     pub seed: u64,
 }
 
-/// A simulated recording, of which every frame may be rendered on its own, in any order, from any thread.
+/// A simulated image sequence. Each frame can be rendered independently, in any order and from any
+/// thread.
 #[derive(Debug)]
 pub struct Simulation {
     config: SimulationConfig,
     renderer: Renderer,
-    /// Where the focus breathes: with the shortest and with the longest focal length.
+    /// With focus breathing: renderers at the shortest and at the longest focal length.
     refocused: Option<[Renderer; 2]>,
     ground: Ground,
     surface: Option<Surface>,
@@ -52,30 +53,30 @@ pub struct Simulation {
     times_s: Vec<f64>,
 }
 
-/// One frame with its truth.
+/// A rendered frame with its ground truth.
 #[derive(Debug, Clone)]
 pub struct RenderedFrame {
-    /// Its number, from 0, without gaps.
+    /// Frame index, from 0, without gaps.
     pub number: u64,
-    /// When the middle of its exposure was, seconds.
+    /// Time of the middle of the exposure, seconds.
     pub time_s: f64,
-    /// Its luminance.
+    /// Luminance image.
     pub image: GrayImage,
-    /// Its colours, where they were asked for.
+    /// Colour image, where configured.
     pub color: Option<RgbImage>,
-    /// Where the camera was.
+    /// True pose of the camera at `time_s`.
     pub truth: GroundPose,
 }
 
-/// More frames than this are refused; a day at 60 frames a second is below it.
+/// Maximum number of frames; a day at 60 frames per second is below it.
 const MOST_FRAMES: f64 = 6e6;
-/// Sub-exposures are taken so densely that nothing moves further between them than this, pixels.
+/// Maximum motion between the sub-exposures of motion blur, pixels.
 const BLUR_STEP_PX: f64 = 0.7;
 
 impl Simulation {
-    /// Makes ready to render: finds the rays of all pixels and the times of all frames.
+    /// Precomputes the rays of all pixels and the times of all frames.
     ///
-    /// Fails where the rig, the effects, the frame rate or the duration are out of their ranges.
+    /// Fails where the rig, the effects, the frame rate or the duration are out of range.
     pub fn new(config: SimulationConfig) -> Result<Self> {
         let rig = config.rig.validated()?;
         let effects = config.effects.clone().validated()?;
@@ -126,7 +127,7 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// Fails where ground that rises reaches the camera.
+    /// Fails where the camera comes closer to the ground than a tenth of its mounting height.
     fn above_ground(&self) -> Result<()> {
         let least_m = 0.1 * self.config.rig.height_m;
         let too_low = |time_s: &&f64| self.over_ground(self.truth(**time_s)).height_m < least_m;
@@ -138,7 +139,7 @@ impl Simulation {
         }
     }
 
-    /// What it is made from.
+    /// The configuration of this simulation.
     pub fn config(&self) -> &SimulationConfig {
         &self.config
     }
@@ -149,40 +150,42 @@ impl Simulation {
         self.times_s.len()
     }
 
-    /// The times of all frames, seconds, rising.
+    /// Times of all frames, seconds, ascending.
     pub fn times_s(&self) -> &[f64] {
         &self.times_s
     }
 
-    /// Where the camera is in the world at a time, seconds; its `height_m` counts from z = 0, wherever the ground is.
+    /// True camera pose at a time, seconds; `height_m` is measured from z = 0, not from the local
+    /// ground.
     pub fn truth(&self, time_s: f64) -> GroundPose {
         let carrier = self.config.path.pose(time_s, &self.config.rig);
         let pose = self.disturbance.applied(carrier, time_s);
         self.surface.as_ref().map_or(pose, |surface| surface.ridden(&carrier, pose))
     }
 
-    /// When a row of the frame of a time is exposed, in the middle of its exposure, seconds.
+    /// Mid-exposure time of a row of the frame at `time_s`, seconds (rolling shutter).
     pub fn row_time_s(&self, time_s: f64, row: usize) -> f64 {
         time_s + row_offset_s(self.config.effects.readout_s, row, self.renderer.height())
     }
 
-    /// The height of the ground at a place, metres above z = 0, relief included.
+    /// Height of the ground at a point, metres above z = 0, including relief.
     pub fn ground_height_m(&self, point: GroundPoint) -> f64 {
         self.surface.as_ref().map_or(0.0, |surface| surface.height_m(point.x_m, point.y_m))
     }
 
-    /// The level of the ground at a place, metres above z = 0: undulation, kerb and ramp without the relief that lies on them.
+    /// Level of the ground at a point, metres above z = 0: undulation, kerb and ramp without
+    /// relief.
     pub fn ground_level_m(&self, point: GroundPoint) -> f64 {
         self.surface.as_ref().map_or(0.0, |surface| surface.level_m(point.x_m, point.y_m))
     }
 
-    /// The pose with its height above the level of the ground below the camera.
+    /// The pose with its height measured from the level of the ground below the camera.
     fn over_ground(&self, pose: GroundPose) -> GroundPose {
         let level_m = self.ground_level_m(GroundPoint::new(pose.x_m, pose.y_m));
         GroundPose { height_m: pose.height_m - level_m, ..pose }
     }
 
-    /// The camera of the frame of a time, seconds: another than the simulation's own where its focus breathes.
+    /// The camera model at a time, seconds; with focus breathing it varies.
     pub fn camera(&self, time_s: f64) -> Result<Camera> {
         match self.config.effects.breathing {
             Some(breathing) => refocused(&self.config.camera, breathing.share_at(time_s)),
@@ -190,7 +193,7 @@ impl Simulation {
         }
     }
 
-    /// Renders a frame by its number; `None` beyond the last.
+    /// Renders a frame by its index; `None` beyond the last.
     pub fn frame(&self, number: usize) -> Option<RenderedFrame> {
         let time_s = *self.times_s.get(number)?;
         let truth = self.truth(time_s);
@@ -226,7 +229,7 @@ impl Simulation {
         (0..self.len()).filter_map(|number| self.frame(number))
     }
 
-    /// Adds what the camera sees at a moment of the exposure, each row at its own time.
+    /// Accumulates one sub-exposure, each row at its own time, into `planes`.
     fn add_moment(&self, renderer: &Renderer, moment_s: f64, weight: f32, planes: &mut [f32]) {
         let rows = if self.config.effects.readout_s > 0.0 { renderer.height() } else { 1 };
         let times_s: Vec<f64> = match rows {
@@ -250,7 +253,8 @@ impl Simulation {
         planes.iter_mut().zip(view).for_each(|(sum, sample)| *sum += sample);
     }
 
-    /// The moments within the exposure of a frame, evenly spread around its time; those of a row are as far from its own.
+    /// Times of the sub-exposures of a frame, evenly spaced over the exposure. Each row has the
+    /// same offsets from its own time.
     fn moments_s(&self, time_s: f64) -> Vec<f64> {
         let exposure_s = self.config.effects.exposure_s;
         if exposure_s <= 0.0 {
@@ -266,7 +270,8 @@ impl Simulation {
                 let met = |share: f64| {
                     self.over_ground(self.truth(self.row_time_s(at(share), row))).ground_from_ray(ray)
                 };
-                // Vibration may turn around within an exposure: the way is measured in eight steps.
+                // Vibration may reverse within an exposure, so the path length is summed over eight
+                // steps.
                 let mut way_m = 0.0;
                 let mut before = met(0.0)?;
                 for step in 1..=8 {
@@ -282,14 +287,14 @@ impl Simulation {
     }
 }
 
-/// The camera with a focal length that is `share` longer.
+/// The camera with its focal length scaled by `1 + share`.
 fn refocused(camera: &Camera, share: f64) -> Result<Camera> {
     let (size, (fx, fy)) = ((camera.width(), camera.height()), camera.focal_px());
     let focal_px = (fx * (1.0 + share), fy * (1.0 + share));
     Camera::new(size, focal_px, camera.principal_px(), *camera.distortion())
 }
 
-/// The times at which frames are taken and delivered.
+/// Times of the frames that are not dropped, with jitter.
 fn times_s(config: &SimulationConfig) -> Result<Vec<f64>> {
     let fps = config.fps;
     if !(fps.is_finite() && fps > 0.0 && fps <= 100_000.0) {
@@ -308,7 +313,7 @@ fn times_s(config: &SimulationConfig) -> Result<Vec<f64>> {
     let mut jitter = GaussianStream::new(mix(config.seed ^ 0x71E));
     Ok((0..=last)
         .map(|tick| (tick, f64::from(jitter.sample())))
-        // The first frame is the origin of the world: it is always there and on time.
+        // The first frame defines the world origin: never dropped, never late.
         .filter(|(tick, _)| *tick == 0 || uniform(config.seed ^ 0xD209, *tick) >= timing.dropped)
         .map(|(tick, late)| {
             let late_s = if tick == 0 { 0.0 } else { (late * timing.jitter_s).clamp(-0.4 / fps, 0.4 / fps) };

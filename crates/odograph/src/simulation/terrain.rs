@@ -1,4 +1,4 @@
-//! Ground that is not flat: stones, undulation, kerbs and ramps, as one height at every place.
+//! Uneven ground as a height field: stones, undulation, kerbs and ramps.
 
 use super::noise::{cell, mix, smooth_step};
 use crate::error::{Error, Result};
@@ -8,51 +8,52 @@ use serde::{Deserialize, Serialize};
 
 /// The shape of the ground; [`Terrain::default`] is the plane z = 0.
 ///
-/// Undulation, kerb and ramp are the level of the ground, which is 0 at the world's origin; relief is what lies on that level and
-/// is 0 on average.
+/// Undulation, kerb and ramp form the level of the ground, which is 0 at the world origin. Relief
+/// is added to the level and has zero mean.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Terrain {
     /// Stones and gravel.
     pub relief: Option<Relief>,
-    /// Slow ups and downs.
+    /// Long-wavelength undulation.
     pub undulation: Option<Undulation>,
-    /// A step across the way.
+    /// A step across the path.
     pub kerb: Option<Kerb>,
-    /// An incline across the way.
+    /// An incline across the path.
     pub ramp: Option<Ramp>,
-    /// Whether the camera rides on the ground's level, on wheels 0.5 m apart: its height above the mean level under the wheels stays,
-    /// and it leans as they do. Otherwise it keeps its height above z = 0 and stays upright.
+    /// Whether the camera follows the level of the ground on wheels 0.5 m apart: it keeps its
+    /// height above the mean level under the wheels and tilts with them. Otherwise it keeps its
+    /// height above z = 0 and its orientation.
     pub ride: bool,
 }
 
-/// Stones and gravel: smooth bumps with brighter and darker sides.
+/// Stones and gravel: smooth bumps with directional shading.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Relief {
-    /// Largest height above and depth below the level, metres.
+    /// Maximum height above and depth below the level, metres.
     pub amplitude_m: f64,
-    /// Distance from stone to stone, metres.
+    /// Spacing of the stones, metres.
     pub scale_m: f64,
 }
 
-/// Slow ups and downs in three directions.
+/// Long-wavelength height variation: sines in three directions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Undulation {
-    /// Largest height above and depth below z = 0, metres.
+    /// Maximum height above and depth below z = 0, metres.
     pub amplitude_m: f64,
-    /// Distance from top to top, metres.
+    /// Wavelength, metres.
     pub wavelength_m: f64,
 }
 
-/// A step from one level to another along the line x = `at_m`; its face is 10 mm deep.
+/// A step along the line x = `at_m`; its face has a horizontal depth of 10 mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Kerb {
-    /// Height beyond the line, metres; negative is a step down.
+    /// Height of the ground beyond the line, metres; negative is a step down.
     pub height_m: f64,
-    /// Where the middle of the face is, world x, metres.
+    /// World x of the middle of the face, metres.
     pub at_m: f64,
 }
 
@@ -60,24 +61,24 @@ pub struct Kerb {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ramp {
-    /// Rise by way; negative goes down.
+    /// Slope, rise over run; negative is downhill.
     pub slope: f64,
-    /// World x where it begins, metres; it is rounded over 10 cm to either side.
+    /// World x of the beginning, metres; rounded over 10 cm to either side.
     pub at_m: f64,
 }
 
 impl Terrain {
-    /// Whether this is the plane z = 0.
+    /// Whether the ground is the plane z = 0.
     pub fn is_flat(&self) -> bool {
         self.relief.is_none() && self.undulation.is_none() && self.kerb.is_none() && self.ramp.is_none()
     }
 
-    /// Checks that every number is in its range; the error names the first that is not.
+    /// Checks that every value is in range; the error names the first that is not.
     pub fn validated(self) -> Result<Self> {
         let mut checks = vec![];
         if let Some(Relief { amplitude_m, scale_m }) = self.relief {
             checks.push(("relief's scale", scale_m, 1e-3, 10.0, "m"));
-            // Steeper stones overhang more than they show.
+            // Higher amplitudes would be mostly self-occlusion.
             checks.push(("relief", amplitude_m, 0.0, scale_m, "m"));
         }
         if let Some(Undulation { amplitude_m, wavelength_m }) = self.undulation {
@@ -104,37 +105,38 @@ impl Terrain {
     }
 }
 
-/// Half the distance between the wheels that a camera rides on, lengthwise and crosswise, metres.
+/// Half the wheelbase and half the track width of the vehicle that carries the camera, metres.
 const HALF_WHEELBASE_M: f64 = 0.25;
-/// How deep the face of a kerb is, metres.
+/// Horizontal depth of the face of a kerb, metres.
 const KERB_FACE_M: f64 = 0.01;
-/// Over which way a wheel climbs a kerb, metres.
+/// Distance over which a wheel climbs a kerb, metres.
 const KERB_CLIMB_M: f64 = 0.12;
-/// Half the way over which the beginning of a ramp is rounded, metres.
+/// Half the length over which the beginning of a ramp is rounded, metres.
 const RAMP_ROUNDING_M: f64 = 0.1;
-/// Rays meet the surface this exactly, metres.
+/// Tolerance of the intersection of a ray with the surface, metres.
 const PRECISION_M: f64 = 1e-6;
-/// Most steps along a ray; a ray that flat sees no detail of the ground.
+/// Maximum number of steps along a ray; shallower rays do not resolve the ground in detail.
 const MOST_STEPS: f64 = 64.0;
 
-/// A terrain with its random functions drawn; not made for the plane.
+/// A terrain with its random functions; does not exist for flat ground.
 #[derive(Debug)]
 pub(super) struct Surface {
     waves: Vec<Wave>,
     kerb: Option<Kerb>,
     ramp: Option<Ramp>,
     stones: Option<Stones>,
-    /// The level under the wheels of a carrier that stands at the origin; `None` where it does not ride.
+    /// Mean level under the wheels of a vehicle at the origin, metres; `None` where the camera does
+    /// not ride.
     ridden_from_m: Option<f64>,
-    /// Along a ray that goes this far over the ground, the surface does not rise and fall, metres.
+    /// Horizontal step along a ray within which the surface is taken as monotonic, metres.
     step_m: f64,
 }
 
-/// One of the waves of the undulation.
+/// A wave of the undulation.
 #[derive(Debug, Clone, Copy)]
 struct Wave {
     amplitude_m: f64,
-    /// Waves per metre along x and y.
+    /// Spatial frequency along x and y, waves per metre.
     per_m: [f64; 2],
 }
 
@@ -145,7 +147,8 @@ impl Surface {
             return None;
         }
         let waves = terrain.undulation.map_or(vec![], |Undulation { amplitude_m, wavelength_m }| {
-            // Strengths add up to 1; directions are 50° to 70° apart, so that no way goes along a crest.
+            // Amplitudes sum to 1. Directions are 50° to 70° apart, so that no path runs along a
+            // crest.
             [(0.55, 0.2, 1.0), (0.27, 1.2, 0.81), (0.18, -0.9, 1.27)]
                 .map(|(strength, direction, length): (f64, f64, f64)| {
                     let (sin, cos) = direction.sin_cos();
@@ -174,34 +177,34 @@ impl Surface {
         Some(surface)
     }
 
-    /// The level of the ground at a place, without its relief, metres above z = 0.
+    /// Level of the ground at a point, without relief, metres above z = 0.
     pub(super) fn level_m(&self, x_m: f64, y_m: f64) -> f64 {
         self.level_with_face(x_m, y_m, KERB_FACE_M)
     }
 
-    /// The height of the ground at a place, metres above z = 0.
+    /// Height of the ground at a point, metres above z = 0.
     pub(super) fn height_m(&self, x_m: f64, y_m: f64) -> f64 {
         self.level_m(x_m, y_m) + self.stones.as_ref().map_or(0.0, |stones| stones.at(x_m, y_m)[0])
     }
 
-    /// How bright the surface is at a place, 1 where it is level.
+    /// Relative brightness of the surface at a point, 1 where it is level.
     pub(super) fn shade(&self, x_m: f64, y_m: f64) -> f32 {
         let mut shade = self.stones.as_ref().map_or(1.0, |stones| stones.at(x_m, y_m)[1]);
         if let Some(kerb) = self.kerb {
-            // Less light falls on a wall than on the ground before it.
+            // A vertical face receives less light than level ground.
             let across = 2.0 * (x_m - kerb.at_m).abs() / KERB_FACE_M;
             shade *= 1.0 - 0.45 * smooth_step(1.5 - across);
         }
         shade as f32
     }
 
-    /// Between which heights the surface lies over an area, metres.
+    /// Bounds of the surface height over an axis-aligned area, metres.
     pub(super) fn bounds(&self, (x0, x1): (f64, f64), (y0, y1): (f64, f64)) -> (f64, f64) {
         let (x, y) = (0.5 * (x0 + x1), 0.5 * (y0 + y1));
         let (mut low, mut high) = (0.0, 0.0);
         for wave in &self.waves {
             let middle = wave.at(x, y);
-            // A wave rises by 2π of its amplitude a wavelength at most (see `sine`: 3 % more).
+            // The slope of a wave is at most 2π amplitude / wavelength (3 % more for [`sine`]).
             let turns = wave.per_m[0].abs() * 0.5 * (x1 - x0) + wave.per_m[1].abs() * 0.5 * (y1 - y0);
             let reach_m = 6.5 * wave.amplitude_m * turns;
             low += (middle - reach_m).max(-wave.amplitude_m);
@@ -219,8 +222,9 @@ impl Surface {
         (low - stones_m, high + stones_m)
     }
 
-    /// The height, metres above z = 0, at which a ray from `camera` first meets the surface, which lies between `bounds` wherever the
-    /// ray does. `per_drop`: metres along x and y a metre of height lost.
+    /// First intersection of a ray from `camera` with the surface: its height above z = 0, metres.
+    /// `bounds` must bound the surface along the ray. `per_drop` is the horizontal displacement (x,
+    /// y) per metre of descent.
     pub(super) fn meet(&self, camera: [f64; 3], per_drop: [f64; 2], (low, high): (f64, f64)) -> f64 {
         if high - low < PRECISION_M {
             return low;
@@ -244,9 +248,9 @@ impl Surface {
             step += 1.0;
         }
         if below.1 >= 0.0 {
-            return below.0; // met at the very bottom, to rounding
+            return below.0; // intersection at the lower bound, within rounding
         }
-        // The Illinois variant of regula falsi (Dowell and Jarratt 1971): between the two, without ever leaving them.
+        // Regula falsi, Illinois variant (Dowell and Jarratt 1971), which keeps the root bracketed.
         let mut last_above = None;
         for _ in 0..40 {
             let z = (above.0 * below.1 - below.0 * above.1) / (below.1 - above.1);
@@ -268,12 +272,13 @@ impl Surface {
         0.5 * (above.0 + below.0)
     }
 
-    /// The pose of a camera on a carrier that follows this surface, where it rides at all: `carrier` is the pose it would have over
-    /// level ground without shaking, `pose` the one with it.
+    /// Pose of a camera on a vehicle that follows this surface; unchanged where it does not ride.
+    /// `carrier` is the pose over level ground without disturbances, `pose` the one with them.
     pub(super) fn ridden(&self, carrier: &GroundPose, pose: GroundPose) -> GroundPose {
         let Some(from_m) = self.ridden_from_m else { return pose };
         let (level_m, forward, left) = self.wheels(carrier);
-        // The carrier's own axes: nose up is negative about the left axis, left side up positive about the forward one.
+        // In the vehicle's axes: nose up is a negative rotation about the left axis, left side up a
+        // positive one about the forward axis.
         let pitch_rad = -forward.atan();
         let roll_rad = (left * pitch_rad.cos()).atan();
         let heading = carrier.heading_rad;
@@ -290,7 +295,7 @@ impl Surface {
         }
     }
 
-    /// The mean level under four wheels, metres, and the slopes between them along the heading and to its left.
+    /// Mean level under four wheels, metres, and the slopes along the heading and to its left.
     fn wheels(&self, carrier: &GroundPose) -> (f64, f64, f64) {
         let level = |forward: f64, left: f64| {
             let GroundPoint { x_m, y_m } = carrier.se2().apply(GroundPoint::new(forward, left));
@@ -317,7 +322,7 @@ impl Surface {
 
     fn ramp_m(&self, x_m: f64) -> f64 {
         self.ramp.map_or(0.0, |ramp| {
-            // A parabola from one tangent to the other.
+            // A parabola joins the two tangents.
             let way_m = |x_m: f64| {
                 let beyond = (x_m - ramp.at_m + RAMP_ROUNDING_M).max(0.0);
                 if beyond < 2.0 * RAMP_ROUNDING_M {
@@ -337,32 +342,33 @@ impl Wave {
     }
 }
 
-/// The sine of so many turns, to 0.1 %: parabolas, joined and flattened. Every pixel asks for three, and any smooth periodic function
-/// would do, as long as it is the same one everywhere.
+/// Approximate sine of an angle in turns, to 0.1 %: parabolas with a correction term. It is
+/// evaluated three times per pixel, and any smooth periodic function would serve, provided it is
+/// used everywhere.
 fn sine(turns: f64) -> f64 {
     let t = turns - nearest(turns);
     let parabola = 8.0 * t - 16.0 * t * t.abs();
     parabola + 0.225 * (parabola * parabola.abs() - parabola)
 }
 
-/// The nearest integer to a number below 2⁵¹: added so that no bits are left for a fraction, since `f64::round` is a call into a
-/// library where the processor's oldest instructions must do.
+/// Rounds a number below 2⁵¹ to the nearest integer: adding 1.5 · 2⁵² leaves no bits for a
+/// fraction. `f64::round` is a library call on the baseline x86-64 target.
 fn nearest(value: f64) -> f64 {
     const SHIFT: f64 = 6_755_399_441_055_744.0; // 1.5 · 2⁵²
     (value + SHIFT) - SHIFT
 }
 
-/// Texels along the side of the raster of stones, which repeats.
+/// Side length of the periodic raster of stones, texels.
 const RASTER: usize = 1024;
-/// Texels from stone to stone.
+/// Texels per stone spacing.
 const TEXELS_PER_SCALE: usize = 16;
 
-/// The relief: a raster of heights that repeats every 64 stones, between whose texels it is bilinear.
+/// Relief: a raster of heights that repeats every 64 stones, interpolated bilinearly.
 #[derive(Debug)]
 struct Stones {
     amplitude_m: f64,
     texels_per_m: f64,
-    /// Height in metres and brightness.
+    /// Height in metres and relative brightness.
     texels: Vec<[f32; 2]>,
 }
 
@@ -386,7 +392,8 @@ impl Stones {
             let slope = |after: f32, before: f32| (after - before) * amplitude_m / (2.0 * texel_m as f32);
             let slope_x = slope(at(x + 1, y), at(x + RASTER - 1, y));
             let slope_y = slope(at(x, y + 1), at(x, y + RASTER - 1));
-            // Light falls in from one side, and less into the hollows between steep stones.
+            // Directional light from one side, and less ambient light in the hollows between steep
+            // stones.
             let depth = heights[i] * (4.0 * amplitude_m / relief.scale_m as f32).min(1.0);
             let shade = (1.0 + 0.35 * (0.6 * slope_x + 0.8 * slope_y) + 0.2 * depth).clamp(0.4, 1.6);
             [amplitude_m * heights[i], shade]
@@ -394,9 +401,9 @@ impl Stones {
         Self { amplitude_m: relief.amplitude_m, texels_per_m: 1.0 / texel_m, texels: texels.collect() }
     }
 
-    /// Height in metres and brightness at a place.
+    /// Height in metres and relative brightness at a point.
     fn at(&self, x_m: f64, y_m: f64) -> [f64; 2] {
-        // Whole periods are added so that the numbers are positive and truncation is `floor`.
+        // Adds whole periods to make the coordinates positive, so that truncation is `floor`.
         const PERIODS: f64 = (RASTER as u64 * (1 << 24)) as f64;
         let split = |m: f64| {
             let texels = m * self.texels_per_m + PERIODS;
@@ -416,7 +423,7 @@ impl Stones {
     }
 }
 
-/// Value noise in [−1, 1] that repeats after so many cells.
+/// Value noise in [−1, 1] with a period of `cells` cells.
 fn periodic_noise(seed: u32, x: f32, y: f32, cells: i32) -> f32 {
     let (i, j) = (x as i32, y as i32);
     let (u, v) = (x - i as f32, y - j as f32);

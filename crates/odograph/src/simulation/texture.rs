@@ -1,4 +1,4 @@
-//! What the ground looks like.
+//! Textures of the ground.
 
 use super::patterns;
 use super::photograph::{Photograph, Tiling};
@@ -7,41 +7,42 @@ use crate::geometry::GroundPoint;
 use crate::image::RgbImage;
 use std::sync::Arc;
 
-/// The look of the ground: a colour at every point of an unbounded plane.
+/// Texture of the ground: a colour at every point of an unbounded plane.
 ///
-/// The numeric ones are made from noise and do not repeat; tiles and bricks repeat their grid, as the real ones do, with every tile
-/// a little different. A value is what a pixel that covers a given piece of ground sees, so nothing aliases.
+/// The procedural textures are made of noise and do not repeat, except that tiles and bricks lie on
+/// a periodic grid, each slightly different. Values are averaged over the footprint of a pixel, so
+/// nothing aliases.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum Texture {
-    /// Stones of 2 to 16 mm in bitumen: rich in corners.
+    /// Stones of 2 to 16 mm in bitumen: many corners.
     Asphalt,
     /// Loops of yarn in two shades.
     Carpet,
-    /// Square tiles of 20 cm with grout, slightly varied: repeats almost exactly.
+    /// Square tiles of 20 cm with grout, slightly varied: nearly periodic.
     Tiles,
-    /// Bricks of 21 by 6.5 cm in running bond: repeats.
+    /// Bricks of 21 by 6.5 cm in running bond: periodic.
     Bricks,
     /// Blades in all directions, with lighter and darker patches.
     Grass,
     /// Low texture: clouds, fine grain and some pores.
     Concrete,
-    /// Very low texture: about one gray level of it.
+    /// Very low texture: a contrast of about one gray level.
     Bare,
-    /// A photograph laid out over the plane.
+    /// A photograph tiled over the plane.
     Photograph(Arc<Photograph>),
-    /// Patches of two textures with soft borders.
+    /// Patches of one texture in another, with soft borders.
     Patchwork {
-        /// Where the patches are not.
+        /// Texture outside the patches.
         first: Arc<Texture>,
-        /// In the patches.
+        /// Texture of the patches.
         second: Arc<Texture>,
         /// Size of a patch, metres.
         patch_m: f64,
     },
 }
 
-/// The textures that are made from numbers, with the names people call them by.
+/// The procedural textures and their names.
 const NAMED: [(&str, Texture); 7] = [
     ("asphalt", Texture::Asphalt),
     ("carpet", Texture::Carpet),
@@ -53,18 +54,19 @@ const NAMED: [(&str, Texture); 7] = [
 ];
 
 impl Texture {
-    /// The numeric texture of that name (`asphalt`, `carpet`, `tiles`, `bricks`, `grass`, `concrete`, `bare`).
+    /// The procedural texture of that name (`asphalt`, `carpet`, `tiles`, `bricks`, `grass`,
+    /// `concrete`, `bare`); `None` where the name is unknown.
     pub fn named(name: &str) -> Option<Self> {
         NAMED.iter().find(|(known, _)| *known == name).map(|(_, texture)| texture.clone())
     }
 
-    /// The names that [`Texture::named`] knows.
+    /// The names known to [`Texture::named`].
     pub fn names() -> impl Iterator<Item = &'static str> {
         NAMED.iter().map(|(name, _)| *name)
     }
 
-    /// A photograph of a floor, laid out over the plane as `tiling` says. A gray one goes through
-    /// [`RgbImage`]'s `From<&GrayImage>`.
+    /// A photograph of a floor, tiled over the plane. Gray images are converted by [`RgbImage`]'s
+    /// `From<&GrayImage>`.
     ///
     /// Fails where the image is smaller than 8 pixels or `metres_per_pixel` is not positive.
     pub fn from_image(image: &RgbImage, metres_per_pixel: f64, tiling: Tiling) -> Result<Self> {
@@ -72,8 +74,8 @@ impl Texture {
             .map(|photograph| Self::Photograph(Arc::new(photograph)))
     }
 
-    /// The colour (red, green, blue; gray levels 0 to 255) that a pixel sees which covers about `footprint_m` × `footprint_m`
-    /// around `point`.
+    /// The colour (red, green, blue; gray levels 0 to 255) of a pixel whose footprint is about
+    /// `footprint_m` × `footprint_m` around `point`.
     pub fn color(&self, point: GroundPoint, footprint_m: f64, seed: u64) -> [f32; 3] {
         let at = (point.x_m, point.y_m);
         let noise_seed = seed as u32 ^ (seed >> 32) as u32;
@@ -88,7 +90,7 @@ impl Texture {
             Self::Photograph(photograph) => photograph.color(noise_seed, at, footprint_m),
             Self::Patchwork { first, second, patch_m } => {
                 let share = patterns::patch(noise_seed, at, *patch_m);
-                // A patch has a sharp inside and outside; only its border costs two textures.
+                // Only the borders of patches evaluate both textures.
                 if share <= 0.0 {
                     return first.color(point, footprint_m, seed);
                 }
@@ -103,7 +105,7 @@ impl Texture {
     }
 }
 
-/// The luminance of a colour (ITU-R BT.601).
+/// Luminance of a colour (ITU-R BT.601).
 #[inline]
 pub(super) fn luminance([red, green, blue]: [f32; 3]) -> f32 {
     0.299 * red + 0.587 * green + 0.114 * blue
@@ -113,7 +115,7 @@ pub(super) fn luminance([red, green, blue]: [f32; 3]) -> f32 {
 mod tests {
     use super::*;
 
-    /// Mean and standard deviation of the luminance over a metre, sampled every 2.3 mm.
+    /// Mean and standard deviation of the luminance over 46 cm, sampled every 2.3 mm.
     fn statistics(texture: &Texture) -> (f64, f64) {
         let n = 200;
         let values: Vec<f64> = (0..n * n)
@@ -128,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn every_texture_is_well_exposed_and_as_rich_as_it_says() {
+    fn every_texture_has_its_documented_brightness_and_contrast() {
         for (name, texture) in &NAMED {
             let (mean, deviation) = statistics(texture);
             assert!((60.0..190.0).contains(&mean), "{name}: mean {mean:.1}");
@@ -143,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wide_pixel_sees_less_detail() {
+    fn a_larger_footprint_has_less_detail() {
         for name in ["asphalt", "carpet", "grass"] {
             let texture = Texture::named(name).unwrap();
             let spread = |footprint_m: f64| {
@@ -161,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_names_are_not_guessed() {
+    fn unknown_names_are_rejected() {
         assert!(Texture::named("lava").is_none());
         assert_eq!(Texture::names().count(), 7);
     }

@@ -1,13 +1,13 @@
-//! Rust source as the checks see it: without comments, without what stands in quotes, and without test code.
+//! A view of Rust source code without comments, literals and test code.
 
-/// A word or sign of the code, and the line it stands on (from 1).
+/// A token of the code and its line number, counted from 1.
 #[derive(Debug, Clone, Copy)]
 pub struct Word<'a> {
     pub text: &'a str,
     pub line: usize,
 }
 
-/// The words of code: names, `::`, and every other sign by itself.
+/// Splits code into tokens: names, `::`, and all other characters one by one.
 pub fn words(code: &str) -> impl Iterator<Item = Word<'_>> {
     let (mut at, mut line) = (0, 1);
     std::iter::from_fn(move || {
@@ -31,7 +31,7 @@ pub fn words(code: &str) -> impl Iterator<Item = Word<'_>> {
     })
 }
 
-/// The code of a source text: what is left out becomes blank, lines stay where they are.
+/// The code of a source text. Removed parts become blanks, and line numbers are preserved.
 pub fn code(source: &str) -> String {
     without_tests(&without_comments_and_quotes(source))
 }
@@ -53,7 +53,7 @@ fn without_comments_and_quotes(source: &str) -> String {
             kept.push(first);
             rest = &rest[first.len_utf8()..];
         } else {
-            // A blank keeps what stood before apart from what stands behind.
+            // A blank separates the tokens before and after the removed part.
             kept.push(' ');
             kept.extend(rest[..skipped].chars().filter(|&c| c == '\n'));
             rest = &rest[skipped..];
@@ -62,7 +62,7 @@ fn without_comments_and_quotes(source: &str) -> String {
     kept
 }
 
-/// Length of the comment that `text` begins with; such comments may stand inside each other.
+/// Length of the block comment at the start of `text`; block comments may be nested.
 fn block_comment(text: &str) -> usize {
     let (mut depth, mut at) = (0, 0);
     while at < text.len() {
@@ -80,7 +80,7 @@ fn block_comment(text: &str) -> usize {
     text.len()
 }
 
-/// Length of the text in quotes that `text` begins with.
+/// Length of the string literal at the start of `text`.
 fn quoted(text: &str) -> usize {
     let mut escaped = false;
     for (at, c) in text.char_indices().skip(1) {
@@ -94,7 +94,7 @@ fn quoted(text: &str) -> usize {
     text.len()
 }
 
-/// Length of the raw text (`r"…"`, `r#"…"#`) that `text` begins with, where it begins with one.
+/// Length of the raw string literal (`r"…"`, `r#"…"#`) at the start of `text`, if there is one.
 fn raw_quoted(text: &str) -> Option<usize> {
     let hashes = text[1..].bytes().take_while(|&b| b == b'#').count();
     let body = text[1 + hashes..].strip_prefix('"')?;
@@ -103,7 +103,7 @@ fn raw_quoted(text: &str) -> Option<usize> {
     Some(body.find(&end).map_or(text.len(), |at| begin + at + end.len()))
 }
 
-/// Length of the character in quotes that `text` begins with; a lifetime is none.
+/// Length of the character literal at the start of `text`; `None` for a lifetime.
 fn character(text: &str) -> Option<usize> {
     let mut characters = text.char_indices().skip(1);
     if characters.next()?.1 == '\\' {
@@ -114,7 +114,7 @@ fn character(text: &str) -> Option<usize> {
     (end == '\'').then_some(at + 1)
 }
 
-/// Takes away every item under `#[cfg(test)]`: to the end of its braces, or to its semicolon where it has none.
+/// Removes each item under `#[cfg(test)]`, up to its closing brace or its semicolon.
 fn without_tests(code: &str) -> String {
     const MARK: &str = "#[cfg(test)]";
     let mut kept = String::with_capacity(code.len());

@@ -1,5 +1,5 @@
-//! Drawings that stand in the page, where its style sheet colours them, and alone as a picture,
-//! where they carry their own.
+//! SVG drawings for the report. On the page its style sheet colours them; as image files they
+//! contain their own styles.
 
 use crate::report::parts::STYLE;
 use odograph::geometry::Pixel;
@@ -13,10 +13,10 @@ const LEFT: f64 = 52.0;
 const RIGHT: f64 = WIDTH - 10.0;
 const TOP: f64 = 8.0;
 const BELOW: f64 = 30.0;
-/// A high image is drawn narrower, so that it fits a screen.
+/// Tall images are drawn narrower, to fit the screen.
 const HIGHEST: f64 = 720.0;
 
-/// A drawing: the elements of an SVG with its size in drawing units.
+/// A drawing: SVG elements, and their size in drawing units.
 pub struct Drawing {
     pub width: f64,
     pub height: f64,
@@ -24,7 +24,7 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// As an element of a page.
+    /// The drawing as an element of a page.
     pub fn inline(&self, name: &str) -> String {
         format!(
             "<svg class=\"plot\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\">\n{}</svg>",
@@ -35,7 +35,7 @@ impl Drawing {
         )
     }
 
-    /// As a file of its own, in light colours, with its name and what it says above it.
+    /// The drawing as a complete SVG file in light colours, with its title and caption above it.
     pub fn file(&self, name: &str, says: &str) -> String {
         const LINE: f64 = 20.0;
         let lines = lines(says, self.width - 28.0);
@@ -58,7 +58,7 @@ impl Drawing {
     }
 }
 
-/// A text in lines of at most `width` drawing units.
+/// Breaks a text into lines of at most `width` drawing units.
 fn lines(text: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
@@ -73,12 +73,11 @@ fn lines(text: &str, width: f64) -> Vec<String> {
     lines
 }
 
-/// The rules of the page's style sheets that colour drawings, with the light values of their
-/// variables.
+/// The style-sheet rules for drawings, with the light-mode values of their variables.
 fn light_style() -> String {
     let sheets = [STYLE, super::STYLE];
     let lines = || sheets.iter().flat_map(|sheet| sheet.lines());
-    // What a sheet says before its first condition holds in light colours.
+    // Declarations before the first media query are those of the light mode.
     let light = sheets.iter().flat_map(|sheet| sheet.split("@media").next());
     let values: Vec<(&str, &str)> = light
         .flat_map(|part| part.split([';', '{', '}']))
@@ -93,7 +92,7 @@ fn light_style() -> String {
     style
 }
 
-/// The image as a frame with pixels along its sides.
+/// The frame of an image drawing, with pixel coordinates along its sides.
 pub struct ImageFrame {
     pub size: (usize, usize),
     scale: f64,
@@ -109,22 +108,22 @@ impl ImageFrame {
         Self { size, scale, left: LEFT, right: LEFT + width * scale, bottom: TOP + height * scale }
     }
 
-    /// The place of a pixel in the drawing.
+    /// Position of a pixel in the drawing.
     pub fn at(&self, pixel: Pixel) -> (f64, f64) {
         (self.left + (pixel.x + 0.5) * self.scale, TOP + (pixel.y + 0.5) * self.scale)
     }
 
-    /// Drawing units to a pixel.
+    /// Drawing units per pixel.
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// Left and right, top and bottom of the image in the drawing.
+    /// Left, right, top and bottom of the image in the drawing.
     pub fn sides(&self) -> (f64, f64, f64, f64) {
         (self.left, self.right, TOP, self.bottom)
     }
 
-    /// The drawing with the frame and its labels over `content`; `more` is room below, in drawing
+    /// Draws the frame and its labels over `content`; `more` is additional height below it, drawing
     /// units.
     pub fn drawing(&self, content: &str, more: f64) -> Drawing {
         let mut body = content.to_owned();

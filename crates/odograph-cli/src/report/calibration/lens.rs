@@ -1,4 +1,4 @@
-//! Drawings of the lens: how it bends straight lines, and how well it is known.
+//! Drawings of the lens: its distortion and its uncertainty.
 
 use super::drawing::{Drawing, ImageFrame};
 use odograph::camera::Camera;
@@ -7,7 +7,7 @@ use odograph::mapping::drawing::scale::{label, round_step};
 use odograph::mapping::drawing::svg::coordinate;
 use std::fmt::Write;
 
-/// A grid of straight lines as the lens bends it, over the same grid through a pinhole.
+/// A grid of straight lines as distorted by the lens, over the same grid through a pinhole camera.
 pub fn distortion(camera: &Camera) -> Drawing {
     let frame = ImageFrame::new((camera.width(), camera.height()));
     let (reach_x, reach_y) = reach(camera);
@@ -19,7 +19,7 @@ pub fn distortion(camera: &Camera) -> Drawing {
     let mut draw = |class: &str, pixel_of: &dyn Fn(Ray) -> Option<Pixel>| {
         let mut d = String::new();
         let (columns, rows) = ((reach_x / step).ceil() as i32, (reach_y / step).ceil() as i32);
-        // Points along a line: enough for the eye.
+        // Points per line, enough for a smooth curve.
         const POINTS: i32 = 160;
         let mut line = |ray_at: &dyn Fn(f64) -> Ray| {
             let mut pen_down = false;
@@ -61,13 +61,14 @@ pub fn distortion(camera: &Camera) -> Drawing {
     frame.drawing(&content, 0.0)
 }
 
-/// Pixels per tangent on the axis, across and down: what a pinhole would have for focal lengths.
+/// Focal lengths on the optical axis, horizontal and vertical: pixels per unit of the tangent. For
+/// a pinhole camera they are the focal lengths themselves.
 fn focal_on_axis_px(camera: &Camera) -> (f64, f64) {
     let on_axis = camera.pixel_and_derivative(Ray::new(0.0, 0.0));
     on_axis.map_or(camera.focal_px(), |(_, derivative)| (derivative[(0, 0)], derivative[(1, 1)]))
 }
 
-/// Pixels along the border of the image.
+/// Pixels along the image border.
 fn border(camera: &Camera) -> impl Iterator<Item = Pixel> {
     let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
     (0..=32).flat_map(move |n| {
@@ -81,7 +82,7 @@ fn border(camera: &Camera) -> impl Iterator<Item = Pixel> {
     })
 }
 
-/// Tangents to the side and up that the image reaches; a wide lens is drawn to 72°.
+/// Maximum tangents of the viewing angle, horizontal and vertical; a wide lens is drawn up to 72°.
 fn reach(camera: &Camera) -> (f64, f64) {
     const FURTHEST: f64 = 3.0;
     let rays = || border(camera).map(|pixel| camera.ray_from_pixel(pixel));
@@ -91,8 +92,8 @@ fn reach(camera: &Camera) -> (f64, f64) {
     (furthest(|ray| ray.x).max(0.01), furthest(|ray| ray.y).max(0.01))
 }
 
-/// How far the lens moves a point at the border of the image at most, pixels, against a pinhole
-/// that shows the middle alike.
+/// Maximum displacement by distortion on the image border, pixels, relative to a pinhole camera
+/// with the same focal lengths on the axis.
 pub fn greatest_displacement_px(camera: &Camera) -> Option<f64> {
     let (focal, middle) = (focal_on_axis_px(camera), camera.principal_px());
     border(camera)
@@ -103,7 +104,7 @@ pub fn greatest_displacement_px(camera: &Camera) -> Option<f64> {
         .try_fold(0.0, |most: f64, displacement| Some(most.max(displacement?)))
 }
 
-/// Whole angles of view across and down, radians.
+/// Full horizontal and vertical field of view, radians.
 pub fn field_of_view_rad(camera: &Camera) -> Option<(f64, f64)> {
     let (cx, cy) = camera.principal_px();
     let angle = |x: f64, y: f64| {
@@ -114,13 +115,13 @@ pub fn field_of_view_rad(camera: &Camera) -> Option<(f64, f64)> {
     Some((angle(-0.5, cy)? + angle(right, cy)?, angle(cx, -0.5)? + angle(cx, bottom)?))
 }
 
-/// The expected error of a point in the image, pixels, in every cell of a grid; from the covariance
-/// of the calibration.
+/// Standard deviation of a point's position in the image, pixels, in the cells of a grid,
+/// propagated from the covariance of the calibration.
 pub struct ExpectedError {
     size: (usize, usize),
     columns: usize,
     rows: usize,
-    /// Row after row; `None` where the lens model reaches no pixel.
+    /// In row order; `None` where the lens model has no valid pixel.
     errors_px: Vec<Option<f64>>,
 }
 
@@ -149,18 +150,18 @@ impl ExpectedError {
         known
     }
 
-    /// The median over the image and the greatest error, pixels.
+    /// Median and maximum over the image, pixels.
     pub fn median_and_worst_px(&self) -> Option<(f64, f64)> {
         let known = self.known();
         Some((known[known.len().checked_sub(1)? / 2], *known.last()?))
     }
 
-    /// The image coloured by the error, with a scale below it and the error itself at nine places.
+    /// The image coloured by the error, with a colour scale below it and values at nine positions.
     pub fn drawing(&self) -> Drawing {
         let frame = ImageFrame::new(self.size);
         let known = self.known();
-        // A few cells at the rim of what the lens sees may be a thousand times worse: they do not
-        // make all others one colour.
+        // A few cells at the edge of the lens's view may be worse by a factor of 1000; they must
+        // not determine the scale.
         let quantile = |hundredths: usize| known.get(known.len() * hundredths / 100).copied();
         let low = quantile(1).unwrap_or(0.01).max(1e-4);
         let high = quantile(98).unwrap_or(1.0).max(2.0 * low);
@@ -172,7 +173,7 @@ impl ExpectedError {
             let (x, y) =
                 ((cell % self.columns) as f64 * width + left, (cell / self.columns) as f64 * height + top);
             let fill = error.map_or_else(|| "#8a8f98".to_owned(), |error| heat(share(error)));
-            // A little larger than the cell, so that no seam shines through.
+            // Slightly larger than the cell, to hide seams.
             let _ = writeln!(
                 content,
                 "<rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" fill=\"{fill}\"/>",
@@ -200,7 +201,7 @@ impl ExpectedError {
         frame.drawing(&content, 64.0)
     }
 
-    /// The bar of colours with round values.
+    /// The colour scale with round values.
     fn scale(&self, low: f64, high: f64, frame: &ImageFrame, content: &mut String) {
         let (left, right, _, bottom) = frame.sides();
         let top = bottom + 36.0;
@@ -240,7 +241,7 @@ impl ExpectedError {
     }
 }
 
-/// An error in pixels as people read it: two digits.
+/// Formats an error in pixels with two significant digits.
 pub fn pixels_text(pixels: f64) -> String {
     if !pixels.is_finite() {
         return "?".into();
@@ -255,8 +256,8 @@ pub fn pixels_text(pixels: f64) -> String {
     format!("{} px", label(pixels, step))
 }
 
-/// A colour from dark blue (0) over green to yellow (1): equal steps look equal, also in gray and
-/// to the colour-blind (the stops lie on matplotlib's viridis).
+/// A colour from dark blue (0) over green to yellow (1), perceptually uniform, also in grayscale
+/// and for colour-blind readers (the stops are those of matplotlib's viridis).
 fn heat(share: f64) -> String {
     const STOPS: [[f64; 3]; 6] = [
         [68.0, 1.0, 84.0],

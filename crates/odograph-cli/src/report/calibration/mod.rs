@@ -1,4 +1,4 @@
-//! What a person looks at after a calibration: the report page, and its drawings as pictures.
+//! The report of a calibration: the page and its drawings as images.
 
 mod drawing;
 mod lens;
@@ -9,7 +9,7 @@ pub use lens::{ExpectedError, pixels_text};
 pub use page::{CalibrationReport, Found, lens_name};
 pub use views::{Residual, ShownView};
 
-/// What its page adds to the style sheet of every page.
+/// Style rules in addition to those of all pages.
 const STYLE: &str = include_str!("style.css");
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The report of a calibration: the verdict first, then what it rests on.
+//! The report page of a calibration: the verdict first, then its basis.
 
 use super::drawing::Drawing;
 use super::lens::{self, ExpectedError, pixels_text};
@@ -13,37 +13,37 @@ use odograph::mapping::drawing::scale::label;
 use odograph::mapping::drawing::svg::escape;
 use std::fmt::Write;
 
-/// Width of the drawings as pictures, pixels.
+/// Width of the drawings as image files, pixels.
 const PICTURE_WIDTH_PX: u32 = 1440;
 
-/// What was looked for and how often it was found.
+/// Statistics of the board detection.
 #[derive(Debug, Clone, Default)]
 pub struct Found {
-    /// Frames or pictures that were looked at.
+    /// Number of frames or images searched.
     pub looked_at: u64,
-    /// Those with the board in them.
+    /// Number of those with the board.
     pub with_board: u64,
-    /// Why it was not found in the others: the reason and how often, the most frequent first.
+    /// Reasons for failed detections with their counts, the most frequent first.
     pub reasons: Vec<(String, u64)>,
-    /// Pictures without the board and why, the first of them; empty for videos.
+    /// The first images without the board, with the reason; empty for videos.
     pub pictures_without: Vec<(String, String)>,
 }
 
-/// All that the report tells.
+/// Contents of the report.
 pub struct CalibrationReport<'a> {
     /// Name of what was calibrated; any text.
     pub title: &'a str,
-    /// What was read, in words; any text.
+    /// Description of the input; any text.
     pub source: &'a str,
-    /// The board as text.
+    /// The board's specification as text.
     pub board: String,
-    /// Frames or pictures: how the views are called.
+    /// Whether the views are images rather than video frames.
     pub pictures: bool,
     pub found: &'a Found,
     pub camera: &'a Camera,
     pub model: LensModel,
-    /// Pixels per tangent on the axis across the image and their standard deviation: what people
-    /// mean by the focal length.
+    /// Focal length on the optical axis, horizontal, and its standard deviation, pixels: what is
+    /// commonly called the focal length.
     pub focal_px: (f64, f64),
     pub parameters: &'a [Parameter],
     pub rms_px: f64,
@@ -51,17 +51,17 @@ pub struct CalibrationReport<'a> {
     pub candidates: &'a [Candidate],
     pub verdict: Verdict,
     pub reasons: &'a [String],
-    /// All views that were given to the calibration, used or not.
+    /// All views given to the calibration, used or not.
     pub views: &'a [ShownView],
     pub expected_error: &'a ExpectedError,
     pub guidance: &'a Guidance,
-    /// What a person should know about the input; sentences.
+    /// Warnings about the input; sentences.
     pub warnings: &'a [String],
     /// Name of the camera file.
     pub camera_file: &'a str,
 }
 
-/// The drawings by the names of their files, with their titles and what they say.
+/// A drawing with its file name, title and caption.
 struct Named {
     file: &'static str,
     title: &'static str,
@@ -69,7 +69,7 @@ struct Named {
     drawing: Drawing,
 }
 
-/// A lens model as people call it.
+/// The display name of a lens model.
 pub fn lens_name(model: LensModel) -> &'static str {
     match model {
         LensModel::Pinhole => "pinhole, no distortion",
@@ -82,7 +82,7 @@ pub fn lens_name(model: LensModel) -> &'static str {
 }
 
 impl CalibrationReport<'_> {
-    /// Every file of the report's folder, by name: the page and its drawings as PNG.
+    /// All files of the report folder by name: the page, and its drawings as PNG.
     pub fn files(&self) -> Result<Vec<(&'static str, Vec<u8>)>> {
         let drawings = self.drawings();
         let mut files = vec![("report.html", self.html(&drawings).into_bytes())];
@@ -273,7 +273,7 @@ impl CalibrationReport<'_> {
         page.push_str("</div>\n");
     }
 
-    /// What would make it better.
+    /// The section with hints for a better calibration.
     fn next_time(&self, page: &mut String) {
         if self.guidance.missing.is_empty() {
             return;
@@ -302,7 +302,7 @@ impl CalibrationReport<'_> {
         );
         for parameter in self.parameters {
             let (name, unit) = in_words(parameter.name);
-            // Two digits of the deviation tell how many of the value are worth reading.
+            // The value is rounded to about two digits of its standard deviation.
             let step = match parameter.deviation {
                 d if d.is_finite() && d > 0.0 => 10f64.powf((d.log10() - 0.5).floor()).clamp(1e-9, 0.1),
                 _ => 1e-6,
@@ -354,7 +354,7 @@ impl CalibrationReport<'_> {
         page.push_str("</table></div>\n");
     }
 
-    /// Views that were found and not used, and pictures in which nothing was found.
+    /// Views that were detected but not used, and images without a detection.
     fn left_out(&self, page: &mut String) {
         let removed =
             self.views.iter().filter_map(|view| Some((view.name.as_str(), view.why_not.as_deref()?)));
@@ -392,7 +392,7 @@ fn short_name(model: LensModel) -> &'static str {
     }
 }
 
-/// A parameter's name as people call it, and its unit.
+/// The display name of a parameter, and its unit.
 fn in_words(name: &str) -> (String, &'static str) {
     match name {
         "f" => ("Focal length".into(), " px"),

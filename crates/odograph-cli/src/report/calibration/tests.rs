@@ -9,7 +9,7 @@ fn camera() -> Camera {
     Camera::new((640, 480), (532.0, 533.0), (342.0, 233.0), distortion).unwrap()
 }
 
-/// Numbers between −1 and 1 that are the same every time.
+/// Deterministic pseudo-random numbers in [-1, 1).
 fn random(state: &mut u32) -> f64 {
     *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
     f64::from(*state >> 8) / f64::from(1 << 23) - 1.0
@@ -103,9 +103,9 @@ fn with_report<T>(verdict: Verdict, use_it: impl FnOnce(&CalibrationReport<'_>) 
     })
 }
 
-/// With `ODOGRAPH_REPORT_OUT` set to a folder, everything is written there to be looked at.
+/// If `ODOGRAPH_REPORT_OUT` names a folder, all files are written there for inspection.
 #[test]
-fn the_report_stands_alone_and_is_the_same_twice() {
+fn the_report_is_self_contained_and_deterministic() {
     for (name, verdict) in
         [("good", Verdict::Good), ("usable", Verdict::Usable), ("again", Verdict::DoItAgain)]
     {
@@ -139,7 +139,7 @@ fn the_report_stands_alone_and_is_the_same_twice() {
 }
 
 #[test]
-fn no_drawing_minds_numbers_that_are_none() {
+fn drawings_tolerate_non_finite_numbers() {
     let nowhere =
         Residual { seen: Pixel::new(f64::NAN, f64::INFINITY), dx_px: f64::NAN, dy_px: f64::INFINITY };
     let views = [
@@ -163,7 +163,7 @@ fn no_drawing_minds_numbers_that_are_none() {
 }
 
 #[test]
-fn errors_are_told_with_two_digits() {
+fn errors_are_formatted_with_two_digits() {
     for (pixels, text) in [
         (0.00234, "0.0023 px"),
         (0.0346, "0.035 px"),

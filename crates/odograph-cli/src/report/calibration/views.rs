@@ -1,4 +1,4 @@
-//! Drawings of what was seen: where, and how far from where the calibration has it.
+//! Drawings of the detected points and their residuals.
 
 use super::drawing::{Drawing, ImageFrame};
 use super::lens::pixels_text;
@@ -8,7 +8,7 @@ use odograph::mapping::drawing::scale::{label, multiples, round_step};
 use odograph::mapping::drawing::svg::{coordinate, escape, fitted};
 use std::fmt::Write;
 
-/// A point as it was seen and how far that is from where the calibration has it, pixels.
+/// A detected point and its reprojection error (detected minus projected), pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Residual {
     pub seen: Pixel,
@@ -16,18 +16,18 @@ pub struct Residual {
     pub dy_px: f64,
 }
 
-/// A view as the drawings show it.
+/// A view as displayed in the drawings.
 pub struct ShownView {
-    /// Its frame or file.
+    /// Name of its frame or file.
     pub name: String,
     pub residuals: Vec<Residual>,
     pub rms_px: f64,
-    /// Why it was left out; `None` where it was used.
+    /// The reason why it was not used; `None` if it was used.
     pub why_not: Option<String>,
 }
 
-/// More arrows or dots than this are thinned evenly: the eye sees the same, and the page stays
-/// small.
+/// Maximum number of arrows or dots. More are thinned evenly: no difference is visible, and the
+/// page stays small.
 const MOST_MARKS: usize = 5000;
 
 fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &Residual> + Clone {
@@ -42,7 +42,7 @@ fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &Residual> + C
         .step_by(every)
 }
 
-/// Every corner that was seen, over the cells of the image that have seen one.
+/// All detected corners, over the grid cells of the image that contain any.
 pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) -> Drawing {
     let frame = ImageFrame::new(size);
     let (left, right, top, bottom) = frame.sides();
@@ -71,9 +71,9 @@ pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) 
     frame.drawing(&content, 0.0)
 }
 
-/// Every used corner with an arrow from where the calibration has it to where it was seen, made
-/// longer; and the mean arrows of the cells of a grid, which stay small where the lens model fits.
-/// The numbers are how much longer.
+/// The residuals of all used corners as enlarged arrows from the projected to the detected
+/// position, and the mean residual of each grid cell, which is small if the lens model fits. The
+/// numbers returned are the magnifications.
 pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f64) {
     let frame = ImageFrame::new(size);
     let lengths = |of: &[(f64, f64)]| {
@@ -84,11 +84,11 @@ pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f6
     };
     let each: Vec<(f64, f64)> = marks(views, true).map(|mark| (mark.dx_px, mark.dy_px)).collect();
     let each = lengths(&each);
-    // Nine of ten arrows are at most this long, drawing units.
+    // 90th percentile of the arrow lengths, drawing units.
     const LONG: f64 = 22.0;
     let longer = |length_px: Option<&f64>| {
         let times = LONG / (length_px.copied().unwrap_or(1.0).max(1e-4) * frame.scale());
-        // The round number below: 1, 2 or 5 times a power of ten.
+        // Round down to 1, 2 or 5 times a power of ten.
         let decade = 10f64.powf(times.log10().floor());
         [5.0, 2.0, 1.0]
             .map(|digit| digit * decade)
@@ -105,7 +105,7 @@ pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f6
     for mark in marks(views, true) {
         let (x, y) = frame.at(mark.seen);
         let reach = times * frame.scale();
-        // An outlier would cross the whole image.
+        // Outliers would cross the whole image.
         let (dx, dy) = limited(mark.dx_px * reach, mark.dy_px * reach, 4.0 * LONG);
         let _ = write!(d, "M{} {}l{} {}", coordinate(x), coordinate(y), coordinate(dx), coordinate(dy));
     }
@@ -133,11 +133,10 @@ fn limited(dx: f64, dy: f64, longest: f64) -> (f64, f64) {
     (dx * by, dy * by)
 }
 
-/// The mean residual of the used points of each cell that has enough of them: where they lie on
-/// average, dx and dy.
+/// The mean residual per grid cell with enough used points: their mean position, dx and dy.
 fn means(size: (usize, usize), views: &[ShownView]) -> Vec<(Pixel, f64, f64)> {
     const COLUMNS: usize = 12;
-    /// Fewer say nothing about their mean.
+    /// Minimum number of points for a meaningful mean.
     const LEAST: usize = 8;
     let rows = (COLUMNS * size.1 / size.0.max(1)).clamp(1, 2 * COLUMNS);
     let mut sums = vec![(0usize, 0.0, 0.0, 0.0, 0.0); COLUMNS * rows];
@@ -158,7 +157,7 @@ fn means(size: (usize, usize), views: &[ShownView]) -> Vec<(Pixel, f64, f64)> {
         .collect()
 }
 
-/// The error of each view as a bar with its name; what was left out is told beside it.
+/// The error of each view as a bar with its name; views that were not used are labelled.
 pub fn errors(views: &[ShownView], rms_px: f64) -> Drawing {
     const WIDTH: f64 = 720.0;
     const NAMES: f64 = 190.0;
@@ -166,7 +165,7 @@ pub fn errors(views: &[ShownView], rms_px: f64) -> Drawing {
     const ROW: f64 = 22.0;
     let mut used: Vec<f64> = views.iter().filter(|v| v.why_not.is_none()).map(|v| v.rms_px).collect();
     used.sort_by(f64::total_cmp);
-    // What was left out may be far off; the bars of what was used must stay readable.
+    // Unused views may have large errors; the bars of the used ones must stay readable.
     let high = used.last().copied().unwrap_or(1.0).max(rms_px).max(1e-3)
         * if used.len() < views.len() { 1.6 } else { 1.08 };
     let x = |error_px: f64| NAMES + (RIGHT - NAMES) * (error_px / high).clamp(0.0, 1.0);

@@ -1,4 +1,4 @@
-//! Cameras through V4L2.
+//! Access to cameras through V4L2.
 
 use super::negotiation::{self, Agreed, Control, Driver, Given, Intervals, Sizes, told};
 use super::{Mode, ModeWish};
@@ -13,20 +13,20 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// A camera that gives no picture for so long has gone.
+/// Maximum wait for an image; after that the camera counts as lost.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How often to look for a picture; the driver tells only whether there is one.
+/// Polling interval for images; the driver only reports whether one is available.
 const GLANCE: Duration = Duration::from_millis(1);
-/// So long the camera may look for its exposure before it is held.
+/// Time for the automatic exposure to settle before it is fixed.
 const EXPOSURE_SETTLES: Duration = Duration::from_millis(1500);
-/// The cameras of this machine: where each is, its name, and what it can do.
+/// Lists the cameras of this machine: device path, name and modes.
 pub fn list() -> Vec<(PathBuf, String, Vec<Mode>)> {
     let Ok(entries) = std::fs::read_dir("/dev") else { return Vec::new() };
     let paths = entries.flatten().map(|entry| entry.path());
     let mut paths: Vec<_> = paths
         .filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("video")))
         .collect();
-    // video2 before video10.
+    // Sort video2 before video10.
     paths.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
     let described = |path: PathBuf| {
         let device = Device::open(&path).ok()?;
@@ -38,11 +38,11 @@ pub fn list() -> Vec<(PathBuf, String, Vec<Mode>)> {
     paths.into_iter().filter_map(described).collect()
 }
 
-/// A driver behind V4L2's calls: before its format is set, and after.
+/// A V4L2 device before and after its format is set.
 enum V4l2 {
     Idle(Device),
     Set(VideoCaptureDevice),
-    /// Between the two, and where that failed.
+    /// During the transition, and after it failed.
     Gone,
 }
 
@@ -55,7 +55,7 @@ impl V4l2 {
     }
 }
 
-/// Seconds as a fraction.
+/// Converts a frame interval in seconds.
 fn seconds(interval: Fract) -> (u32, u32) {
     (interval.numerator(), interval.denominator())
 }
@@ -139,7 +139,7 @@ impl Driver for V4l2 {
     }
 }
 
-/// A camera that gives pictures.
+/// An open camera that delivers images.
 pub struct Camera {
     path: PathBuf,
     mode: Mode,
@@ -149,7 +149,7 @@ pub struct Camera {
     began: Instant,
     number: u64,
     last_time_s: f64,
-    /// Whether the exposure is still to be held.
+    /// Whether the exposure is still to be fixed.
     hold_exposure: bool,
     damaged: u64,
     watch: Watch,
@@ -157,10 +157,10 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Opens a camera in the mode that fits a wish best.
+    /// Opens a camera in the mode that fits a request best.
     ///
     /// # Errors
-    /// Where there is no camera, it is in use by another program, or it has no such mode.
+    /// If there is no camera, another program uses it, or it has no such mode.
     pub fn open(path: &Path, wish: &ModeWish, hold_exposure: bool, watch: Watch) -> Result<Self> {
         let cannot = |what: &'static str| move |error: io::Error| told(path, what, &error);
         let device = Device::open(path).map_err(cannot("is no camera that can be opened"))?;
@@ -189,10 +189,10 @@ impl Camera {
         })
     }
 
-    /// Holds exposure and white balance, where the driver can.
+    /// Fixes exposure and white balance, if the driver supports it.
     fn hold_exposure(&mut self) {
         self.hold_exposure = false;
-        // Through a second opening, which drivers allow for everything but pictures.
+        // Through a second file descriptor: drivers allow that for everything except streaming.
         let held =
             Device::open(&self.path).and_then(|device| negotiation::hold_exposure(&mut V4l2::Idle(device)));
         if let Err(error) = held {
@@ -200,7 +200,7 @@ impl Camera {
         }
     }
 
-    /// Waits for a picture and decodes it; `None` where it was damaged or the source was asked to end.
+    /// Waits for an image and decodes it; `None` if it was damaged or the source was asked to end.
     fn picture(&mut self) -> io::Result<Option<(Picture, Instant)>> {
         let until = Instant::now() + PATIENCE;
         while self.stream.will_block()? {

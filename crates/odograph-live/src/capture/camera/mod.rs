@@ -1,7 +1,8 @@
-//! Cameras at this machine (V4L2).
+//! Local cameras (V4L2).
 //!
-//! What a camera can is a list of [`Mode`]s, and which of them is taken is decided without it ([`choose`]). What is asked of a driver and
-//! made of its answers is held by tests against the answers of real cameras (`negotiation`): the part that talks to the device is thin.
+//! A camera's capabilities are a list of [`Mode`]s, and [`choose`] selects one of them without
+//! access to the device. The dialogue with the driver (`negotiation`) is tested against recorded
+//! answers of real cameras, so the part that accesses the device is thin.
 
 #[cfg(target_os = "linux")]
 mod device;
@@ -15,19 +16,19 @@ use odograph::error::{Error, Result};
 use odograph_video::SampleLayout;
 use std::fmt;
 
-/// How a camera hands over its pictures.
+/// Pixel format of a camera's images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum PixelFormat {
     /// Luminance only, `GREY`.
     Gray,
     /// Uncompressed colour, `YUYV`.
     Yuyv,
-    /// A JPEG for each picture, `MJPG` or `JPEG`.
+    /// One JPEG per image, `MJPG` or `JPEG`.
     Jpeg,
 }
 
 impl PixelFormat {
-    /// From the four letters that V4L2 calls it by; `None` for those that are not read here.
+    /// Converts from a V4L2 FourCC; `None` for formats that are not supported.
     pub fn from_fourcc(letters: [u8; 4]) -> Option<Self> {
         match &letters {
             b"GREY" => Some(Self::Gray),
@@ -37,7 +38,7 @@ impl PixelFormat {
         }
     }
 
-    /// The samples' layout, where they are not compressed.
+    /// Sample layout; `None` for compressed formats.
     pub fn layout(self) -> Option<SampleLayout> {
         match self {
             Self::Gray => Some(SampleLayout::Gray),
@@ -70,23 +71,24 @@ impl std::str::FromStr for PixelFormat {
     }
 }
 
-/// A way in which a camera can work.
+/// An operating mode of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mode {
-    /// How pictures are handed over.
+    /// Pixel format.
     pub format: PixelFormat,
-    /// The four letters the driver knows the format by.
+    /// FourCC under which the driver lists the format.
     pub fourcc: [u8; 4],
-    /// Pixels in a row.
+    /// Width, pixels.
     pub width: u32,
-    /// Rows.
+    /// Height, pixels.
     pub height: u32,
-    /// Frames a second as a fraction, e.g. 30/1; `None` where the driver does not say.
+    /// Frame rate in frames per second, as a fraction, e.g. 30/1; `None` if the driver does not
+    /// report it.
     pub rate: Option<(u32, u32)>,
 }
 
 impl Mode {
-    /// Frames a second.
+    /// Frame rate, frames per second; `None` if unknown or not positive.
     pub fn frames_per_second(&self) -> Option<f64> {
         let (frames, seconds) = self.rate?;
         (frames > 0 && seconds > 0).then(|| f64::from(frames) / f64::from(seconds))
@@ -103,29 +105,30 @@ impl fmt::Display for Mode {
     }
 }
 
-/// What is wanted of a camera; what is not said is chosen.
+/// The requested mode; fields that are `None` are chosen automatically.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ModeWish {
-    /// How pictures are handed over.
+    /// Pixel format.
     pub format: Option<PixelFormat>,
-    /// Width and height, pixels: mostly the size for which the camera was calibrated.
+    /// Width and height, pixels; mostly the size for which the camera was calibrated.
     pub size: Option<(u32, u32)>,
-    /// Frames a second.
+    /// Frame rate, frames per second.
     pub frames_per_second: Option<f64>,
 }
 
-/// Without a wish the tracking gets pictures of about this size: more costs time and brings little.
+/// Default image size in pixels: larger images cost time and improve the tracking little.
 const USUAL_PIXELS: f64 = 640.0 * 480.0;
-/// More frames a second bring little.
+/// Default frame rate, frames per second: higher rates improve the tracking little.
 const USUAL_RATE: f64 = 30.0;
 
-/// The mode that fits a wish best.
+/// Selects the mode that fits a request best.
 ///
-/// Format and size are kept to where they are wished; of the rates the nearest is taken. Otherwise: about 640x480, 30 frames a second, and
-/// uncompressed rather than JPEG, whose artefacts move with the picture, unless that costs half of the rate, as it does behind USB 2.
+/// A requested format or size is binding; the nearest available frame rate is used. The defaults
+/// are about 640x480 at 30 frames per second. Uncompressed is preferred to JPEG, whose artefacts
+/// move with the image, unless it halves the frame rate, as it does over USB 2.
 ///
 /// # Errors
-/// Where no mode has the wished format and size; says which there are.
+/// If no mode has the requested format and size; the message lists the available ones.
 pub fn choose(modes: &[Mode], wish: &ModeWish) -> Result<Mode> {
     let fits = |mode: &&Mode| {
         wish.format.is_none_or(|format| mode.format == format)
@@ -158,7 +161,8 @@ pub fn choose(modes: &[Mode], wish: &ModeWish) -> Result<Mode> {
     })
 }
 
-/// The sizes that stand for a range of sizes a driver can do in steps: common ones within it, and its ends.
+/// Representative sizes of a range that a driver supports in steps: common sizes within it, and its
+/// two ends.
 pub fn sizes_in_range(least: (u32, u32), most: (u32, u32), step: (u32, u32)) -> Vec<(u32, u32)> {
     const COMMON: [(u32, u32); 6] =
         [(320, 240), (640, 480), (800, 600), (1280, 720), (1280, 960), (1920, 1080)];
@@ -185,7 +189,7 @@ mod tests {
         Mode { format, fourcc: *fourcc, width, height, rate: Some((rate, 1)) }
     }
 
-    /// The answers of a common USB 2 camera: large pictures only come fast as JPEG.
+    /// The modes of a common USB 2 camera, which delivers large images fast only as JPEG.
     fn usb_camera() -> Vec<Mode> {
         vec![
             mode(b"MJPG", 1920, 1080, 30),
@@ -203,10 +207,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wished_is_had_and_the_rest_is_sensible() {
+    fn requested_modes_are_kept_and_defaults_fill_the_rest() {
         let wish = ModeWish::default();
         assert_eq!(chosen(wish), "640x480 yuyv at 30 frames/s");
-        // Uncompressed only where it does not cost the rate.
+        // Uncompressed only if it does not reduce the frame rate.
         assert_eq!(chosen(ModeWish { size: Some((1280, 720)), ..wish }), "1280x720 mjpeg at 30 frames/s");
         assert_eq!(
             chosen(ModeWish { size: Some((1280, 720)), frames_per_second: Some(10.0), ..wish }),
@@ -223,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_of_sizes_is_its_common_ones() {
+    fn a_size_range_is_sampled_at_common_sizes() {
         assert_eq!(
             sizes_in_range((16, 16), (1600, 1200), (16, 8)),
             [(16, 16), (320, 240), (640, 480), (800, 600), (1280, 720), (1280, 960), (1600, 1200)]

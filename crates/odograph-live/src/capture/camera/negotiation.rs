@@ -1,41 +1,42 @@
-//! What is asked of a camera's driver, and what is made of its answers.
+//! Negotiation of the operating mode with a camera's driver.
 //!
-//! The answers come through [`Driver`], which is V4L2's calls and no more, so that tests can hold all this against what real cameras answered.
+//! The driver is accessed through [`Driver`], which mirrors the V4L2 calls, so that tests can
+//! replay the recorded answers of real cameras.
 
 use super::{Mode, ModeWish, PixelFormat, choose, sizes_in_range};
 use odograph::error::{Error, Result};
 use std::io;
 use std::path::Path;
 
-/// The sizes of pictures in a format, pixels (`VIDIOC_ENUM_FRAMESIZES`).
+/// Image sizes of a format, pixels (`VIDIOC_ENUM_FRAMESIZES`).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Sizes {
-    /// These.
+    /// A list of sizes.
     Listed(Vec<(u32, u32)>),
-    /// Everything from `least` to `most` in steps.
+    /// All sizes from `least` to `most` in steps of `step`.
     Range { least: (u32, u32), most: (u32, u32), step: (u32, u32) },
 }
 
-/// The times between two pictures in a format and size, seconds as fractions (`VIDIOC_ENUM_FRAMEINTERVALS`).
+/// Frame intervals of a format and size, seconds as fractions (`VIDIOC_ENUM_FRAMEINTERVALS`).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Intervals {
-    /// These.
+    /// A list of intervals.
     Listed(Vec<(u32, u32)>),
-    /// Everything in between.
+    /// All intervals from `shortest` to `longest`.
     Range { shortest: (u32, u32), longest: (u32, u32) },
 }
 
-/// What a driver has agreed to (`VIDIOC_S_FMT`): it may be something else than was asked for.
+/// The format that a driver has set (`VIDIOC_S_FMT`); it may differ from the requested one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Given {
     pub fourcc: [u8; 4],
     pub width: u32,
     pub height: u32,
-    /// From one row to the next; 0 where pictures are compressed.
+    /// Row stride, bytes; 0 for compressed formats.
     pub bytes_per_line: u32,
 }
 
-/// The controls that matter here.
+/// The controls used here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Control {
     /// `V4L2_CID_EXPOSURE_AUTO`.
@@ -51,18 +52,18 @@ const EXPOSURE_MANUAL: i32 = 1;
 
 /// A camera's driver.
 pub trait Driver {
-    /// The four letters of each format it has, also of those that are not read here.
+    /// FourCCs of all formats, including those that are not supported here.
     fn formats(&self) -> Vec<[u8; 4]>;
     fn sizes(&self, fourcc: [u8; 4]) -> io::Result<Sizes>;
     fn intervals(&self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<Intervals>;
     fn set_format(&mut self, fourcc: [u8; 4], size: (u32, u32)) -> io::Result<Given>;
-    /// Sets the time between two pictures, seconds as a fraction; gives the one that it took.
+    /// Sets the frame interval, seconds as a fraction, and returns the one that the driver set.
     fn set_interval(&mut self, seconds: (u32, u32)) -> io::Result<(u32, u32)>;
     fn control(&self, control: Control) -> io::Result<i32>;
     fn set_control(&mut self, control: Control, value: i32) -> io::Result<()>;
 }
 
-/// Everything a camera can do in formats that are read here, each once.
+/// All modes of a camera in supported formats, without duplicates.
 pub fn modes(driver: &dyn Driver) -> Vec<Mode> {
     let mut modes: Vec<Mode> = Vec::new();
     for fourcc in driver.formats() {
@@ -77,7 +78,7 @@ pub fn modes(driver: &dyn Driver) -> Vec<Mode> {
                 Ok(Intervals::Listed(intervals)) => {
                     intervals.into_iter().map(|interval| Some(rate(interval))).collect()
                 }
-                // Anything in between can be asked for.
+                // Any interval of the range can be requested.
                 Ok(Intervals::Range { shortest, longest }) => {
                     vec![Some(rate(shortest)), Some((30, 1)), Some(rate(longest))]
                 }
@@ -85,7 +86,8 @@ pub fn modes(driver: &dyn Driver) -> Vec<Mode> {
             };
             for rate in rates {
                 let mode = Mode { format, fourcc, width, height, rate };
-                // Cameras tell their best size twice, as the standard for USB cameras wants it.
+                // Cameras list their preferred size twice, as the USB video class specification
+                // requires.
                 if !modes.contains(&mode) {
                     modes.push(mode);
                 }
@@ -95,24 +97,24 @@ pub fn modes(driver: &dyn Driver) -> Vec<Mode> {
     modes
 }
 
-/// Frames a second as a fraction, from the time between two.
+/// Converts a frame interval into a frame rate; both are fractions.
 fn rate((seconds, parts): (u32, u32)) -> (u32, u32) {
     (parts, seconds)
 }
 
-/// How a camera works from now on.
+/// Result of the negotiation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Agreed {
     pub mode: Mode,
-    /// From one row to the next; 0 where pictures are compressed.
+    /// Row stride, bytes; 0 for compressed formats.
     pub bytes_per_line: usize,
     pub warnings: Vec<String>,
 }
 
-/// Sets a camera up in the mode that fits a wish best.
+/// Sets a camera to the mode that fits a request best.
 ///
 /// # Errors
-/// Where it has no such mode, or does not keep to what it says that it has.
+/// If it has no such mode, or the driver sets another mode than it listed.
 pub fn set_up(driver: &mut dyn Driver, wish: &ModeWish, path: &Path) -> Result<Agreed> {
     let wished = choose(&modes(driver), wish).map_err(|error| error.at(path.display()))?;
     let given = driver
@@ -130,7 +132,7 @@ pub fn set_up(driver: &mut dyn Driver, wish: &ModeWish, path: &Path) -> Result<A
     }
     let bytes_per_line = match mode.format {
         PixelFormat::Jpeg => 0,
-        // Some drivers leave it out where rows follow each other without a gap.
+        // Some drivers report 0 for rows without padding.
         PixelFormat::Gray => given.bytes_per_line.max(mode.width),
         PixelFormat::Yuyv => given.bytes_per_line.max(2 * mode.width),
     } as usize;
@@ -150,7 +152,8 @@ impl Agreed {
                 let wished = self.mode.frames_per_second();
                 self.mode.rate = Some(rate(taken));
                 let got = self.mode.frames_per_second();
-                // Drivers count in units of 100 ns: 29.97 for 30 is what was asked for.
+                // Drivers count in units of 100 ns; a difference of up to 2 %, as 29.97 for 30,
+                // counts as equal.
                 let same = wished.zip(got).is_some_and(|(wished, got)| (got - wished).abs() <= 0.02 * wished);
                 if !same {
                     let told = got.map_or("another rate".to_owned(), |got| format!("{got:.1} frames/s"));
@@ -166,9 +169,9 @@ impl Agreed {
     }
 }
 
-/// A sentence of what a camera does not do, and what the system says why.
+/// The message for a failed operation, with the system's reason.
 pub fn told(path: &Path, what: &str, error: &io::Error) -> Error {
-    // EBUSY and EACCES, the two that a person can do something about.
+    // EBUSY and EACCES, the two errors that the user can resolve.
     let why = match error.raw_os_error() {
         Some(16) => "it is in use by another program".to_owned(),
         Some(13) => "it may not be opened by you (the group `video` mostly may)".to_owned(),
@@ -177,13 +180,14 @@ pub fn told(path: &Path, what: &str, error: &io::Error) -> Error {
     Error::input(format!("{} {what}: {why}", path.display()))
 }
 
-/// Holds the exposure and white balance where the camera's automatics have brought them: what changes them changes every corner's look, and
-/// long exposures blur.
+/// Fixes exposure and white balance at the values of the automatic control. Changes of either alter
+/// the appearance of every corner, and long exposures blur the image.
 ///
 /// # Errors
-/// Where the exposure is not one that can be held. A white balance that cannot be held is none: nothing is lost without.
+/// If the exposure cannot be fixed. A white balance that cannot be fixed is ignored, as the cost is
+/// small.
 pub fn hold_exposure(driver: &mut dyn Driver) -> io::Result<()> {
-    // Read before: some cameras go back to another exposure with the switch to manual.
+    // Read first: some cameras change the exposure when switched to manual.
     let found = driver.control(Control::Exposure);
     driver.set_control(Control::ExposureAuto, EXPOSURE_MANUAL)?;
     if let Ok(found) = found {

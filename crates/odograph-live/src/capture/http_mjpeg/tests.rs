@@ -16,7 +16,7 @@ fn part(body: &[u8]) -> Vec<u8> {
 
 const HEAD: &str = "HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=--b\r\n";
 
-/// A camera that answers each connection with the next of these, then closes; gives its address.
+/// A camera that sends one of `answers` per connection and then closes it. Returns its address.
 fn camera(answers: Vec<Vec<u8>>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -36,10 +36,10 @@ fn camera(answers: Vec<Vec<u8>>) -> String {
 }
 
 #[test]
-fn a_camera_that_goes_away_and_comes_back_is_followed_and_said() {
+fn a_lost_camera_is_reconnected_and_reported() {
     let first =
         [format!("{HEAD}\r\n").into_bytes(), part(&jpeg(50)), part(b"no picture"), part(&jpeg(90))].concat();
-    // The second time it sends chunks, as some do, cut anywhere.
+    // The second response uses chunked coding, with chunk borders anywhere in the data.
     let parts = [part(&jpeg(130)), part(&jpeg(170))].concat();
     let chunks: Vec<u8> = parts
         .chunks(100)
@@ -54,14 +54,14 @@ fn a_camera_that_goes_away_and_comes_back_is_followed_and_said() {
     let mut times = Vec::new();
     for (number, shade) in [50, 90, 130, 170].into_iter().enumerate() {
         let frame = source.next_frame().unwrap().unwrap().frame;
-        // A flat picture survives JPEG within a step of its quantisation.
+        // A uniform image survives JPEG within one quantisation step.
         assert!(frame.gray.samples()[0].abs_diff(shade) <= 2);
         assert_eq!(frame.number, number as u64);
         times.push(frame.time_s);
     }
     assert!(times.is_sorted_by(|a, b| a < b));
     assert_eq!((watch.reconnects(), watch.waiting()), (1, None));
-    // It closes again and does not come back: its port is gone with it.
+    // The camera closes the connection again, and its port with it.
     let error = source.next_frame().unwrap_err().to_string();
     assert!(error.contains("went away") && error.contains("did not come back"), "{error}");
     assert!(watch.waiting().unwrap().contains("is gone"));
@@ -69,7 +69,7 @@ fn a_camera_that_goes_away_and_comes_back_is_followed_and_said() {
 }
 
 #[test]
-fn what_is_no_such_camera_is_told_in_a_sentence() {
+fn other_servers_are_refused_with_a_clear_message() {
     let refused = |answer: &str| {
         let address = camera(vec![answer.as_bytes().to_vec()]);
         HttpMjpeg::open(&address, Duration::ZERO, Watch::default()).unwrap_err().to_string()

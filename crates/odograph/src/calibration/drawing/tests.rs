@@ -18,24 +18,25 @@ const BOARDS: [&str; 6] = [
 ];
 
 #[test]
-fn a_chessboard_begins_black_and_has_a_square_more_than_corners() {
+fn chessboard_starts_black_and_has_one_square_more_than_corners() {
     let drawing = drawing("chessboard:9x6:25mm");
     assert!((drawing.pattern().width_m() - 0.25).abs() < 1e-12);
     assert!((drawing.pattern().height_m() - 0.175).abs() < 1e-12);
-    // The first corner is the origin: black above left of it and below right, white beside.
+    // The origin is the first corner: black at its upper left and lower right, white at the other
+    // two.
     assert!(black_at(&drawing, -1.0, -1.0) && black_at(&drawing, 1.0, 1.0));
     assert!(!black_at(&drawing, 1.0, -1.0) && !black_at(&drawing, -1.0, 1.0));
     assert!(!black_at(&drawing, -26.0, -1.0) && !black_at(&drawing, 226.0, 10.0));
 }
 
 #[test]
-fn the_shapes_are_exactly_what_is_black() {
+fn shapes_cover_exactly_the_black_area() {
     for text in BOARDS {
         let drawing = drawing(text);
         let shapes = drawing.shapes();
         let sheet = drawing.sheet();
         for i in 0..5000 {
-            // A rank-one lattice over the sheet.
+            // A rank-1 lattice of sample points over the sheet.
             let (u, v) = (f64::from(i) / 5000.0, (f64::from(i) * 0.618_033_988_7).fract());
             let point = BoardPoint {
                 x_m: sheet.from.x_m + u * sheet.width_m(),
@@ -62,8 +63,8 @@ fn the_shapes_are_exactly_what_is_black() {
 }
 
 #[test]
-fn markers_of_a_charuco_board_are_numbered_row_after_row() {
-    // 1 mm cells: squares of 8 mm, markers of 6 cells, margins of 1 mm.
+fn charuco_markers_are_numbered_in_row_major_order() {
+    // With cells of 1 mm: squares of 8 mm, markers of 6 cells, margins of 1 mm.
     let drawing = drawing("charuco:5x4:8mm:6mm:4x4_50");
     let marker_at = |column: usize, row: usize| {
         let (left, top) = (8.0 * column as f64 - 8.0 + 2.5, 8.0 * row as f64 - 8.0 + 2.5);
@@ -79,7 +80,7 @@ fn markers_of_a_charuco_board_are_numbered_row_after_row() {
 }
 
 #[test]
-fn tags_of_an_april_grid_are_numbered_from_the_bottom_left_and_upright_as_published() {
+fn aprilgrid_tags_match_kalibr_in_numbering_and_orientation() {
     let drawing = drawing("aprilgrid:3x2:10mm:4mm");
     let tag_at = |column: usize, row: usize| {
         let (left, top) = (14.0 * column as f64 + 2.5, 14.0 * row as f64 + 2.5);
@@ -88,16 +89,16 @@ fn tags_of_an_april_grid_are_numbered_from_the_bottom_left_and_upright_as_publis
             bits << 1 | u64::from(white)
         })
     };
-    // The first code of the family and its fourth, as published.
+    // The first and the fourth code of the family as published.
     assert_eq!(tag_at(0, 1), 0xd_5d62_8584);
     assert_eq!(tag_at(0, 0), 0xe_479e_9c98);
-    // Border of two cells; squares in the corners, also outside; white gaps.
+    // A border of two cells; black squares at the corners, also at the outer ones; white gaps.
     assert!(black_at(&drawing, 1.5, 5.0) && black_at(&drawing, -2.0, -2.0) && black_at(&drawing, 40.0, 26.0));
     assert!(!black_at(&drawing, -2.0, 5.0) && !black_at(&drawing, 12.0, 5.0));
 }
 
 #[test]
-fn discs_are_at_the_boards_points() {
+fn discs_are_centred_on_the_board_points() {
     for text in ["circles:5x4:20mm", "asymmetric-circles:4x5:20mm"] {
         let board: Board = text.parse().unwrap();
         let drawing = Drawing::new(&board);

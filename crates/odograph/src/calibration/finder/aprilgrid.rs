@@ -1,16 +1,18 @@
-//! Kalibr's grids of AprilTags.
+//! Kalibr's AprilGrid boards.
 
 use super::markers::{Codes, Layout};
 use super::tagged::TaggedBoard;
 use crate::calibration::{Board, BoardKind, Dictionary, Drawing};
 
-/// The windows of the threshold, in tiles of 4 pixels around the middle one, and how far below the mean it lies, in standard deviations:
-/// far, where tags must come apart from the squares that touch them.
+/// Windows of the adaptive threshold: radius in tiles of 4 pixels, and offset below the local mean
+/// in standard deviations. The offset is large because tags must be separated from the squares that
+/// touch them.
 const WINDOWS: [(usize, f64); 2] = [(2, 0.7), (2, 0.35)];
 
-/// The board as Kalibr's `kalibr_create_target_pdf` draws it: tag 0 at the bottom left, a black border of two bits, the first bit of the
-/// published code at the top left of each tag, and a black square at each corner of each tag. Tags with the border of one bit that other
-/// programs print are read too. `None` for other boards.
+/// The board as drawn by Kalibr's `kalibr_create_target_pdf`: tag 0 at the bottom left, a black
+/// border of two bits, the first bit of the published code at the top left of each tag, and a black
+/// square at each corner of each tag. Tags with a border of one bit, as printed by other programs,
+/// are decoded too. `None` for other kinds of boards.
 pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
     let BoardKind::AprilGrid { tag_m } = board.kind() else { return None };
     let dictionary = Dictionary::AprilTag36h11;
@@ -27,7 +29,7 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         let (x, y) = (id % columns, rows - 1 - id / columns);
         marker_in_cell[y * columns + x] = Some(id);
         cell_of_marker.push((x, y));
-        // OpenCV's bits, which the dictionary holds, are turned by half a turn.
+        // The dictionary has OpenCV's orientation, rotated by 180°.
         bits.push(dictionary.turned(dictionary.marker(id)?, 2));
         let (left, top) = (x as f64 * spacing_m, y as f64 * spacing_m);
         corners_of_marker.push([
@@ -56,7 +58,8 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         corners_of_marker,
         markers_of_point,
         points_of_marker,
-        // The tag is to the lower right of its upper left corner, and a square to the upper left; and so on around.
+        // At the upper left corner of a tag, the tag is at the lower right and a black square at
+        // the upper left. The polarity alternates from point to point.
         black_upper_left: (0..grid.0 * grid.1).map(|i| (i % grid.0 + i / grid.0).is_multiple_of(2)).collect(),
         codes: Codes::new(&bits, layouts, gap_m / tag_m, &WINDOWS),
         plain_m: gap_m.min(0.125 * tag_m),

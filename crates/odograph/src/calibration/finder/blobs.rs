@@ -1,43 +1,47 @@
-//! Dark elliptic spots.
+//! Detection of dark elliptical blobs.
 
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 
-/// A dark spot that fills an ellipse.
+/// A dark elliptical blob.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Blob {
-    /// Its centroid.
+    /// Centroid.
     pub pixel: Pixel,
-    /// The symmetric matrix `[a, b, c]` of the ellipse `a x² + 2 b x y + c y² = 1` about the centroid.
+    /// The symmetric matrix `[a, b, c]` of the ellipse `a x² + 2 b x y + c y² = 1` relative to the
+    /// centroid.
     pub shape: [f64; 3],
     /// Semi-axes, the longer one first, pixels.
     pub axes_px: (f64, f64),
 }
 
-/// Smaller spots are noise, pixels.
+/// Minimum area, pixels; smaller blobs are noise.
 const LEAST_AREA: usize = 12;
-/// A disc seen more obliquely than this is not told from a stroke.
+/// Maximum ratio of the axes; beyond it, a disc is indistinguishable from a stroke.
 const MOST_ELONGATION: f64 = 5.0;
-/// How far the area may be from that of the ellipse with the same second moments. The rim of a spot of 12 pixels is ragged.
+/// Maximum relative difference between the area and that of the ellipse with the same second
+/// moments. The rim of a blob of 12 pixels is ragged.
 const MOST_UNLIKE: f64 = 0.12;
-/// How much darker than its surroundings a pixel must be, gray levels.
+/// Minimum difference between a pixel and the local mean, gray levels.
 const LEAST_CONTRAST: u32 = 8;
 
-/// Dark elliptic spots, those darker than the mean over a square of `window_px` around them: the `most` largest, largest first.
+/// The `most` largest dark elliptical blobs, largest first. A pixel is dark if it is below the mean
+/// of a square window of `window_px`.
 pub(super) fn blobs(image: &GrayImage, window_px: usize, most: usize) -> Vec<Blob> {
     let dark = darker_than_around(image, window_px);
     let mut found: Vec<(usize, Blob)> = components(&dark, image.width(), image.height());
-    // Components come in reading order of their first pixel, and the sort is stable.
+    // The sort is stable and components are in reading order, so the result is deterministic.
     found.sort_by_key(|(area, _)| std::cmp::Reverse(*area));
     found.truncate(most);
     found.into_iter().map(|(_, blob)| blob).collect()
 }
 
-/// Whether each pixel is darker than the mean around it.
+/// Adaptive threshold: whether each pixel is darker than the local mean.
 fn darker_than_around(image: &GrayImage, window_px: usize) -> Vec<bool> {
     let (width, height) = (image.width(), image.height());
     let radius = window_px / 2;
-    // Sums of the columns within the window, moved down row by row, and their running sum along the row.
+    // Column sums over the rows of the window, updated row by row, and their running sum along the
+    // row.
     let mut columns = vec![0u32; width];
     let mut dark = vec![false; width * height];
     for row in 0..radius.min(height) {
@@ -73,7 +77,7 @@ fn darker_than_around(image: &GrayImage, window_px: usize) -> Vec<bool> {
     dark
 }
 
-/// Area and moments of connected pixels.
+/// Area and moments of a connected component.
 #[derive(Debug, Clone, Copy, Default)]
 struct Moments {
     count: f64,
@@ -96,7 +100,7 @@ impl Moments {
         self.at_border |= other.at_border;
     }
 
-    /// Of the pixels `from..to` of a row.
+    /// Moments of the run of pixels `from..to` in a row.
     fn of_run(from: usize, to: usize, y: usize, (width, height): (usize, usize)) -> Self {
         let (first, last, y_px) = (from as f64, to as f64 - 1.0, y as f64);
         let count = (to - from) as f64;
@@ -118,7 +122,7 @@ impl Moments {
             return None;
         }
         let (x, y) = (self.x / self.count, self.y / self.count);
-        // A pixel is a square with a second moment of 1/12 of its own.
+        // A square pixel has a second moment of 1/12 about its own centre.
         let xx = self.xx / self.count - x * x + 1.0 / 12.0;
         let yy = self.yy / self.count - y * y + 1.0 / 12.0;
         let xy = self.xy / self.count - x * y;
@@ -126,7 +130,8 @@ impl Moments {
         if determinant <= 0.0 {
             return None;
         }
-        // A filled ellipse with semi-axes p and q has second moments p²/4 and q²/4 and the area π p q.
+        // A filled ellipse with semi-axes p and q has second moments p²/4 and q²/4 and the area π p
+        // q.
         let area = 4.0 * std::f64::consts::PI * determinant.sqrt();
         let (mean, spread) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
         let axes_px = (2.0 * (mean + spread).sqrt(), 2.0 * (mean - spread).max(0.0).sqrt());
@@ -138,7 +143,7 @@ impl Moments {
     }
 }
 
-/// The elliptic ones of the 8-connected components, joined run by run (union–find).
+/// The elliptical ones of the 8-connected components, by union–find over runs.
 fn components(dark: &[bool], width: usize, height: usize) -> Vec<(usize, Blob)> {
     let mut moments: Vec<Moments> = Vec::new();
     let mut parent: Vec<u32> = Vec::new();
@@ -149,7 +154,7 @@ fn components(dark: &[bool], width: usize, height: usize) -> Vec<(usize, Blob)> 
         }
         at
     }
-    // Runs of the row above and of this one: from, to, component.
+    // Runs of the previous and of the current row: start, end, component.
     type Run = (usize, usize, u32);
     let (mut above, mut here): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
     for y in 0..height {

@@ -1,15 +1,16 @@
-//! ChArUco boards: chessboards whose white squares hold markers.
+//! ChArUco boards: chessboards with markers in the white squares.
 
 use super::markers::{Codes, Layout};
 use super::tagged::TaggedBoard;
 use crate::calibration::{Board, BoardKind, Drawing};
 
-/// The windows of the threshold, in tiles of 4 pixels around the middle one, and how far below the mean it lies, in standard deviations.
-/// The small window parts small markers from the squares around them.
+/// Windows of the adaptive threshold: radius in tiles of 4 pixels, and offset below the local mean
+/// in standard deviations. The small window separates small markers from the squares around them.
 const WINDOWS: [(usize, f64); 2] = [(2, 0.3), (1, 0.1)];
 
-/// The board with its markers laid out as OpenCV does since 4.6: the square at the top left is black, and markers are counted row after row
-/// over the white squares. `None` for other boards.
+/// The board with the marker layout of OpenCV 4.6 and later: the square at the top left is black,
+/// and markers are numbered in row-major order over the white squares. `None` for other kinds of
+/// boards.
 pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
     let BoardKind::Charuco { marker_m, dictionary } = board.kind() else { return None };
     let (columns, rows) = (board.columns(), board.rows());
@@ -28,7 +29,8 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
             marker_in_cell[y * columns + x] = Some(id);
             cell_of_marker.push((x, y));
             bits.push(dictionary.marker(id)?);
-            // The origin is the first inner corner, one square right and below the board's corner.
+            // The origin is the first inner corner, one square right of and below the corner of the
+            // board.
             let left = (x as f64 - 1.0) * spacing_m + gap_m;
             let top = (y as f64 - 1.0) * spacing_m + gap_m;
             corners_of_marker.push([

@@ -1,7 +1,8 @@
-//! Whole chessboards.
+//! Detection of complete chessboards.
 //!
-//! From coarse to fine and back: most boards are found in the image of half the size, at a quarter of the cost; boards of small squares
-//! need the full image, blurred ones a smaller one. Whatever the level, the corners are then fitted in the full image.
+//! The detection runs on the levels of an image pyramid. Most boards are detected at half the
+//! resolution for a quarter of the cost. Boards with small squares need the full resolution,
+//! blurred ones a lower one. The corners are always refined at full resolution.
 
 use super::completion::complete;
 use super::lattice::{Corner, Lattice, extent, lattices, nearest_edge};
@@ -12,24 +13,27 @@ use crate::geometry::Pixel;
 use crate::image::{GrayImage, Pyramid};
 use crate::numerics::median;
 
-/// More corners than this, and as many again as the board has eightfold, are not looked at: noise and gravel have any number.
+/// Maximum number of corner candidates, in addition to eight times the corners of the board; noise
+/// and texture produce any number.
 const MOST_PEAKS: usize = 1500;
-/// Radius of the circle on which a corner's edges are read, pixels of the level.
+/// Radius of the circle for the edges of a corner, pixels of the pyramid level.
 pub(super) const RING_PX: f64 = 4.0;
-/// From this many pixels along its longer side, an image is first tried at half its size.
+/// Images with a longer side of at least this many pixels are first searched at half the
+/// resolution.
 const LARGE_PX: usize = 800;
-/// Blur, in standard deviations, that makes corners too uncertain: pixels, and part of a square's side. Within a quarter of the side, what
-/// is beyond the next corner is seen as well.
+/// Maximum blur (standard deviation) for accurate corners, in pixels and as a share of the side of
+/// a square. From about a quarter of the side on, the next corner affects the fit.
 const MOST_BLUR_PX: f64 = 6.0;
 const MOST_BLUR_OF_SIDE: f64 = 0.22;
-/// Half the window of the fit: part of the distance to the nearest corner, and at most so many pixels, for lenses bend edges.
+/// Half window of the corner fit as a share of the distance to the nearest corner, and its maximum
+/// in pixels, because lens distortion bends edges.
 const WINDOW_OF_SIDE: f64 = 0.45;
 const LARGEST_WINDOW_PX: f64 = 10.0;
 
-/// The corners of a few squares say nothing about a board.
+/// Minimum number of corners for a statement about a board; smaller lattices occur by chance.
 const LEAST_PART: usize = 6;
 
-/// Finds a whole chessboard.
+/// Detects a complete chessboard.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
     let wanted = (board.columns(), board.rows());
     let pyramid = Pyramid::new(image.clone(), 4);
@@ -62,10 +66,10 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
     Err(best)
 }
 
-/// How much of a board a reason tells of: the one that tells most is the one to be told.
+/// Rank of a failure reason by the number of detected corners; the highest one is reported.
 fn seen(why: &NotFound) -> usize {
     match *why {
-        // A board that is too blurred for its whole is told by a sharper part.
+        // Below the rank of a larger partial board that is sharp.
         NotFound::Blurred => LEAST_PART,
         NotFound::OtherSize { seen, .. } => seen.0 * seen.1,
         NotFound::Partial { points, .. } => points,
@@ -73,7 +77,7 @@ fn seen(why: &NotFound) -> usize {
     }
 }
 
-/// The corners of one level that look like corners of squares, strongest first, each once.
+/// Chessboard corners of one level, strongest first, without duplicates.
 pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> {
     let mut corners: Vec<Corner> = Vec::new();
     for peak in response::peaks(image, most) {
@@ -84,7 +88,7 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> 
         let Some(corner) = corner else { continue };
         corners.push(corner);
     }
-    // Two peaks may have come to the same corner.
+    // Two response peaks may converge to the same corner.
     let mut by_row: Vec<usize> = (0..corners.len()).collect();
     by_row.sort_by(|&a, &b| corners[a].pixel.y.total_cmp(&corners[b].pixel.y).then(a.cmp(&b)));
     let mut twice = vec![false; corners.len()];
@@ -103,22 +107,24 @@ pub(super) fn corners_of_squares(image: &GrayImage, most: usize) -> Vec<Corner> 
     corners
 }
 
-/// The board's corners in the order of its points, found in one level of the pyramid.
+/// The corners of the board in the order of its points, detected on one pyramid level.
 fn find_in_level(image: &GrayImage, wanted: (usize, usize), scale: f64) -> Result<Vec<Corner>, NotFound> {
     let corners = corners_of_squares(image, MOST_PEAKS + 8 * wanted.0 * wanted.1);
     let mut best = NotFound::NoCorners;
     for seen_lattice in lattices(image, &corners).into_iter().take(4) {
         let mut lattice = seen_lattice.clone();
-        // Also where it is whole: the board seen may be a larger one.
+        // A complete lattice is extended too: the visible board may be larger than the expected
+        // one.
         complete(image, &mut lattice);
         if let Some(found) = whole_within(&lattice, wanted) {
             return Ok(in_order(&found, wanted));
         }
-        // What was seen at once tells the size better than what was looked for beyond it.
+        // A lattice that is complete without extrapolation is the more reliable evidence of the
+        // board's size.
         let lattice =
             if is_rectangle(&seen_lattice) { seen_lattice } else { without_stray_lines(lattice, wanted) };
         let spans = spans(&lattice);
-        // Named the way round that is nearer to what was said.
+        // Report the size in the orientation that is closer to the expected one.
         let as_said = spans.0.abs_diff(wanted.0) + spans.1.abs_diff(wanted.1)
             <= spans.1.abs_diff(wanted.0) + spans.0.abs_diff(wanted.1);
         let spans = if as_said { spans } else { (spans.1, spans.0) };
@@ -139,7 +145,7 @@ fn find_in_level(image: &GrayImage, wanted: (usize, usize), scale: f64) -> Resul
     Err(best)
 }
 
-/// Columns and rows that a lattice reaches over.
+/// Number of columns and rows spanned by a lattice.
 fn spans(lattice: &Lattice) -> (usize, usize) {
     let ((left, right), (top, bottom)) = extent(lattice);
     ((right - left + 1) as usize, (bottom - top + 1) as usize)
@@ -151,13 +157,13 @@ fn is_rectangle(lattice: &Lattice) -> bool {
     lattice.len() == width * height
 }
 
-/// Whether a lattice has exactly the wanted corners, one way round or the other.
+/// Whether a lattice has exactly the wanted size, in either orientation.
 fn is_whole(lattice: &Lattice, wanted: (usize, usize)) -> bool {
     let spans = spans(lattice);
     is_rectangle(lattice) && (spans == wanted || spans == (wanted.1, wanted.0))
 }
 
-/// The lattice, less outer lines that are hardly there, if that is exactly the wanted one.
+/// The lattice without sparse outer lines, if the result has exactly the wanted size.
 fn whole_within(lattice: &Lattice, wanted: (usize, usize)) -> Option<Lattice> {
     let mut lattice = lattice.clone();
     while !is_whole(&lattice, wanted) {
@@ -168,8 +174,8 @@ fn whole_within(lattice: &Lattice, wanted: (usize, usize)) -> Option<Lattice> {
     Some(lattice)
 }
 
-/// The lattice less all outer lines that are hardly there. Where it is not a part of the wanted board, less all lines that are not whole, if that leaves
-/// most of it.
+/// Removes sparse outer lines from a lattice. If the result does not have the wanted size,
+/// incomplete outer lines are removed too, provided that most of the lattice remains.
 fn without_stray_lines(mut lattice: Lattice, wanted: (usize, usize)) -> Lattice {
     while !is_rectangle(&lattice) && drop_stray_line(&mut lattice, 0.5) {}
     let spans = spans(&lattice);
@@ -181,9 +187,11 @@ fn without_stray_lines(mut lattice: Lattice, wanted: (usize, usize)) -> Lattice 
     if is_rectangle(&whole) && 4 * whole.len() > 3 * lattice.len() { whole } else { lattice }
 }
 
-/// Takes the emptiest outer line away if no more than this part of it is there.
+/// Removes the sparsest outer line if its share of present corners is at most `most`. Returns
+/// whether a line was removed.
 ///
-/// Shadows, frames and reflections make corners in line with a board's; they do not make whole lines of them.
+/// Shadows, frames and reflections produce corners in line with those of a board, but no complete
+/// lines.
 fn drop_stray_line(lattice: &mut Lattice, most: f64) -> bool {
     let ((left, right), (top, bottom)) = extent(lattice);
     let (width, height) = (f64::from(right - left + 1), f64::from(bottom - top + 1));
@@ -203,12 +211,13 @@ fn drop_stray_line(lattice: &mut Lattice, most: f64) -> bool {
     }
 }
 
-/// The corners of a whole lattice in the order of the board's points; see [`super::BoardFinder::find`].
+/// The corners of a complete lattice in the order of the board's points; see
+/// [`super::BoardFinder::find`].
 fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
     let ((left, right), (top, bottom)) = extent(lattice);
     let (columns, rows) = (wanted.0 as i32, wanted.1 as i32);
     let spans = (right - left + 1, bottom - top + 1);
-    // Four ways to turn a grid: its first corner, and the steps along rows and columns.
+    // The four rotations of a grid: its first corner, and the steps along rows and columns.
     let turns = [
         ((left, top), (1, 0), (0, 1)),
         ((right, top), (0, 1), (-1, 0)),
@@ -238,7 +247,8 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
             corners[corners.len() - columns as usize].pixel,
         );
         let step = |to: Pixel| (to.x - origin.pixel.x, to.y - origin.pixel.y);
-        // The square outside the first corner is across from the one between its edges along the row and down the column.
+        // The outer square at the first corner is opposite to the one between the edges along the
+        // first row and the first column.
         let next = corners[1].pixel;
         let direction = (next.y - origin.pixel.y).atan2(next.x - origin.pixel.x);
         let black = !origin.ring.white_after(nearest_edge(&origin.ring, direction).0);
@@ -246,7 +256,7 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
             let (row, column) = (step(right), step(below));
             row.0 / row.0.hypot(row.1).max(1e-9) + column.1 / column.0.hypot(column.1).max(1e-9)
         };
-        // A black corner square decides before anything else; either number is at most 2.
+        // A black corner square takes precedence over the orientation, whose rank is at most 2.
         let rank = if black { 10.0 + upright } else { upright };
         if best.as_ref().is_none_or(|(found, _)| rank > *found) {
             best = Some((rank, corners));
@@ -255,7 +265,8 @@ fn in_order(lattice: &Lattice, wanted: (usize, usize)) -> Vec<Corner> {
     best.map(|(_, corners)| corners).unwrap_or_default()
 }
 
-/// Fits every corner in the full image; `scale` is how coarsely they are known, pixels.
+/// Refines every corner at full resolution; `scale` is the pixel size of the pyramid level on which
+/// the corners were detected.
 fn refine(
     image: &GrayImage,
     corners: &[Pixel],
@@ -281,7 +292,7 @@ fn refine(
             beside(index + columns);
         }
         let window = (WINDOW_OF_SIDE * side).clamp(2.5, LARGEST_WINDOW_PX.max(3.0 * scale));
-        // The blur is about that of the corner before.
+        // The blur of the previous corner is a good initial value.
         let blur_px = blurs.last().map_or(subpixel::USUAL_BLUR_PX, |blur| blur.0);
         let saddle = subpixel::fit_from(image, corner, window, blur_px).ok_or(NotFound::Blurred)?;
         if saddle.pixel.distance(corner) > 0.3 * side {
@@ -296,7 +307,8 @@ fn refine(
     Ok(points)
 }
 
-/// Whether corners are too blurred, by the median of their blurs in pixels of the full image and in sides of a square.
+/// Whether the median blur of the corners is too large, in pixels at full resolution or as a share
+/// of the side of a square.
 fn is_blurred(blurs: &[(f64, f64)]) -> bool {
     let middle = |value: fn(&(f64, f64)) -> f64| {
         let mut values: Vec<f64> = blurs.iter().map(value).collect();
@@ -305,7 +317,7 @@ fn is_blurred(blurs: &[(f64, f64)]) -> bool {
     middle(|blur| blur.0) > MOST_BLUR_PX || middle(|blur| blur.1) > MOST_BLUR_OF_SIDE
 }
 
-/// Whether the corners of a part of a board, seen in a level of the pyramid, are too blurred.
+/// Whether the corners of a partial board, detected on a pyramid level, are too blurred.
 fn is_lattice_blurred(image: &GrayImage, lattice: &Lattice, scale: f64) -> bool {
     let blurs: Vec<(f64, f64)> = lattice
         .iter()
@@ -313,7 +325,7 @@ fn is_lattice_blurred(image: &GrayImage, lattice: &Lattice, scale: f64) -> bool 
             let next = lattice.get(&(i + 1, j)).or_else(|| lattice.get(&(i - 1, j)))?;
             let side = corner.pixel.distance(next.pixel);
             let window = (WINDOW_OF_SIDE * side).clamp(2.5, LARGEST_WINDOW_PX);
-            // What cannot be fitted is all blur.
+            // A failed fit counts as infinite blur.
             let blur_px = subpixel::fit(image, corner.pixel, window).map_or(f64::INFINITY, |fit| fit.blur_px);
             Some((blur_px * scale, blur_px / side))
         })

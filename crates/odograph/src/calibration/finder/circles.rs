@@ -1,11 +1,13 @@
-//! Whole grids of discs, rectangular and asymmetric.
+//! Detection of complete circle grids, rectangular and asymmetric.
 //!
-//! Dark elliptic spots are joined to lattices from neighbour to neighbour, without a thought which of a lattice's many bases was met;
-//! then the basis is sought in which the lattice is the board's.
+//! Dark elliptical blobs are linked to lattices from neighbour to neighbour, in an arbitrary one of
+//! the lattice's bases. Then a change of basis is searched for that maps the lattice to the board.
 //!
-//! What is measured is the centre of a disc's image. That is not the image of the disc's centre: perspective and lens move it towards the
-//! far side by about r² / (f z) · tan(tilt), some hundredths to tenths of a pixel for large discs seen near and obliquely (J. Heikkilä,
-//! "Geometric camera calibration using circular control points", 2000). A chessboard has no such error; take one where there is a choice.
+//! The detected point is the centre of the disc's image, which is not the image of the disc's
+//! centre (J. Heikkilä, "Geometric camera calibration using circular control points", 2000).
+//! Perspective causes a bias towards the near side of about r² / f · sin(tilt) cos(tilt), with the
+//! image radius r of the disc and the focal length f in pixels: some hundredths to tenths of a
+//! pixel for large, near and oblique discs. Chessboards do not have this bias and are preferable.
 
 use super::blobs::{Blob, blobs};
 use super::{NotFound, disc};
@@ -15,31 +17,34 @@ use crate::image::{GrayImage, Pyramid};
 use crate::numerics::median;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// Spots at the coordinates of some basis of their lattice.
+/// Blob indices by coordinates in some basis of their lattice.
 type Spots = BTreeMap<(i32, i32), usize>;
 
-/// How far a spot may be from where its neighbours say it is, part of the distance to them.
+/// Maximum distance of a blob from its predicted position, as a share of the distance to its
+/// neighbour.
 const STRAY: f64 = 0.25;
-/// By how much the axes of neighbouring spots may differ.
+/// Maximum ratio of the semi-axes of neighbouring blobs.
 const MOST_UNLIKE_SIZES: f64 = 1.7;
-/// Spots that are looked at, beside four times those of the board: gravel has any number.
+/// Maximum number of blobs, in addition to four times those of the board; texture produces any
+/// number.
 const MOST_SPOTS: usize = 1000;
-/// What the model of a disc may leave unexplained, part of the disc's contrast, in the middle of all discs; and how much the contrast
-/// of the faintest may be below that of the strongest. Pebbles and letters are not discs.
+/// Maximum residual of a disc fit relative to its contrast (median over all discs), and minimum
+/// ratio of the lowest to the highest contrast. They reject pebbles and letters.
 const MOST_UNEXPLAINED: f64 = 0.12;
 const LEAST_CONTRAST_RATIO: f64 = 0.25;
-/// Blur of the rim, in standard deviations, that is too much.
+/// Maximum blur of the rim, standard deviation in pixels.
 const MOST_BLUR_PX: f64 = 6.0;
 
-/// Finds a whole grid of discs.
+/// Detects a complete circle grid.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFound> {
     let pyramid = Pyramid::new(image.clone(), 2);
     let mut best = NotFound::NoDiscs;
-    // The larger image is needed for small discs only.
+    // The higher resolution is only needed for small discs.
     for level in (0..pyramid.levels()).rev() {
         let scale = f64::from(1u32 << level);
         let short_side = pyramid.level(level).width().min(pyramid.level(level).height());
-        // Around a disc the mean must be of more than the disc, and of no more than one light.
+        // The window of the local mean must be larger than a disc, but small enough for uniform
+        // illumination.
         for part in [5, 12, 30] {
             let window = short_side / part;
             if window < 5 {
@@ -73,7 +78,7 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<BoardView, NotFou
     Err(best)
 }
 
-/// A spot of a smaller level as it is in the full image.
+/// A blob of a pyramid level, scaled to full resolution.
 fn scaled(blob: &Blob, scale: f64) -> Blob {
     Blob {
         pixel: Pixel::new(blob.pixel.x * scale, blob.pixel.y * scale),
@@ -82,7 +87,7 @@ fn scaled(blob: &Blob, scale: f64) -> Blob {
     }
 }
 
-/// Fits every disc in the full image.
+/// Refines every disc at full resolution.
 fn refine(image: &GrayImage, grid: &[Blob]) -> Result<Vec<SeenPoint>, NotFound> {
     let discs: Vec<disc::Disc> =
         grid.iter().map(|blob| disc::fit(image, blob)).collect::<Option<_>>().ok_or(NotFound::NoDiscs)?;
@@ -104,10 +109,11 @@ fn refine(image: &GrayImage, grid: &[Blob]) -> Result<Vec<SeenPoint>, NotFound> 
     Ok(points.collect())
 }
 
-/// Fewer discs say nothing about a board.
+/// Minimum number of discs for a statement about a board; smaller lattices occur by chance.
 const LEAST_PART: usize = 6;
 
-/// Where the board's points are in coordinates of whole steps: the rectangle, or every second place of it.
+/// Lattice coordinates of the board's points: a rectangle, or every second position of it for the
+/// asymmetric grid.
 fn places_of(board: &Board) -> Vec<(i32, i32)> {
     let (columns, rows) = (board.columns() as i32, board.rows() as i32);
     let asymmetric = board.kind() == BoardKind::AsymmetricCircles;
@@ -115,7 +121,7 @@ fn places_of(board: &Board) -> Vec<(i32, i32)> {
     (0..rows).flat_map(|row| (0..columns).map(move |column| place(column, row))).collect()
 }
 
-/// The board's spots in the order of its points.
+/// The blobs of the board in the order of its points.
 fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
     let places = places_of(board);
     let mut best = NotFound::NoDiscs;
@@ -133,9 +139,9 @@ fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
         }
         let told = match best {
             NotFound::OtherDiscs { seen, .. } => seen,
-            _ => LEAST_PART.max(places.len() / 3), // fewer are anything
+            _ => LEAST_PART.max(places.len() / 3), // smaller ones occur by chance
         };
-        // Pebbles make lattices too, but with more gaps than squares.
+        // Lattices of pebbles have more gaps than complete squares.
         let whole = |&&(i, j): &&(i32, i32)| {
             [(1, 0), (0, 1), (1, 1)].iter().all(|(di, dj)| lattice.contains_key(&(i + di, j + dj)))
         };
@@ -146,13 +152,13 @@ fn in_spots(spots: &Spotted, board: &Board) -> Result<Vec<Blob>, NotFound> {
     Err(best)
 }
 
-/// Whether two spots may be discs of one board beside each other.
+/// Whether two blobs are similar enough in size to be neighbouring discs of one board.
 fn alike(one: &Blob, other: &Blob) -> bool {
     let ratio = |a: f64, b: f64| a.max(b) < MOST_UNLIKE_SIZES * a.min(b);
     ratio(one.axes_px.0, other.axes_px.0) && ratio(one.axes_px.1, other.axes_px.1)
 }
 
-/// Spots, and which of them lie in each cell of the image.
+/// Blobs with a grid of buckets for nearest-neighbour search.
 struct Spotted {
     blobs: Vec<Blob>,
     cells: BTreeMap<(i32, i32), Vec<usize>>,
@@ -162,7 +168,7 @@ struct Spotted {
 impl Spotted {
     fn new(blobs: Vec<Blob>) -> Self {
         let reach = blobs.iter().map(|blob| blob.pixel.x.max(blob.pixel.y)).fold(1.0, f64::max);
-        // About one spot a cell.
+        // About one blob per bucket.
         let cell_px = (reach / (blobs.len() as f64).sqrt().max(1.0)).max(4.0);
         let mut spotted = Self { blobs: Vec::new(), cells: BTreeMap::new(), cell_px };
         for (index, blob) in blobs.iter().enumerate() {
@@ -176,7 +182,7 @@ impl Spotted {
         ((at.x / self.cell_px).floor() as i32, (at.y / self.cell_px).floor() as i32)
     }
 
-    /// The nearest spot within reach of a place that is wanted.
+    /// The nearest blob within `reach_px` that satisfies `wanted`.
     fn nearest(&self, place: Pixel, reach_px: f64, wanted: impl Fn(usize) -> bool) -> Option<usize> {
         let (left, top) = self.cell(Pixel::new(place.x - reach_px, place.y - reach_px));
         let (right, bottom) = self.cell(Pixel::new(place.x + reach_px, place.y + reach_px));
@@ -190,7 +196,7 @@ impl Spotted {
             .map(|(_, spot)| spot)
     }
 
-    /// The nearest spots that are like a spot, nearest first.
+    /// The nearest blobs of similar size, nearest first.
     fn nearest_alike(&self, spot: usize, count: usize) -> Vec<usize> {
         let own = &self.blobs[spot];
         let mut near: Vec<(f64, usize)> = (0..self.blobs.len())
@@ -207,7 +213,8 @@ impl Spotted {
     }
 }
 
-/// The lattice around a spot, from its two nearest neighbours in different directions on.
+/// Grows a lattice from a blob, with its nearest neighbours in two different directions as the
+/// basis.
 fn grown(spots: &Spotted, seed: usize) -> Option<Spots> {
     let at = |spot: usize| spots.blobs[spot].pixel;
     let step = |from: usize, to: usize| (at(to).x - at(from).x, at(to).y - at(from).y);
@@ -218,7 +225,7 @@ fn grown(spots: &Spotted, seed: usize) -> Option<Spots> {
         let sine = along.0 * other.1 - along.1 * other.0;
         sine.abs() > 0.4 * along.0.hypot(along.1) * other.0.hypot(other.1)
     })?;
-    // Right-handed as the image is: never mirrored.
+    // The basis has the orientation of the image axes, so the lattice is never mirrored.
     let across = if along.0 * across.1 - along.1 * across.0 > 0.0 { across } else { (-across.0, -across.1) };
     let mut lattice = Spots::from([((0, 0), seed)]);
     let mut used = BTreeSet::from([seed]);
@@ -232,7 +239,7 @@ fn grown(spots: &Spotted, seed: usize) -> Option<Spots> {
             }
             let heading = if di != 0 { along } else { across };
             let sign = f64::from(di + dj);
-            // Where the line has come from is where it goes on, better than the square's sides say.
+            // Extrapolation along the line is more accurate than the local basis.
             let expected = match lattice.get(&(place.0 - di, place.1 - dj)) {
                 Some(&before) => step(before, spot),
                 None => (sign * heading.0, sign * heading.1),
@@ -252,11 +259,12 @@ fn grown(spots: &Spotted, seed: usize) -> Option<Spots> {
     (lattice.len() >= 4).then_some(lattice)
 }
 
-/// The lattice's spots in the order of the board's places, if in some basis it is the board; of several ways the one whose rows run most
-/// to the right and whose columns most downwards.
+/// The blobs in the order of the board's points, if some basis maps the lattice to the board. If
+/// several do, the one whose rows run most to the right and whose columns most downwards.
 fn as_board(lattice: &Spots, spots: &[Blob], board: &Board, places: &[(i32, i32)]) -> Option<Vec<Blob>> {
     let asymmetric = board.kind() == BoardKind::AsymmetricCircles;
-    // Neighbours of the asymmetric grid are one step right and one down: a basis of those spans two squares.
+    // Neighbours in the asymmetric grid are one step right and one down, so their basis has a
+    // determinant of two.
     let area = if asymmetric { 2 } else { 1 };
     let entries = -3..=3;
     let mut best: Option<(f64, Vec<Blob>)> = None;
@@ -295,7 +303,8 @@ fn as_board(lattice: &Spots, spots: &[Blob], board: &Board, places: &[(i32, i32)
     best.map(|(_, grid)| grid)
 }
 
-/// The spots at a board's places, where the lattice, less outer lines that are hardly there, is exactly those, wherever its origin is.
+/// The blobs at the board's positions, if the lattice without sparse outer lines is exactly the
+/// board, up to a translation.
 fn exactly(mut lattice: Spots, places: &[(i32, i32)]) -> Option<Vec<usize>> {
     let range = |keys: &mut dyn Iterator<Item = i32>| {
         keys.fold((i32::MAX, i32::MIN), |(least, most), key| (least.min(key), most.max(key)))
@@ -317,7 +326,7 @@ fn exactly(mut lattice: Spots, places: &[(i32, i32)]) -> Option<Vec<usize>> {
         if lattice.len() <= places.len() || right - left < wide || bottom - top < high {
             return None;
         }
-        // The emptiest outer line of a side that is too long.
+        // The sparsest outer line along an axis on which the lattice is too long.
         let count = |on: &dyn Fn(&(i32, i32)) -> bool| lattice.keys().filter(|place| on(place)).count();
         let mut lines = Vec::new();
         if right - left > wide {
@@ -330,7 +339,7 @@ fn exactly(mut lattice: Spots, places: &[(i32, i32)]) -> Option<Vec<usize>> {
         }
         let (spots, column, line) = lines.into_iter().min_by_key(|line| line.0)?;
         let full = if column { high + 1 } else { wide + 1 };
-        // A line of the asymmetric grid has every second place.
+        // A line of the asymmetric grid only has every second position.
         if 4 * spots as i32 > full {
             return None;
         }

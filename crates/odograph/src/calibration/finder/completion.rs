@@ -1,4 +1,4 @@
-//! The corners of a grid that the detector overlooked.
+//! Completion of a corner lattice by the corners that the detector missed.
 
 use super::chessboard::RING_PX;
 use super::lattice::{Corner, Lattice, edge_between, extent, nearest_edge};
@@ -7,9 +7,9 @@ use super::subpixel;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 
-/// Adds the corners that the detector overlooked, where the neighbours say they must be.
+/// Adds corners that the detector missed, at positions extrapolated from their neighbours.
 pub(super) fn complete(image: &GrayImage, lattice: &mut Lattice) {
-    // Each round reaches one square further, and a board has at most 200 along a side.
+    // Each round extends the lattice by one square; a board has at most 200 along a side.
     for _ in 0..200 {
         let ((left, right), (top, bottom)) = extent(lattice);
         let mut added = Vec::new();
@@ -29,7 +29,8 @@ pub(super) fn complete(image: &GrayImage, lattice: &mut Lattice) {
     }
 }
 
-/// The corner at an empty place of a lattice, if there is one where at least two neighbouring lines lead.
+/// The missed corner at an empty lattice position; `None` unless the image confirms it at the
+/// position predicted by the neighbours.
 fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Option<Corner> {
     let at = |di: i32, dj: i32| lattice.get(&(i + di, j + dj));
     let mut predictions: Vec<(f64, f64)> = Vec::new();
@@ -38,7 +39,8 @@ fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Optio
         let Some(next) = at(di, dj) else { continue };
         if let Some(after) = at(2 * di, 2 * dj) {
             let (mut x, mut y) = (2.0 * next.pixel.x - after.pixel.x, 2.0 * next.pixel.y - after.pixel.y);
-            // With a third one, perspective and lens are followed to the second order.
+            // A third corner allows quadratic extrapolation, which follows perspective and
+            // distortion.
             if let Some(third) = at(3 * di, 3 * dj) {
                 x += next.pixel.x - 2.0 * after.pixel.x + third.pixel.x;
                 y += next.pixel.y - 2.0 * after.pixel.y + third.pixel.y;
@@ -46,7 +48,7 @@ fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Optio
             predictions.push((x, y));
             sides.push((*next, next.pixel.distance(after.pixel)));
         } else {
-            // A parallelogram with the square beside.
+            // The fourth corner of a parallelogram with an adjacent square.
             for (ei, ej) in [(dj, di), (-dj, -di)] {
                 if let (Some(beside), Some(across)) = (at(ei, ej), at(di + ei, dj + ej)) {
                     predictions.push((
@@ -73,12 +75,12 @@ fn overlooked(image: &GrayImage, lattice: &Lattice, (i, j): (i32, i32)) -> Optio
         return None;
     }
     let ring = Ring::read(image, pixel, RING_PX.min(0.45 * side).max(2.0))?;
-    // Every neighbour must be joined by an edge, and there must be one.
+    // An edge must connect the corner to every neighbour used for the prediction.
     let corner = Corner { pixel, ring };
     sides.iter().all(|(neighbour, _)| joined(image, &corner, neighbour)).then_some(corner)
 }
 
-/// Whether an edge of the image joins two corners.
+/// Whether an image edge connects two corners.
 fn joined(image: &GrayImage, one: &Corner, other: &Corner) -> bool {
     let direction = (other.pixel.y - one.pixel.y).atan2(other.pixel.x - one.pixel.x);
     let (edge, turn) = nearest_edge(&one.ring, direction);

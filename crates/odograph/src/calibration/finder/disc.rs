@@ -1,30 +1,31 @@
-//! The centre of a dark disc, sub-pixel.
+//! Sub-pixel localisation of the centre of a dark disc.
 
 use super::blobs::Blob;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use nalgebra::{SMatrix, SVector};
 
-/// A disc's image as fitted.
+/// The fitted image of a disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Disc {
     /// Centre of the ellipse.
     pub pixel: Pixel,
-    /// Standard deviation of the blur of its rim, pixels.
+    /// Standard deviation of the blur of the rim, pixels.
     pub blur_px: f64,
-    /// How much darker than the ground, gray levels.
+    /// Background minus disc, gray levels.
     pub contrast: f64,
-    /// Root mean square of what the model does not explain, gray levels.
+    /// RMS residual of the fit, gray levels.
     pub residual: f64,
 }
 
-/// The unknowns: centre, the ellipse's matrix `[a, b, c]`, half width of the rim's ramp, gray outside, its slope along x and y, and how much
-/// darker the disc is.
+/// Number of unknowns: centre, matrix `[a, b, c]` of the ellipse, half width of the ramp at the
+/// rim, background gray level, its gradient along x and y, and contrast.
 const UNKNOWNS: usize = 10;
 type Unknowns = SVector<f64, UNKNOWNS>;
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// The window reaches this many radii out: halfway to the next disc, whose rim is at three radii or more on usual boards.
+/// Radius of the window, in radii of the disc: about half the distance to the rim of the next disc,
+/// which is at three radii or more on usual boards.
 const REACH: f64 = 1.55;
 const MOST_STEPS: usize = 15;
 const CONVERGED_PX: f64 = 1e-4;
@@ -32,18 +33,20 @@ const CONVERGED_PX: f64 = 1e-4;
 /// Half width of the biweight ramp over the standard deviation of its kernel, √7.
 const WIDTHS_PER_DEVIATION: f64 = 2.645_751_311_064_590_7;
 
-/// Fits a dark ellipse with a blurred rim on a ground of sloping light to the samples around a spot, by Levenberg–Marquardt in all ten
-/// unknowns. `None` where there is none or it reaches over the border.
+/// Fits an ellipse with a blurred rim on a background with linear illumination to the samples
+/// around a blob, by Levenberg–Marquardt in all ten unknowns. `None` if the contrast is too low or
+/// the fit moves away from the blob.
 pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
     let reach = REACH * blob.axes_px.0 + 2.0;
     let (left, right) = ((blob.pixel.x - reach).ceil().max(0.0), (blob.pixel.x + reach).floor());
     let (top, bottom) = ((blob.pixel.y - reach).ceil().max(0.0), (blob.pixel.y + reach).floor());
     let right = right.min(image.width() as f64 - 1.0);
     let bottom = bottom.min(image.height() as f64 - 1.0);
-    // Larger discs lose nothing when every second or third sample is taken.
+    // Large discs have enough samples: every second or third one is sufficient.
     let stride = ((blob.axes_px.1 / 12.0) as usize).max(1);
     let [a, b, c] = blob.shape;
-    // Two pixels more than the reach, so that the smallest discs have a ground around them.
+    // At least two pixels beyond the rim, so that the window of the smallest discs contains
+    // background.
     let margin = 1.0 + 2.0 / blob.axes_px.1.max(1.0);
     let limit = REACH.max(margin).powi(2);
     let mut samples = Vec::new();
@@ -108,7 +111,7 @@ pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
     })
 }
 
-/// JᵀJ, Jᵀr and rᵀr; `None` where the matrix is no ellipse's.
+/// JᵀJ, Jᵀr and rᵀr; `None` if the matrix is not that of an ellipse.
 fn normal_equations(samples: &[[f64; 4]], unknowns: &Unknowns) -> Option<(Normal, Unknowns, f64)> {
     let [x0, y0, a, b, c, width, ground, slope_x, slope_y, depth] = (*unknowns).into();
     if a <= 0.0 || a * c - b * b <= 0.0 {
@@ -121,7 +124,7 @@ fn normal_equations(samples: &[[f64; 4]], unknowns: &Unknowns) -> Option<(Normal
         let (dx, dy) = (x - x0, y - y0);
         let (mx, my) = (a * dx + b * dy, b * dx + c * dy);
         let radius = (mx * dx + my * dy).sqrt().max(1e-6);
-        // The distance from the rim, to first order; how its scale changes is left out of the derivatives.
+        // First-order distance to the rim. The derivatives neglect the variation of its scale.
         let per_px = (mx.hypot(my) / radius).max(1e-9);
         let u = (radius - 1.0) / per_px / width;
         let (rise, slope) = if u.abs() >= 1.0 {

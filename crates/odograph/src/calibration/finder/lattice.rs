@@ -1,8 +1,10 @@
-//! Corners to grids: which corner is whose neighbour.
+//! Linking of chessboard corners to lattices.
 //!
-//! Grown as in A. Geiger, F. Moosmann, Ö. Car and B. Schuster, "Automatic camera and range sensor calibration using a single shot", 2012,
-//! from neighbour to neighbour, but by the edges themselves: a link is an edge of the image that leaves one corner, arrives at the other
-//! and is black and white on the same sides all the way. No assumption on perspective or lens is made beyond one square.
+//! Lattices are grown from neighbour to neighbour as in A. Geiger, F. Moosmann, Ö. Car and B.
+//! Schuster, "Automatic camera and range sensor calibration using a single shot", 2012, but along
+//! image edges: two corners are linked if an edge leaves one, arrives at the other, and separates
+//! black from white with the same polarity along its whole length. Nothing is assumed about
+//! perspective or lens distortion beyond one square.
 
 use super::ring::{Ring, bilinear};
 use crate::geometry::Pixel;
@@ -10,29 +12,30 @@ use crate::image::GrayImage;
 use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::{PI, TAU};
 
-/// A corner of four squares in an image.
+/// A chessboard corner in an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Corner {
     pub pixel: Pixel,
     pub ring: Ring,
 }
 
-/// Corners at grid coordinates (along the rows, down the columns), with rows to columns clockwise as in the image: never mirrored.
+/// Corners by lattice coordinates (column, row). The rotation from rows to columns is clockwise in
+/// the image, so a lattice is never mirrored.
 pub(super) type Lattice = BTreeMap<(i32, i32), Corner>;
 
-/// How far an edge's direction may be from that to the neighbour, radians.
+/// Maximum angle between an edge and the direction to the neighbour, radians.
 const TURN: f64 = 0.45;
-/// The fainter of two neighbours has at least this part of the other's contrast.
+/// Minimum ratio of the contrasts of two neighbours.
 const LEAST_CONTRAST_RATIO: f64 = 0.35;
-/// A neighbour is among this many nearest corners.
+/// Number of nearest corners considered as neighbours.
 const NEAREST: usize = 40;
 
-/// `angle` in −π..π.
+/// Wraps `angle` to −π..π.
 fn wrapped(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }
 
-/// The edge of a ring nearest to a direction, and its distance, radians.
+/// The edge of a ring closest to a direction, and the angle between them, radians.
 pub(super) fn nearest_edge(ring: &Ring, direction: f64) -> (usize, f64) {
     let mut best = (0, f64::MAX);
     for (edge, &angle) in ring.edges.iter().enumerate() {
@@ -44,8 +47,8 @@ pub(super) fn nearest_edge(ring: &Ring, direction: f64) -> (usize, f64) {
     best
 }
 
-/// Whether an edge runs from `from` to `to`, black and white on the same sides all the way. Looking along it, the right side (clockwise)
-/// is white if `white_right`.
+/// Whether an edge of constant polarity connects `from` and `to`. The right side along its
+/// direction (clockwise) is white if `white_right`.
 pub(super) fn edge_between(
     image: &GrayImage,
     from: Pixel,
@@ -58,7 +61,7 @@ pub(super) fn edge_between(
         return false;
     }
     let (ux, uy) = ((to.x - from.x) / length, (to.y - from.y) / length);
-    // Far enough from the edge to be out of its blur, near enough not to leave a slim square.
+    // Far enough from the edge to avoid its blur, and close enough to stay inside a narrow square.
     let aside = (0.15 * length).clamp(1.0, 6.0);
     let (sx, sy) = if white_right { (-uy * aside, ux * aside) } else { (uy * aside, -ux * aside) };
     let sample = |x: f64, y: f64| {
@@ -75,7 +78,8 @@ pub(super) fn edge_between(
     })
 }
 
-/// For each corner and each of its edges, the neighbour there and the neighbour's edge that leads back.
+/// For each edge of each corner, the neighbour in that direction and the index of the neighbour's
+/// edge that points back.
 fn links(image: &GrayImage, corners: &[Corner]) -> Vec<[Option<(usize, usize)>; 4]> {
     let mut nearest: Vec<(f64, usize)> = Vec::new();
     let mut links = vec![[None; 4]; corners.len()];
@@ -103,7 +107,7 @@ fn links(image: &GrayImage, corners: &[Corner]) -> Vec<[Option<(usize, usize)>; 
             let (edge, turn) = nearest_edge(&corner.ring, direction);
             let (back, back_turn) = nearest_edge(&candidate.ring, direction + PI);
             let cost = squared.sqrt() * (1.0 + 2.0 * (turn + back_turn));
-            // Looking back, white is on the other side.
+            // In the opposite direction, white is on the other side.
             let white = corner.ring.white_after(edge);
             if turn > TURN
                 || back_turn > TURN
@@ -122,7 +126,8 @@ fn links(image: &GrayImage, corners: &[Corner]) -> Vec<[Option<(usize, usize)>; 
     links
 }
 
-/// All grids that the corners make, largest first. Every corner of a grid belongs to a whole square of it.
+/// All lattices of the linked corners, largest first. Every corner belongs to at least one complete
+/// square of its lattice.
 pub(super) fn lattices(image: &GrayImage, corners: &[Corner]) -> Vec<Lattice> {
     let links = links(image, corners);
     let mutual = |corner: usize, edge: usize| {
@@ -134,7 +139,8 @@ pub(super) fn lattices(image: &GrayImage, corners: &[Corner]) -> Vec<Lattice> {
         if taken[seed] {
             continue;
         }
-        // Where, and which edge leads along the rows.
+        // Lattice coordinates of the corners; the queue also holds the index of the edge along the
+        // rows.
         let mut places: BTreeMap<(i32, i32), usize> = BTreeMap::new();
         let mut queue = VecDeque::from([(seed, (0, 0), 0)]);
         taken[seed] = true;
@@ -150,7 +156,7 @@ pub(super) fn lattices(image: &GrayImage, corners: &[Corner]) -> Vec<Lattice> {
                 }
                 taken[other] = true;
                 places.insert(there, other);
-                // The neighbour's edge `back` leads against the heading.
+                // The neighbour's edge `back` points opposite to the heading.
                 queue.push_back((other, there, (back + 4 - (heading + 2) % 4) % 4));
             }
         }
@@ -174,7 +180,7 @@ pub(super) fn lattices(image: &GrayImage, corners: &[Corner]) -> Vec<Lattice> {
     lattices
 }
 
-/// Least and largest coordinates of a grid: columns, then rows.
+/// Minimum and maximum lattice coordinates: columns, then rows.
 pub(super) fn extent(lattice: &Lattice) -> ((i32, i32), (i32, i32)) {
     let range = |coordinate: fn(&(i32, i32)) -> i32| {
         let all = || lattice.keys().map(coordinate);

@@ -1,4 +1,4 @@
-//! Finding a board in an image.
+//! Detection of boards in images.
 
 mod aprilgrid;
 mod blobs;
@@ -23,49 +23,49 @@ use super::{Board, BoardKind, BoardView};
 use crate::image::GrayImage;
 use std::fmt;
 
-/// Why no board was found. As text, one clause for people.
+/// Why no board was detected. The text form is one clause for users.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum NotFound {
-    /// Nothing in the image looks like the corners of a chessboard.
+    /// No chessboard corners were detected.
     NoCorners,
-    /// A whole chessboard of another size than the one looked for.
+    /// A complete chessboard with a different number of corners was detected.
     OtherSize {
-        /// Columns and rows of inner corners looked for.
+        /// Expected columns and rows of inner corners.
         expected: (usize, usize),
-        /// Columns and rows of inner corners in the image.
+        /// Detected columns and rows of inner corners.
         seen: (usize, usize),
     },
-    /// Some of a chessboard's corners, and no whole board of another size.
+    /// Only a part of a chessboard was detected.
     Partial {
-        /// Columns and rows looked for.
+        /// Expected columns and rows.
         expected: (usize, usize),
-        /// Columns and rows that the seen points span.
+        /// Columns and rows spanned by the detected points.
         seen: (usize, usize),
-        /// How many points were seen.
+        /// Number of detected points.
         points: usize,
     },
-    /// Nothing in the image looks like a grid of discs.
+    /// No grid of discs was detected.
     NoDiscs,
-    /// A grid of discs that is not the one looked for, or a part of it.
+    /// A grid of discs was detected that is a different board or only a part of this one.
     OtherDiscs {
-        /// How many discs the board has.
+        /// Number of discs on the board.
         expected: usize,
-        /// How many were seen in a grid.
+        /// Number of discs in the detected grid.
         seen: usize,
     },
-    /// No marker of the board was read.
+    /// No marker of the board was decoded.
     NoMarkers,
-    /// Fewer markers of the board than can be trusted.
+    /// Too few consistent markers of the board were decoded.
     TooFewMarkers {
-        /// How many were read and agree.
+        /// Number of consistent decoded markers.
         found: usize,
-        /// How many it takes.
+        /// Minimum number of markers.
         least: usize,
     },
-    /// The markers read only in a mirror.
+    /// The markers can only be decoded in the mirrored image.
     Mirrored,
-    /// The board is there, but its points cannot be had to a tenth of a pixel.
+    /// The board was detected, but is too blurred to locate its points to a tenth of a pixel.
     Blurred,
 }
 
@@ -100,13 +100,14 @@ impl fmt::Display for NotFound {
     }
 }
 
-/// Finds a [`Board`] in images: which of its points are seen, and where to a few hundredths of a pixel.
+/// Detects a [`Board`] in images and locates its points to a few hundredths of a pixel.
 ///
-/// Holds what can be prepared once for a board. It never finds a board mirrored, and for the same image it gives the same view.
+/// It holds data precomputed for the board. A mirrored board is never detected, and the same image
+/// always has the same result.
 #[derive(Debug, Clone)]
 pub struct BoardFinder {
     board: Board,
-    /// The markers laid out, for boards that have them.
+    /// Marker layout, for boards with markers.
     tagged: Option<tagged::TaggedBoard>,
 }
 
@@ -121,18 +122,21 @@ impl BoardFinder {
         Self { board: *board, tagged }
     }
 
-    /// The board that is looked for.
+    /// The board to detect.
     pub fn board(&self) -> &Board {
         &self.board
     }
 
-    /// The board's points in an image, sorted by their index, or why it was not found.
+    /// The board's points in an image, sorted by index, or the reason why no board was detected.
     ///
-    /// Chessboards and disc grids are found whole or not at all; of boards with markers, parts are enough. A chessboard's first point is
-    /// the one beside a black corner square, where only one corner square is black; where the board looks the same turned
-    /// by 180°, it is the one that makes the rows run right and the columns down in the image as far as possible.
+    /// Chessboards and circle grids are only detected as a whole; boards with markers may be partly
+    /// visible. If exactly one corner square of a chessboard is black, the first point is the one
+    /// next to it. If the board is symmetric under a rotation by 180°, the orientation is chosen
+    /// for which the rows run as far as possible to the right in the image and the columns
+    /// downwards.
     ///
-    /// Takes any image, and time in proportion to its size: 1920x1080 samples of noise take a tenth of a second or less.
+    /// Accepts images of any size and content. The run time is proportional to the number of
+    /// pixels: 1920x1080 samples of noise take a tenth of a second or less.
     pub fn find(&self, image: &GrayImage) -> Result<BoardView, NotFound> {
         match self.board.kind() {
             BoardKind::Chessboard => chessboard::find(image, &self.board),

@@ -1,7 +1,8 @@
-//! Where a point of a board is, by the looks of all that is printed around it.
+//! Sub-pixel localisation of a board point by template matching with the printed pattern.
 //!
-//! In a small square the picture of two crossing edges soon ends at a marker's border, and what is left of it is too little to hold a
-//! point. But what is printed there is known: it is drawn as the camera would see it, and moved until it lies on the image.
+//! In a small square, the two crossing edges end at the border of a marker after a few pixels,
+//! which are too few to constrain a corner. The printed pattern is known, however: it is rendered
+//! as the camera would image it, and registered to the image.
 
 use super::plane_map::PlaneMap;
 use crate::calibration::{BoardPoint, Drawing};
@@ -9,38 +10,41 @@ use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use nalgebra::{SMatrix, SVector};
 
-/// A pattern laid on the image.
+/// A pattern registered to the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PatternFit {
     pub pixel: Pixel,
-    /// Root mean square of what the pattern does not explain, gray levels.
+    /// RMS residual of the registration, gray levels.
     pub residual: f64,
-    /// Gray levels from black to white.
+    /// Difference between white and black, gray levels.
     pub contrast: f64,
-    /// Standard deviation of the pixel along its worse direction, from the residual, pixels.
+    /// Standard deviation of the position along its less certain direction, from the residual,
+    /// pixels.
     pub deviation_px: f64,
 }
 
-/// Fine samples a pixel.
+/// Samples of the rendered pattern per pixel.
 const FINE: usize = 3;
-/// Radius of the largest window, pixels.
+/// Maximum radius of the window, pixels.
 const LARGEST_WINDOW_PX: f64 = 8.0;
-/// What the pattern is drawn beyond the window, pixels: the fit may move it so far.
+/// Margin of the rendered pattern beyond the window, pixels; bounds the shift during registration.
 const MARGIN_PX: f64 = 1.5;
-/// Steps of the fit; it converges in two to four.
+/// Maximum number of iterations; the registration converges in two to four.
 const MOST_STEPS: usize = 8;
 const CONVERGED_PX: f64 = 1e-3;
 
-/// The pattern around a point of the board as a camera sees it.
+/// The rendered pattern around a board point.
 pub(super) struct Pattern {
-    /// Whiteness, 0 to 1, at fine samples; the board's point is at the middle one.
+    /// Brightness, 0 black to 1 white, of the fine samples. The board point is at the middle
+    /// sample.
     white: Vec<f32>,
     side: usize,
     window_px: f64,
 }
 
 impl Pattern {
-    /// Draws what is around `place`, mapped by `map` and blurred by `blur_px`, in a window of radius `window_px`.
+    /// Renders the surroundings of `place`, mapped by `map` and blurred by `blur_px`, for a window
+    /// of radius `window_px`.
     pub fn new(
         drawing: &Drawing,
         map: &PlaneMap,
@@ -51,7 +55,7 @@ impl Pattern {
         let window_px = window_px.min(LARGEST_WINDOW_PX);
         let board_from_image = map.inverse()?;
         let middle = map.pixel(place)?;
-        // A pixel is a square; its integral is another blur.
+        // The integration over a square pixel adds 1/12 to the variance of the blur.
         let deviation = (blur_px * blur_px + 1.0 / 12.0).sqrt() * FINE as f64;
         let taps = gaussian(deviation);
         let reach = taps.len() - 1;
@@ -81,7 +85,8 @@ impl Pattern {
         Some(Self { white, side, window_px })
     }
 
-    /// The whiteness at an offset from the board's point, pixels, and its change along x and y a pixel; `None` beyond what is drawn.
+    /// Brightness at an offset from the board point (pixels), and its derivatives along x and y;
+    /// `None` outside the rendered area.
     fn at(&self, x: f64, y: f64) -> Option<(f64, f64, f64)> {
         let half = (self.side / 2) as f64;
         let (fx, fy) = (x * FINE as f64 + half, y * FINE as f64 + half);
@@ -99,9 +104,10 @@ impl Pattern {
         Some((upper + v * (lower - upper), by_x, (lower - upper) * FINE as f64))
     }
 
-    /// Moves the pattern from `start` to where it lies on the image best: least squares over its place, black, white and a slope of the light,
-    /// weighted by a round window (B. Lucas and T. Kanade's iteration, with the template drawn instead of seen). `None` where
-    /// it runs away, leaves the image, or black is not darker than white.
+    /// Registers the pattern to the image from `start`: least squares in position, black level,
+    /// white level and illumination gradient, weighted by a circular window (Lucas–Kanade with a
+    /// rendered template). `None` if it diverges, leaves the image, or finds black not darker than
+    /// white.
     pub fn fit(&self, image: &GrayImage, start: Pixel) -> Option<PatternFit> {
         let mut at = start;
         let mut result = None;
@@ -150,7 +156,7 @@ impl Pattern {
                 weights += weight;
             }
         }
-        // `syger` fills the lower triangle, which is what the factors are made of.
+        // `syger` fills the lower triangle, which is the one that the Cholesky factorisation reads.
         let cholesky = normal.cholesky()?;
         let solution = cholesky.solve(&right);
         let contrast = solution[1];
@@ -167,19 +173,20 @@ impl Pattern {
             contrast,
             deviation_px: residual * (WEIGHING * worse).sqrt() / contrast,
         };
-        // Moved by (x, y), the pattern changes by −x and −y times its derivatives.
+        // A shift by (x, y) changes the pattern by −x and −y times its derivatives.
         Some(((-solution[2] / contrast, -solution[3] / contrast), fit))
     }
 }
 
-/// Squared weights over weights: what a round window that falls to nothing makes of the inverse of its normal equations.
+/// Σw² / Σw for a circular window whose weight decreases to zero: correction of the covariance from
+/// the weighted normal equations.
 const WEIGHING: f64 = 0.7;
-/// The least contrast, gray levels.
+/// Minimum contrast, gray levels.
 const LEAST_CONTRAST: f64 = 8.0;
-/// The fit starts within a pixel or so of where it ends.
+/// Maximum shift from the start, pixels; the start is accurate to about a pixel.
 const MOST_MOVED_PX: f64 = 2.5;
 
-/// Half of a Gaussian's taps, the middle one first; the whole sums to one.
+/// Half of a Gaussian kernel, central tap first. The full kernel sums to one.
 fn gaussian(deviation: f64) -> Vec<f32> {
     let reach = (2.6 * deviation).ceil() as usize;
     let taps: Vec<f64> = (0..=reach).map(|n| (-0.5 * (n as f64 / deviation).powi(2)).exp()).collect();

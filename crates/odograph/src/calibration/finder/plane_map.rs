@@ -1,9 +1,10 @@
-//! The map of a small part of a board to the image.
+//! Local homography from the board plane to the image.
 
 use crate::geometry::Pixel;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-/// A homography from a board's plane to the image, good around one place: a lens that bends lines is flat enough over a few squares.
+/// A homography from the board plane to the image, valid around one position. Over a few squares,
+/// lens distortion is negligible.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PlaneMap {
     centre: (f64, f64),
@@ -13,17 +14,19 @@ pub(super) struct PlaneMap {
     spread: f64,
 }
 
-/// A place of the board and where it is seen, with a weight.
+/// A board position, its pixel, and a weight.
 pub(super) type Pair = ((f64, f64), Pixel, f64);
 
-/// What the perspective terms are held to, relative to unit weights: over one spacing, sizes change by some 5 %, and places are seen
-/// within some thousandth of a spacing.
+/// Prior information of the perspective terms, relative to measurements of unit weight. Perspective
+/// changes the scale by some 5 % over one spacing, and positions are measured to about a thousandth
+/// of a spacing.
 const PERSPECTIVE_PRIOR: f64 = 4e-4;
 
 impl PlaneMap {
-    /// The weighted least-squares homography (R. Hartley and A. Zisserman, "Multiple view geometry", 2nd edition, equation 4.2, in
-    /// coordinates about `centre` in units of `scale`); with few points its perspective is held to none. `None` where the points are fewer
-    /// than three or nearly in a line.
+    /// The weighted least-squares homography (R. Hartley and A. Zisserman, "Multiple view
+    /// geometry", 2nd edition, equation 4.2), in coordinates relative to `centre` in units of
+    /// `scale`. A prior pulls the perspective terms to zero, so that few points determine a nearly
+    /// affine map. `None` for fewer than three or nearly collinear points.
     pub fn fit(pairs: &[Pair], centre: (f64, f64), scale: f64) -> Option<Self> {
         if pairs.len() < 3 {
             return None;
@@ -62,7 +65,7 @@ impl PlaneMap {
         h.iter().all(|value| value.is_finite()).then(|| Self { centre, scale, h: h.into(), middle, spread })
     }
 
-    /// Where a place of the board is seen; `None` beyond the horizon.
+    /// Maps a board position to the image; `None` beyond the horizon.
     pub fn pixel(&self, place: (f64, f64)) -> Option<Pixel> {
         let (u, v) = ((place.0 - self.centre.0) / self.scale, (place.1 - self.centre.1) / self.scale);
         let h = &self.h;
@@ -75,14 +78,15 @@ impl PlaneMap {
         })
     }
 
-    /// The way back; `None` where the plane is seen from its edge.
+    /// The inverse map; `None` if it is singular because the plane is seen edge-on.
     pub fn inverse(&self) -> Option<InversePlaneMap> {
         let h = &self.h;
         let matrix = Matrix3::new(h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], 1.0);
         Some(InversePlaneMap { h: matrix.try_inverse()?, of: *self })
     }
 
-    /// What a `step` along x and one along y from a place are in the image, pixels.
+    /// Image vectors of a `step` along x and along y on the board, pixels; central differences at a
+    /// position.
     pub fn steps(&self, place: (f64, f64), step: f64) -> Option<[(f64, f64); 2]> {
         let small = 0.05;
         let difference = |a: Pixel, b: Pixel| ((b.x - a.x) / (2.0 * small), (b.y - a.y) / (2.0 * small));
@@ -93,14 +97,14 @@ impl PlaneMap {
     }
 }
 
-/// The way back from the image to the board.
+/// The inverse map from the image to the board plane.
 pub(super) struct InversePlaneMap {
     h: Matrix3<f64>,
     of: PlaneMap,
 }
 
 impl InversePlaneMap {
-    /// The place of the board that is seen at a pixel; `None` beyond the horizon.
+    /// Maps a pixel to the board plane; `None` on the horizon.
     pub fn at(&self, pixel: Pixel) -> Option<(f64, f64)> {
         let of = &self.of;
         let local = self.h
@@ -110,7 +114,8 @@ impl InversePlaneMap {
     }
 }
 
-/// The least distance between opposite sides of the parallelogram of two steps, pixels.
+/// Height of the parallelogram spanned by two image vectors: the smaller distance between opposite
+/// sides, pixels.
 pub(super) fn least_width(steps: [(f64, f64); 2]) -> f64 {
     let [(ax, ay), (bx, by)] = steps;
     (ax * by - ay * bx).abs() / ax.hypot(ay).max(bx.hypot(by)).max(1e-9)

@@ -1,4 +1,5 @@
-//! One point of a board with markers: where four squares meet, the colours known beforehand.
+//! Sub-pixel localisation of one corner of a board with markers. The polarity of the four squares
+//! that meet there is known.
 
 use super::markers::interpolated;
 use super::pattern_fit::Pattern;
@@ -8,46 +9,51 @@ use crate::calibration::Drawing;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 
-/// A point that was looked at and is there.
+/// A located corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PointLook {
     pub pixel: Pixel,
-    /// What is left unexplained of the image around it, in parts of its contrast.
+    /// RMS residual of the fit, relative to the contrast.
     pub residual: f64,
 }
 
-/// The least contrast of black and white around a point, gray levels.
+/// Minimum contrast between black and white around a corner, gray levels.
 const LEAST_CONTRAST: f64 = 8.0;
-/// The window of the fit, pixels: three arms of a few pixels hold a point to some hundredths of a pixel under noise; with more, the
-/// lens's bending of the edges comes in.
+/// Limits of the window radius of the fit, pixels. Edges of a few pixels determine a corner to some
+/// hundredths of a pixel under noise; in larger windows the lens distortion bends the edges
+/// noticeably.
 const WINDOW_PX: (f64, f64) = (2.5, 6.0);
-/// With less, a pattern's six unknowns are not held, pixels.
+/// Minimum window radius of a pattern fit, pixels; smaller windows do not constrain its six
+/// unknowns.
 const SMALLEST_PATTERN_PX: f64 = 4.0;
 
-/// What is known of a point before it is looked for.
+/// Prediction and prior knowledge of a corner.
 pub(super) struct Expected<'a> {
-    /// The board around it in the image.
+    /// Local map from the board to the image.
     pub map: &'a PlaneMap,
-    /// Its place on the board, metres.
+    /// Position on the board, metres.
     pub place: (f64, f64),
-    /// How far from the point its four squares are plain, metres, and its distance to the next point.
+    /// Distance from the corner within which the four squares are uniform, and distance to the next
+    /// corner, both in metres.
     pub plain_m: f64,
     pub spacing_m: f64,
     pub black_upper_left: bool,
-    /// How far it may be from where it is predicted, pixels.
+    /// Maximum distance between prediction and detection, pixels.
     pub most_off_px: f64,
-    /// What is printed, where that is known to the last bit, and the blur it is seen with.
+    /// The printed pattern and its blur in the image (standard deviation, pixels); `None` if the
+    /// print differs from the drawing.
     pub drawing: Option<(&'a Drawing, f64)>,
 }
 
-/// Gray levels, and the part of the contrast in addition, that may be left unexplained around a point: noise, and lenses that blur not quite
-/// as modelled. Something in front of the board leaves more.
+/// Maximum RMS residual of a fit: a noise term (gray levels) plus a share of the contrast for blur
+/// that deviates from the model. Occlusions cause larger residuals.
 const NOISE_GRAY: f64 = 3.0;
 const MOST_UNEXPLAINED: f64 = 0.12;
-/// A point that noise and blur leave less certain is no point, pixels.
+/// Maximum standard deviation of a corner, pixels.
 const MOST_DEVIATION_PX: f64 = 0.1;
 
-/// A point near where it is expected, found sub-pixel; `None` unless four squares meet there with black where it must be.
+/// Locates a corner near its predicted position. `None` unless four squares of the expected
+/// polarity meet there.
 pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<PointLook> {
     let predicted = expected.map.pixel(expected.place)?;
     let steps = expected.map.steps(expected.place, 1.0)?;
@@ -76,11 +82,13 @@ pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<Poin
         }
         _ => {
             let saddle = subpixel::fit(image, start, window)?;
-            // Along each edge as many samples as the window is wide, across it as many as the blur is; each as sure as the slope is steep.
+            // Standard deviation of the corner: along each edge there are as many samples as the
+            // window is wide, across it as many as the blur is wide, and the accuracy of each is
+            // the residual over the slope.
             let blur_px = saddle.blur_px.max(0.5);
             let deviation_px =
                 2.5 * blur_px * saddle.residual / saddle.contrast / (2.0 * window * blur_px).sqrt();
-            // Not `>`: a NaN is no point either.
+            // Not `>`, so that NaN is rejected too.
             if !(deviation_px <= MOST_DEVIATION_PX
                 && saddle.residual <= NOISE_GRAY + MOST_UNEXPLAINED * saddle.contrast)
             {
@@ -93,18 +101,20 @@ pub(super) fn look_at(image: &GrayImage, expected: &Expected<'_>) -> Option<Poin
         .then_some(look)
 }
 
-/// The colours of the four squares around a point.
+/// Polarity check of the four squares around a corner.
 struct Colours {
-    /// What a metre along x and along y is in the image, pixels.
+    /// Image vectors of one metre along x and along y on the board, pixels.
     steps: [(f64, f64); 2],
     plain_m: f64,
     black_upper_left: bool,
 }
 
 impl Colours {
-    /// White less black around a point: the lesser of the whites against the greater of the blacks.
+    /// Contrast between white and black: the darker of the two white samples minus the brighter of
+    /// the two black ones, gray levels.
     fn contrast(&self, image: &GrayImage, at: Pixel) -> Option<f64> {
-        // In the middle of the plain part of each square, but not within a pixel's blur of the edges.
+        // Sample the middle of the uniform part of each square, but at least one pixel from the
+        // edges because of blur.
         let along = |(x, y): (f64, f64)| {
             let reach = (0.6 * self.plain_m).max(1.0 / x.hypot(y).max(1e-9));
             (reach * x, reach * y)
@@ -123,7 +133,7 @@ impl Colours {
         self.contrast(image, at).is_some_and(|contrast| contrast > LEAST_CONTRAST)
     }
 
-    /// The pixel within reach around which black and white differ most in the right way.
+    /// The pixel with the largest contrast of the expected polarity within reach.
     fn search(&self, image: &GrayImage, predicted: Pixel, most_off_px: f64) -> Option<Pixel> {
         let reach = most_off_px.min(8.0).ceil() as i32;
         let mut best = (LEAST_CONTRAST, None);

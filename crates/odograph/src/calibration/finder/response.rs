@@ -1,15 +1,16 @@
-//! Places that look like corners of four squares: the ChESS response.
+//! Chessboard corner detector: the ChESS response.
 //!
-//! S. Bennett and J. Lasenby, "ChESS – quick and robust detection of chess-board features", 2014, equations 1 to 4: sixteen samples on a
-//! circle of radius 5. Where squares meet, samples opposite each other are alike and those a quarter turn away are not; on an edge,
-//! opposites differ; on a line through flat ground, the circle is unlike its centre.
+//! S. Bennett and J. Lasenby, "ChESS – quick and robust detection of chess-board features", 2014,
+//! equations 1 to 4: sixteen samples on a circle of radius 5. At a chessboard corner, opposite
+//! samples are similar and samples a quarter turn apart differ. On an edge, opposite samples
+//! differ. On a stripe, the mean of the circle differs from the mean at its centre.
 
 use crate::image::GrayImage;
 
-/// Radius of the circle, pixels; nothing nearer to the border is looked at.
+/// Radius of the sampling circle, pixels. Pixels closer to the image border are skipped.
 pub(super) const RADIUS: usize = 5;
 
-/// A place of a locally largest response.
+/// A local maximum of the response.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Peak {
     pub x: u32,
@@ -17,12 +18,12 @@ pub(super) struct Peak {
     pub response: i16,
 }
 
-/// A corner whose squares differ by a dozen gray levels answers with about this.
+/// Minimum response; about that of a corner with a contrast of a dozen gray levels.
 const LEAST_RESPONSE: i16 = 60;
-/// Peaks keep this distance from larger ones along x and y, pixels.
+/// Radius of the square window for non-maximum suppression, pixels.
 const APART: usize = 3;
 
-/// The strongest peaks, at most `most` of them, strongest first.
+/// The strongest local maxima, at most `most`, in descending order.
 pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<Peak> {
     let (width, height) = (image.width(), image.height());
     if width <= 2 * (RADIUS + APART) || height <= 2 * (RADIUS + APART) {
@@ -40,7 +41,7 @@ pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<Peak> {
             if response < LEAST_RESPONSE || response < row[x - 1] || response <= row[x + 1] {
                 continue;
             }
-            // Of equal ones the first in reading order counts.
+            // The first one in reading order wins ties.
             let largest = (y - APART..=y + APART).all(|v| {
                 let others = &responses[v * width + x - APART..=v * width + x + APART];
                 others.iter().enumerate().all(|(i, &other)| {
@@ -53,7 +54,7 @@ pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<Peak> {
             }
         }
     }
-    // Ties are broken by place, so that the choice does not depend on the way of sorting.
+    // Ties are broken by position, so that the result does not depend on the sorting algorithm.
     let order = |peak: &Peak| (std::cmp::Reverse(peak.response), peak.y, peak.x);
     if peaks.len() > most {
         peaks.select_nth_unstable_by_key(most, order);
@@ -63,14 +64,14 @@ pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<Peak> {
     peaks
 }
 
-/// The responses of one row, for the columns from [`RADIUS`] on. Written so that the compiler makes it wide.
+/// The responses of one row from column [`RADIUS`] on. Written so that the compiler vectorises it.
 fn respond(image: &GrayImage, y: usize, out: &mut [i16]) {
     let count = out.len();
     let from = |dx: isize, dy: isize| -> &[u8] {
         let row = image.row((y as isize + dy) as usize);
         &row[(RADIUS as isize + dx) as usize..][..count]
     };
-    // Clockwise from the right.
+    // Clockwise, starting at the right.
     let (r0, r1, r2, r3) = (from(5, 0), from(5, 2), from(4, 4), from(2, 5));
     let (r4, r5, r6, r7) = (from(0, 5), from(-2, 5), from(-4, 4), from(-5, 2));
     let (r8, r9, r10, r11) = (from(-5, 0), from(-5, -2), from(-4, -4), from(-2, -5));

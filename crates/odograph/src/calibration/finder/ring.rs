@@ -1,14 +1,15 @@
-//! What stands on a small circle around a point: around a corner of four squares, black and white take turns twice.
+//! Samples on a small circle around a point. Around a chessboard corner, black and white alternate
+//! twice.
 
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use std::f64::consts::{PI, TAU};
 use std::sync::LazyLock;
 
-/// Samples on the circle.
+/// Number of samples on the circle.
 const SAMPLES: usize = 32;
 
-/// Cosine and sine of each sample's angle.
+/// Cosine and sine of the angle of each sample.
 static DIRECTIONS: LazyLock<[(f64, f64); SAMPLES]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let (sine, cosine) = (TAU * i as f64 / SAMPLES as f64).sin_cos();
@@ -16,30 +17,33 @@ static DIRECTIONS: LazyLock<[(f64, f64); SAMPLES]> = LazyLock::new(|| {
     })
 });
 
-/// The four edges that leave a corner of squares, read on a circle around it.
+/// The four edges that meet in a chessboard corner, detected on a circle around it.
 ///
-/// Angles run from x to y, which is clockwise as an image is looked at.
+/// Angles run from x to y, which is clockwise in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Ring {
-    /// Direction of each edge outwards, radians in 0..2π, ascending.
+    /// Outward direction of each edge, radians in 0..2π, ascending.
     pub edges: [f64; 4],
     /// Whether the arc after the first edge (towards larger angles) is white.
     pub white_after_first: bool,
-    /// Mean of the black and of the white arcs, gray levels.
+    /// Mean of the black arcs and of the white arcs, gray levels.
     black: f64,
     white: f64,
 }
 
-/// The least difference of black and white, gray levels; below, print and noise are not told apart.
+/// Minimum contrast between black and white, gray levels; below it, the print is indistinguishable
+/// from noise.
 const LEAST_CONTRAST: f64 = 8.0;
-/// How far the two halves of a line may be from straight, radians: the circle's centre may be off by a good part of a pixel.
+/// Maximum deviation of two opposite edges from a straight line, radians. It is large because the
+/// centre of the circle may be off by a good part of a pixel.
 const BEND: f64 = 0.7;
-/// The sharpest angle at which two lines cross, radians: a board seen very obliquely.
+/// Minimum angle between the two lines, radians; reached by a very oblique board.
 const SHARPEST_CROSSING: f64 = 0.3;
 
 impl Ring {
-    /// Reads the circle of `radius_px` around `centre`; `None` unless black and white take turns exactly twice, each twice about as
-    /// dark or bright as its opposite, divided by two fairly straight lines. The circle must lie in the image.
+    /// Samples the circle of `radius_px` around `centre`. `None` unless black and white alternate
+    /// exactly twice, opposite arcs are of similar brightness, and the four edges form two nearly
+    /// straight lines. Also `None` if the circle is not inside the image.
     pub fn read(image: &GrayImage, centre: Pixel, radius_px: f64) -> Option<Self> {
         let inside = centre.x - radius_px >= 0.0
             && centre.y - radius_px >= 0.0
@@ -64,7 +68,8 @@ impl Ring {
         if most - least < LEAST_CONTRAST {
             return None;
         }
-        // Halfway, with the centre held between: on a corner, as much of the circle is black as is white only if it is seen squarely.
+        // The threshold is the mid-range, not the mean: black and white arcs are only of equal
+        // length for a corner seen without foreshortening.
         let middle = 0.5 * (least + most);
         let mut edges = [0.0; 4];
         let mut rises = [false; 4];
@@ -107,7 +112,7 @@ impl Ring {
         let (pair_0, pair_1) = ([means[0], means[2]], [means[1], means[3]]);
         let (white, black) = if white_after_first { (pair_0, pair_1) } else { (pair_1, pair_0) };
         let contrast = 0.5 * (white[0] + white[1] - black[0] - black[1]);
-        // Light changes slowly: opposite squares look more alike than neighbours do.
+        // Illumination varies slowly, so opposite squares are more similar than adjacent ones.
         if contrast < LEAST_CONTRAST * 0.75
             || (white[0] - white[1]).abs() > 0.6 * contrast
             || (black[0] - black[1]).abs() > 0.6 * contrast
@@ -122,33 +127,36 @@ impl Ring {
         })
     }
 
-    /// Whether the arc that follows an edge is white.
+    /// Whether the arc after an edge is white.
     pub fn white_after(&self, edge: usize) -> bool {
         self.white_after_first == edge.is_multiple_of(2)
     }
 
-    /// White less black, gray levels.
+    /// White minus black, gray levels.
     pub fn contrast(&self) -> f64 {
         self.white - self.black
     }
 
-    /// The gray halfway.
+    /// Mean of black and white, gray levels.
     pub fn middle(&self) -> f64 {
         0.5 * (self.white + self.black)
     }
 
-    /// Directions of the two lines through the corner, radians; the first is the one of the first edge.
+    /// Directions of the two lines through the corner, radians; the first one contains the first
+    /// edge.
     pub fn lines(&self) -> [f64; 2] {
         [0, 1].map(|i| 0.5 * (self.edges[i] + self.edges[i + 2] - PI))
     }
-    /// Whether it is white where the distances from both lines (to the side of `(−sin, cos)`) have the same sign.
+    /// Whether the image is white where the signed distances from both lines (positive towards
+    /// `(−sin, cos)`) have the same sign.
     pub fn white_where_alike(&self) -> bool {
-        // Past the first edge but before the second, a point is on the plus side of the first line and the minus side of the second.
+        // Between the first and the second edge, a point is on the positive side of the first line
+        // and on the negative side of the second.
         !self.white_after_first
     }
 }
 
-/// The image between its samples. The point must lie inside, as [`Ring::read`] has seen to.
+/// Bilinear interpolation. The point must be inside the image, as [`Ring::read`] ensures.
 pub(super) fn bilinear(image: &GrayImage, x: f64, y: f64) -> f64 {
     let (left, top) = (x as usize, y as usize);
     let (fx, fy) = (x - left as f64, y - top as f64);

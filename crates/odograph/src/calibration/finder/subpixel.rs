@@ -1,29 +1,31 @@
-//! Where exactly four squares meet.
+//! Sub-pixel localisation of chessboard corners (saddle points).
 //!
-//! Two steps. [`orthogonal`] finds the point to which all gradients around it are orthogonal (W. Förstner and E. Gülch, "A fast operator
-//! for detection and precise location of distinct points, corners and centres of circular features", 1987): it comes from pixels
-//! away and needs no model. [`fit`] then fits the picture of two crossing blurred edges to the samples themselves, least squares in all
-//! its nine unknowns, which is the best there is under noise. No sample is interpolated in either.
+//! There are two steps. [`orthogonal`] finds the point to which all surrounding gradients are
+//! orthogonal (W. Förstner and E. Gülch, "A fast operator for detection and precise location of
+//! distinct points, corners and centres of circular features", 1987). It converges from several
+//! pixels away and needs no model. [`fit`] then fits a model of two crossing blurred edges to the
+//! image samples, by least squares in all nine unknowns, which is optimal under Gaussian noise.
+//! Neither step interpolates the image.
 
 use super::ring::Ring;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use nalgebra::{SMatrix, SVector};
 
-/// Four squares meeting, as fitted.
+/// A fitted saddle point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Saddle {
-    /// Where the two edges cross.
+    /// Intersection of the two edges.
     pub pixel: Pixel,
-    /// Standard deviation of the blur of the edges, pixels.
+    /// Standard deviation of the edge blur, pixels.
     pub blur_px: f64,
-    /// Gray levels from black to white.
+    /// Difference between white and black, gray levels.
     pub contrast: f64,
-    /// Root mean square of what the model does not explain, gray levels.
+    /// RMS residual of the fit, gray levels.
     pub residual: f64,
 }
 
-/// The half window that fits into the image around a point; `None` below [`SMALLEST_WINDOW_PX`].
+/// The half window, reduced so that it lies inside the image; `None` below [`SMALLEST_WINDOW_PX`].
 fn window_inside(image: &GrayImage, centre: Pixel, half_window_px: f64) -> Option<f64> {
     let right = image.width() as f64 - 2.0 - centre.x;
     let below = image.height() as f64 - 2.0 - centre.y;
@@ -31,10 +33,11 @@ fn window_inside(image: &GrayImage, centre: Pixel, half_window_px: f64) -> Optio
     (half >= SMALLEST_WINDOW_PX).then_some(half) // false for NaN
 }
 
-/// Fewer samples than within this radius do not hold nine unknowns.
+/// Minimum half window, pixels; fewer samples do not constrain the nine unknowns.
 const SMALLEST_WINDOW_PX: f64 = 2.0;
 
-/// The samples of a round window: column, row, offsets from its centre, and a weight that falls to 0 at the rim.
+/// The samples of a circular window: column, row, offset from its centre in x and y, and a weight
+/// that decreases to 0 at the rim.
 fn window(
     image: &GrayImage,
     centre: Pixel,
@@ -55,12 +58,13 @@ fn window(
     })
 }
 
-/// The point to which the gradients around it are orthogonal, from up to half a window away.
+/// The point to which the surrounding gradients are orthogonal (Förstner). Converges from up to
+/// half a window away.
 pub(super) fn orthogonal(image: &GrayImage, start: Pixel, half_window_px: f64) -> Option<Pixel> {
     orthogonal_to_within(image, start, half_window_px, CONVERGED_PX)
 }
 
-/// [`orthogonal`], ended when a step is smaller than `enough_px`.
+/// [`orthogonal`], stopped when a step is shorter than `enough_px`.
 pub(super) fn orthogonal_to_within(
     image: &GrayImage,
     start: Pixel,
@@ -83,7 +87,7 @@ pub(super) fn orthogonal_to_within(
             by += weight * gy * (gx * dx + gy * dy);
         }
         let determinant = xx * yy - xy * xy;
-        // One edge alone leaves the point free along it.
+        // Rank deficient: a single edge leaves the position along it undetermined.
         if determinant <= 1e-3 * (xx + yy) * (xx + yy) {
             return None;
         }
@@ -99,57 +103,62 @@ pub(super) fn orthogonal_to_within(
     Some(at)
 }
 
-/// Steps of either iteration; both converge in three to six.
+/// Maximum number of iterations; both methods converge in three to six.
 const MOST_STEPS: usize = 12;
-/// Far below what noise does; the fit's next step would be smaller by another order.
+/// Convergence threshold of a step, far below the noise. The next step would be an order of
+/// magnitude smaller.
 const CONVERGED_PX: f64 = 5e-4;
-/// A step after which the matrix of the normal equations is made anew.
+/// Length of a step above which the matrix of the normal equations is updated, pixels.
 const CHANGES_MATRIX_PX: f64 = 0.03;
-/// Near enough to begin the fit.
+/// Accuracy of the start of the model fit, pixels.
 const NEAR_PX: f64 = 0.1;
-/// The blur of a sharp camera, standard deviation: where the fit begins.
+/// Initial blur of the model fit: standard deviation of a sharp camera, pixels.
 pub(super) const USUAL_BLUR_PX: f64 = 0.7;
-/// An edge cannot be sharper than a sample: the standard deviation of a box of one pixel.
+/// Minimum blur, pixels: each sample integrates over a pixel, a box with this standard deviation.
 const SHARPEST_PX: f64 = 0.29;
 
-/// The unknowns of [`fit`]: direction (radians) and distance (pixels) of two edges, half width of their ramp, middle gray, half
-/// contrast, slope of the light along x and y.
+/// The unknowns of [`fit`]: direction (radians) and distance (pixels) of two edges, half width of
+/// their ramp, mean gray level, half contrast, gradient of the illumination along x and y.
 type Unknowns = SVector<f64, 9>;
 
-/// A blurred step from −1 to 1, `half_width` the distance where the ramp ends, and its derivative: the integral of the biweight
-/// kernel, which is a Gaussian's step to within 2 %, but costs a polynomial.
+/// A blurred step from −1 to 1 and its derivative; the ramp ends at `half_width`. It is the
+/// integral of the biweight kernel, which approximates a Gaussian step to within 2 % but only costs
+/// a polynomial.
 fn step(distance: f64, half_width: f64) -> (f64, f64) {
     let u = (distance / half_width).clamp(-1.0, 1.0);
     let u2 = u * u;
     (u * (1.875 - u2 * (1.25 - 0.375 * u2)), 1.875 * (1.0 - u2) * (1.0 - u2))
 }
 
-/// Half width of the ramp over the standard deviation of the kernel.
+/// Half width of the ramp over the standard deviation of the biweight kernel.
 const WIDTHS_PER_DEVIATION: f64 = 2.645_751_311_064_590_7; // √7
 
-/// The sub-pixel place where four squares meet near `start`.
+/// Locates a saddle point near `start` with sub-pixel accuracy.
 ///
-/// `half_window_px` says how far around it the image is looked at: at most half the side of the smallest square there, so that no
-/// other corner is seen, and not much more than 10, so that a lens's bending of the edges does not matter. `start` may be off by
-/// about half of it. `None` where no saddle is near `start`, or the window does not lie in the image (it is made smaller at the
-/// border down to 2 pixels).
+/// `half_window_px` is the radius of the window. It should be at most half the side of the smallest
+/// adjacent square, so that no other corner is included, and not much more than 10, so that lens
+/// distortion does not bend the edges. `start` may be off by about half of it. `None` if there is
+/// no saddle point near `start`, or if the window does not fit in the image. Near the border the
+/// window is reduced, down to 2 pixels.
 ///
-/// The model is `middle + slope · u + half_contrast · step(n₁ · u − c₁) · step(n₂ · u − c₂)`. The slope matters: light that changes over
-/// the window correlates with a shift of the corner. Levenberg–Marquardt on the samples, weighted by the round window.
+/// The model is `middle + slope · u + half_contrast · step(n₁ · u − c₁) · step(n₂ · u − c₂)`. The
+/// slope is needed because an illumination gradient correlates with the position of the corner. The
+/// samples are weighted by the circular window and fitted by Levenberg–Marquardt.
 pub(crate) fn fit(image: &GrayImage, start: Pixel, half_window_px: f64) -> Option<Saddle> {
     fit_from(image, start, half_window_px, USUAL_BLUR_PX)
 }
 
-/// [`fit`] where the blur is nearly known, which saves steps.
+/// [`fit`] with an approximately known blur, which saves iterations.
 pub(super) fn fit_from(image: &GrayImage, start: Pixel, half_window_px: f64, blur_px: f64) -> Option<Saddle> {
     let centre = orthogonal_to_within(image, start, half_window_px, NEAR_PX)?;
     let half = window_inside(image, centre, half_window_px)?;
-    // The ring tells the directions of the edges; nearer than 2 pixels a ring is all blur.
+    // The ring provides the initial edge directions. A ring of less than 2 pixels only measures
+    // blur.
     let ring = Ring::read(image, centre, (0.7 * half).max(2.0).min(half))?;
     fit_edges(image, centre, half, &ring, blur_px)
 }
 
-/// The fit itself, from roughly known edges on.
+/// The model fit from approximately known edges.
 fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: f64) -> Option<Saddle> {
     let [first, second] = ring.lines();
     let sign = if ring.white_where_alike() { 1.0 } else { -1.0 };
@@ -193,14 +202,14 @@ fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: 
         if moved_px < CONVERGED_PX {
             break;
         }
-        // Near the end the matrix hardly changes, and it is what costs.
+        // Near convergence the matrix is almost constant, and it dominates the cost.
         if moved_px > CHANGES_MATRIX_PX {
             normal = normal_equations::<true>(&samples, &unknowns).0;
         }
     }
     let (x, y) = crossing(&unknowns)?;
     if x.hypot(y) > 0.5 * half {
-        return None; // the fit ran away from what `orthogonal` found
+        return None; // the fit diverged from the result of `orthogonal`
     }
     let weights: f64 = samples.iter().map(|sample| sample[3]).sum();
     Some(Saddle {
@@ -211,7 +220,8 @@ fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: 
     })
 }
 
-/// Where the edges cross, relative to the window's centre; `None` where they are nearly parallel.
+/// Intersection of the edges relative to the centre of the window; `None` if they are nearly
+/// parallel.
 fn crossing(unknowns: &Unknowns) -> Option<(f64, f64)> {
     let (s1, c1) = unknowns[0].sin_cos();
     let (s2, c2) = unknowns[2].sin_cos();
@@ -224,7 +234,7 @@ fn crossing(unknowns: &Unknowns) -> Option<(f64, f64)> {
     Some(((d1 * c2 - d2 * c1) / determinant, (d1 * s2 - d2 * s1) / determinant))
 }
 
-/// JᵀWJ (zero unless `MATRIX`), JᵀWr and rᵀWr of the model at the given unknowns.
+/// JᵀWJ (zero unless `MATRIX`), JᵀWr and rᵀWr of the model.
 fn normal_equations<const MATRIX: bool>(
     samples: &[[f64; 4]],
     unknowns: &Unknowns,
@@ -250,7 +260,7 @@ fn normal_equations<const MATRIX: bool>(
         let along_2 = -(s2 * y + c2 * x);
         let by_width = -(by_1 * distance_1 + by_2 * distance_2) / width;
         let row = [by_1 * along_1, -by_1, by_2 * along_2, -by_2, by_width, 1.0, pattern, x, y];
-        // Far from both edges only the light's four unknowns see the sample.
+        // Far from both edges, a sample only constrains the four unknowns of the illumination.
         let first = if slope_1 == 0.0 && slope_2 == 0.0 { 5 } else { 0 };
         for i in first..9 {
             let weighted = weight * row[i];

@@ -1,8 +1,10 @@
-//! Boards with markers: parts of them are enough, for each marker says where on the board it is.
+//! Detection of boards with markers. Partial views are sufficient, because each marker identifies
+//! its position on the board.
 //!
-//! Markers that are read are only the beginning. Those that agree with each other about where the board is predict the points around
-//! them; each point is then found in the image by itself, and found points predict further ones, with their markers checked bit by bit
-//! where they must be. Predictions go through homographies of a few squares' size, so lenses may bend the board as a whole.
+//! A consistent set of decoded markers predicts the corners around them. Each corner is then
+//! located in the image on its own, and located corners predict further ones, whose markers are
+//! verified bit by bit at the predicted position. All predictions use local homographies over a few
+//! squares, so they tolerate lens distortion.
 
 use super::NotFound;
 use super::markers::{self, Codes, Layout, Marker};
@@ -14,62 +16,67 @@ use crate::image::GrayImage;
 use crate::numerics::median;
 use std::collections::VecDeque;
 
-/// A board with markers, prepared for finding.
+/// A board with markers and precomputed data for its detection.
 #[derive(Debug, Clone)]
 pub(super) struct TaggedBoard {
     pub(super) points: Vec<BoardPoint>,
-    /// Points in a row, and rows of points.
+    /// Columns and rows of the point grid.
     pub(super) grid: (usize, usize),
-    /// Cells that markers stand in, across and down, and which marker stands in each.
+    /// Columns and rows of cells that may hold a marker, and the marker in each cell.
     pub(super) cells: (usize, usize),
     pub(super) marker_in_cell: Vec<Option<usize>>,
-    /// The cell of each marker, and where its corners are, from its top left clockwise as printed, metres.
+    /// The cell of each marker, and its corners on the board, clockwise from the top left as
+    /// printed, metres.
     pub(super) cell_of_marker: Vec<(usize, usize)>,
     pub(super) corners_of_marker: Vec<[(f64, f64); 4]>,
-    /// The markers whose cells a point touches, and the points that a marker's cell touches.
+    /// The markers adjacent to each point, and the points adjacent to each marker.
     pub(super) markers_of_point: Vec<Vec<usize>>,
     pub(super) points_of_marker: Vec<Vec<usize>>,
-    /// Whether a point's upper left and lower right are black (then the other two are white).
+    /// Whether the upper left and lower right squares at a point are black; the other two have the
+    /// opposite colour.
     pub(super) black_upper_left: Vec<bool>,
     pub(super) codes: Codes,
     pub(super) drawing: Drawing,
-    /// How far from a point the four squares around it are plain, metres.
+    /// Distance from a point within which the four squares around it are uniform, metres.
     pub(super) plain_m: f64,
-    /// The unit of distance for predictions, metres, and how many points away in the grid help to predict.
+    /// Unit of distance for predictions (metres), and radius of the neighbourhood used for a
+    /// prediction (points of the grid).
     pub(super) spacing_m: f64,
     pub(super) reach: usize,
-    /// Fewer markers than this that agree are no board.
+    /// Minimum number of consistent markers for a detection.
     pub(super) least_markers: usize,
-    /// Whether the markers stand in a chessboard's white squares.
+    /// Whether the markers are in the white squares of a chessboard.
     pub(super) is_chessboard: bool,
 }
 
-/// Fewer points are no view: a homography must be told from a wrong one.
+/// Minimum number of points for a view: fewer do not determine a homography.
 const LEAST_POINTS: usize = 4;
-/// Markers agree when one's corners are where another predicts them, in sides of the marker: near ones, and as far as the prediction of
-/// one small marker carries.
+/// Tolerance for the consistency of two markers, in sides of a marker: the homography of each must
+/// predict the corners of the other. Only nearby markers are compared, because the homography of a
+/// small marker extrapolates poorly.
 const AGREE_SIDES: f64 = 0.4;
-/// How far a point may lie from where it is predicted, in least widths of a spacing, and in pixels in addition.
+/// Maximum distance between prediction and detection of a point: a share of the minimum width of a
+/// spacing, plus a constant in pixels.
 const OFF_SPACINGS: f64 = 0.12;
 const OFF_PX: f64 = 1.0;
 
-/// What is known of a view as it grows.
+/// State of the region growing in one image.
 struct View<'a> {
     image: &'a GrayImage,
     board: &'a TaggedBoard,
     seen: Vec<Option<Pixel>>,
-    /// Where markers were read, and whether they have been checked bit by bit.
+    /// Image corners of the decoded markers, and whether each marker is confirmed.
     marker_corners: Vec<Option<[Pixel; 4]>>,
     agrees: Vec<bool>,
-    /// Whether the markers are drawn as the board's drawing has them.
+    /// Whether the printed markers match the board's drawing in the width of their border.
     is_as_drawn: bool,
-    /// The blur that the points seen first speak for, each.
+    /// Blur estimates from the first points, pixels.
     blurs: Vec<f64>,
     blur_px: f64,
 }
 
 impl TaggedBoard {
-    /// Finds the board; it may be seen in part.
+    /// Detects the board, which may be partly visible.
     pub fn find(&self, image: &GrayImage) -> Result<BoardView, NotFound> {
         let mut found = markers::find(image, &self.codes);
         let mut agreeing = self.agreeing(&found.read);
@@ -77,7 +84,7 @@ impl TaggedBoard {
             markers::find_between(image, &self.codes, &mut found);
             agreeing = self.agreeing(&found.read);
         }
-        // A few markers look like others in a mirror.
+        // A few markers resemble others in the mirrored image.
         let mirrored = self.agreeing(&found.mirrored);
         if mirrored.len() >= self.least_markers.max(2) && mirrored.len() > agreeing.len() {
             return Err(NotFound::Mirrored);
@@ -111,9 +118,9 @@ impl TaggedBoard {
         view.into_board_view()
     }
 
-    /// The largest set of markers that agree about where the board is, each marker once.
+    /// The largest set of mutually consistent markers (a connected component), each marker once.
     fn agreeing(&self, read: &[Marker]) -> Vec<Marker> {
-        // The same marker under two windows of the threshold is met once.
+        // A marker may be decoded with several windows of the threshold; duplicates are dropped.
         let mut seeds: Vec<Marker> = Vec::new();
         let mut in_cell: Vec<Vec<usize>> = vec![Vec::new(); self.marker_in_cell.len()];
         for marker in read {
@@ -175,17 +182,17 @@ impl TaggedBoard {
     }
 }
 
-/// A picture may show a board several times; so many copies of one marker are looked at.
+/// Maximum number of copies of one marker that are considered; an image may show several boards.
 const MOST_COPIES: usize = 24;
 
 impl View<'_> {
-    /// Finds points from those that are known already until no more are met.
+    /// Region growing: locates points from known ones until no more are found.
     fn grow(&mut self) {
         let board = self.board;
         let mut waiting: VecDeque<usize> = VecDeque::new();
         let mut is_waiting = vec![false; board.points.len()];
         let mut tries = vec![0u8; board.points.len()];
-        // Points with the most markers around them first: they are predicted best.
+        // Points with the most confirmed markers have the best predictions, so they come first.
         let mut first: Vec<usize> = (0..board.points.len()).collect();
         let known = |point: usize| board.markers_of_point[point].iter().filter(|&&m| self.agrees[m]).count();
         first.retain(|&point| known(point) > 0);
@@ -216,7 +223,8 @@ impl View<'_> {
         }
     }
 
-    /// The map of the board around a place, from the points seen near it, and from markers where those are few.
+    /// The local homography around a position, from the located points nearby and, if those are
+    /// few, from marker corners. The point `without` is excluded.
     fn map_around(
         &self,
         place: (f64, f64),
@@ -250,7 +258,7 @@ impl View<'_> {
                     let Some(marker) = board.marker_in_cell[y * board.cells.0 + x] else { continue };
                     let Some(corners) = self.marker_corners[marker] else { continue };
                     for (at, pixel) in board.corners_of_marker[marker].iter().zip(corners) {
-                        // Outlines are coarser than points.
+                        // Corners from outlines are less accurate than located points.
                         pairs.push((*at, pixel, MARKER_WEIGHT * weight(*at)));
                     }
                 }
@@ -259,8 +267,8 @@ impl View<'_> {
         PlaneMap::fit(&pairs, place, board.spacing_m)
     }
 
-    /// Looks for a point where it must be, and notes it where it is really there and one of its markers too. What was noted: nothing, the point,
-    /// or with it others of the same marker.
+    /// Locates a point and accepts it if one of its markers is confirmed in the image. Returns the
+    /// newly located points: empty, the point, or the point with others of the same marker.
     fn try_point(&mut self, point: usize) -> Vec<usize> {
         let board = self.board;
         let Some(look) = self.look_from_around(point) else { return Vec::new() };
@@ -270,10 +278,12 @@ impl View<'_> {
         if markers.iter().any(|&marker| self.agrees[marker]) {
             return met;
         }
-        // One of its markers at least must be there, as far as the new point makes it known where.
+        // At least one of its markers must be confirmed, as far as the new point makes its position
+        // known.
         for &marker in markers {
             if !board.is_chessboard {
-                // No other marker shares its points, so they are to be found together.
+                // The points of a marker are not shared with other markers, so they must be located
+                // together.
                 for &other in &board.points_of_marker[marker] {
                     if self.seen[other].is_none()
                         && let Some(look) = self.look_from_around(other)
@@ -294,7 +304,7 @@ impl View<'_> {
         Vec::new()
     }
 
-    /// Looks for a point where what is known around it has it.
+    /// Locates a point at the position predicted by its neighbourhood.
     fn look_from_around(&mut self, point: usize) -> Option<PointLook> {
         let board = self.board;
         let place = (board.points[point].x_m, board.points[point].y_m);
@@ -302,7 +312,7 @@ impl View<'_> {
         self.look(point, &map)
     }
 
-    /// Looks for a point where a map has it.
+    /// Locates a point at the position predicted by a map.
     fn look(&mut self, point: usize, map: &PlaneMap) -> Option<PointLook> {
         let board = self.board;
         let place = (board.points[point].x_m, board.points[point].y_m);
@@ -325,7 +335,7 @@ impl View<'_> {
         if !self.is_as_drawn || self.blurs.len() >= POINTS_FOR_BLUR {
             return look(self.blur_px);
         }
-        // The first points tell how blurred the image is: the blur that explains them best.
+        // The first points estimate the blur of the image: the one with the smallest residual.
         let tried = BLURS_PX.into_iter().filter_map(|blur_px| Some((blur_px, look(blur_px)?)));
         let (blur_px, best) = tried.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual))?;
         self.blurs.push(blur_px);
@@ -333,7 +343,8 @@ impl View<'_> {
         Some(best)
     }
 
-    /// Whether a marker is where the points around it tell; `None` where they are too few, or nothing like any marker is there.
+    /// Whether a marker is visible at the position predicted by its points. `None` if too few
+    /// points are located, or if nothing there can be decoded as a marker.
     fn marker_is_there(&self, marker: usize) -> Option<bool> {
         let board = self.board;
         let known =
@@ -356,7 +367,8 @@ impl View<'_> {
         readings.map(|reading| board.codes.looks_like(marker, &reading)).reduce(|a, b| a || b)
     }
 
-    /// Whether among the markers that the points hold in place, those that look as they must outnumber those that look otherwise.
+    /// Plausibility check: among all markers whose position is known, those with the expected code
+    /// must outnumber those with another one.
     fn is_plausible(&self) -> bool {
         let readings = (0..self.agrees.len()).filter_map(|marker| self.marker_is_there(marker));
         let (right, wrong) =
@@ -369,7 +381,7 @@ impl View<'_> {
         right >= self.board.least_markers && right > wrong
     }
 
-    /// Forgets points that are not where their neighbours have them.
+    /// Rejects points that are inconsistent with their neighbours.
     fn drop_outliers(&mut self) {
         let board = self.board;
         let mut wrong = Vec::new();
@@ -391,7 +403,8 @@ impl View<'_> {
         }
     }
 
-    /// Finds all points anew, now that the map around each is known from all sides; those that are not found again are forgotten.
+    /// Locates all points again, now that each has neighbours on all sides; points that are not
+    /// found again are dropped.
     fn refine(&mut self) {
         let before = self.seen.clone();
         let mut after = vec![None; before.len()];
@@ -411,7 +424,7 @@ impl View<'_> {
         if points.len() < LEAST_POINTS {
             return Err(NotFound::Blurred);
         }
-        // Points in one row tell no pose.
+        // Points in a single row do not determine a pose.
         let (columns, rows) = self.board.grid;
         let span = |of: &dyn Fn(usize) -> usize| {
             let values = points.iter().map(|point| of(point.index));
@@ -425,14 +438,15 @@ impl View<'_> {
     }
 }
 
-/// The blurs that are tried, standard deviations in pixels, and how many points choose.
+/// Hypotheses of the blur, standard deviation in pixels, and number of points that select among
+/// them.
 const BLURS_PX: [f64; 6] = [0.35, 0.6, 0.85, 1.1, 1.4, 1.8];
 const POINTS_FOR_BLUR: usize = 5;
-/// How often a point is looked for; each time more is known around it.
+/// Maximum number of attempts per point; each time more neighbours are known.
 const MOST_TRIES: u8 = 4;
-/// Weight of a marker's corner against that of a point.
+/// Weight of a marker corner relative to a located point.
 const MARKER_WEIGHT: f64 = 0.02;
-/// Where squares are smaller, their corners run into each other, pixels.
+/// Minimum spacing in the image, pixels; below it, adjacent corners merge.
 const LEAST_SPACING_PX: f64 = 6.0;
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! Boards rendered with exact truth.
+//! Detection in rendered boards with exact ground truth.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // in a test, what cannot be is a failure of the test
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a panic fails the test
 
 use super::{BoardFinder, NotFound, subpixel};
 use crate::calibration::{Board, BoardView};
@@ -10,20 +10,19 @@ use crate::image::GrayImage;
 use crate::simulation::{BoardEffects, BoardScene, Framing, Occlusion};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-/// A chessboard's picture: 8x8 samples a pixel of a pattern in the plane, whose square coordinates `at` gives for a pixel, blurred and
-/// noisy.
+/// A rendered plane with 6x6 samples per pixel, Gaussian blur and noise.
 pub(super) struct Scene<'a> {
     pub size: (usize, usize),
-    /// Square coordinates (the corners at integers) seen at a pixel.
+    /// Maps a pixel to square coordinates, with the corners at integers.
     pub at: &'a dyn Fn(f64, f64) -> (f64, f64),
-    /// Gray at square coordinates.
+    /// Gray level at square coordinates.
     pub gray: &'a dyn Fn(f64, f64) -> f64,
     pub blur_px: f64,
     pub noise: f64,
     pub seed: u64,
 }
 
-/// Splitmix64: noise that is the same everywhere.
+/// SplitMix64: the same noise on every platform.
 pub(super) struct Random(pub u64);
 
 impl Random {
@@ -35,7 +34,7 @@ impl Random {
         ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Standard normal (Box–Muller).
+    /// Standard normal random number (Box–Muller).
     pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.unit()).cos()
@@ -83,14 +82,14 @@ impl Scene<'_> {
     }
 }
 
-/// Black and white squares, everywhere.
+/// An infinite chessboard pattern.
 pub(super) fn squares(x: f64, y: f64) -> f64 {
     if (x.floor() as i64 + y.floor() as i64) % 2 == 0 { 40.0 } else { 210.0 }
 }
 
-/// Bias and deviation of the fit over the corners of turned and foreshortened squares.
+/// RMS error of the fit over the corners of rotated and foreshortened squares.
 #[test]
-fn corners_are_exact_under_blur_noise_and_light() {
+fn corner_errors_are_small_under_blur_noise_and_illumination_gradients() {
     for (blur_px, noise, light, limit_px) in
         [(0.5, 0.0, 0.0, 0.012), (0.7, 2.0, 0.0, 0.02), (0.7, 2.0, 0.4, 0.02), (1.5, 2.0, 0.0, 0.03)]
     {
@@ -123,7 +122,7 @@ fn corners_are_exact_under_blur_noise_and_light() {
 }
 
 #[test]
-fn there_is_no_corner_on_an_edge_a_plane_or_off_the_image() {
+fn no_corner_on_edges_uniform_areas_or_outside_the_image() {
     let image = |gray: &dyn Fn(usize, usize) -> u8| {
         GrayImage::from_samples(40, 40, (0..1600).map(|i| gray(i % 40, i / 40)).collect()).unwrap()
     };
@@ -147,7 +146,7 @@ fn camera(size: (usize, usize), distortion: &[f64]) -> Camera {
     Camera::new((size.0, size.1), (focal, 1.001 * focal), centre, distortion).unwrap()
 }
 
-/// Root mean square distance of a view's points from the truth; the same points must be there.
+/// RMS error of the detected points, pixels; the indices must match.
 fn error_px(found: &BoardView, truth: &BoardView) -> f64 {
     assert_eq!(found.size, truth.size);
     assert_eq!(found.points.len(), truth.points.len());
@@ -185,13 +184,14 @@ fn chessboards_are_found_in_every_pose() {
         }
         let rms_px = (squares / count as f64).sqrt();
         println!("{text} in {size:?}: {rms_px:.4} px rms, worst view {worst:.4} px");
-        // Noise allows 0.01 to 0.02 px at squares of 20 px and more, and 0.05 at squares of 8 px.
+        // The noise accounts for 0.01 to 0.02 px with squares of 20 px and more, and for 0.05 px
+        // with squares of 8 px.
         assert!(rms_px < 0.04 && worst < 0.08, "{text}: {rms_px} px, worst {worst} px");
     }
 }
 
 #[test]
-fn what_is_seen_instead_of_the_board_is_said() {
+fn failure_reasons_describe_the_visible_board() {
     let camera = camera((640, 480), &[]);
     let drawn: Board = "chessboard:9x6:25mm".parse().unwrap();
     let scene = BoardScene::new(&drawn, &camera, 3);
@@ -221,7 +221,7 @@ fn what_is_seen_instead_of_the_board_is_said() {
 }
 
 #[test]
-fn grids_of_discs_are_found_in_every_pose() {
+fn circle_grids_are_found_in_every_pose() {
     for (text, size) in [
         ("circles:7x5:20mm", (640, 480)),
         ("asymmetric-circles:4x11:20mm", (640, 480)),
@@ -235,10 +235,11 @@ fn grids_of_discs_are_found_in_every_pose() {
             let image = scene.render(pose, &BoardEffects::camera_like(2.0, number as u64));
             let found = finder.find(&image).unwrap_or_else(|why| panic!("{text}, pose {number}: {why}"));
             let error_px = error_px(&found, &scene.true_view(pose));
-            // The centre of a disc's image is not the image of its centre: up to half a pixel for discs of 50 px seen obliquely.
+            // The centre of a disc's image is not the image of its centre: the bias is up to half a
+            // pixel for oblique discs of 50 px.
             assert!(error_px < 0.5, "{text}, pose {number}: {error_px} px");
         }
-        // Seen squarely by a pinhole it is.
+        // Fronto-parallel in a pinhole camera there is no bias.
         let scene = BoardScene::new(&board, &camera(size, &[]), 3);
         let pose = Isometry3::translation(-0.071, -0.052, 0.5);
         let found = finder.find(&scene.render(&pose, &BoardEffects::camera_like(2.0, 1))).unwrap();
@@ -249,7 +250,7 @@ fn grids_of_discs_are_found_in_every_pose() {
 }
 
 #[test]
-fn no_board_is_found_where_there_is_none() {
+fn no_board_is_found_in_images_without_one() {
     let boards =
         ["chessboard:9x6:25mm", "chessboard:3x3:25mm", "circles:3x3:20mm", "asymmetric-circles:3x4:20mm"];
     let mut random = Random(5);
@@ -276,7 +277,7 @@ fn no_board_is_found_where_there_is_none() {
 }
 
 #[test]
-fn the_first_corner_is_beside_the_black_corner_square_however_the_board_is_turned() {
+fn first_corner_is_next_to_the_black_corner_square() {
     let board: Board = "chessboard:6x5:25mm".parse().unwrap();
     let scene = BoardScene::new(&board, &camera((640, 480), &[]), 3);
     let finder = BoardFinder::new(&board);

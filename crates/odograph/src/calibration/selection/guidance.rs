@@ -1,31 +1,33 @@
-//! What has been seen of the lens, and what a person should show next.
+//! Coverage of the image by the selected views, and guidance for the user.
 
 use super::Kept;
 use crate::calibration::Board;
 use crate::geometry::Pixel;
 use std::fmt;
 
-/// Which cells of the image have seen the board: [`Coverage::COLUMNS`] by [`Coverage::ROWS`] equal cells.
+/// Coverage of the image by board points, in [`Coverage::COLUMNS`] by [`Coverage::ROWS`] equal
+/// cells.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Coverage {
-    /// How many points each cell has seen in the chosen views, row after row from the top left.
+    /// Number of points per cell in the selected views, in row-major order from the top left.
     pub points: Vec<usize>,
 }
 
 impl Coverage {
-    /// Cells side by side.
+    /// Number of cells along a row.
     pub const COLUMNS: usize = 9;
-    /// Cells one above the other.
+    /// Number of cells along a column.
     pub const ROWS: usize = 6;
-    /// All of them.
+    /// Total number of cells.
     pub const CELLS: usize = Self::COLUMNS * Self::ROWS;
 
-    /// The share of the image's cells that have seen a point, 0 to 1.
+    /// Share of cells with at least one point, 0 to 1.
     pub fn share(&self) -> f64 {
         self.points.iter().filter(|&&points| points > 0).count() as f64 / Self::CELLS as f64
     }
 
-    /// The cells, without repetition and in order, in which the pixels of an image of the given size lie.
+    /// The cells that contain the given pixels of an image of `size`, sorted and without
+    /// duplicates.
     pub(super) fn cells_of(size: (usize, usize), pixels: impl Iterator<Item = Pixel>) -> Vec<usize> {
         let mut cells: Vec<usize> = pixels.map(|pixel| Self::cell_of(size, pixel)).collect();
         cells.sort_unstable();
@@ -42,12 +44,13 @@ impl Coverage {
     }
 }
 
-/// A ninth of the image: `(column, row)`, each 0 to 2 from the top left. Its text is for people: `the top left`.
+/// A ninth of the image as `(column, row)`, each 0 to 2 from the top left. The text form is for
+/// users: `the top left`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Region {
-    /// 0 left, 1 middle, 2 right.
+    /// 0 left, 1 centre, 2 right.
     pub column: usize,
-    /// 0 top, 1 middle, 2 bottom.
+    /// 0 top, 1 centre, 2 bottom.
     pub row: usize,
 }
 
@@ -67,30 +70,32 @@ impl fmt::Display for Region {
     }
 }
 
-/// A way to tilt the board, as the camera sees it.
+/// Axis of a tilt of the board, in the camera's view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// The left or the right side comes nearer.
+    /// The left or the right side is nearer to the camera.
     Sideways,
-    /// The upper or the lower side comes nearer.
+    /// The upper or the lower side is nearer to the camera.
     UpAndDown,
 }
 
-/// One thing that would make the calibration better. Its text is an imperative sentence without its full stop.
+/// Advice that would improve the calibration. The text form is an imperative sentence without a
+/// full stop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Hint {
-    /// The board is always parallel to the image in this direction: focal length and distance cannot be told apart.
+    /// The board is nearly parallel to the image plane in this direction in too many views, so
+    /// focal length and distance are ambiguous.
     Tilt(Direction),
-    /// This part of the image has not seen the board.
+    /// This part of the image is not covered.
     GoTo(Region),
     /// The board is small in every view.
     ComeCloser,
-    /// The board is always at the same distance.
+    /// The distance of the board hardly varies.
     GoFurtherAway,
-    /// The board moved in most of the views.
+    /// The board was moving in most of the views.
     HoldStill,
-    /// So many different views are still wanted.
+    /// This many more distinct views are needed.
     MoreViews(usize),
 }
 
@@ -109,28 +114,29 @@ impl fmt::Display for Hint {
     }
 }
 
-/// What the chosen views show of the lens, and what is missing.
+/// What the selected views cover and what is missing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Guidance {
-    /// How many views are chosen.
+    /// Number of selected views.
     pub views: usize,
-    /// Where in the image the board was seen.
+    /// Coverage of the image by the selected views.
     pub coverage: Coverage,
-    /// What to do next, most important first; empty where nothing is missing.
+    /// Advice, most important first; empty if nothing is missing.
     pub missing: Vec<Hint>,
 }
 
-/// With fewer views no calibration is to be trusted.
+/// Minimum number of views for a reliable calibration.
 const LEAST_VIEWS: usize = 12;
-/// The board is tilted from here on, radians. Zhang (2000, section 5.1) finds 45° best and less than 5° useless.
+/// Minimum tilt, radians. Zhang (2000, section 5.1) finds 45° optimal and less than 5° useless.
 const TILTED_RAD: f64 = 0.35;
-/// So many views must be tilted in each direction.
+/// Minimum number of tilted views for each axis.
 const TILTED_VIEWS: usize = 3;
-/// In one view at least the board must fill this share of the image …
+/// Minimum share of the image that the board must fill in at least one view.
 const FILLED: f64 = 0.2;
-/// … and its distance must vary by this factor.
+/// Minimum ratio of the largest to the smallest distance of the board.
 const DISTANCES: f64 = 1.25;
-/// A corner moves when it is this fast, pixels a second: then its position is unsure by a fifth of a pixel.
+/// Speed from which a corner counts as moving, pixels per second; its position is then uncertain by
+/// a fifth of a pixel.
 const MOVES_PX_S: f64 = 100.0;
 
 impl Guidance {
@@ -155,7 +161,8 @@ impl Guidance {
     }
 }
 
-/// Focal length and distance are told apart only by boards that are not parallel to the image.
+/// Focal length and distance are only distinguishable if the board is tilted against the image
+/// plane.
 fn tilts(chosen: &[&Kept], focal_px: f64) -> Vec<Hint> {
     let normals: Vec<_> = chosen.iter().filter_map(|kept| Some(kept.seen.pose(focal_px)?.normal())).collect();
     let few = |tilted: &dyn Fn(&nalgebra::Vector3<f64>) -> f64| {
@@ -171,8 +178,8 @@ fn tilts(chosen: &[&Kept], focal_px: f64) -> Vec<Hint> {
     missing
 }
 
-/// The ninths of the image of which less than half was seen, the emptiest first and of equals the corners: there distortion is
-/// strongest.
+/// The ninths of the image with less than half of their cells covered, the emptiest first. Corners
+/// win ties, because distortion is strongest there.
 fn places(coverage: &Coverage) -> Vec<Hint> {
     let (columns, rows) = (Coverage::COLUMNS / 3, Coverage::ROWS / 3);
     let mut poor: Vec<(usize, bool, Region)> = Vec::new();
@@ -206,7 +213,7 @@ fn distance(board: &Board, chosen: &[&Kept], focal_px: f64) -> Option<Hint> {
     if filled.fold(0.0, f64::max) < FILLED {
         return Some(Hint::ComeCloser);
     }
-    // To the middle of the board: its origin comes and goes as it is tilted.
+    // Distance to the middle of the board: the distance to its origin varies with the tilt.
     let middle =
         board.points().last().map(|last| nalgebra::Vector3::new(0.5 * last.x_m, 0.5 * last.y_m, 0.0))?;
     let (nearest, furthest) = chosen

@@ -1,10 +1,11 @@
-//! Which views of a recording are worth calibrating with, and what is still missing.
+//! Selection of informative views from a recording, and guidance on what is still missing.
 //!
-//! A recording shows the board hundreds of times, most of them nearly alike. [`ViewSelector`] keeps the views that differ,
-//! prefers those that are sharp and held still, and chooses a bounded number of them greedily by what each adds to the
-//! knowledge of the lens (D-optimality of the Fisher information, as the selection of views of J. Maye, P. Furgale, R. Siegwart,
-//! "Self-supervised calibration for robotic systems", 2013) and to the coverage of the image. [`Guidance`] says in words what
-//! a person should show next.
+//! A recording shows the board hundreds of times, mostly in nearly the same pose. [`ViewSelector`]
+//! keeps the distinct views and prefers those that are sharp and held still. From these it selects
+//! a bounded number greedily, by their gain in Fisher information about the lens (D-optimality, as
+//! the selection of views of J. Maye, P. Furgale, R. Siegwart, "Self-supervised calibration for
+//! robotic systems", 2013) and in coverage of the image. [`Guidance`] states in words what the user
+//! should show next.
 
 mod guidance;
 mod nominal;
@@ -18,38 +19,41 @@ use super::{Board, BoardView};
 use nominal::{Seen, nominal_focal_px};
 use worth::Knowledge;
 
-/// How views are chosen.
+/// Configuration of the view selection.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SelectionConfig {
-    /// At most so many views are chosen.
+    /// Maximum number of selected views.
     pub most_views: usize,
-    /// Two views are alike where the board's points moved less than this share of the image's diagonal …
+    /// Two views are similar if the RMS displacement of the board's points is below this share of
+    /// the image diagonal and the angle between the board normals is below
+    /// [`alike_turn_rad`](Self::alike_turn_rad).
     pub alike_displacement: f64,
-    /// … and the board turned by less than this, radians.
+    /// Maximum angle between the board normals of similar views, radians.
     pub alike_turn_rad: f64,
 }
 
 impl Default for SelectionConfig {
     fn default() -> Self {
-        // More than 60 views only take time: the errors that are left are no longer those of single corners.
+        // More than 60 views only cost time: the noise of single corners no longer dominates the
+        // remaining errors.
         Self { most_views: 60, alike_displacement: 0.03, alike_turn_rad: 6.0_f64.to_radians() }
     }
 }
 
-/// The board seen in one frame or picture.
+/// A detection of the board in one video frame or still image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sighting {
-    /// The caller's number of the frame or picture.
+    /// Number of the frame or image, assigned by the caller.
     pub number: u64,
-    /// When, seconds; `None` for pictures, which are taken as held still.
+    /// Timestamp, seconds; `None` for still images, which are assumed to be free of motion.
     pub time_s: Option<f64>,
-    /// What was seen.
+    /// The detected points.
     pub view: BoardView,
-    /// How blurred its edges are, pixels ([`blur_px`]); `None` where unknown.
+    /// Edge blur, pixels ([`blur_px`]); `None` if unknown.
     pub blur_px: Option<f64>,
 }
 
-/// A sighting that was kept, with what decides its worth.
+/// A sighting with its noise model.
 #[derive(Debug, Clone)]
 struct Kept {
     sighting: Sighting,
@@ -58,31 +62,36 @@ struct Kept {
     speed_px_s: f64,
 }
 
-/// Frames further apart than this do not tell how fast the board moves, seconds.
+/// Maximum interval between two frames for estimating the speed of the board, seconds.
 const FOLLOWS_S: f64 = 0.25;
-/// The speed of a board that was seen in one frame only, image diagonals a second: it probably moved.
+/// Assumed speed of a board that was detected in a single frame only, image diagonals per second.
+/// It was probably moving.
 const SPEED_OF_A_LONE_FRAME: f64 = 0.2;
-/// So many different views are remembered; then the half that teaches least is forgotten. Bounds memory and time.
+/// Maximum number of distinct views in memory. Beyond it, the less informative half is dropped,
+/// which bounds memory and time.
 const MOST_KEPT: usize = 1000;
 
-/// Chooses the informative views of a recording. Sightings come in the order of time; the choice depends on nothing else.
+/// Selects the informative views of a recording. Sightings must be added in temporal order; the
+/// selection is deterministic.
 #[derive(Debug, Clone)]
 pub struct ViewSelector {
     board: Board,
     config: SelectionConfig,
     kept: Vec<Kept>,
-    /// The last sighting: how fast the board moved there is known when the next one comes.
+    /// The latest sighting and the speed towards it. It is stored only when the next sighting
+    /// arrives, because its own speed is estimated from both neighbours.
     last: Option<(Kept, Option<f64>)>,
     sightings: usize,
 }
 
 impl ViewSelector {
-    /// A selector that has seen nothing yet.
+    /// An empty selector.
     pub fn new(board: &Board, config: SelectionConfig) -> Self {
         Self { board: *board, config, kept: Vec::new(), last: None, sightings: 0 }
     }
 
-    /// Takes the next sighting. One with fewer than four points, or all of them on a line, teaches nothing and is passed over.
+    /// Adds the next sighting. Sightings with fewer than four points or with collinear points are
+    /// ignored.
     pub fn add(&mut self, sighting: Sighting) {
         self.sightings += 1;
         let Some(seen) = Seen::new(&self.board, &sighting.view) else { return };
@@ -93,17 +102,17 @@ impl ViewSelector {
         }
     }
 
-    /// How many sightings were taken.
+    /// Number of sightings added.
     pub fn sightings(&self) -> usize {
         self.sightings
     }
 
-    /// How many different views were seen, as far as they are remembered.
+    /// Number of distinct views in memory.
     pub fn distinct(&self) -> usize {
         self.with_last().kept.len()
     }
 
-    /// The chosen sightings, in the order they came.
+    /// The selected sightings, sorted by number.
     pub fn chosen(&self) -> Vec<&Sighting> {
         let whole = self.with_last();
         let numbers: Vec<u64> = whole
@@ -124,7 +133,7 @@ impl ViewSelector {
         chosen
     }
 
-    /// What has been seen and what is missing, judged by the views that would be chosen now.
+    /// Guidance based on the views that would be selected now.
     pub fn guidance(&self) -> Guidance {
         let whole = self.with_last();
         let focal_px = whole.focal_px();
@@ -133,7 +142,7 @@ impl ViewSelector {
         Guidance::new(&self.board, &chosen, focal_px)
     }
 
-    /// The selector as it would be if the recording ended here.
+    /// The selector with the latest sighting stored, as if the recording ended here.
     fn with_last(&self) -> Self {
         let mut whole = self.clone();
         if let Some((last, before)) = whole.last.take() {
@@ -146,7 +155,8 @@ impl ViewSelector {
         nominal_focal_px(self.kept.iter().map(|kept| &kept.seen))
     }
 
-    /// Keeps a sighting if it differs from all that are kept, or is better than the one it is like.
+    /// Stores a sighting if it is distinct from all stored ones, or more informative than the one
+    /// it is similar to.
     fn keep(&mut self, mut new: Kept, speeds_px_s: [Option<f64>; 2]) {
         let known = || speeds_px_s.into_iter().flatten();
         new.speed_px_s = match (new.sighting.time_s, known().count()) {
@@ -162,7 +172,8 @@ impl ViewSelector {
                 && kept.seen.turn_rad(&new.seen) < config.alike_turn_rad
         });
         match like {
-            // A little better is not worth the views that differ from the one and not from the other.
+            // Replacing a stored view may lose others that are similar to the new view but not to
+            // the old one, so a small improvement is not enough.
             Some(at) if self.better(&new, at) => self.kept[at] = new,
             Some(_) => {}
             None => self.kept.push(new),
@@ -180,11 +191,12 @@ impl ViewSelector {
     fn better(&self, new: &Kept, at: usize) -> bool {
         let old = &self.kept[at];
         let points = |kept: &Kept| kept.sighting.view.points.len() as f64;
-        // The information of a view goes with its points and with the inverse of their variance.
+        // The information of a view is proportional to its number of points over their variance.
         points(new) / new.noise_px.powi(2) > 1.5 * points(old) / old.noise_px.powi(2)
     }
 
-    /// Indices of the `most` kept views that together teach most, in the order they were kept.
+    /// Indices of the `most` stored views with the largest joint information (greedy), in ascending
+    /// order.
     fn choose(&self, most: usize) -> Vec<usize> {
         let focal_px = self.focal_px();
         let lessons: Vec<_> =
@@ -194,7 +206,7 @@ impl ViewSelector {
         let mut chosen = Vec::new();
         while chosen.len() < most {
             let gains = open.iter().map(|&index| knowledge.gain(&lessons[index]));
-            // Of equals the first.
+            // The first one wins ties.
             let best = gains.enumerate().fold(None, |best: Option<(usize, f64)>, (place, gain)| match best {
                 Some((_, most)) if gain <= most => best,
                 _ => Some((place, gain)),
@@ -209,17 +221,19 @@ impl ViewSelector {
     }
 }
 
-/// How fast the board moved in the image from one sighting to the next, where the second follows soon enough.
+/// Speed of the board in the image between two consecutive sightings, pixels per second; `None` if
+/// they are too far apart in time.
 fn speed_px_s(before: &Kept, after: &Kept) -> Option<f64> {
     let elapsed_s = after.sighting.time_s? - before.sighting.time_s?;
     (elapsed_s > 0.0 && elapsed_s <= FOLLOWS_S).then(|| before.seen.displacement_px(&after.seen) / elapsed_s)
 }
 
-/// The standard deviation of a corner that has to be reckoned with, pixels.
+/// Effective standard deviation of a corner, pixels.
 ///
-/// A sharp corner is found to about 0.1 px, and worse in proportion to the blur of its edges. A rolling shutter reads its lines over
-/// 10 to 30 ms; what the board moves meanwhile bends its picture, and the board's pose can follow all of it but about a
-/// tenth. That makes 2 ms of movement. Beyond a pixel all views are equally bad.
+/// A sharp corner is detected to about 0.1 px; the error grows in proportion to the edge blur. A
+/// rolling shutter reads an image in 10 to 30 ms. Board motion during the readout distorts the
+/// image, and the estimated pose absorbs all but about a tenth of it, which leaves 2 ms of motion.
+/// The motion term is limited to 1 px, beyond which all views are equally bad.
 fn noise_px(speed_px_s: f64, blur_px: Option<f64>) -> f64 {
     let sharp = 0.1 * blur_px.map_or(1.0, |blur| blur.clamp(1.0, 10.0));
     let moved = (0.002 * speed_px_s).min(1.0);

@@ -1,4 +1,5 @@
-//! Poses of the board good enough to choose by: a homography each and one nominal pinhole for all, without lens distortion.
+//! Approximate board poses for the selection of views: one homography per view and one nominal
+//! pinhole camera without distortion.
 
 use crate::calibration::{Board, BoardPoint, BoardView};
 use crate::geometry::Pixel;
@@ -9,15 +10,15 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 pub struct Seen {
     /// Width and height of the image, pixels.
     pub size: (usize, usize),
-    /// Where the points of the board are, and where they were seen.
+    /// Board points with their detected pixels.
     pub points: Vec<(BoardPoint, Pixel)>,
-    /// Pixels relative to the middle of the image from board metres.
+    /// Homography from board coordinates (metres) to pixels relative to the image centre.
     image_from_board: Matrix3<f64>,
-    /// The same board turned by half a turn, where nothing on it tells which way up it is.
+    /// Homography of the board rotated by 180°, for boards whose orientation is ambiguous.
     turned: Option<Matrix3<f64>>,
 }
 
-/// The board's attitude, seen by a nominal camera.
+/// Pose of the board in the frame of a nominal camera.
 #[derive(Debug, Clone, Copy)]
 pub struct NominalPose {
     pub camera_from_board: Matrix3<f64>,
@@ -25,14 +26,15 @@ pub struct NominalPose {
 }
 
 impl Seen {
-    /// `None` where the points determine no homography.
+    /// `None` if the points do not determine a homography.
     pub fn new(board: &Board, view: &BoardView) -> Option<Self> {
         let all = board.points();
         let points: Vec<(BoardPoint, Pixel)> =
             view.points.iter().filter_map(|seen| Some((*all.get(seen.index)?, seen.pixel))).collect();
         let size = view.size;
         let image_from_board = homography(&points, size)?;
-        // A board with markers tells its corners apart; so does a chessboard with an odd and an even count, but not every finder looks.
+        // Boards with markers have a unique orientation. So has a chessboard with one odd and one
+        // even count, but not every detector uses it.
         let turned = (!board.may_be_partial()).then(|| {
             let (first, last) = (all[0], all[all.len() - 1]);
             let (x_m, y_m) = (first.x_m + last.x_m, first.y_m + last.y_m);
@@ -41,12 +43,12 @@ impl Seen {
         Some(Self { size, points, image_from_board, turned })
     }
 
-    /// The diagonal of the image, pixels.
+    /// Diagonal of the image, pixels.
     pub fn diagonal_px(&self) -> f64 {
         (self.size.0 as f64).hypot(self.size.1 as f64)
     }
 
-    /// How far, root mean square, this view's points lie from where the other view has them, pixels.
+    /// RMS distance between this view's points and their positions in the other view, pixels.
     pub fn displacement_px(&self, other: &Self) -> f64 {
         let by = |image_from_board: &Matrix3<f64>| {
             let squares: f64 = self
@@ -63,7 +65,8 @@ impl Seen {
         other.turned.as_ref().map_or(straight, |turned| straight.min(by(turned)))
     }
 
-    /// The angle between the board's normals in the two views, by a camera of an ordinary focal length.
+    /// Angle between the board normals of the two views for a camera with the default focal length,
+    /// radians.
     pub fn turn_rad(&self, other: &Self) -> f64 {
         let focal_px = ORDINARY_FOCAL * self.size.0.max(self.size.1) as f64;
         match (self.pose(focal_px), other.pose(focal_px)) {
@@ -72,8 +75,8 @@ impl Seen {
         }
     }
 
-    /// The pose of the board for a pinhole of this focal length with its principal point in the middle (Z. Zhang, "A flexible new
-    /// technique for camera calibration", 2000, section 3.1).
+    /// Pose of the board for a pinhole with this focal length and a centred principal point (Z.
+    /// Zhang, "A flexible new technique for camera calibration", 2000, section 3.1).
     pub fn pose(&self, focal_px: f64) -> Option<NominalPose> {
         let normalised = Matrix3::from_diagonal(&Vector3::new(1.0 / focal_px, 1.0 / focal_px, 1.0))
             * self.image_from_board;
@@ -95,13 +98,13 @@ impl Seen {
         usable.then_some(NominalPose { camera_from_board: rotation, translation_m })
     }
 
-    /// What orthogonality and equal length of the board's axes say about `1/f²`: two equations `a u + b = 0` (Zhang, equations 3 and 4,
-    /// with the principal point in the middle and square pixels).
+    /// Two equations `a u + b = 0` for `u = 1/f²` from the orthogonality and the equal length of
+    /// the board axes (Zhang, equations 3 and 4, for square pixels and a centred principal point).
     fn focal_equations(&self) -> [(f64, f64); 2] {
         let h = &self.image_from_board;
         let (a, b, c) = (h[(0, 0)], h[(1, 0)], h[(2, 0)]);
         let (d, e, g) = (h[(0, 1)], h[(1, 1)], h[(2, 1)]);
-        // Views near and far have one say.
+        // Near and far views get equal weight.
         let weight = 1.0 / (a * a + b * b + d * d + e * e);
         [
             (weight * (a * d + b * e), weight * c * g),
@@ -111,16 +114,17 @@ impl Seen {
 }
 
 impl NominalPose {
-    /// The board's normal, away from the camera, in the camera's frame.
+    /// The board normal, pointing away from the camera, in the camera frame.
     pub fn normal(&self) -> Vector3<f64> {
         self.camera_from_board.column(2).into_owned()
     }
 }
 
-/// The focal length of an ordinary camera, in image widths (a field of view of 58°).
+/// Default focal length, in image widths; a field of view of 58°.
 const ORDINARY_FOCAL: f64 = 0.9;
 
-/// A focal length that fits the views, pixels; that of an ordinary camera where they say nothing (all of them seen face on).
+/// Closed-form focal length from all views, pixels. Falls back to the default if the views do not
+/// determine it (all of them fronto-parallel).
 pub fn nominal_focal_px<'a>(views: impl Iterator<Item = &'a Seen>) -> f64 {
     let (mut products, mut squares, mut side) = (0.0, 0.0, 1.0);
     for seen in views {
@@ -147,8 +151,9 @@ fn applied(image_from_board: &Matrix3<f64>, point: BoardPoint, size: (usize, usi
     (x.is_finite() && y.is_finite()).then(|| Pixel::new(x + cx, y + cy))
 }
 
-/// The homography that takes board points to pixels relative to the middle of the image: direct linear transformation with normalised
-/// points (R. Hartley, "In defense of the eight-point algorithm", 1997). Its sign is such that the board lies before the camera.
+/// The homography from board points to pixels relative to the image centre: direct linear transform
+/// with normalised points (R. Hartley, "In defense of the eight-point algorithm", 1997). The sign
+/// is chosen so that the board is in front of the camera.
 fn homography(points: &[(BoardPoint, Pixel)], size: (usize, usize)) -> Option<Matrix3<f64>> {
     if points.len() < 4 {
         return None;
@@ -172,7 +177,7 @@ fn homography(points: &[(BoardPoint, Pixel)], size: (usize, usize)) -> Option<Ma
     let eigen = normal.symmetric_eigen();
     let mut order: Vec<usize> = (0..9).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    // A second direction without constraint: the points lie on a line.
+    // The null space has a second dimension: the points are collinear.
     if eigen.eigenvalues[order[1]] < 1e-9 * points.len() as f64 {
         return None;
     }
@@ -185,7 +190,8 @@ fn homography(points: &[(BoardPoint, Pixel)], size: (usize, usize)) -> Option<Ma
     homography.iter().all(|v| v.is_finite()).then_some(homography)
 }
 
-/// The similarity that brings points to their middle and to a mean square distance of two.
+/// The similarity transform that moves the centroid to the origin and scales the mean squared
+/// distance from it to two.
 fn normalisation(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<Matrix3<f64>> {
     let count = points.clone().count() as f64;
     let (x, y) = points.clone().fold((0.0, 0.0), |(x, y), p| (x + p.0 / count, y + p.1 / count));

@@ -1,35 +1,38 @@
-//! How blurred the board is in an image.
+//! Blur of the board in an image.
 
 use crate::calibration::BoardView;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use crate::numerics::median;
 
-/// The blur of the edges around the seen points, as the standard deviation of a Gaussian, pixels; the median over the points.
+/// Blur of the edges around the detected points: standard deviation of a Gaussian, pixels; median
+/// over the points.
 ///
-/// A step of height `h` blurred by a Gaussian of deviation σ has the steepest slope `h / (σ √(2π))`. A sampled sharp edge reads about
-/// half a pixel. `None` where no point has contrast around it.
+/// A step of height `h` blurred by a Gaussian with standard deviation σ has the maximum slope `h /
+/// (σ √(2π))`. An ideally sharp sampled edge measures about half a pixel. `None` if no point has
+/// enough contrast around it.
 pub fn blur_px(image: &GrayImage, view: &BoardView) -> Option<f64> {
     let mut blurs: Vec<f64> = view
         .points
         .iter()
         .enumerate()
         .filter_map(|(place, seen)| {
-            // Neighbours in the list are neighbours on the board, except from one row to the next.
+            // Consecutive points are neighbours on the board, except from one row to the next.
             let near = |other: Option<usize>| {
                 let other = view.points.get(other?)?;
                 Some(other.pixel.distance(seen.pixel)).filter(|d| d.is_finite())
             };
             let spacing_px =
                 near(place.checked_sub(1)).into_iter().chain(near(Some(place + 1))).reduce(f64::min)?;
-            // Half a spacing reaches the edge of a disc and not beyond the edges that meet in a corner.
+            // Half a spacing reaches the edge of a disc, but at a chessboard corner no edges other
+            // than those that meet there.
             blur_around(image, seen.pixel, (0.5 * spacing_px).clamp(3.0, 12.0) as isize)
         })
         .collect();
     median(&mut blurs)
 }
 
-/// Steepest slope against contrast in a square around a pixel.
+/// Blur from the maximum slope and the contrast in a square window around a pixel.
 fn blur_around(image: &GrayImage, at: Pixel, half: isize) -> Option<f64> {
     let (x, y) = (at.x.round() as isize, at.y.round() as isize);
     let inside = x - half >= 1
@@ -52,7 +55,7 @@ fn blur_around(image: &GrayImage, at: Pixel, half: isize) -> Option<f64> {
         }
     }
     let contrast = f64::from(high) - f64::from(low);
-    // Below this the noise of the sensor is as steep as an edge.
+    // Minimum contrast, gray levels; below it, sensor noise has slopes as steep as an edge.
     const LEAST_CONTRAST: f64 = 20.0;
     let slope = 0.5 * f64::from(steepest).sqrt();
     (contrast >= LEAST_CONTRAST).then(|| contrast / (slope * std::f64::consts::TAU.sqrt()))

@@ -1,4 +1,4 @@
-//! Views of a pinhole with a little distortion, without images.
+//! Views from a pinhole camera with slight distortion, without images.
 
 use super::*;
 use crate::calibration::{BoardView, SeenPoint};
@@ -16,7 +16,8 @@ fn camera() -> Camera {
     Camera::new((640, 480), (600.0, 600.0), (319.5, 239.5), distortion).unwrap()
 }
 
-/// The board's middle at (x, y, z) metres, turned by degrees about x, y and z.
+/// A view with the middle of the board at (x, y, z), metres, and rotations about x, y and z,
+/// degrees.
 fn view(at: [f64; 3], turned_deg: [f64; 3]) -> Option<BoardView> {
     let [x, y, z] = turned_deg.map(f64::to_radians);
     let rotation = Rotation3::from_euler_angles(x, y, z);
@@ -44,7 +45,7 @@ fn selector_of(views: impl IntoIterator<Item = BoardView>) -> ViewSelector {
     selector
 }
 
-/// A person who shows the board everywhere, near and far, tilted every way.
+/// Views that cover the whole image, near and far, with tilts about both axes.
 fn thorough() -> Vec<BoardView> {
     let mut views = Vec::new();
     for (n, (x, y)) in [-0.14, 0.0, 0.14].iter().flat_map(|x| [-0.1, 0.0, 0.1].map(|y| (*x, y))).enumerate() {
@@ -58,10 +59,11 @@ fn thorough() -> Vec<BoardView> {
 }
 
 #[test]
-fn a_nominal_camera_is_near_the_true_one() {
+fn nominal_focal_length_and_pose_are_approximately_right() {
     let selector = selector_of(thorough());
     let focal_px = selector.focal_px();
-    // Without distortion in the model a few per cent are missing; for choosing it is enough.
+    // The model without distortion is biased by a few per cent; that is sufficient for the
+    // selection.
     assert!((focal_px - 600.0).abs() < 60.0, "{focal_px}");
     let seen = Seen::new(&board(), &view([0.05, 0.0, 0.5], [30.0, 0.0, 0.0]).unwrap()).unwrap();
     let pose = seen.pose(600.0).unwrap();
@@ -69,7 +71,7 @@ fn a_nominal_camera_is_near_the_true_one() {
 }
 
 #[test]
-fn who_shows_everything_is_told_nothing_and_who_does_not_is_told_what() {
+fn guidance_names_exactly_what_is_missing() {
     let guidance = selector_of(thorough()).guidance();
     assert_eq!(guidance.missing, [], "{guidance:?}");
     assert!(guidance.coverage.share() > 0.8);
@@ -89,15 +91,15 @@ fn who_shows_everything_is_told_nothing_and_who_does_not_is_told_what() {
     let missing = selector_of(far).guidance().missing;
     assert!(missing.contains(&Hint::ComeCloser) && missing.contains(&Hint::MoreViews(8)), "{missing:?}");
     assert_eq!(Hint::GoTo(Region { column: 0, row: 0 }).to_string(), "go to the top left of the image");
-    // Nothing at all is guidance too.
+    // Guidance is also available without any view.
     let nothing = selector_of([]).guidance();
     assert!(nothing.missing.contains(&Hint::MoreViews(12)) && nothing.coverage.share() == 0.0);
 }
 
 #[test]
-fn what_is_alike_is_kept_once_and_the_still_one_of_it() {
+fn similar_views_are_kept_once_and_still_ones_preferred() {
     let mut selector = ViewSelector::new(&board(), SelectionConfig::default());
-    // A board that swings through the image, rests at two places, and hurries between.
+    // The board rests at two places and moves quickly in between.
     let mut number = 0;
     let mut add = |selector: &mut ViewSelector, x: f64| {
         let view = view([x, 0.0, 0.5], [20.0, 0.0, 0.0]).unwrap();
@@ -121,8 +123,9 @@ fn what_is_alike_is_kept_once_and_the_still_one_of_it() {
 }
 
 #[test]
-fn the_few_views_that_are_chosen_are_the_ones_that_teach() {
-    // A hundred views face on in the middle, told apart by their distance, and twenty that tilt or leave the middle.
+fn selection_prefers_informative_views() {
+    // A hundred fronto-parallel views in the middle that differ only in distance, then the tilted
+    // and off-centre ones.
     let dull = (0..100).filter_map(|n| view([0.0, 0.0, 0.5 + 0.02 * f64::from(n)], [0.0; 3]));
     let telling = thorough();
     let mut selector = ViewSelector::new(&board(), SelectionConfig { most_views: 15, ..Default::default() });
@@ -155,7 +158,7 @@ fn memory_is_bounded() {
 }
 
 #[test]
-fn points_that_determine_nothing_are_passed_over() {
+fn degenerate_points_are_ignored() {
     let line = |y: f64| BoardView {
         size: (640, 480),
         points: (0..9).map(|index| SeenPoint { index, pixel: Pixel::new(20.0 * index as f64, y) }).collect(),
@@ -171,7 +174,7 @@ fn points_that_determine_nothing_are_passed_over() {
 
 #[test]
 fn blur_is_measured_in_pixels() {
-    // Squares of 20 px whose edges are Gaussian steps.
+    // Squares of 20 px with Gaussian edges.
     let blurred = |sigma: f64| {
         let step = |at: f64| {
             let near = (at / 20.0).round() * 20.0;
@@ -192,7 +195,7 @@ fn blur_is_measured_in_pixels() {
         .collect();
     let view = BoardView { size: (200, 200), points };
     let (sharp, soft) = (blur_px(&blurred(0.7), &view).unwrap(), blur_px(&blurred(3.0), &view).unwrap());
-    // tanh stands for the Gaussian step: only the order of size and the ratio are asked.
+    // tanh approximates the Gaussian step, so only the order of magnitude and the ratio are tested.
     assert!(
         (0.4..1.2).contains(&sharp) && (2.0..4.0).contains(&soft) && soft > 2.0 * sharp,
         "{sharp} {soft}"

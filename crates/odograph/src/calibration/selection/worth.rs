@@ -1,25 +1,28 @@
-//! What a view teaches about the lens: its Fisher information, with the board's pose left free.
+//! Information of a view about the lens: Fisher information with the pose of the board marginalised
+//! out.
 
 use super::guidance::Coverage;
 use super::nominal::Seen;
 use nalgebra::{SMatrix, SVector, Vector3};
 
-/// Focal lengths, principal point, three radial and two tangential coefficients.
+/// Two focal lengths, the principal point, three radial and two tangential distortion coefficients.
 const UNKNOWNS: usize = 9;
 type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// What one view adds.
+/// The contribution of one view.
 #[derive(Debug, Clone)]
 pub struct Lesson {
     information: Information,
-    /// The cells of the image it covers.
+    /// The image cells covered by the view.
     cells: Vec<usize>,
 }
 
 impl Seen {
-    /// What the view teaches, for corners that are `noise_px` unsure and a lens around a pinhole of the nominal focal length.
+    /// The information of the view about a lens near a pinhole with the nominal focal length;
+    /// `noise_px` is the standard deviation of a corner.
     ///
-    /// The unknowns are made alike in size: the focal lengths and the principal point count in focal lengths.
+    /// All unknowns are scaled to comparable size: focal lengths and principal point are in units
+    /// of the focal length.
     pub fn lesson(&self, focal_px: f64, noise_px: f64) -> Lesson {
         let cells = Coverage::cells_of(self.size, self.points.iter().map(|(_, pixel)| *pixel));
         let mut lesson = Lesson { information: Information::zeros(), cells };
@@ -37,7 +40,8 @@ impl Seen {
             let r2 = x * x + y * y;
             let radial = [r2, r2 * r2, r2 * r2 * r2];
             let (dx, dy) = (
-                // By translation: the derivative of x/z; by rotation: that of the turned point, cross product.
+                // By translation: the derivative of x / z. By rotation: the cross product of the
+                // rotated point with it.
                 Vector3::new(1.0, 0.0, -x) / at.z,
                 Vector3::new(0.0, 1.0, -y) / at.z,
             );
@@ -82,7 +86,7 @@ impl Seen {
                 posed.ger(1.0, &by_pose, &by_pose, 1.0);
             }
         }
-        // The pose is not known: what the view says about it is taken away (Schur complement).
+        // The pose is unknown and is marginalised out (Schur complement).
         if let Some(inverse) = posed.try_inverse() {
             let left = lens - mixed * inverse * mixed.transpose();
             let weight = (focal_px / noise_px).powi(2);
@@ -94,33 +98,34 @@ impl Seen {
     }
 }
 
-/// What is known about the lens after some views.
+/// The accumulated information about the lens.
 pub struct Knowledge {
     information: Information,
     log_determinant: f64,
     covered: Vec<bool>,
 }
 
-/// What covering one cell of the image for the first time is worth, in units of information (nats). Information alone already goes
-/// to the corners; this keeps it from leaving out places that the nominal lens thinks it knows.
+/// Weight of covering an image cell for the first time, in the unit of the log-determinant (nats).
+/// The information criterion alone already favours the corners; this keeps it from neglecting
+/// regions that the nominal lens constrains only by its model.
 const WORTH_OF_A_CELL: f64 = 0.1;
 
 impl Knowledge {
-    /// What is known of any lens: its unknowns to within a half, in units of the focal length.
+    /// Prior: every unknown has a standard deviation of 0.5, in units of the focal length.
     pub fn new() -> Self {
         let information = Information::identity() * 4.0;
         let log_determinant = log_determinant(&information);
         Self { information, log_determinant, covered: vec![false; Coverage::CELLS] }
     }
 
-    /// What a lesson would add.
+    /// Gain in information and coverage by a view.
     pub fn gain(&self, lesson: &Lesson) -> f64 {
         let cells = lesson.cells.iter().filter(|&&cell| !self.covered[cell]).count();
         log_determinant(&(self.information + lesson.information)) - self.log_determinant
             + WORTH_OF_A_CELL * cells as f64
     }
 
-    /// Takes it in.
+    /// Adds the information of a view.
     pub fn learn(&mut self, lesson: &Lesson) {
         self.information += lesson.information;
         self.log_determinant = log_determinant(&self.information);
@@ -128,7 +133,8 @@ impl Knowledge {
     }
 }
 
-/// Of a positive definite matrix; what rounding has made indefinite counts as nothing.
+/// Log-determinant of a positive definite matrix; negative infinity if rounding has made it
+/// indefinite.
 fn log_determinant(information: &Information) -> f64 {
     information
         .cholesky()

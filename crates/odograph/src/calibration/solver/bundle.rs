@@ -1,7 +1,8 @@
-//! Everything adjusted together: lens, board and poses by Levenberg–Marquardt under a robust loss.
+//! Bundle adjustment of lens, board shape and poses by Levenberg–Marquardt with a robust loss.
 //!
-//! The unknowns of one view touch only that view's points, so the poses are eliminated view by view (Schur complement; B. Triggs et
-//! al., "Bundle adjustment: a modern synthesis", 2000, section 6.1): time and memory grow linearly with the views.
+//! The pose of a view only affects the points of that view, so the poses are eliminated view by
+//! view with the Schur complement (B. Triggs et al., "Bundle adjustment: a modern synthesis", 2000,
+//! section 6.1). Time and memory are linear in the number of views.
 
 use super::lens::{Free, Lens};
 use crate::numerics::{Loss, robust_variance};
@@ -9,29 +10,29 @@ use nalgebra::{
     Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 
-/// The most unknowns beside the poses: those of the lens and of the board's shape.
+/// Maximum number of shared unknowns: those of the lens and of the board shape.
 pub const SHARED: usize = 17;
 const ROW: usize = 6 + SHARED;
-/// A row filled up to whole fours, which processors multiply at once.
+/// Number of groups of four in a padded Jacobian row, for SIMD.
 const FOURS: usize = ROW.div_ceil(4);
 
 pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 pub type SharedVector = SVector<f64, SHARED>;
 
-/// A point of the board and where it was seen.
+/// A correspondence of a board point and its detected pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sight {
     pub index: usize,
-    /// On the board, metres.
+    /// Position on the board, metres.
     pub on_board: (f64, f64),
-    /// The same from the board's middle in halves of its size, −1 to 1.
+    /// Position relative to the middle of the board, normalised to −1 … 1.
     pub relative: (f64, f64),
-    /// From the middle downwards, metres.
+    /// y coordinate relative to the middle of the board, metres.
     pub down_m: f64,
     pub pixel: (f64, f64),
 }
 
-/// All that is estimated. The shape is [`super::result::BoardShape`] in its order.
+/// The estimated state. `shape` has the order of [`super::result::BoardShape`].
 #[derive(Debug, Clone)]
 pub struct State {
     pub lens: Lens,
@@ -39,14 +40,14 @@ pub struct State {
     pub poses: Vec<Isometry3<f64>>,
 }
 
-/// What of a [`State`] may change.
+/// The subset of a [`State`] that is optimised.
 #[derive(Debug, Clone)]
 pub struct Unknowns {
     pub lens: Vec<Free>,
     pub shape: bool,
     pub poses: bool,
-    /// Where numbers of the lens are thought to be before any view is seen: which, about where, standard deviation. They are so
-    /// wide that they only matter where the views say nothing at all.
+    /// Gaussian priors on lens parameters: index, mean, standard deviation. They are so wide that
+    /// they only matter for parameters that the views do not constrain.
     pub priors: Vec<(usize, f64, f64)>,
 }
 
@@ -60,26 +61,27 @@ impl Unknowns {
     }
 }
 
-/// Residuals beyond this many standard deviations count less and less: the loss is quadratic up to it and logarithmic
-/// beyond, `k² (1/2 + ln(s / k))`, with weight `(k / s)²`. Of points with nothing but Gaussian noise 1.1 % lie beyond.
+/// Threshold k of the robust loss, in standard deviations. For a residual of s standard deviations,
+/// the loss is quadratic up to k and `k² (1/2 + ln(s / k))` beyond, with weight `(k / s)²`. With
+/// Gaussian noise 1.1 % of the points lie beyond k.
 const BEND: f64 = 3.0;
-/// An adjustment ends when a step gains less loss than this.
+/// Convergence threshold on the decrease of the loss per step.
 const LEAST_GAIN: f64 = 1e-4;
-/// A point without a projection counts like one this far off, pixels.
+/// Residual assumed for a point without a valid projection, pixels.
 const NOWHERE_PX: f64 = 1e4;
 
-/// Loss and weight of a residual of `square` standard deviations squared.
+/// Robust loss and weight of a residual; `square` is its squared length in standard deviations.
 fn loss(square: f64) -> (f64, f64) {
     let loss = Loss::Logarithmic(BEND);
     (0.5 * loss.of_square(square), loss.weight_of_square(square))
 }
 
-/// Whether a residual of this many standard deviations counts in full.
+/// Whether a residual of this many standard deviations is an inlier, with weight 1.
 pub fn counts_in_full(deviations: f64) -> bool {
     deviations <= BEND
 }
 
-/// Where a point of the board really is, metres in the board's frame.
+/// Position of a point on the deformed board, in the board frame, metres.
 pub fn place(sight: &Sight, shape: &[f64; 5]) -> Vector3<f64> {
     let (u, v) = sight.relative;
     Vector3::new(
@@ -89,7 +91,7 @@ pub fn place(sight: &Sight, shape: &[f64; 5]) -> Vector3<f64> {
     )
 }
 
-/// Sums of products of rows, the upper triangle (and a little below it), and of rows with residuals.
+/// JᵀWJ and JᵀWr of one view. `rows` holds the upper triangle, rounded outwards to groups of four.
 struct Products {
     rows: [[[f64; 4]; FOURS]; ROW],
     right: [f64; ROW],
@@ -101,14 +103,14 @@ impl Products {
     }
 }
 
-/// The part of the normal equations that one view brings.
+/// Blocks of the normal equations for one view: pose, pose and shared unknowns, right-hand side.
 struct ViewBlock {
     own: Matrix6<f64>,
     across: SMatrix<f64, 6, SHARED>,
     right: Vector6<f64>,
 }
 
-/// The normal equations of everything.
+/// The normal equations of all views.
 struct Normal {
     views: Vec<ViewBlock>,
     shared: SharedMatrix,
@@ -116,7 +118,7 @@ struct Normal {
     cost: f64,
 }
 
-/// Views with what may change and the noise that residuals are measured by.
+/// A bundle adjustment problem. `noise_px` scales the residuals in the robust loss.
 pub struct Bundle<'a> {
     pub views: &'a [&'a [Sight]],
     pub unknowns: &'a Unknowns,
@@ -143,7 +145,7 @@ impl Bundle<'_> {
         cost
     }
 
-    /// The normal equations at a state; residuals are seen less expected.
+    /// The normal equations linearised at a state. Residuals are detected minus predicted.
     fn linearise(&self, state: &State) -> Normal {
         let shared_count = self.unknowns.shared();
         let mut normal = Normal {
@@ -185,14 +187,15 @@ impl Bundle<'_> {
                 normal.right[column] -= (state.lens.numbers[at] - about) * information;
             }
         }
-        // Unknowns that do not exist stand as themselves.
+        // Identity rows for unused unknowns keep the matrix invertible.
         for i in shared_count..SHARED {
             normal.shared[(i, i)] = 1.0;
         }
         normal
     }
 
-    /// Adds the products of the rows of one view (pose, shared, then the residual in the last column); returns the loss.
+    /// Accumulates JᵀWJ and JᵀWr of one view; pose unknowns come before the shared ones. Returns
+    /// the loss.
     fn add_view(
         &self,
         state: &State,
@@ -265,7 +268,8 @@ impl Bundle<'_> {
         cost
     }
 
-    /// Levenberg–Marquardt (D. Marquardt, 1963; the diagonal is scaled) for at most `most` steps. Returns the loss.
+    /// Levenberg–Marquardt with scaled diagonal (D. Marquardt, 1963), at most `most` steps. Returns
+    /// the loss.
     pub fn minimise(&self, state: &mut State, most: usize) -> f64 {
         let mut damping = 1e-4;
         let mut normal = self.linearise(state);
@@ -282,7 +286,7 @@ impl Bundle<'_> {
                         damping = (damping * 0.1).max(1e-12);
                         break;
                     }
-                    // At the minimum rounding decides: no better is good enough.
+                    // The cost only differs by rounding: the state is at the minimum.
                     if cost - normal.cost <= 1e-12 * normal.cost {
                         break;
                     }
@@ -290,7 +294,8 @@ impl Bundle<'_> {
                 damping *= 10.0;
             }
             let Some(gained) = gained else { break };
-            // A loss of 1 is the noise of two numbers: what gains this little moves nothing by a hundredth of its deviation.
+            // Two residual components of pure noise have an expected loss of 1, so a decrease this
+            // small moves the estimate by about a hundredth of a standard deviation.
             if gained < LEAST_GAIN + 1e-12 * normal.cost {
                 return normal.cost - gained;
             }
@@ -299,7 +304,7 @@ impl Bundle<'_> {
         normal.cost
     }
 
-    /// The state after a step; `None` where that is no lens.
+    /// The state after a step; `None` if the lens parameters become invalid.
     fn moved(&self, state: &State, shared: &SharedVector, poses: &[Vector6<f64>]) -> Option<State> {
         let mut next = state.clone();
         for (free, step) in self.unknowns.lens.iter().zip(shared.iter()) {
@@ -320,18 +325,20 @@ impl Bundle<'_> {
         next.lens.possible().then_some(next)
     }
 
-    /// Information of the shared unknowns with the poses eliminated, in units of the noise; those that do not exist have 1.
+    /// Information matrix of the shared unknowns with the poses marginalised out, in units of the
+    /// noise. Unused unknowns have 1 on the diagonal.
     pub fn information(&self, state: &State) -> Option<SharedMatrix> {
         self.linearise(state).reduced(0.0).map(|(information, ..)| information)
     }
 
-    /// Information of the pose of each view with all else fixed.
+    /// Information matrix of the pose of each view, conditional on all other unknowns.
     pub fn pose_information(&self, state: &State) -> Vec<Matrix6<f64>> {
         self.linearise(state).views.into_iter().map(|view| view.own).collect()
     }
 }
 
-/// A pose turned and then shifted by a small step (ω, δ) in the camera's frame.
+/// The pose after a perturbation (ω, δ) in the camera frame: rotation about the camera axes, then
+/// translation.
 pub fn moved_pose(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
     let shift = Vector3::new(step[3], step[4], step[5]);
@@ -343,7 +350,9 @@ pub fn moved_pose(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> 
 type Eliminated = (Matrix6<f64>, SMatrix<f64, 6, SHARED>, Vector6<f64>);
 
 impl Normal {
-    /// The shared equations with the poses eliminated; with each view's inverse times its right sides.
+    /// The reduced (Schur complement) equations of the shared unknowns. For back substitution also
+    /// returns, for each view, the inverse pose block times the pose–shared block and times the
+    /// right-hand side.
     fn reduced(&self, damping: f64) -> Option<(SharedMatrix, SharedVector, Vec<Eliminated>)> {
         let mut shared = self.shared;
         let mut right = self.right;
@@ -366,7 +375,7 @@ impl Normal {
         Some((shared, right, eliminated))
     }
 
-    /// The step of the shared unknowns and of each pose.
+    /// The step of the shared unknowns and, by back substitution, of each pose.
     fn step(&self, damping: f64) -> Option<(SharedVector, Vec<Vector6<f64>>)> {
         let (matrix, right, eliminated) = self.reduced(damping)?;
         let shared = scaled_solve(&matrix, &right)?;
@@ -375,7 +384,8 @@ impl Normal {
     }
 }
 
-/// Solves with rows and columns scaled to a diagonal of ones: coefficients and pixels differ by many powers of ten.
+/// Cholesky solution with diagonal preconditioning to a unit diagonal: coefficients and pixels
+/// differ by many orders of magnitude.
 fn scaled_solve(matrix: &SharedMatrix, right: &SharedVector) -> Option<SharedVector> {
     let scale = matrix.diagonal().map(|d| 1.0 / d.max(1e-300).sqrt());
     let scaled = SharedMatrix::from_fn(|i, j| matrix[(i, j)] * scale[i] * scale[j]);
@@ -384,7 +394,8 @@ fn scaled_solve(matrix: &SharedMatrix, right: &SharedVector) -> Option<SharedVec
     solution.iter().all(|number| number.is_finite()).then_some(solution)
 }
 
-/// How far right and down of its expected place each point of a view was seen, pixels; `None` for points without one.
+/// Residual of each point in x and y, detected minus predicted, pixels; `None` for points without a
+/// valid projection.
 pub fn residuals<'a>(
     lens: &'a Lens,
     shape: &'a [f64; 5],
@@ -399,8 +410,9 @@ pub fn residuals<'a>(
     })
 }
 
-/// Noise of a point in x and in y from the median distance of points from their places (that of Gaussian noise is σ √(2 ln 2)),
-/// corrected for the `unknowns` fitted.
+/// Robust estimate of the detection noise per axis, pixels. It is the median residual length over
+/// √(2 ln 2), as for Gaussian noise, corrected for the degrees of freedom of `unknowns` estimated
+/// parameters.
 pub fn robust_noise_px(views: &[&[Sight]], state: &State, unknowns: usize) -> f64 {
     let mut squares: Vec<f64> = Vec::new();
     for (sights, pose) in views.iter().zip(&state.poses) {
@@ -413,10 +425,11 @@ pub fn robust_noise_px(views: &[&[Sight]], state: &State, unknowns: usize) -> f6
     variance.map_or(0.0, |variance| (variance / freedom).sqrt()).max(LEAST_NOISE_PX)
 }
 
-/// No corner is known better than this; exact points would otherwise have no scale.
+/// Lower bound of the noise, pixels; exact synthetic points would otherwise have a scale of zero.
 pub const LEAST_NOISE_PX: f64 = 1e-3;
 
-/// Minimises again and again with the noise that the residuals tell, until that stays. Returns it.
+/// Alternates minimisation and estimation of the noise until the noise changes by less than 5 %, at
+/// most six times. Returns the noise, pixels.
 pub fn adjust(views: &[&[Sight]], state: &mut State, unknowns: &Unknowns, most: usize) -> f64 {
     let count = unknowns.shared() + if unknowns.poses { 6 * views.len() } else { 0 };
     let mut noise_px = robust_noise_px(views, state, count);

@@ -1,4 +1,4 @@
-//! Which lens model: the one that foretells views it has not seen, and of those that do so equally well the surest.
+//! Selection of the lens model by expected ray error and cross-validation.
 
 use super::bundle::Sight;
 use super::fit::{Fit, HoldOut};
@@ -7,17 +7,17 @@ use super::result::{Candidate, LensModel};
 use crate::camera::Camera;
 use crate::geometry::Pixel;
 
-/// A mean square distance larger by less than this share is no larger.
+/// Relative differences of the mean square error below this value are insignificant.
 const LEAST_LOSS: f64 = 0.002;
 
-/// A model that fits the points worse by a mean square of 1 is taken for wrong by this much elsewhere: what it cannot follow where points
-/// are grows towards the corners, where there are few.
+/// Factor from the excess mean square error of a model at the points to its assumed mean square ray
+/// error over the image. A misfit grows towards the image corners, where there are few points.
 const SURE_OVER_FITTING: f64 = 30.0;
 
-/// Half the angle across the image's diagonal from which on a lens is very wide, radians: 60°.
+/// Half diagonal field of view from which a lens counts as very wide, radians: 60°.
 const VERY_WIDE_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
-/// A model with what speaks for and against it.
+/// A fitted lens model with its cross-validation result and comparison figures.
 pub struct Tried {
     pub fit: Fit,
     pub hold_out: HoldOut,
@@ -26,7 +26,7 @@ pub struct Tried {
 }
 
 impl Tried {
-    /// Measures a fit.
+    /// Cross-validates a fit; `None` if its parameters are not a valid camera.
     pub fn new(fit: Fit, sights: &[Vec<Sight>], size: (usize, usize)) -> Option<Self> {
         let hold_out = fit.hold_out(sights);
         let camera = fit.state.lens.camera(size).ok()?;
@@ -41,21 +41,27 @@ impl Tried {
     }
 }
 
-/// The place of the model to take: the one with the least error of rays to be expected over the whole image.
+/// Index of the selected model: the one with the smallest expected ray error over the image.
 ///
-/// The views held out say which foretells best, but only where points were, and a coefficient that is not needed costs nothing
-/// there and pixels in the corners. So of every model two errors are added as squares: that of its uncertain numbers, from the covariance,
-/// and that of its shape. A shape is doubted as far as its rays differ from those of the best foreteller by more than that one's own
-/// uncertainty explains, and as far as views held out are foretold worse by more than one standard error of the paired
-/// differences between views (the rule of L. Breiman et al., "Classification and regression trees", 1984, section 3.4.3).
+/// Cross-validation finds the model that predicts held-out views best, but only where there were
+/// points. There, a superfluous coefficient does no harm, while in the image corners it may cost
+/// pixels. The mean square ray error of each model is therefore the sum of two terms: the variance
+/// from the covariance of its parameters, and a squared bias for a wrong lens model. The bias is
+/// the larger of two estimates:
 ///
-/// The double sphere, which few programs read, is taken for very wide lenses alone.
+/// * the disagreement of its rays with those of the best-predicting model, minus the variance of
+///   the latter;
+/// * the excess of its cross-validation error over that of the best-predicting model, minus one
+///   standard error of the paired differences between views (the one-standard-error rule of L.
+///   Breiman et al., "Classification and regression trees", 1984, section 3.4.3), times a factor.
+///
+/// The double sphere model, which few programs support, is only selected for very wide lenses.
 pub fn choose(tried: &[Tried]) -> Option<usize> {
     let mean = |at: usize| {
         let views = &tried[at].hold_out.views;
         views.iter().sum::<f64>() / views.len().max(1) as f64
     };
-    // With too few views to hold any out, the simplest of those that fit within a tenth.
+    // Too few views for cross-validation: the simplest model whose RMS is within 10 % of the best.
     let best = (0..tried.len()).min_by(|&a, &b| mean(a).total_cmp(&mean(b)))?;
     if !mean(best).is_finite() {
         let least = tried.iter().map(|one| one.candidate.rms_px).fold(f64::INFINITY, f64::min);
@@ -63,7 +69,7 @@ pub fn choose(tried: &[Tried]) -> Option<usize> {
         return (0..tried.len()).filter(near).min_by_key(|&at| tried[at].fit.model.coefficients());
     }
     let error = |at: usize| tried[at].candidate.expected_error_px;
-    // Mean square error over the image: that of uncertain numbers and that of a shape that cannot be right.
+    // Mean square ray error over the image: variance plus squared bias.
     let total = |at: usize| {
         let pairs = tried[at].hold_out.views.iter().zip(&tried[best].hold_out.views);
         let differences: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
@@ -81,7 +87,7 @@ pub fn choose(tried: &[Tried]) -> Option<usize> {
     (0..tried.len()).filter(eligible).min_by(|&a, &b| totals[a].total_cmp(&totals[b]))
 }
 
-/// Whether a corner of the image is further from the axis than [`VERY_WIDE_RAD`], or beyond what a camera has rays for.
+/// Whether an image corner is more than [`VERY_WIDE_RAD`] from the optical axis, or has no ray.
 fn is_very_wide(camera: &Camera) -> bool {
     let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
     [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].into_iter().any(|(x, y)| {

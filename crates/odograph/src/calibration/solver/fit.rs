@@ -1,4 +1,4 @@
-//! One lens model fitted to views: points and views that do not belong are left out and named, and views are held out.
+//! The fit of one lens model: bundle adjustment, outlier rejection and cross-validation.
 
 use super::bundle::{Bundle, Sight, State, Unknowns, adjust, residuals, robust_noise_px};
 use super::lens::{Lens, free_numbers};
@@ -8,22 +8,24 @@ use super::zhang::mirrored_pose;
 use crate::numerics::median;
 use nalgebra::Isometry3;
 
-/// Points further off than this many standard deviations, and this many pixels, are wrong and left out.
+/// A point is an outlier if its residual exceeds both this many standard deviations and this many
+/// pixels.
 const WRONG_DEVIATIONS: f64 = 8.0;
 const WRONG_PX: f64 = 1.0;
-/// No more than this share of the points is left out.
+/// Maximum share of points rejected as outliers.
 const MOST_WRONG: f64 = 0.03;
-/// A view is left out where its typical point is this many times as far off as in the typical view.
+/// A view is an outlier if its noise exceeds the median noise of all views by this factor.
 const WRONG_VIEW: f64 = 3.0;
 
-/// The most steps of an adjustment; from a fair start it takes five to ten.
+/// Maximum number of steps of a bundle adjustment. From a reasonable initial state it takes five to
+/// ten.
 const STEPS: usize = 60;
 
-/// A model fitted to some of the views.
+/// A lens model fitted to a subset of the views.
 #[derive(Debug, Clone)]
 pub struct Fit {
     pub model: LensModel,
-    /// Which views, in the order of the state's poses.
+    /// Indices of the views in the fit, in the order of the poses in `state`.
     pub views: Vec<usize>,
     pub state: State,
     pub unknowns: Unknowns,
@@ -34,7 +36,7 @@ fn chosen<'a>(sights: &'a [Vec<Sight>], views: &[usize]) -> Vec<&'a [Sight]> {
     views.iter().map(|&view| sights[view].as_slice()).collect()
 }
 
-/// The unknowns of a model under a configuration.
+/// The unknowns and priors of a lens model for a configuration.
 pub fn unknowns(model: LensModel, config: &CalibrationConfig, size: (usize, usize), shape: bool) -> Unknowns {
     let (w, h) = (size.0 as f64, size.1 as f64);
     let mut priors = vec![(2, (w - 1.0) / 2.0, w), (3, (h - 1.0) / 2.0, w)];
@@ -44,7 +46,7 @@ pub fn unknowns(model: LensModel, config: &CalibrationConfig, size: (usize, usiz
 }
 
 impl Fit {
-    /// Fits a model from the lens and poses of the start.
+    /// Fits a model, initialised with the lens and the poses from `start`.
     pub fn new(
         sights: &[Vec<Sight>],
         views: &[usize],
@@ -71,13 +73,13 @@ impl Fit {
         fit
     }
 
-    /// Adjusts everything from where it is.
+    /// Bundle adjustment from the current state.
     pub fn adjust(&mut self, sights: &[Vec<Sight>]) {
         let views = chosen(sights, &self.views);
         self.noise_px = adjust(&views, &mut self.state, &self.unknowns, STEPS);
     }
 
-    /// Keeps only the views of a list in ascending order.
+    /// Drops all views that are not in `views`, which is sorted in ascending order.
     pub fn keep(&mut self, views: &[usize]) {
         let stays: Vec<usize> =
             (0..self.views.len()).filter(|&at| views.binary_search(&self.views[at]).is_ok()).collect();
@@ -85,7 +87,8 @@ impl Fit {
         self.views = stays.iter().map(|&at| self.views[at]).collect();
     }
 
-    /// Takes up all of `views` that are not left out; the new ones are posed through the lens of the start first.
+    /// Extends the fit to all of `views` that are not rejected. The poses of new views are
+    /// initialised with the lens from `start` and refined with the fitted lens.
     pub fn extend(
         &mut self,
         views: &[usize],
@@ -111,7 +114,7 @@ impl Fit {
         (self.views, self.state.poses) = (all, poses);
     }
 
-    /// The pose of a view through the fitted lens.
+    /// Pose of a view, refined with the fitted lens; `None` if its points do not determine a pose.
     pub fn pose(&self, sights: &[Sight], start: &Lens) -> Option<Isometry3<f64>> {
         if super::sights::fault(sights).is_some() {
             return None;
@@ -126,7 +129,8 @@ impl Fit {
         pose.translation.vector.iter().all(|number| number.is_finite()).then_some(pose)
     }
 
-    /// Takes the mirrored pose of views where that fits better; whether there were any.
+    /// Resolves the two-fold ambiguity of planar poses: switches views with a large residual to the
+    /// mirrored pose if that fits better. Returns whether any view changed.
     fn turn_mirrored(&mut self, sights: &[Vec<Sight>]) -> bool {
         let mut turned = false;
         for at in 0..self.views.len() {
@@ -147,7 +151,7 @@ impl Fit {
         off.flatten().fold((0.0, 0.0), |(sum, count), (dx, dy)| (sum + dx * dx + dy * dy, count + 1.0))
     }
 
-    /// Root mean square distance over all its views, pixels.
+    /// RMS reprojection error over all views of the fit, pixels.
     pub fn rms_px(&self, sights: &[Vec<Sight>]) -> f64 {
         let all = self.views.iter().zip(&self.state.poses);
         let (sum, count) = all
@@ -156,8 +160,9 @@ impl Fit {
         (sum / count).sqrt()
     }
 
-    /// Leaves out points and views that do not belong, adjusting again, until all do. Points are taken out of `sights`; of
-    /// views that are left out the reason is written down, at most a third of all.
+    /// Rejects outlier views and outlier points, with a new bundle adjustment after each round,
+    /// until none remain. Outlier points are removed from `sights`. At most a third of the views is
+    /// rejected; the reason is written to `reasons`.
     pub fn leave_out_wrong(&mut self, sights: &mut [Vec<Sight>], reasons: &mut [Option<String>]) {
         let most = self.views.len() / 3;
         let mut left_out = 0;
@@ -200,7 +205,8 @@ impl Fit {
         }
     }
 
-    /// Leaves out points that are far off, if they are few: where they are many it is the lens model that is wrong.
+    /// Rejects outlier points if they are few. Many outliers indicate a wrong lens model instead.
+    /// Returns whether any point was removed.
     fn leave_out_points(&self, sights: &mut [Vec<Sight>]) -> bool {
         let far_px = (WRONG_DEVIATIONS * self.noise_px).max(WRONG_PX);
         let mut changed = false;
@@ -226,7 +232,8 @@ impl Fit {
         changed
     }
 
-    /// Fits a camera to the other views for each part of the views, and to each view of the part only its pose.
+    /// Cross-validation with five folds, or leave-one-out with fewer than ten views. The camera is
+    /// fitted to the other folds; for each held-out view only the pose is estimated.
     pub fn hold_out(&self, sights: &[Vec<Sight>]) -> HoldOut {
         let count = self.views.len();
         let parts = if count < 10 { count } else { 5 };
@@ -266,15 +273,16 @@ impl Fit {
     }
 }
 
-/// How well views were foretold that the camera was not fitted to.
+/// Result of the cross-validation.
 #[derive(Debug, Clone)]
 pub struct HoldOut {
-    /// Of each view the mean square distance, wrong points bounded.
+    /// Mean square residual of each view, px², with outliers clipped.
     pub views: Vec<f64>,
     pub rms_px: f64,
 }
 
-/// The mirrored pose of the only view of a state, refined, if it fits clearly better.
+/// The mirrored pose of a single view, refined, if it fits significantly better (two-fold ambiguity
+/// of planar poses).
 pub fn better_mirrored(sights: &[Sight], state: &State, noise_px: f64) -> Option<Isometry3<f64>> {
     let count = sights.len().max(1) as f64;
     let middle =

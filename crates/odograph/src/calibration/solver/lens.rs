@@ -1,27 +1,29 @@
-//! Lens models as the solver sees them: projection of points in the camera frame with its derivatives by the point and by every
-//! number of the lens.
+//! Lens models of the solver: projection of points in the camera frame, with derivatives with
+//! respect to the point and to all lens parameters.
 //!
-//! [`crate::camera::Camera`] works on rays (x, y, 1) and so ends short of 90° from the axis; here points are projected, so that a
-//! fisheye's views may be used in full.
+//! [`crate::camera::Camera`] works on rays (x, y, 1) and is limited to less than 90° from the
+//! optical axis. Here points are projected, so that views of a fisheye lens can be used in full.
 
 use super::result::LensModel;
 use crate::camera::{Camera, Distortion};
 use crate::error::Result;
 use nalgebra::{Matrix2x3, Vector3};
 
-/// fx, fy, cx, cy and up to eight coefficients.
+/// Number of lens parameters: fx, fy, cx, cy and up to eight distortion coefficients.
 pub const NUMBERS: usize = 12;
 
-/// A lens and sensor: the model and its numbers, of which [`LensModel::coefficients`] after the fourth mean something.
+/// A camera: lens model and parameters. Only the first [`LensModel::coefficients`] distortion
+/// coefficients are used.
 ///
-/// Brown–Conrady's stand in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6.
+/// The coefficients of Brown–Conrady are in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
     pub model: LensModel,
     pub numbers: [f64; NUMBERS],
 }
 
-/// Where a point is seen, and the derivatives of that.
+/// The projection of a point, pixels, with its derivatives with respect to the point and to all
+/// parameters.
 #[derive(Debug, Clone, Copy)]
 pub struct Projection {
     pub pixel: [f64; 2],
@@ -29,7 +31,8 @@ pub struct Projection {
     pub by_numbers: [[f64; NUMBERS]; 2],
 }
 
-/// A free number of a lens: its name and which of the [`NUMBERS`] it sets (two for the one focal length of square pixels).
+/// A free lens parameter: its name and the index it sets. `also` is a second index that is set to
+/// the same value: fy with square pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Free {
     pub name: &'static str,
@@ -37,7 +40,8 @@ pub struct Free {
     pub also: Option<usize>,
 }
 
-/// The free numbers of a model: `square` pixels, `centred` principal point, and the first `coefficients`.
+/// The free parameters of a model. `square` constrains fx = fy, `centred` fixes the principal
+/// point, and only the first `coefficients` distortion coefficients are free.
 pub fn free_numbers(model: LensModel, square: bool, centred: bool, coefficients: usize) -> Vec<Free> {
     let one = |name, at| Free { name, at, also: None };
     let mut free = match square {
@@ -58,7 +62,8 @@ pub fn free_numbers(model: LensModel, square: bool, centred: bool, coefficients:
 }
 
 impl Lens {
-    /// A lens without distortion; for Kannala–Brandt the equidistant one.
+    /// A lens with all distortion coefficients zero: undistorted, or equidistant for
+    /// Kannala–Brandt.
     pub fn new(model: LensModel, focal_px: f64, principal_px: (f64, f64)) -> Self {
         let mut numbers = [0.0; NUMBERS];
         numbers[..4].copy_from_slice(&[focal_px, focal_px, principal_px.0, principal_px.1]);
@@ -81,7 +86,7 @@ impl Lens {
         lens
     }
 
-    /// As a camera of an image size.
+    /// Converts to a camera with the given image size; fails if the parameters are invalid.
     pub fn camera(&self, size: (usize, usize)) -> Result<Camera> {
         let [fx, fy, cx, cy, a, b, c, d, e, f, g, h] = self.numbers;
         let distortion = match self.model {
@@ -93,7 +98,7 @@ impl Lens {
         Camera::new(size, (fx, fy), (cx, cy), distortion)
     }
 
-    /// Where a point in the camera frame is seen; `None` where the model has no place for it.
+    /// Projects a point in the camera frame to pixels; `None` outside the domain of the model.
     pub fn pixel(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
         let (x, y) = (point.x, point.y);
         let [fx, fy, cx, cy, a, b, c, d, e, f, g, h] = self.numbers;
@@ -140,7 +145,7 @@ impl Lens {
         (pixel[0].is_finite() && pixel[1].is_finite()).then_some(pixel)
     }
 
-    /// [`Lens::pixel`] with its derivatives.
+    /// [`Lens::pixel`] with derivatives.
     pub fn project(&self, point: &Vector3<f64>) -> Option<Projection> {
         let [fx, fy, cx, cy, ..] = self.numbers;
         let mut by_numbers = [[0.0; NUMBERS]; 2];
@@ -251,7 +256,8 @@ impl Lens {
             return None;
         }
         let s = 1.0 / under;
-        // `under` by something of which ζ changes by `zeta_by` and x² + y² by 2 · `half_r2_by`.
+        // Derivative of `under` with respect to a variable for which ζ has the derivative `zeta_by`
+        // and x² + y² has the derivative 2 · `half_r2_by`.
         let under_by = |zeta_by: f64, half_r2_by: f64| {
             alpha * (half_r2_by + zeta * zeta_by) / d2 + (1.0 - alpha) * zeta_by
         };
@@ -273,7 +279,8 @@ impl Lens {
         Some(((x * s, y * s), by_point))
     }
 
-    /// The direction, of length 1, that a pixel sees through a Kannala–Brandt or undistorted lens, up to `limit_rad` from the axis.
+    /// Unit direction of the ray through a pixel, at most `limit_rad` from the optical axis. The
+    /// distortion of models other than Kannala–Brandt is ignored.
     pub fn direction(&self, pixel: (f64, f64), limit_rad: f64) -> Option<Vector3<f64>> {
         let [fx, fy, cx, cy, k1, k2, k3, k4, ..] = self.numbers;
         let (u, v) = ((pixel.0 - cx) / fx, (pixel.1 - cy) / fy);
@@ -301,7 +308,8 @@ impl Lens {
             .then(|| Vector3::new(u / radius * angle.sin(), v / radius * angle.sin(), angle.cos()))
     }
 
-    /// Whether the numbers are those of a lens: positive focal lengths, and the double sphere's in their range.
+    /// Whether the parameters are valid: finite, positive focal lengths, ξ and α of the double
+    /// sphere in their range.
     pub fn possible(&self) -> bool {
         let [fx, fy, _, _, xi, alpha, ..] = self.numbers;
         let sphere = self.model != LensModel::DoubleSphere
@@ -310,5 +318,6 @@ impl Lens {
     }
 }
 
-/// Coordinates in the image before focal length and principal point, and their derivative by the point.
+/// Normalised image coordinates (before focal length and principal point are applied) and their
+/// derivative with respect to the point.
 type Normalised = ((f64, f64), Matrix2x3<f64>);

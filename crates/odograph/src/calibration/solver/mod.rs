@@ -1,7 +1,8 @@
-//! From views of a board to a camera.
+//! Calibration solver: estimates a camera from views of a board.
 //!
-//! `start` finds a rough camera and poses for any lens; `bundle` adjusts everything together; `fit` leaves out what does not belong and
-//! holds views out; `choice` picks the lens model; `quality` and `verdict` say how far to trust the result.
+//! `start` computes an initial camera and initial poses for any lens. `bundle` is the bundle
+//! adjustment. `fit` rejects outliers and runs the cross-validation of one lens model. `choice`
+//! selects the lens model. `quality` and `verdict` assess the result.
 
 mod bundle;
 mod choice;
@@ -29,18 +30,23 @@ use fit::Fit;
 use nalgebra::Isometry3;
 use quality::{ErrorMap, covariance};
 
-/// Lens models are compared on so many points at most, and a camera is fitted to so many: time grows with them.
+/// Maximum number of points for the comparison of lens models and for the final fit; the run time
+/// is proportional to them.
 const COMPARED_POINTS: usize = 20_000;
 const MOST_POINTS: usize = 500_000;
 
-/// The camera that saw `views` of `board`.
+/// Estimates the camera from `views` of `board`.
 ///
-/// Zhang's start, then lens and poses adjusted together under a robust loss (Z. Zhang, "A flexible new technique for camera calibration",
-/// 2000); without a model in the configuration the one that best foretells views held out. Views that do not fit are left out and say
-/// why. Points beyond 90° from the axis are used; a [`Camera`](crate::camera::Camera) only has rays short of that.
+/// After an initialisation similar to Zhang's, lens and poses are refined together in a bundle
+/// adjustment with a robust loss (Z. Zhang, "A flexible new technique for camera calibration",
+/// 2000). If the configuration names no lens model, the model is selected by cross-validation.
+/// Outlier views are rejected and reported with a reason. Points beyond 90° from the optical axis
+/// are used, although a [`Camera`](crate::camera::Camera) only has rays below 90°.
 ///
-/// Fails, with what to do, where the views cannot tell: fewer than three, all the same, of different sizes, mirrored, or with numbers
-/// that are none.
+/// Fails, with advice in the message, if the views do not determine a camera: fewer than three
+/// usable views, all views alike, different image sizes, or mirrored views. Also fails on NaN
+/// coordinates, on positions far outside the image, and on point indices that are duplicated or not
+/// on the board.
 pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig) -> Result<Calibration> {
     let (size, gathered) = sights::gather(board, views)?;
     let mut reasons: Vec<Option<String>> =
@@ -82,7 +88,8 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
     let fit_model =
         |model, sights: &[Vec<Sight>]| Fit::new(sights, &compared, &poses, &start_lens, model, config, size);
     let mut fits: Vec<Fit> = models.iter().map(|&model| fit_model(model, &sights)).collect();
-    // What does not belong is told by the model that fits best, and left out for all.
+    // The best-fitting model decides which points and views are outliers; they are rejected for all
+    // models.
     let best = fits.iter_mut().min_by(|a, b| a.noise_px.total_cmp(&b.noise_px));
     let Some(best) = best else { return Err(Error::usage("no lens model to try")) };
     best.leave_out_wrong(&mut sights, &mut reasons);
@@ -108,7 +115,8 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
     outcome.calibration(config, size)
 }
 
-/// Views spread evenly over the order of `views` with at most `most` points together (three views at least).
+/// Selects views evenly spaced in the order of `views`, with at most `most` points in total but at
+/// least three views.
 fn evenly(views: &[usize], sights: &[Vec<Sight>], most: usize) -> Vec<usize> {
     let points: usize = views.iter().map(|&view| sights[view].len()).sum();
     if points <= most {
@@ -119,7 +127,7 @@ fn evenly(views: &[usize], sights: &[Vec<Sight>], most: usize) -> Vec<usize> {
     (0..kept).map(|i| views[i * views.len() / kept]).collect()
 }
 
-/// All that was found out, to be told.
+/// The fitted model and everything else that goes into the [`Calibration`].
 struct Outcome {
     fit: Fit,
     sights: Vec<Vec<Sight>>,
@@ -176,7 +184,8 @@ impl Outcome {
         Ok(calibration)
     }
 
-    /// Each view with its pose and residuals; views not used are posed with the camera of the others.
+    /// All views with pose and residuals. The poses of unused views are estimated with the final
+    /// camera.
     fn views(&self) -> Vec<CalibratedView> {
         let state = &self.fit.state;
         let mut place = vec![None; self.sights.len()];
@@ -218,7 +227,9 @@ impl Outcome {
         true
     }
 
-    /// How much the noise falls if the board may be bent, and by how much it would be, where that is worth a word.
+    /// The relative decrease of the RMS residual if the board shape is estimated too, and the
+    /// largest bend, metres. `None` if the decrease is insignificant, or for too few views or too
+    /// many points.
     fn bend(&self) -> Option<(f64, f64)> {
         let points: usize = self.fit.views.iter().map(|&view| self.sights[view].len()).sum();
         if points > COMPARED_POINTS || self.fit.views.len() < 5 {

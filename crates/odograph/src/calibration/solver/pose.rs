@@ -1,4 +1,4 @@
-//! Where a board is in front of a known camera.
+//! Pose of a board relative to a calibrated camera.
 
 use super::bundle::{Bundle, State, Unknowns, adjust, residuals, robust_noise_px};
 use super::fit::better_mirrored;
@@ -11,11 +11,14 @@ use crate::error::{Error, Result};
 use crate::geometry::Pixel;
 use nalgebra::Matrix6;
 
-/// Where the board is in front of a calibrated camera, from one view: homography of the rays, then Levenberg–Marquardt under a
-/// robust loss, from both of the poses that a plane leaves open.
+/// Estimates the pose of a board relative to a calibrated camera from one view.
 ///
-/// Points for which the camera has no ray (86° and more from the axis) are left out. Fails where fewer than four points off one line
-/// are left, the image has another size than the camera's, or the points are not those of this board.
+/// The pose is initialised from the homography of the rays and refined by Levenberg–Marquardt with
+/// a robust loss, from both solutions of the two-fold ambiguity of planar poses.
+///
+/// Points for which the camera has no ray (86° or more from the optical axis) are ignored. Fails if
+/// fewer than four non-collinear points remain, if the image size differs from the camera's, or if
+/// the points do not fit this board.
 pub fn board_pose(camera: &Camera, board: &Board, view: &BoardView) -> Result<BoardPose> {
     if view.size != (camera.width(), camera.height()) {
         return Err(Error::input(format!(
@@ -47,7 +50,7 @@ pub fn board_pose(camera: &Camera, board: &Board, view: &BoardView) -> Result<Bo
         state.poses = vec![pose];
         noise_px = adjust(&views, &mut state, &poses_only, 50);
     }
-    // With few points the median says little: what the squares say counts if it is more.
+    // With few points the median is unreliable; the RMS residual is used if it is larger.
     let mut list = Vec::with_capacity(seen.len());
     let mut squares = 0.0;
     for (sight, off) in seen.iter().zip(residuals(&state.lens, &state.shape, &state.poses[0], &seen)) {

@@ -1,4 +1,5 @@
-//! How far a calibration can be trusted: covariance, the error of rays over the image, and the verdict.
+//! Uncertainty of a calibration: covariance of the parameters and expected ray error over the
+//! image.
 
 use super::bundle::{Bundle, SHARED, Sight, counts_in_full, residuals};
 use super::fit::Fit;
@@ -7,11 +8,12 @@ use crate::camera::Camera;
 use crate::geometry::Pixel;
 use nalgebra::{DMatrix, Matrix2x3, Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 
-/// Covariance of the shared unknowns of a fit, poses eliminated.
+/// Covariance of the shared unknowns of a fit, with the poses marginalised out.
 ///
-/// The inverse of the information, with the noise that the weighted residuals tell and the correction for a robust loss (P. Huber,
-/// "Robust statistics", 1981, section 7.6): `σ² · (mean of w² r²) / (mean of ψ')²`. For this loss the mean of ψ' over both
-/// directions is the share of points within the bend: beyond it, what is lost along the residual is won across it.
+/// It is the inverse of the information matrix, scaled by the residual variance with the correction
+/// for a robust loss (P. Huber, "Robust statistics", 1981, section 7.6): `σ² · (mean of w² r²) /
+/// (mean of ψ')²`. For this loss the mean of ψ' over both axes is the share of inliers: beyond the
+/// threshold, the negative derivative along the residual cancels the positive one across it.
 pub fn covariance(fit: &Fit, sights: &[Vec<Sight>]) -> DMatrix<f64> {
     let views: Vec<&[Sight]> = fit.views.iter().map(|&view| sights[view].as_slice()).collect();
     let count = fit.unknowns.shared();
@@ -33,7 +35,7 @@ pub fn covariance(fit: &Fit, sights: &[Vec<Sight>]) -> DMatrix<f64> {
     let Some(information) = bundle.information(&fit.state) else {
         return DMatrix::from_diagonal_element(count, count, 1e12);
     };
-    // Scaled to a diagonal of ones; directions that the views say nothing about get a large, finite variance.
+    // Scaled to a unit diagonal. Unconstrained directions get a large but finite variance.
     let scale: Vec<f64> = (0..SHARED).map(|i| 1.0 / information[(i, i)].max(1e-300).sqrt()).collect();
     let scaled = DMatrix::from_fn(count, count, |i, j| information[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();
@@ -42,18 +44,18 @@ pub fn covariance(fit: &Fit, sights: &[Vec<Sight>]) -> DMatrix<f64> {
     DMatrix::from_fn(count, count, |i, j| inverse[(i, j)] * scale[i] * scale[j] * factor)
 }
 
-/// Error of rays over the image from the covariance of the lens.
+/// Expected ray error over the image, from the covariance of the lens parameters.
 #[derive(Debug, Clone)]
 pub struct ErrorMap {
     lens: Lens,
     free: Vec<Free>,
     covariance: DMatrix<f64>,
-    /// The rotation of the camera that best undoes a change of the free numbers: 3 rows.
+    /// Derivative of the best-aligning camera rotation with respect to the free parameters; 3 rows.
     rotation_by_free: DMatrix<f64>,
     over_image_px: f64,
 }
 
-/// The middles of this many parts across and down stand for the image.
+/// Columns and rows of the evaluation grid over the image.
 const ACROSS: usize = 16;
 const DOWN: usize = 12;
 
@@ -63,14 +65,15 @@ fn places(camera: &Camera) -> impl Iterator<Item = Pixel> + use<> {
     (0..DOWN * ACROSS).map(move |at| Pixel::new(middle(at % ACROSS, part.0), middle(at / ACROSS, part.1)))
 }
 
-/// Root mean square distance over the image, pixels, between where two cameras see the same directions, once the rotation that brings
-/// them best together is taken out; infinite where they do not see enough of the same.
+/// RMS distance over the image between the projections of the same directions by two cameras,
+/// pixels, after the best-aligning rotation. Infinite if the overlap of their fields of view is too
+/// small.
 pub fn disagreement_px(camera: &Camera, other: &Lens) -> f64 {
     let rays: Vec<(Pixel, Vector3<f64>)> = places(camera)
         .filter_map(|pixel| Some((pixel, camera.ray_from_pixel(pixel)?.vector().normalize())))
         .collect();
     let mut rotation = Rotation3::identity();
-    // Gauss–Newton from no rotation; two cameras fitted to the same views are next to each other.
+    // Gauss–Newton from the identity; cameras fitted to the same views are nearly aligned.
     for _ in 0..5 {
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for (pixel, ray) in &rays {
@@ -94,7 +97,7 @@ pub fn disagreement_px(camera: &Camera, other: &Lens) -> f64 {
 }
 
 impl ErrorMap {
-    /// Of a lens with the covariance of its free numbers.
+    /// Error map of a lens with the covariance of its free parameters.
     pub fn new(camera: &Camera, lens: &Lens, free: &[Free], covariance: DMatrix<f64>) -> Self {
         let count = free.len();
         let covariance = covariance.view((0, 0), (count, count)).into_owned();
@@ -107,7 +110,7 @@ impl ErrorMap {
         };
         let grid: Vec<(DMatrix<f64>, Matrix2x3<f64>)> =
             places(camera).filter_map(|pixel| map.derivatives(camera, pixel)).collect();
-        // Least squares over the grid: of Jθ δθ + Jω ω as little as possible.
+        // Least squares over the grid: minimise |Jθ δθ + Jω ω|².
         let mut normal = Matrix3::<f64>::zeros();
         let mut right = DMatrix::<f64>::zeros(3, count);
         for (by_free, by_rotation) in &grid {

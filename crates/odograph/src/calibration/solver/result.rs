@@ -1,4 +1,4 @@
-//! What a calibration is asked for and what it gives.
+//! Configuration and result of a calibration.
 
 use super::quality::ErrorMap;
 use crate::camera::Camera;
@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, Isometry3, Matrix6};
 use std::fmt;
 use std::str::FromStr;
 
-/// A family of lenses with its number of free coefficients.
+/// A lens model, including its number of distortion coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LensModel {
     /// No distortion.
@@ -17,16 +17,16 @@ pub enum LensModel {
     BrownConrady4,
     /// Brown–Conrady with k1, k2, p1, p2, k3: OpenCV's default.
     BrownConrady5,
-    /// Brown–Conrady with OpenCV's rational k1 to k6, p1, p2.
+    /// Brown–Conrady with OpenCV's rational radial term: k1 to k6, p1, p2.
     BrownConrady8,
-    /// Kannala–Brandt's fisheye with k1 to k4: OpenCV's `fisheye`.
+    /// Kannala–Brandt fisheye model with k1 to k4: OpenCV's `fisheye`.
     KannalaBrandt4,
-    /// The double sphere with ξ, α.
+    /// Double sphere model with ξ and α.
     DoubleSphere,
 }
 
 impl LensModel {
-    /// Every model with its name, those with fewer coefficients first.
+    /// All models with their names, in ascending order of their number of coefficients.
     pub const NAMED: [(&'static str, Self); 6] = [
         ("pinhole", Self::Pinhole),
         ("double-sphere", Self::DoubleSphere),
@@ -36,12 +36,12 @@ impl LensModel {
         ("brown-conrady8", Self::BrownConrady8),
     ];
 
-    /// Its name, which [`FromStr`] reads.
+    /// The name, as accepted by [`FromStr`].
     pub fn name(self) -> &'static str {
         Self::NAMED.iter().find(|(_, model)| *model == self).map_or("", |(name, _)| name)
     }
 
-    /// How many distortion coefficients it has.
+    /// Number of distortion coefficients.
     pub fn coefficients(self) -> usize {
         match self {
             Self::Pinhole => 0,
@@ -72,17 +72,17 @@ impl FromStr for LensModel {
     }
 }
 
-/// How to calibrate.
+/// Configuration of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CalibrationConfig {
-    /// The lens model; `None` chooses among all by how well they foretell views they have not seen.
+    /// The lens model; `None` selects it by cross-validation.
     pub model: Option<LensModel>,
-    /// Pixels are square: one focal length.
+    /// Constrains both focal lengths to be equal (square pixels).
     pub square_pixels: bool,
-    /// The principal point is the middle of the image.
+    /// Fixes the principal point at the image centre.
     pub centred: bool,
-    /// The board is flat and true to size. Where not, its bend and the stretch of its print are estimated too
-    /// ([`BoardShape`]).
+    /// Assumes that the board is flat and printed true to size. If false, the deformation of the
+    /// board is estimated too ([`BoardShape`]).
     pub flat_board: bool,
 }
 
@@ -92,81 +92,84 @@ impl Default for CalibrationConfig {
     }
 }
 
-/// A number that was estimated.
+/// An estimated parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
-    /// `f` (with square pixels) or `fx`, `fy`; `cx`, `cy`; then the model's coefficients by their names in
-    /// [`crate::camera::Distortion`], then those of the [`BoardShape`] by its.
+    /// `f` (with square pixels) or `fx`, `fy`; `cx`, `cy`; then the distortion coefficients, named
+    /// as in [`crate::camera::Distortion`]; then the parameters of the [`BoardShape`], named as its
+    /// fields.
     pub name: &'static str,
-    /// Its value: pixels, no unit for coefficients, metres or no unit for the board.
+    /// Estimate. Focal lengths and principal point in pixels; distortion coefficients without unit;
+    /// board parameters in metres, radians or without unit.
     pub value: f64,
-    /// Its standard deviation in the same unit.
+    /// Standard deviation, in the same unit.
     pub deviation: f64,
 }
 
-/// How a board differs from its drawing: a point at (x, y) is really at `x + shear · y`, `y (1 + stretch)`,
-/// `bend_x u² + bend_xy u v + bend_y v²`, with u and v from −1 to 1 over the board and x, y from its middle.
+/// Deviation of a board from its nominal geometry. With x and y from the middle of the board, and u
+/// and v the same normalised to −1 … 1 over the board, the point at (x, y) is really at `x + shear
+/// · y`, `y (1 + stretch)`, `bend_x u² + bend_xy u v + bend_y v²`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BoardShape {
-    /// Depth at the left and right ends against the middle, metres, positive into the paper.
+    /// Depth of the left and right ends relative to the middle, metres, positive into the paper.
     pub bend_x: f64,
-    /// Depth of the corners against each other: a twist, metres.
+    /// Twist: depth of the corners from the mixed term, metres.
     pub bend_xy: f64,
-    /// Depth at the upper and lower ends against the middle, metres.
+    /// Depth of the upper and lower ends relative to the middle, metres, positive into the paper.
     pub bend_y: f64,
-    /// How much longer the print is downwards than its width says.
+    /// Relative scale error of the print along y, with respect to x.
     pub stretch: f64,
-    /// How far its right angles are from right, radians.
+    /// Shear angle: deviation of the axes from orthogonality, radians.
     pub shear: f64,
 }
 
-/// A view of the board in a calibration, in the order in which they were given.
+/// A view used in or rejected from a calibration. Views are kept in the order of the input.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibratedView {
-    /// Where the board was: takes board points to camera points. Of views that were not used, as far as it could be told;
-    /// the identity where it could not.
+    /// Pose: transforms points from the board frame to the camera frame. For unused views it is
+    /// estimated with the final camera; it is the identity if no pose was found.
     pub camera_from_board: Isometry3<f64>,
-    /// Root of the mean square distance, pixels, from where points were seen to where they should be; NaN where
-    /// there is no pose.
+    /// RMS reprojection error, pixels; NaN if there is no pose.
     pub rms_px: f64,
-    /// Of each point its index and how far right and down of its place it was seen, pixels.
+    /// For each point its index and its residual (detected minus predicted position) in x and y,
+    /// pixels.
     pub residuals: Vec<(usize, f64, f64)>,
-    /// Whether the camera was estimated from it.
+    /// Whether the view contributed to the estimate of the camera.
     pub used: bool,
-    /// Why it was not used, or what is odd about it, for people.
+    /// Reason for the rejection, or a remark on the view, as text for users.
     pub why_not: Option<String>,
 }
 
 impl CalibratedView {
-    /// Angle between the board's normal and the optical axis, radians; 0 where the board is seen straight on.
+    /// Angle between the board normal and the optical axis, radians; 0 for a fronto-parallel board.
     pub fn tilt_rad(&self) -> f64 {
         let normal = self.camera_from_board.rotation * nalgebra::Vector3::z();
         normal.z.abs().min(1.0).acos()
     }
 }
 
-/// How a lens model did.
+/// Comparison figures of one lens model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// The model.
+    /// The lens model.
     pub model: LensModel,
-    /// Root mean square distance, pixels, over views that the model was not fitted to; infinite where it failed.
+    /// RMS reprojection error over held-out views, pixels; infinite if it could not be computed.
     pub hold_out_rms_px: f64,
-    /// The same over the views that it was fitted to.
+    /// RMS reprojection error over the views of the fit, pixels.
     pub rms_px: f64,
-    /// Error of a ray in pixels that is expected from the covariance, root mean square over the image
+    /// Expected ray error from the covariance, RMS over the image, pixels
     /// ([`Calibration::expected_error_px`]).
     pub expected_error_px: f64,
 }
 
-/// What to do with a calibration.
+/// Overall quality of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// It can be trusted.
+    /// Reliable.
     Good,
-    /// It will do, and could be better: see the reasons.
+    /// Usable, but can be improved; see [`Calibration::reasons`].
     Usable,
-    /// Better not: see the reasons.
+    /// Not reliable, repeat the calibration; see [`Calibration::reasons`].
     DoItAgain,
 }
 
@@ -180,68 +183,76 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// A calibrated camera and how far to trust it.
+/// A calibrated camera with its uncertainty and quality figures.
 #[derive(Debug, Clone)]
 pub struct Calibration {
-    /// The camera.
+    /// The calibrated camera.
     pub camera: Camera,
-    /// Its lens model.
+    /// The lens model of the camera.
     pub model: LensModel,
-    /// What was estimated, without the boards' poses.
+    /// The estimated parameters of the camera and of the board shape, without the poses.
     pub parameters: Vec<Parameter>,
-    /// Covariance of the [`parameters`](Self::parameters) in their order and units, the poses' uncertainty included.
+    /// Covariance of the [`parameters`](Self::parameters), in their order and units. The poses are
+    /// marginalised out.
     pub covariance: DMatrix<f64>,
-    /// Standard deviation of a seen point in x and in y, pixels, as the residuals tell.
+    /// Standard deviation of the point detections per axis, pixels; estimated from the residuals.
     pub noise_px: f64,
-    /// Root of the mean square distance, pixels, over all points of the views used (OpenCV's RMS).
+    /// RMS reprojection error over all points of the used views, pixels (OpenCV's RMS).
     pub rms_px: f64,
-    /// The same over views left out in turn: the camera from the others, only the pose from the view itself.
+    /// Cross-validation error: RMS reprojection error over held-out views, pixels. For each
+    /// held-out view only the pose is estimated; the camera is estimated from the other views.
     pub hold_out_rms_px: f64,
-    /// All views, in the order given.
+    /// All views, in the order of the input.
     pub views: Vec<CalibratedView>,
-    /// The models that were tried, fewer coefficients first; one if it was chosen by the caller.
+    /// The compared lens models in ascending order of their number of coefficients; only one if the
+    /// configuration names the model.
     pub candidates: Vec<Candidate>,
-    /// How the board differs from its drawing; `None` where it was taken as flat.
+    /// Estimated deformation of the board; `None` if the board was assumed flat.
     pub board_shape: Option<BoardShape>,
-    /// What to do with it.
+    /// Overall quality.
     pub verdict: Verdict,
-    /// Why, and what to do better: sentences for people, the weightiest first.
+    /// Reasons for the verdict with advice, as text for users; the most severe first.
     pub reasons: Vec<String>,
     pub(super) error_map: ErrorMap,
 }
 
 impl Calibration {
-    /// How many views the camera was estimated from.
+    /// Number of views that contributed to the estimate of the camera.
     pub fn views_used(&self) -> usize {
         self.views.iter().filter(|view| view.used).count()
     }
 
-    /// The error, in pixels, to be expected of the ray through a pixel because the camera's numbers are uncertain: root of the
-    /// mean square distance between where the true and the estimated camera see the same direction, once the rotation of the
-    /// camera that brings them best together over the whole image is taken out (a change of the principal point is mostly a
-    /// rotation, which no use of the camera can tell from its mounting).
+    /// Expected error of the ray through a pixel due to the uncertainty of the camera parameters,
+    /// pixels.
     ///
-    /// `None` where the camera has no ray for the pixel.
+    /// It is the RMS distance between the projections of the same direction by the true and by the
+    /// estimated camera. The rotation that best aligns the two cameras over the whole image is
+    /// removed first: an error of the principal point is mostly a rotation, which is absorbed by
+    /// the extrinsics.
+    ///
+    /// `None` if the camera has no ray for the pixel.
     pub fn expected_error_px(&self, pixel: Pixel) -> Option<f64> {
         self.error_map.expected_error_px(&self.camera, pixel)
     }
 
-    /// [`Calibration::expected_error_px`] over the whole image, root mean square.
+    /// RMS of [`Calibration::expected_error_px`] over the image, pixels.
     pub fn expected_error_over_image_px(&self) -> f64 {
         self.error_map.over_image_px()
     }
 }
 
-/// Where a board is in front of a known camera.
+/// The pose of a board relative to a calibrated camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardPose {
-    /// Takes board points to camera points.
+    /// Pose: transforms points from the board frame to the camera frame.
     pub camera_from_board: Isometry3<f64>,
-    /// Covariance of a small rotation (radians) and then shift (metres) after it, both in the camera's frame: the true pose
-    /// turns a board point p into `exp(ω) R p + t + δ`, (ω, δ) of this covariance. The camera is taken as exact.
+    /// Covariance of the pose for a perturbation (ω, δ) in the camera frame, rotation (radians)
+    /// before translation (metres): the true pose maps a board point p to `exp(ω) R p + t + δ`. The
+    /// camera is assumed exact.
     pub covariance: Matrix6<f64>,
-    /// Root of the mean square distance, pixels.
+    /// RMS reprojection error, pixels.
     pub rms_px: f64,
-    /// Of each point that was used its index and how far right and down of its place it was seen, pixels.
+    /// For each used point its index and its residual (detected minus predicted position) in x and
+    /// y, pixels.
     pub residuals: Vec<(usize, f64, f64)>,
 }

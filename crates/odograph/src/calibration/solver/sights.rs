@@ -1,17 +1,19 @@
-//! Views as they come, checked, and turned into what the solver works on.
+//! Validation of the input views and conversion to correspondences.
 
 use super::bundle::Sight;
 use crate::calibration::{Board, BoardView};
 use crate::error::{Error, Result};
 use nalgebra::{Matrix2, Vector2};
 
-/// The points of one view, or why it cannot be used.
+/// The correspondences of one view, or the reason why the view is unusable.
 pub type Sights = std::result::Result<Vec<Sight>, String>;
 
-/// Two views whose points are nearer than this share of the image's diagonal on average tell the same.
+/// Two views are duplicates if the mean distance of their points is below this share of the image
+/// diagonal.
 const SAME: f64 = 0.004;
 
-/// The sights of one view; fails where its numbers are none.
+/// The correspondences of one view. Fails on NaN coordinates, positions far outside the image, and
+/// indices that are duplicated or not on the board.
 pub fn sights_of(board: &Board, view: &BoardView) -> Result<Vec<Sight>> {
     let points = board.points();
     let largest = |f: &dyn Fn(usize) -> f64| (0..points.len()).map(f).fold(0.0, f64::max).max(1e-12);
@@ -48,7 +50,7 @@ pub fn sights_of(board: &Board, view: &BoardView) -> Result<Vec<Sight>> {
     Ok(sights)
 }
 
-/// Why a view's points cannot give a pose, if they cannot.
+/// The reason why the points of a view do not determine a pose, if any.
 pub fn fault(sights: &[Sight]) -> Option<String> {
     if sights.len() < 4 {
         return Some(format!("only {} of the board's points are seen; four are needed", sights.len()));
@@ -62,7 +64,7 @@ pub fn fault(sights: &[Sight]) -> Option<String> {
     (handedness(sights) <= 0.0).then(|| "the board is seen mirrored; mirror the picture back".to_owned())
 }
 
-/// Extent across over extent along, of a cloud of points.
+/// Aspect ratio of a point cloud: smaller over larger standard deviation along its principal axes.
 fn thickness(sights: &[Sight], place: impl Fn(&Sight) -> (f64, f64)) -> f64 {
     let spread = covariance(sights, &place, &place);
     let eigen = spread.symmetric_eigenvalues();
@@ -83,15 +85,16 @@ fn covariance(
     sights.iter().map(product).sum::<Matrix2<f64>>() / count
 }
 
-/// Positive where the board is seen from its printed side: the sign of the determinant of the affine map that fits best.
+/// Positive if the board is seen from its printed side: sign of the determinant of the best-fitting
+/// affine map from board to image.
 fn handedness(sights: &[Sight]) -> f64 {
     // The map is C_pb C_bb⁻¹, and C_bb is positive definite.
     covariance(sights, &|s| s.pixel, &|s| s.on_board).determinant()
 }
 
-/// Size of all views, and of each view its sights or why it has none.
+/// The common image size, and for each view its correspondences or the reason why it is unusable.
 ///
-/// Fails where sizes differ, numbers are none, or too few views are left to say anything.
+/// Fails if the sizes differ, if a view has invalid points, or if too few usable views remain.
 pub fn gather(board: &Board, views: &[BoardView]) -> Result<((usize, usize), Vec<Sights>)> {
     let Some(first) = views.first() else {
         return Err(Error::input(
@@ -123,7 +126,7 @@ pub fn gather(board: &Board, views: &[BoardView]) -> Result<((usize, usize), Vec
     Ok((size, all))
 }
 
-/// Fails where the views cannot tell a camera.
+/// Fails if the usable views are too few or too similar to determine a camera.
 fn enough(all: &[Sights], size: (usize, usize)) -> Result<()> {
     let usable: Vec<&[Sight]> = all.iter().filter_map(|sights| sights.as_deref().ok()).collect();
     if usable.is_empty() {
@@ -153,12 +156,12 @@ fn enough(all: &[Sights], size: (usize, usize)) -> Result<()> {
     Ok(())
 }
 
-/// How many views differ from each other: each from all those counted before.
+/// Number of distinct views, counted greedily, up to a limit of 50.
 pub fn distinct(views: &[&[Sight]], size: (usize, usize)) -> usize {
     let near_px = SAME * (size.0 as f64).hypot(size.1 as f64);
     let mut kept: Vec<&[Sight]> = Vec::new();
     for view in views {
-        // Beyond this many no one asks.
+        // Larger counts are not needed.
         if kept.len() >= 50 {
             break;
         }
@@ -169,10 +172,12 @@ pub fn distinct(views: &[&[Sight]], size: (usize, usize)) -> usize {
     kept.len()
 }
 
-/// Mean distance of the points that two views share; infinite where they share none.
+/// Mean distance between the common points of two views, pixels; infinite if they have none in
+/// common.
 fn apart_px(a: &[Sight], b: &[Sight]) -> f64 {
     let (mut sum, mut count, mut at) = (0.0, 0.0, 0);
-    // Both are in the order of the index where a finder made them; others only count as more different than they are.
+    // Assumes that the points are sorted by index, as a finder returns them. Unsorted points only
+    // make the views appear more different.
     for sight in a {
         while at < b.len() && b[at].index < sight.index {
             at += 1;

@@ -1,9 +1,12 @@
-//! A first camera and first poses, for any lens from telephoto to fisheye.
+//! Initial camera and initial poses for any lens, from telephoto to fisheye.
 //!
-//! The start is the same for every model: a Kannala–Brandt lens, equidistant at first, with one focal length of several that are
-//! tried; its θ + k1 θ³ + k2 θ⁵ comes near every lens there is (a pinhole's tan θ has k1 = 1/3). Directions from it give homographies
-//! and poses, a short adjustment of a few views follows, and the best of the tries is the start. Zhang's closed form, which has no
-//! distortion, only gives the first of the focal lengths to be tried: with a strong barrel it is off by tens of percent.
+//! The initial camera is the same for every model: a Kannala–Brandt lens, fitted from several
+//! hypotheses of the focal length and an initially equidistant projection. Its θ + k1 θ³ + k2 θ⁵
+//! approximates every common lens (tan θ of a pinhole has k1 = 1/3). For each hypothesis,
+//! homographies and poses are computed from the ray directions and a few views are refined in a
+//! short bundle adjustment; the best-fitting hypothesis is used. Zhang's closed-form solution only
+//! provides the first hypothesis. It ignores distortion and is off by tens of percent for strong
+//! barrel distortion.
 
 use super::bundle::{Bundle, Sight, State, Unknowns, adjust, residuals};
 use super::lens::{Lens, free_numbers};
@@ -11,17 +14,19 @@ use super::result::LensModel;
 use super::zhang;
 use nalgebra::{Isometry3, Vector3};
 
-/// How many views and points of each are enough to tell one focal length from another.
+/// Number of views, and points per view, used to compare hypotheses of the focal length.
 const VIEWS: usize = 10;
 const POINTS: usize = 40;
 
-/// Half the image's diagonal is tried at these angles from the axis, degrees.
+/// Hypotheses of the half diagonal field of view, degrees, in the order in which they are tried.
 const HALF_ANGLES: [f64; 8] = [30.0, 45.0, 20.0, 60.0, 75.0, 12.0, 90.0, 105.0];
 
-/// Directions beyond this are not taken from a lens that is only guessed.
+/// Maximum angle from the optical axis for ray directions computed with a hypothetical lens,
+/// radians.
 const WIDEST_RAD: f64 = 2.0;
 
-/// A Kannala–Brandt lens that fits the views roughly, and the pose of each view through it (`None` where there is none).
+/// A Kannala–Brandt lens that approximately fits the views, and the pose of each view (`None` if no
+/// pose was found).
 pub fn start(views: &[&[Sight]], size: (usize, usize)) -> Option<(Lens, Vec<Option<Isometry3<f64>>>)> {
     let centre = ((size.0 as f64 - 1.0) / 2.0, (size.1 as f64 - 1.0) / 2.0);
     let half_diagonal = (size.0 as f64).hypot(size.1 as f64) / 2.0;
@@ -38,7 +43,7 @@ pub fn start(views: &[&[Sight]], size: (usize, usize)) -> Option<(Lens, Vec<Opti
     let mut best: Option<(f64, Lens)> = None;
     let mut tried: Vec<f64> = Vec::new();
     for focal in guesses {
-        // Closer than a quarter to one tried before ends where that did.
+        // A hypothesis within 25 % of an earlier one converges to the same lens.
         let sensible = (0.3..60.0).contains(&focal);
         if !sensible || tried.iter().any(|before: &f64| (focal / before).ln().abs() < 0.22) {
             continue;
@@ -48,7 +53,8 @@ pub fn start(views: &[&[Sight]], size: (usize, usize)) -> Option<(Lens, Vec<Opti
             if best.as_ref().is_none_or(|(least, _)| misfit_px < *least) {
                 best = Some((misfit_px, lens));
             }
-            // As good as corners in real pictures are (0.6 px in 640x480): no other can be better by anything that matters for a start.
+            // This is the usual accuracy of corners in real images (0.6 px in 640x480). Further
+            // hypotheses would not improve the initial camera by a relevant amount.
             if misfit_px < 0.0015 * half_diagonal {
                 break;
             }
@@ -59,7 +65,8 @@ pub fn start(views: &[&[Sight]], size: (usize, usize)) -> Option<(Lens, Vec<Opti
     Some((lens, poses))
 }
 
-/// Which views to try focal lengths on: half those with the strongest perspective, half spread over all.
+/// Views for the comparison of focal lengths: half with the strongest perspective, half spread over
+/// the remaining views.
 fn telling_views(homographies: &[Option<nalgebra::Matrix3<f64>>]) -> Vec<usize> {
     let perspective = |view: usize| {
         homographies[view].map_or(0.0, |h| {
@@ -79,13 +86,13 @@ fn telling_views(homographies: &[Option<nalgebra::Matrix3<f64>>]) -> Vec<usize> 
     few
 }
 
-/// At most about `most` of a view's points, spread evenly over their order.
+/// A subset of about `most` points, evenly spaced in their order.
 fn thin(sights: &[Sight], most: usize) -> Vec<Sight> {
     let kept = sights.len().min(most);
     (0..kept).map(|i| sights[i * sights.len() / kept]).collect()
 }
 
-/// The pose of a board through a lens, from its homography alone.
+/// The pose of a board from the homography of its ray directions.
 pub fn pose(lens: &Lens, sights: &[Sight]) -> Option<Isometry3<f64>> {
     let pairs: Vec<((f64, f64), Vector3<f64>)> = sights
         .iter()
@@ -94,7 +101,8 @@ pub fn pose(lens: &Lens, sights: &[Sight]) -> Option<Isometry3<f64>> {
     zhang::pose_from_homography(&zhang::homography(&pairs)?)
 }
 
-/// A short adjustment from one focal length: how well it fits (mean distance of the better four fifths, pixels), and the lens.
+/// A short bundle adjustment from one hypothesis of the focal length. Returns the misfit (mean of
+/// the smallest 80 % of the residuals, pixels) and the lens.
 fn attempt(few: &[&[Sight]], centre: (f64, f64), focal_px: f64) -> Option<(f64, Lens)> {
     let lens = Lens::new(LensModel::KannalaBrandt4, focal_px, centre);
     let posed: Vec<(&[Sight], Isometry3<f64>)> =
@@ -114,7 +122,7 @@ fn attempt(few: &[&[Sight]], centre: (f64, f64), focal_px: f64) -> Option<(f64, 
         poses: true,
         priors: priors.clone(),
     };
-    // A wide scale first: far from the minimum every point counts.
+    // Far from the minimum, a wide scale of the robust loss keeps all points as inliers.
     let wide = 0.02 * spread_px;
     Bundle { views: &views, unknowns: &Unknowns::poses_only(), noise_px: wide }.minimise(&mut state, 4);
     Bundle { views: &views, unknowns: &unknowns(true, 1), noise_px: wide }.minimise(&mut state, 10);
@@ -122,7 +130,7 @@ fn attempt(few: &[&[Sight]], centre: (f64, f64), focal_px: f64) -> Option<(f64, 
     Some((misfit_px(&views, &state), state.lens))
 }
 
-/// Mean distance of the better four fifths of the points, pixels: a few wrong views do not decide.
+/// Mean of the smallest 80 % of the residuals, pixels; robust against a few outlier views.
 fn misfit_px(views: &[&[Sight]], state: &State) -> f64 {
     let mut distances: Vec<f64> = Vec::new();
     for (sights, pose) in views.iter().zip(&state.poses) {
@@ -134,7 +142,8 @@ fn misfit_px(views: &[&[Sight]], state: &State) -> f64 {
     distances.iter().take(kept).sum::<f64>() / kept as f64
 }
 
-/// The lens of another model that does most nearly what a Kannala–Brandt lens does, for the poses found with it.
+/// Converts a Kannala–Brandt lens to another lens model: the lens parameters are fitted with the
+/// poses fixed.
 pub fn translated(
     views: &[&[Sight]],
     lens: &Lens,
@@ -172,14 +181,15 @@ pub fn translated(
     state.lens
 }
 
-/// Of some models different numbers make the same lens; this keeps them near. The denominator of the rational model can undo its
-/// numerator, any pair of them as well as another.
+/// Priors on distortion coefficients, as index, mean and standard deviation, for models with a
+/// parameter ambiguity. In the rational model the denominator can cancel the numerator, so many
+/// coefficient sets describe the same lens.
 pub fn coefficient_priors(model: LensModel) -> Vec<(usize, f64, f64)> {
     match model {
         LensModel::BrownConrady8 => {
             (4..12).filter(|&at| at != 6 && at != 7).map(|at| (at, 0.0, 10.0)).collect()
         }
-        // Of a lens far from a fisheye, f and ξ can be exchanged.
+        // For lenses far from a fisheye, f and ξ are nearly interchangeable.
         LensModel::DoubleSphere => vec![(4, 0.0, 0.5)],
         _ => Vec::new(),
     }

@@ -11,18 +11,18 @@ fn unit(random: &mut Random) -> f64 {
     (random.bits() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Box and Muller's Gaussian.
+/// Standard normal random number (Box–Muller).
 fn gaussian(random: &mut Random) -> f64 {
     let radius = (-2.0 * (1.0 - unit(random)).ln()).sqrt();
     radius * (std::f64::consts::TAU * unit(random)).cos()
 }
 
-/// A camera with a board waved in front of it.
+/// A simulated camera and a handheld board.
 struct Waved {
     board: Board,
     camera: Camera,
     noise_px: f64,
-    /// How far from the axis, radians, the board's middle may be seen.
+    /// Maximum angle between the optical axis and the middle of the board, radians.
     aside_rad: f64,
     tilt_rad: f64,
 }
@@ -45,14 +45,15 @@ impl Waved {
         Self { camera, ..Self::barrel() }
     }
 
-    /// 168° over the diagonal.
+    /// Diagonal field of view of 168°.
     fn fisheye() -> Self {
         let lens = Distortion::KannalaBrandt { k1: -0.02, k2: 0.004, k3: -0.003, k4: 0.0004 };
         let camera = Camera::new((640, 480), (278.0, 277.5), (316.0, 243.0), lens).unwrap();
         Self { camera, aside_rad: 1.1, ..Self::barrel() }
     }
 
-    /// The board near the image's middle or aside, tilted to any side; every point inside the image is seen.
+    /// Random views with all points inside the image; the board is placed off the axis and tilted
+    /// in all directions.
     fn views(&self, count: usize, seed: u64) -> Vec<BoardView> {
         let mut random = Random::new(seed);
         let points = self.board.points();
@@ -65,7 +66,7 @@ impl Waved {
             let around = std::f64::consts::TAU * unit(&mut random);
             let aside = self.aside_rad * unit(&mut random).sqrt();
             let to = Vector3::new(aside.sin() * around.cos(), aside.sin() * around.sin(), aside.cos());
-            // The board faces the camera, then is tilted and turned.
+            // The board first faces the camera, then is tilted and rotated in its plane.
             let facing = UnitQuaternion::rotation_between(&Vector3::z(), &to).unwrap();
             let tilt_about = std::f64::consts::TAU * unit(&mut random);
             let tilt = self.tilt_rad * unit(&mut random);
@@ -85,7 +86,7 @@ impl Waved {
                     x + self.noise_px * gaussian(&mut random),
                     y + self.noise_px * gaussian(&mut random),
                 );
-                // Beyond the fold of a polynomial lens there is no image.
+                // Beyond the turning point of a polynomial distortion, projections are invalid.
                 if angle < 1.45 && self.camera.contains(pixel, 5.0) {
                     let ray = Ray::new(at.x / at.z, at.y / at.z);
                     if self.camera.pixel_from_ray(ray).is_some() {
@@ -93,7 +94,7 @@ impl Waved {
                     }
                 }
             }
-            // Like a finder that needs the whole board.
+            // As a detector that needs the whole board.
             if seen.len() == points.len() {
                 views.push(BoardView { size, points: seen });
             }
@@ -106,7 +107,7 @@ impl Waved {
     }
 }
 
-/// Error of an estimated camera's rays over the image, pixels.
+/// Ray error of an estimated camera over the image, pixels.
 fn ray_error_px(truth: &Camera, estimate: &Camera) -> f64 {
     quality::disagreement_px(truth, &Lens::from_camera(estimate))
 }
@@ -128,7 +129,7 @@ fn lenses() -> Vec<Lens> {
 }
 
 #[test]
-fn derivatives_of_lenses_are_those_of_their_projection() {
+fn lens_jacobians_match_numeric_derivatives() {
     for lens in lenses() {
         for point in [Vector3::new(0.1, -0.2, 0.5), Vector3::new(-0.4, 0.1, 0.3), Vector3::new(0.0, 0.0, 1.0)]
         {
@@ -163,7 +164,7 @@ fn derivatives_of_lenses_are_those_of_their_projection() {
 }
 
 #[test]
-fn a_lens_as_a_camera_sees_the_same() {
+fn camera_and_lens_project_alike() {
     for lens in lenses() {
         let camera = lens.camera((640, 480)).unwrap();
         let again = Lens::from_camera(&camera);
@@ -175,9 +176,10 @@ fn a_lens_as_a_camera_sees_the_same() {
     }
 }
 
-/// The gradient of the loss, of poses, lens and board, against differences of the residuals.
+/// A small perturbation of poses, lens and board is only removed in two steps if all derivatives
+/// are right.
 #[test]
-fn one_step_of_the_adjustment_undoes_a_small_change() {
+fn small_perturbations_are_removed_in_two_steps() {
     let waved = Waved { noise_px: 0.0, ..Waved::barrel() };
     let views: Vec<Vec<Sight>> =
         waved.views(6, 1).iter().map(|view| sights::sights_of(&waved.board, view).unwrap()).collect();
@@ -199,7 +201,8 @@ fn one_step_of_the_adjustment_undoes_a_small_change() {
     };
     let bundle = Bundle { views: &refs, unknowns: &unknowns, noise_px: 1.0 };
     bundle.minimise(&mut state, 2);
-    // From hundredths of a pixel two Gauss–Newton steps with true derivatives leave next to nothing; with a wrong one they do not.
+    // From hundredths of a pixel, two Gauss–Newton steps with exact derivatives leave almost no
+    // residual; with a wrong derivative they do not.
     for (sights, pose) in refs.iter().zip(&state.poses) {
         for off in residuals(&state.lens, &state.shape, pose, sights).flatten() {
             assert!(off.0.hypot(off.1) < 1e-5, "{off:?}");
@@ -207,7 +210,8 @@ fn one_step_of_the_adjustment_undoes_a_small_change() {
     }
 }
 
-/// Figures of one waved board; printed so that they can be read with `--nocapture`.
+/// Calibrates a simulated board with several seeds. The figures are printed; read them with
+/// `--nocapture`.
 fn figures(name: &str, waved: &Waved, config: &CalibrationConfig, seeds: u64) -> Vec<(f64, f64, f64)> {
     (0..seeds)
         .map(|seed| {
@@ -217,7 +221,7 @@ fn figures(name: &str, waved: &Waved, config: &CalibrationConfig, seeds: u64) ->
             let (cx, cy) = found.camera.principal_px();
             let (ux, uy) = waved.camera.principal_px();
             let focal = match found.model {
-                // Its focal length is that of the axis times 1 + ξ.
+                // The focal length of the double sphere is that on the axis times 1 + ξ.
                 LensModel::DoubleSphere => f64::NAN,
                 _ => (fx / tx - 1.0).abs().max((fy / ty - 1.0).abs()),
             };
@@ -239,11 +243,12 @@ fn figures(name: &str, waved: &Waved, config: &CalibrationConfig, seeds: u64) ->
         .collect()
 }
 
-/// Twice what 20 views of 54 points with 0.05 px of noise leave (0.1 px root mean square, which the covariance says too).
+/// Twice the error that 20 views of 54 points with 0.05 px of noise cause: 0.1 px RMS, in agreement
+/// with the covariance.
 const LARGEST_RAY_ERROR_PX: f64 = 0.2;
 
 #[test]
-fn barrels_and_fisheyes_are_found() {
+fn barrel_and_fisheye_lenses_are_recovered() {
     for (name, waved, model) in [
         ("barrel", Waved::barrel(), LensModel::BrownConrady4),
         ("large", Waved::large(), LensModel::BrownConrady4),
@@ -256,7 +261,7 @@ fn barrels_and_fisheyes_are_found() {
 }
 
 #[test]
-fn the_model_is_chosen_by_views_held_out() {
+fn model_selection_keeps_the_ray_error_small() {
     for (name, waved) in
         [("barrel", Waved::barrel()), ("large", Waved::large()), ("fisheye", Waved::fisheye())]
     {
@@ -266,10 +271,11 @@ fn the_model_is_chosen_by_views_held_out() {
     }
 }
 
-/// Normalised estimation error squared of the lens over many seeds: with a true covariance its mean is that of a χ² of as many degrees
-/// as there are numbers, within the bounds that 95 % of such means keep.
+/// Normalised estimation error squared (NEES) of the lens over many seeds. If the covariance is
+/// consistent, the mean follows a χ² distribution with as many degrees of freedom as parameters;
+/// the bound is its 95 % interval.
 #[test]
-fn the_covariance_is_true() {
+fn covariance_is_consistent() {
     let seeds = 100;
     for (name, waved, model) in [
         ("barrel", Waved::barrel(), LensModel::BrownConrady4),
@@ -294,7 +300,7 @@ fn the_covariance_is_true() {
             rays += ray_error_px(&waved.camera, &found.camera).powi(2);
             expected += found.expected_error_over_image_px().powi(2);
         }
-        // The mean of χ² has variance twice its degrees.
+        // χ² has a variance of twice its degrees of freedom.
         let bound = 1.96 * (2.0 * degrees).sqrt();
         println!(
             "{name}: NEES {:.3} of {}, bound {:.3}",
@@ -305,7 +311,8 @@ fn the_covariance_is_true() {
         let (rays, expected) = ((rays / seeds as f64).sqrt(), (expected / seeds as f64).sqrt());
         println!("{name}: rays {rays:.4} px, expected {expected:.4} px");
         assert!((sum - degrees).abs() < bound, "{name}");
-        // What is expected of a ray is what comes: root mean squares of 100 seeds agree within a few percent.
+        // The expected ray error agrees with the actual one: RMS over 100 seeds, within a few
+        // percent.
         assert!((rays / expected - 1.0).abs() < 0.15, "{name}");
     }
 }
@@ -315,7 +322,7 @@ fn refusal(views: &[BoardView]) -> String {
 }
 
 #[test]
-fn what_cannot_be_calibrated_is_refused_with_its_reason() {
+fn invalid_views_are_rejected_with_a_reason() {
     let waved = Waved::barrel();
     let views = waved.views(6, 7);
     assert!(refusal(&[]).contains("no view of the board"));
@@ -348,9 +355,9 @@ fn what_cannot_be_calibrated_is_refused_with_its_reason() {
     assert!(refusal(&line).contains("on one line"));
 }
 
-/// Points at random, and places all alike: an answer or a refusal, and an end.
+/// Random points and coincident points: the calibration terminates with a result or an error.
 #[test]
-fn nonsense_has_an_end() {
+fn degenerate_points_terminate() {
     let waved = Waved::barrel();
     let mut random = Random::new(5);
     for spread in [400.0, 1e-9, 4000.0] {
@@ -371,10 +378,11 @@ fn nonsense_has_an_end() {
 }
 
 #[test]
-fn views_and_points_that_do_not_belong_are_left_out_and_named() {
+fn outlier_views_and_points_are_rejected_with_a_reason() {
     let waved = Waved::barrel();
     let mut views = waved.views(20, 11);
-    // The points of one view are counted from another place, one view is mirrored, one is shaken, one has two wrong points.
+    // One view with shifted indices, one mirrored, one with motion noise, one with two outlier
+    // points.
     let count = views[4].points.len();
     let shifted: Vec<Pixel> = (0..count).map(|i| views[4].points[(i + 27) % count].pixel).collect();
     views[4].points.iter_mut().zip(shifted).for_each(|(point, pixel)| point.pixel = pixel);
@@ -395,7 +403,7 @@ fn views_and_points_that_do_not_belong_are_left_out_and_named() {
 }
 
 #[test]
-fn a_verdict_says_what_to_do() {
+fn verdict_contains_advice() {
     let flat = Waved { tilt_rad: 0.05, aside_rad: 0.1, ..Waved::barrel() };
     let found = calibrate(&flat.board, &flat.views(12, 1), &flat.config(LensModel::BrownConrady4)).unwrap();
     assert!(found.verdict > Verdict::Good);
@@ -408,7 +416,7 @@ fn a_verdict_says_what_to_do() {
 }
 
 #[test]
-fn options_keep_what_they_promise_and_a_bent_board_is_found_out() {
+fn constraints_hold_and_a_bent_board_is_detected() {
     let waved = Waved::barrel();
     let mut views = waved.views(20, 3);
     let config =
@@ -419,7 +427,7 @@ fn options_keep_what_they_promise_and_a_bent_board_is_found_out() {
     assert_eq!(found.parameters[0].name, "f");
     assert_eq!(found.covariance.nrows(), found.parameters.len());
 
-    // The same views of a board bent by 2 mm at its left and right ends.
+    // The same views with the board bent by 2 mm at its left and right ends.
     let exact = calibrate(&waved.board, &views, &waved.config(LensModel::BrownConrady4)).unwrap();
     let lens = Lens::from_camera(&exact.camera);
     for (view, posed) in views.iter_mut().zip(&exact.views) {
@@ -440,7 +448,7 @@ fn options_keep_what_they_promise_and_a_bent_board_is_found_out() {
 }
 
 #[test]
-fn the_pose_of_a_board_and_its_covariance_are_true() {
+fn board_pose_covariance_is_consistent() {
     for waved in [Waved::barrel(), Waved::fisheye()] {
         let exact = Waved { noise_px: 0.0, board: waved.board, camera: waved.camera.clone(), ..waved };
         let (mut sum, mut count) = (0.0, 0.0);
@@ -453,12 +461,14 @@ fn the_pose_of_a_board_and_its_covariance_are_true() {
             count += 1.0;
         }
         println!("pose NEES {:.3} of 6", sum / count);
-        // 100 draws of χ² with 6 degrees: 6 ± 0.68; the noise is told from 54 points by their median, which adds 2 %.
+        // The mean of 100 samples of χ² with 6 degrees of freedom is 6 ± 0.68. Estimating the noise
+        // from the median of 54 points adds 2 %.
         assert!((sum / count - 6.0f64).abs() < 0.9, "{}", sum / count);
     }
 }
 
-/// The true poses of noisy views: the generator draws the same poses, noise or not, so views of exact points are posed.
+/// True poses of noisy views. The generator draws the same poses with and without noise, so they
+/// are estimated from exact points.
 fn exact_poses(exact: &Waved, noisy: &[BoardView]) -> Vec<Isometry3<f64>> {
     exact
         .views(noisy.len(), 5)
@@ -468,7 +478,7 @@ fn exact_poses(exact: &Waved, noisy: &[BoardView]) -> Vec<Isometry3<f64>> {
 }
 
 #[test]
-fn parts_of_a_board_are_enough() {
+fn partial_views_are_sufficient() {
     let waved = Waved::barrel();
     let mut views = waved.views(20, 21);
     for (number, view) in views.iter_mut().enumerate() {
@@ -479,7 +489,7 @@ fn parts_of_a_board_are_enough() {
 }
 
 #[test]
-fn the_answer_does_not_depend_on_how_often_it_is_asked() {
+fn calibration_is_deterministic() {
     let waved = Waved::barrel();
     let views = waved.views(10, 2);
     let first = calibrate(&waved.board, &views, &CalibrationConfig::default()).unwrap();

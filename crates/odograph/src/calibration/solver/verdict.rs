@@ -1,30 +1,32 @@
-//! Good, usable or to be done again, and why, in sentences that a person can act upon.
+//! Overall verdict on a calibration, with reasons and advice for users.
 
 use super::bundle::Sight;
 use super::result::{Calibration, Verdict};
 use crate::geometry::Pixel;
 
-/// What the verdict needs beside the calibration.
+/// Inputs of the verdict in addition to the calibration.
 pub struct Evidence<'a> {
-    /// The points of the views used.
+    /// The points of the used views.
     pub views: &'a [&'a [Sight]],
-    /// How many of them differ.
+    /// Number of distinct views.
     pub distinct: usize,
-    /// How much less noise there is with a board that may be bent, and how far it would be bent, metres.
+    /// Relative decrease of the residuals if the board shape is estimated too, and the largest
+    /// bend, metres.
     pub bend: Option<(f64, f64)>,
 }
 
-/// A person waving a board can reach these: beyond, the verdict is worse. Pixels count per 800 pixels of the image's diagonal.
+/// Thresholds that a handheld board can meet. Values in pixels are for an image diagonal of 800
+/// pixels and scale with it; focal length thresholds are relative standard deviations.
 const GOOD_ERROR_PX: f64 = 0.3;
 const USABLE_ERROR_PX: f64 = 1.5;
 const GOOD_RMS_PX: f64 = 0.7;
 const USABLE_RMS_PX: f64 = 2.0;
 const GOOD_FOCAL: f64 = 0.002;
 const USABLE_FOCAL: f64 = 0.01;
-/// Views tilted at least this much, radians, tell the focal length.
+/// Minimum tilt of a view for it to constrain the focal length, radians.
 const TILTED_RAD: f64 = 0.3;
 
-/// The verdict and its reasons, the weightiest first.
+/// The verdict and its reasons, the most severe first.
 pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Vec<String>) {
     let mut all: Vec<(Verdict, String)> = Vec::new();
     let (width, height) = (calibration.camera.width() as f64, calibration.camera.height() as f64);
@@ -94,7 +96,7 @@ fn few_views(calibration: &Calibration, evidence: &Evidence<'_>, all: &mut Vec<(
         );
         all.push((Verdict::DoItAgain, what));
     }
-    // What does not fit once may be chance; a quarter of all views is not.
+    // Single outliers occur by chance; a quarter of all views does not.
     if 4 * (given - used) > given {
         let what = format!(
             "{} of {given} views do not fit: check that the board's count is right, that it is flat and that it is held still",
@@ -124,8 +126,8 @@ fn tilt_and_focal(calibration: &Calibration, all: &mut Vec<(Verdict, String)>) {
     all.push((verdict, what));
 }
 
-/// Standard deviation of the focal length on the axis, as a share of it. That of the double sphere is `f / (1 + ξ)`: there f and ξ may
-/// be uncertain together without harm.
+/// Relative standard deviation of the focal length on the optical axis. For the double sphere model
+/// that focal length is `f / (1 + ξ)`, and the correlation of f and ξ is taken into account.
 fn focal_uncertainty(calibration: &Calibration) -> f64 {
     let parameters = &calibration.parameters;
     let xi = parameters.iter().position(|parameter| parameter.name == "xi");
@@ -143,7 +145,7 @@ fn focal_uncertainty(calibration: &Calibration) -> f64 {
     (0..parameters.len()).filter(focal).map(share).fold(0.0, f64::max)
 }
 
-/// Parts of the image where no point was seen and rays are poorly known.
+/// Warns about image corners without points or with a large expected ray error.
 fn uncovered(
     calibration: &Calibration,
     evidence: &Evidence<'_>,
@@ -160,7 +162,7 @@ fn uncovered(
     ];
     let (mut names, mut guessed, mut worst_px) = (Vec::new(), Vec::new(), 0.0f64);
     for (name, x, y) in corners {
-        // A fifth of the image each way counts as its corner.
+        // A corner region extends over a fifth of the image in each direction.
         let near = |sight: &&Sight| {
             (sight.pixel.0 - x).abs() < 0.2 * right && (sight.pixel.1 - y).abs() < 0.2 * bottom
         };

@@ -1,13 +1,15 @@
-//! Homographies of the board, poses from them, and Zhang's closed form for the focal length.
+//! Homographies of the board, poses from homographies, and Zhang's closed-form camera.
 
 use super::bundle::Sight;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3};
 
-/// The homography `direction ~ H (x, y, 1)` from board points to directions, by the direct linear transform: `b × H X = 0` for
-/// every pair, least squares with `|H| = 1` (R. Hartley and A. Zisserman, "Multiple View Geometry", 2004, section 4.1), board points
-/// shifted and scaled first (section 4.4). Directions may be further than 90° from the axis.
+/// The homography `direction ~ H (x, y, 1)` from board points to ray directions, by the direct
+/// linear transform: `b × H X = 0` for every pair, least squares with `|H| = 1` (R. Hartley and A.
+/// Zisserman, "Multiple View Geometry", 2004, section 4.1). The board points are normalised first
+/// (section 4.4). Directions may be more than 90° from the optical axis.
 ///
-/// The sign is such that the points lie in front. `None` where the points do not determine it.
+/// The sign is chosen so that the points are in front of the camera. `None` if the points do not
+/// determine the homography.
 pub fn homography(pairs: &[((f64, f64), Vector3<f64>)]) -> Option<Matrix3<f64>> {
     if pairs.len() < 4 {
         return None;
@@ -19,7 +21,7 @@ pub fn homography(pairs: &[((f64, f64), Vector3<f64>)]) -> Option<Matrix3<f64>> 
     if spread <= 0.0 {
         return None;
     }
-    // |b × H X|² = (H X)ᵀ (1 − b bᵀ) (H X): a sum of Kronecker products over the nine numbers of H.
+    // |b × H X|² = (H X)ᵀ (1 − b bᵀ) (H X): a sum of Kronecker products over the nine entries of H.
     let mut sum = SMatrix::<f64, 9, 9>::zeros();
     for (board, direction) in pairs {
         let point = Vector3::new((board.0 - x0) / spread, (board.1 - y0) / spread, 1.0);
@@ -42,8 +44,9 @@ pub fn homography(pairs: &[((f64, f64), Vector3<f64>)]) -> Option<Matrix3<f64>> 
     h.iter().all(|number| number.is_finite()).then_some(h)
 }
 
-/// The pose that a homography of directions stands for: its first two columns are two axes of the board up to scale, its third
-/// the shift (Z. Zhang, "A flexible new technique for camera calibration", 2000, section 3.1); the nearest rotation is taken.
+/// The pose from a homography of ray directions (Z. Zhang, "A flexible new technique for camera
+/// calibration", 2000, section 3.1). Up to scale, the first two columns are the x and y axes of the
+/// board and the third is the translation. The rotation is projected onto SO(3).
 pub fn pose_from_homography(h: &Matrix3<f64>) -> Option<Isometry3<f64>> {
     let (first, second) = (h.column(0).into_owned(), h.column(1).into_owned());
     let scale = 2.0 / (first.norm() + second.norm());
@@ -60,8 +63,9 @@ pub fn pose_from_homography(h: &Matrix3<f64>) -> Option<Isometry3<f64>> {
     Some(Isometry3::from_parts(Translation3::from(h.column(2) * scale), rotation))
 }
 
-/// The other pose from which a board far away looks nearly the same: its normal mirrored about the line of sight to the board's
-/// middle (T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", 2014, section 4).
+/// The second solution of the two-fold ambiguity of planar poses: the board normal reflected about
+/// the line of sight to the middle of the board (T. Collins and A. Bartoli, "Infinitesimal
+/// plane-based pose estimation", 2014, section 4).
 pub fn mirrored_pose(pose: &Isometry3<f64>, middle: (f64, f64)) -> Option<Isometry3<f64>> {
     let on_board = Vector3::new(middle.0, middle.1, 0.0);
     let centre = pose.rotation * on_board + pose.translation.vector;
@@ -72,7 +76,8 @@ pub fn mirrored_pose(pose: &Isometry3<f64>, middle: (f64, f64)) -> Option<Isomet
     Some(Isometry3::from_parts(Translation3::from(centre - rotation * on_board), rotation))
 }
 
-/// The homography from board points to pixels about the middle of the image, as used for the closed form.
+/// The homography from board points to pixels relative to `centre`, in units of `unit_px`; input of
+/// the closed-form solutions.
 pub fn pixel_homography(sights: &[Sight], centre: (f64, f64), unit_px: f64) -> Option<Matrix3<f64>> {
     let direction = |(x, y): (f64, f64)| {
         Vector3::new((x - centre.0) / unit_px, (y - centre.1) / unit_px, 1.0).normalize()
@@ -81,14 +86,16 @@ pub fn pixel_homography(sights: &[Sight], centre: (f64, f64), unit_px: f64) -> O
     homography(&pairs)
 }
 
-/// Zhang's closed form for a camera with square pixels and the principal point in the middle, from [`pixel_homography`]s with that
-/// middle: each gives two equations for 1 / f² (2000, equations 3 and 4). The focal length comes in units of `unit_px`.
+/// Zhang's closed-form focal length for square pixels and a centred principal point, from
+/// [`pixel_homography`]s with the same centre. Each homography contributes two equations for 1 / f²
+/// (2000, equations 3 and 4). The result is in units of `unit_px`.
 pub fn focal_length_centred(homographies: &[Matrix3<f64>]) -> Option<f64> {
     let (mut numerator, mut denominator) = (0.0, 0.0);
     for h in homographies {
         let h = h / h.column(0).norm().max(h.column(1).norm()).max(1e-300);
         let (a, b) = (h.column(0), h.column(1));
-        // a₁b₁ + a₂b₂ + f² a₃b₃ = 0 and the difference of the two lengths, both in 1 / f².
+        // Orthogonality a₁b₁ + a₂b₂ + f² a₃b₃ = 0 and equality of the two lengths, both as
+        // equations for 1 / f².
         for (plane, depth) in [
             (a[0] * b[0] + a[1] * b[1], a[2] * b[2]),
             (a[0] * a[0] + a[1] * a[1] - b[0] * b[0] - b[1] * b[1], a[2] * a[2] - b[2] * b[2]),
@@ -101,8 +108,9 @@ pub fn focal_length_centred(homographies: &[Matrix3<f64>]) -> Option<f64> {
     (inverse_square > 0.0 && denominator > 0.0).then(|| 1.0 / inverse_square.sqrt())
 }
 
-/// Zhang's closed form with all five numbers of the camera matrix (2000, appendix B): the image of the absolute conic from at
-/// least three views. Gives fx, fy, cx, cy in units about the middle of the image; `None` where the conic is none.
+/// Zhang's closed-form camera matrix with all five parameters (2000, appendix B), from the image of
+/// the absolute conic; needs at least three views. Returns fx, fy, cx, cy in units of `unit_px`
+/// relative to the image centre. `None` if the conic is invalid.
 pub fn closed_form(homographies: &[Matrix3<f64>]) -> Option<(f64, f64, f64, f64)> {
     if homographies.len() < 3 {
         return None;

@@ -1,4 +1,4 @@
-//! Gaps: how the camera moved around one, and the frames in it as the sensors tell them.
+//! Tracking gaps: the camera's velocity around a gap, and dead-reckoned frames within it.
 
 use super::camera_motion::{Node, Step};
 use super::reckoning::{BodyRates, Reckoned};
@@ -8,22 +8,23 @@ use crate::geometry::{GroundPose, PlaneTransform, Se2, propagated};
 use crate::trajectory::{FrameEstimate, PoseEstimate, Velocity};
 use nalgebra::Vector3;
 
-/// A stretch of frames without a pose, as the sensors tell it.
+/// A run of frames without a pose, bridged by dead reckoning.
 pub struct Bridge {
-    /// The node before it, and the one after it.
+    /// Nodes before and after the gap; there is no node after it at the end of a recording.
     pub before: usize,
     pub after: Option<usize>,
-    /// Frames in it, with where they are against the node before.
+    /// Index of each frame in the gap, with its dead-reckoned pose relative to the node before.
     pub frames: Vec<(usize, Reckoned)>,
-    /// Where the node after it, or the last frame, is against the node before.
+    /// Pose of the node after the gap, or of the last frame, relative to the node before.
     pub end: Reckoned,
     pub duration_s: f64,
 }
 
-/// So long the camera's movement is averaged on either side of a gap, seconds.
+/// Time over which the velocity is averaged on either side of a gap, seconds.
 const RATES_S: f64 = 0.2;
 
-/// How the camera moved just before and just after a gap; where one of the two is not known, as at the other end.
+/// Velocity of the camera just before and just after a gap; if one is unknown, it is set to the
+/// other.
 pub fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [BodyRates; 2] {
     let mean = |steps: &mut dyn Iterator<Item = &Step>| {
         let (mut sum, mut duration_s) = (BodyRates::zeros(), 0.0);
@@ -36,7 +37,7 @@ pub fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [Bod
         }
         (duration_s > 0.0).then(|| sum / duration_s)
     };
-    // Steps are in the order of the nodes that they start from.
+    // Steps are sorted by their first node.
     let first_after = steps.partition_point(|step| step.from < before + 1);
     let earlier = mean(&mut steps[..first_after].iter().rev().take_while(|step| step.from + 20 > before));
     let later = after
@@ -45,7 +46,8 @@ pub fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [Bod
 }
 
 impl Bridge {
-    /// The frames of the gap between the poses at its ends.
+    /// Dead-reckoned frames of the gap in world coordinates, adjusted to the measured poses at its
+    /// ends.
     pub fn laid(&self, frames: &[FrameEstimate], nodes: &[Node]) -> Vec<SmoothedFrame> {
         let before = &frames[nodes[self.before].index];
         let after = self.after.map(|after| &frames[nodes[after].index]);
@@ -56,7 +58,7 @@ impl Bridge {
         };
         let origin = plane(start);
         let turn = Se2::rotation(origin[HEADING]).product_by_right();
-        // What the reckoning misses the far end by is spread over the gap.
+        // The misclosure at the far end is distributed linearly over the gap.
         let missed =
             finish.map_or(Vector3::zeros(), |finish| plane(finish) - (origin + turn * self.end.pose));
         let connected = after.is_some_and(|after| after.segment == before.segment);
@@ -72,7 +74,7 @@ impl Bridge {
                 finish.map_or(from, |finish| from + share * (of(&finish.pose) - from))
             };
             let covariance = match finish {
-                // Both ends are known: as a Brownian bridge.
+                // Both ends are measured: covariance of a Brownian bridge.
                 Some(finish) if connected => {
                     covariance(start) * (1.0 - share) + covariance(finish) * share + own * (1.0 - share)
                 }

@@ -1,4 +1,5 @@
-//! What a sensor must be multiplied with, shifted by and turned by to tell what the camera sees, and whether it then does.
+//! Calibration of a sensor against the camera (clock offset, scale, bias, mounting, noise), and its
+//! acceptance.
 
 use super::camera_motion::{Node, Step};
 use super::fit::{Fit, Prior, Row, TimeOffset, fit, time_offset};
@@ -7,51 +8,55 @@ use super::series::{Quantity, SensorRecord};
 use crate::numerics::{median, normal_sigma};
 use nalgebra::{Matrix4, Vector4};
 
-/// A sensor that was compared with the camera.
+/// Calibration of a rate sensor against the camera.
 #[derive(Debug, Clone)]
 pub struct Calibrated {
     pub offset: TimeOffset,
-    /// Of a gyroscope: three factors (one of a single axis) and the bias, rad/s. Of a wheel: metres ahead and to the left in the camera's
-    /// frame for a metre of its way, and the place of the camera ahead and to the left of where the wheel measures, metres.
+    /// Gyroscope: three scale factors (one for a single axis) and the bias, rad/s. Wheel: forward
+    /// and left motion in the camera's frame per metre of wheel distance, and the lever arm:
+    /// position of the camera forward and left of the wheel, metres.
     pub parameters: Vector4<f64>,
     pub covariance: Matrix4<f64>,
-    /// Density of the noise of its integral: variance a second.
+    /// Spectral density of the noise of the integrated signal: variance per second.
     pub density: f64,
-    /// Seconds in which it was compared with the camera, and in how many of them it contradicts.
+    /// Seconds in which sensor and camera were compared, and the number of them with a
+    /// contradiction.
     pub seconds: usize,
     pub contradictions: usize,
-    /// Mean normalised innovation squared over the seconds; 1 for a sensor that is as good as its noise says.
+    /// Mean normalised innovation squared over the seconds; 1 if the estimated noise is consistent.
     pub nis: f64,
 }
 
-/// More comparisons tell nothing new.
+/// Maximum number of observations; more do not improve the estimate.
 const MOST_ROWS: usize = 5000;
 
-/// 99.9 % of χ² with one degree of freedom.
+/// Gate on the normalised innovation squared: the 99.9 % quantile of χ² with one degree of freedom.
 pub const CONSISTENT_NIS: f64 = 10.83;
 
-/// A sensor that contradicts the camera in a larger part of the time is not believed in the rest.
+/// Largest fraction of seconds with a contradiction for a sensor to be accepted.
 pub const MOST_CONTRADICTIONS: f64 = 0.2;
 
-/// A gyroscope may be off by so much over one second, radians: ten times what the cheapest one is.
+/// Largest accepted noise of a gyroscope over one second, radians: ten times that of the cheapest
+/// one.
 const WORST_TURN_RAD: f64 = 0.05;
 
-/// A wheel may be off by so much over one second: metres, and as a part of its speed.
+/// Largest accepted noise of a wheel over one second: metres, and a fraction of the speed.
 const WORST_WAY_M: f64 = 0.02;
 const WORST_WAY_SHARE: f64 = 0.1;
 
-/// The least that the camera must have turned for the axes of a gyroscope to be found, radians, and moved for the scale of a wheel, metres.
+/// Least excitation: total rotation of the camera to determine the axes of a gyroscope, radians,
+/// and total translation to determine the scale of a wheel, metres.
 const LEAST_TURN_RAD: f64 = 0.3;
 const LEAST_WAY_M: f64 = 0.3;
 
-/// The least time together, seconds.
+/// Least temporal overlap of sensor and camera, seconds.
 const LEAST_S: f64 = 2.0;
 
 fn thinned(steps: &[Step]) -> Vec<Step> {
     steps.iter().step_by(steps.len().div_ceil(MOST_ROWS).max(1)).copied().collect()
 }
 
-/// A gyroscope against the camera's turning.
+/// Calibrates a gyroscope against the camera's heading changes.
 pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
     let channels = if record.quantity() == Quantity::TurnRates { 3 } else { 1 };
     let row = |step: &Step, offset_s: f64| {
@@ -65,7 +70,8 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
     if channels == 3 && turned_rad < LEAST_TURN_RAD {
         return Err(Reason::TooLittleTurning);
     }
-    // One axis is about the vertical, upright or upside down, and a few percent off at most; three are mounted anyhow.
+    // A single axis is vertical, upright or upside down, with a scale error of a few percent; three
+    // axes have an unknown orientation.
     let prior = |sign: f64| match channels {
         1 => Prior { mean: Vector4::new(sign, 0.0, 0.0, 0.0), sigma: Vector4::new(0.03, 1e-6, 1e-6, 0.5) },
         _ => Prior { mean: Vector4::zeros(), sigma: Vector4::new(1.0, 1.0, 1.0, 0.5) },
@@ -85,7 +91,7 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
     believed(found)
 }
 
-/// A wheel against the camera's way.
+/// Calibrates a wheel against the camera's translations.
 pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason> {
     let rows = |step: &Step, offset_s: f64| {
         let way_m = record.between(0, step.from_s + offset_s, step.to_s + offset_s)?;
@@ -117,13 +123,14 @@ fn believed(found: Calibrated) -> Result<Calibrated, Reason> {
     Ok(found)
 }
 
-/// How often a sensor is further off than the worst of its kind may be, two standard deviations.
+/// Counts the seconds in which the sensor differs from the camera by more than two standard
+/// deviations of the largest accepted noise.
 fn contradiction(seconds: &[Seconds], worst_density: f64) -> Reason {
     let off = |second: &&Seconds| second.sum.powi(2) > 4.0 * worst_density * second.duration_s;
     Reason::Contradicts { seconds: seconds.iter().filter(off).count(), of: seconds.len() }
 }
 
-/// Residuals of about a second, added up.
+/// Sum of the residuals of about a second.
 #[derive(Debug, Clone, Copy)]
 struct Seconds {
     sum: f64,
@@ -131,13 +138,14 @@ struct Seconds {
 }
 
 impl Seconds {
-    /// As it would be of exactly one.
+    /// The sum normalised to one second.
     fn whitened(&self) -> f64 {
         self.sum / self.duration_s.sqrt()
     }
 }
 
-/// Offset, parameters and noise; `rows` gives so many rows for each step.
+/// Estimates clock offset, parameters and noise; `rows` returns `rows_per_step` observations for
+/// each step.
 fn calibrated(
     steps: &[Step],
     rows_per_step: usize,
@@ -154,7 +162,8 @@ fn calibrated(
     }
     let flat: Vec<Row> = compared.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
     let Fit { parameters, covariance, residuals, density: fitted, .. } = fit(&flat, prior, None);
-    // Each direction has its own noise, and the larger one is the sensor's: a wheel says little about the way to the side.
+    // Each direction has its own noise; the sensor's is the larger one, because a wheel carries
+    // little information about lateral motion.
     let mut density = fitted;
     let mut directions: Vec<Vec<Seconds>> = Vec::new();
     for nth in 0..rows_per_step {
@@ -165,7 +174,8 @@ fn calibrated(
             .zip(of_direction())
             .map(|((step, _), residual)| residual / step.duration_s().sqrt())
             .collect();
-        // Errors that last, as those of a slipping wheel, show over a second, not over a frame; few seconds tell them poorly.
+        // Correlated errors, such as wheel slip, appear over a second and not over a frame. Their
+        // estimate is inflated for its own uncertainty when there are few seconds.
         let lasting: Vec<f64> = seconds.iter().map(Seconds::whitened).collect();
         let unsure = 1.0 + 2.0 / (lasting.len().max(1) as f64).sqrt();
         let lasting = normal_sigma(&lasting).powi(2) * unsure;
@@ -197,7 +207,8 @@ fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a Step, f64)>) -> Vec<Secon
     let mut end: Option<(f64, usize)> = None;
     for (step, residual) in residuals {
         if end.is_some_and(|(end_s, segment)| end_s != step.from_s || segment != step.segment) {
-            sum = Seconds { sum: 0.0, duration_s: 0.0 }; // a piece that is not a second long
+            // discards an incomplete second before a discontinuity
+            sum = Seconds { sum: 0.0, duration_s: 0.0 };
         }
         sum.sum += residual;
         sum.duration_s += step.duration_s();
@@ -209,31 +220,32 @@ fn in_seconds<'a>(residuals: impl Iterator<Item = (&'a Step, f64)>) -> Vec<Secon
     seconds
 }
 
-/// What a sensor that tells a state, not a rate, says about the camera's state in about a second.
+/// Measurement of a state (heading or height) by a sensor, averaged over about a second.
 #[derive(Debug, Clone, Copy)]
 pub struct Sight {
-    /// The node in the middle.
+    /// The middle node.
     pub node: usize,
-    /// Its reading there, free of the camera's movement meanwhile.
+    /// The reading at that node, corrected for the camera's motion within the second.
     pub reading: f64,
     pub variance: f64,
 }
 
-/// The readings of a compass or range finder, a second each, with the variance that they have among one another.
+/// Readings of a compass or range finder, one per second, with their variance.
 #[derive(Debug, Clone)]
 pub struct Sighted {
     pub offset: TimeOffset,
     pub sights: Vec<Sight>,
-    /// Standard deviation of a second's reading.
+    /// Standard deviation of a reading averaged over a second.
     pub sigma: f64,
-    /// Variance of a single reading.
+    /// Variance of a single sample.
     pub single: f64,
 }
 
-/// Readings are averaged over so long to find the offset of their clock, seconds.
+/// Averaging window for the estimation of the clock offset, seconds.
 const WINDOW_S: f64 = 0.4;
 
-/// Compares the reading of a sensor (times `factor`) at a node with what the camera has there; `drift` is the variance of the latter against the start.
+/// Compares a sensor's reading (times `factor`) with the camera's value at each node; `drift` is
+/// the variance of the camera's value relative to the start.
 fn sighted(
     record: &SensorRecord,
     factor: impl Fn(&Node) -> f64,
@@ -241,7 +253,8 @@ fn sighted(
     camera: impl Fn(&Node) -> f64,
     drift: impl Fn(&Node) -> f64,
 ) -> Result<Sighted, Reason> {
-    // For the clock a mean over a while: values between two readings would have less noise than values at one, which draws the offset there.
+    // The clock offset is estimated from window averages: values interpolated between two samples
+    // have less noise than the samples, which would bias the offset.
     let mean = |node: &Node, time_s: f64| {
         let (from_s, to_s) = (time_s - 0.5 * WINDOW_S, time_s + 0.5 * WINDOW_S);
         record.between(0, from_s, to_s).map(|sum| factor(node) * sum / WINDOW_S)
@@ -253,7 +266,7 @@ fn sighted(
         _ => WINDOW_S,
     };
     let nothing = Prior { mean: Vector4::zeros(), sigma: Vector4::repeat(1.0) };
-    // Changes over a second: neither the sensor's zero nor the camera's drift is in them.
+    // Differences over one second cancel the sensor's bias and the camera's drift.
     let rows = |offset_s: f64| {
         let read = nodes.iter().step_by(stride);
         let differences: Vec<(&Node, f64)> = read
@@ -304,8 +317,9 @@ fn sighted(
     if (sights.len() as f64) < LEAST_S {
         return Err(Reason::NoOverlap);
     }
-    // The variance of D. Allan, "Statistics of atomic frequency standards", 1966, over 1, 4 and 16 readings, as one reading would have it:
-    // errors that last count more than their number. What the camera's own drift explains is not the sensor's.
+    // Allan variance (D. Allan, "Statistics of atomic frequency standards", 1966) over 1, 4 and 16
+    // readings, scaled to one reading, so that correlated errors have more weight. The part
+    // explained by the camera's own drift is subtracted.
     let lasting = |length: usize| {
         let means: Vec<(&Node, f64)> = sights
             .chunks_exact(length)
@@ -321,19 +335,20 @@ fn sighted(
         if changes.len() < 3 && length > 1 {
             return 0.0;
         }
-        // The variance of few changes is itself uncertain: what the drift explains is taken three deviations large.
+        // A variance from few differences is itself uncertain: the drift is inflated by three
+        // standard deviations.
         let count = changes.len().max(1) as f64;
         let drift = drifts.iter().sum::<f64>() / count * (1.0 + 3.0 * (2.0 / count).sqrt());
         0.5 * length as f64 * (normal_sigma(&changes).powi(2) - drift)
     };
-    // Readings of a quarter of a second are taken as one: their errors are not independent of each other.
+    // Samples within a quarter of a second are counted as one, because their errors are correlated.
     let scatter = median(&mut scatters).unwrap_or(0.0) / 4.0;
     let variance = [1, 4, 16].map(lasting).into_iter().fold(scatter.max(1e-10), f64::max);
     sights.iter_mut().for_each(|sight| sight.variance = variance);
     Ok(Sighted { offset, sights, sigma: variance.sqrt(), single: variance.max(4.0 * scatter) })
 }
 
-/// Each value less the median of its segment: what the zero of the sensor is, is not known.
+/// Subtracts the median of each segment from its values, because the sensor's bias is unknown.
 fn centred(values: &[(usize, f64)]) -> Vec<f64> {
     let mut centred = Vec::with_capacity(values.len());
     for segment in values.chunk_by(|a, b| a.0 == b.0) {
@@ -344,19 +359,19 @@ fn centred(values: &[(usize, f64)]) -> Vec<f64> {
     centred
 }
 
-/// A compass that is further off than this is none, radians.
+/// Largest accepted standard deviation of a compass, radians.
 const WORST_HEADING_RAD: f64 = 0.35;
 
-/// A range finder that is further off than this part of the height is none.
+/// Largest accepted standard deviation of a range finder, as a fraction of the height.
 const WORST_HEIGHT_SHARE: f64 = 0.05;
 
-/// A compass against the camera's heading.
+/// Calibrates a compass against the camera's heading.
 pub fn heading(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
     let found = sighted(record, |_| 1.0, nodes, |node| node.heading_rad, |node| node.carried[(2, 2)])?;
     within(found, nodes, |node| node.heading_rad, WORST_HEADING_RAD)
 }
 
-/// A range finder against the camera's height.
+/// Calibrates a range finder against the camera's height.
 pub fn range(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
     let along_axis = record.quantity() == Quantity::AxisDistance;
     let factor = |node: &Node| if along_axis { node.tilt_cosine } else { 1.0 };

@@ -1,4 +1,4 @@
-//! The camera's movement in the form in which sensors are compared with it.
+//! The camera's motion in the form that sensors are calibrated against.
 
 use crate::geometry::pose_index::HEIGHT;
 use crate::geometry::{PlaneTransform, Se2};
@@ -8,7 +8,7 @@ use nalgebra::Matrix3;
 /// A measured frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Node {
-    /// Which of the frames.
+    /// Index of the frame.
     pub index: usize,
     pub time_s: f64,
     pub segment: usize,
@@ -16,25 +16,26 @@ pub struct Node {
     pub y_m: f64,
     pub heading_rad: f64,
     pub height_m: f64,
-    /// Cosine of the angle between the optical axis and plumb.
+    /// Cosine of the angle between the optical axis and the vertical.
     pub tilt_cosine: f64,
-    /// Covariance of (x, y, heading) of the ground it was measured against.
+    /// Covariance of (x, y, heading) of the reference keyframe, without the frame's own measurement
+    /// noise.
     pub carried: Matrix3<f64>,
-    /// Variance of its height against the start of the run.
+    /// Variance of the height relative to the start of the run, square metres.
     pub height_variance: f64,
 }
 
-/// The movement from one measured frame to the next of the same segment.
+/// Motion from one measured frame to the next of the same segment.
 #[derive(Debug, Clone, Copy)]
 pub struct Step {
-    /// The node it starts from.
+    /// Index of the first node.
     pub from: usize,
     pub from_s: f64,
     pub to_s: f64,
-    /// To where the image's top points, and to the left of it, metres.
+    /// Translation towards the top of the image and to its left, metres.
     pub ahead_m: f64,
     pub left_m: f64,
-    /// Counter-clockwise, radians.
+    /// Change of heading, counter-clockwise, radians.
     pub turn_rad: f64,
     pub segment: usize,
 }
@@ -45,7 +46,7 @@ impl Step {
     }
 }
 
-/// The measured frames, in order of time; of frames at the same moment the first.
+/// The measured frames, in order of time; of frames with the same timestamp only the first.
 pub fn nodes(frames: &[FrameEstimate]) -> Vec<Node> {
     let mut nodes: Vec<Node> = Vec::new();
     for (index, frame) in frames.iter().enumerate() {
@@ -70,7 +71,7 @@ pub fn nodes(frames: &[FrameEstimate]) -> Vec<Node> {
     nodes
 }
 
-/// The movements between neighbouring nodes of one segment; none across more than a second, in which much may have happened.
+/// Motions between consecutive nodes of one segment, except across intervals of more than a second.
 pub fn steps(nodes: &[Node]) -> Vec<Step> {
     let pairs = nodes.windows(2).enumerate();
     let connected = pairs
@@ -79,7 +80,7 @@ pub fn steps(nodes: &[Node]) -> Vec<Step> {
         .map(|(from, pair)| {
             let (a, b) = (&pair[0], &pair[1]);
             let turn_rad = b.heading_rad - a.heading_rad;
-            // A short arc is its chord seen from half way.
+            // Midpoint rule: the chord of a short arc has the mean of the two headings.
             let half_way = Se2::new(a.x_m, a.y_m, a.heading_rad + 0.5 * turn_rad);
             let chord = half_way.between(&Se2::new(b.x_m, b.y_m, b.heading_rad));
             Step {

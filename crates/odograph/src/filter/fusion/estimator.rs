@@ -1,8 +1,11 @@
-//! The one estimator: the camera's path, corrected by what the other sensors tell, forward and backward in time.
+//! The fusion estimator: corrects the camera's path with the other sensors, forward and backward in
+//! time.
 //!
-//! An error-state Kalman filter over the measured frames and, on the way back, the smoother of H. Rauch, F. Tung and C. Striebel in the form of
-//! A. Bryson and M. Frazier (G. Bierman, 1973). Its process is the camera's own movement, with the covariance that the camera tells; across a
-//! gap it is what wheel and gyroscope tell. The compass measures the heading and the range finder the height, each with an unknown zero.
+//! An error-state Kalman filter over the measured frames, followed by the Rauch–Tung–Striebel
+//! smoother in modified Bryson–Frazier form (G. Bierman, 1973). The process model is the camera's
+//! own motion with the camera's covariance, and dead reckoning with wheel and gyroscope across
+//! gaps. The compass measures the heading and the range finder the height, each with an unknown
+//! bias.
 
 use super::calibration::{CONSISTENT_NIS, Sight};
 use super::camera_motion::Node;
@@ -11,8 +14,8 @@ use crate::geometry::pose_index::{HEADING, LN_SCALE, X, Y};
 use crate::geometry::{PlaneTransform, Se2, Sim2, propagated, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
-/// x, y (metres), the correction of the heading (radians), the logarithm of the correction of the scale, the compass's zero (radians) and
-/// the range finder's (metres).
+/// x, y (metres), heading correction (radians), logarithm of the scale correction, bias of the
+/// compass (radians), bias of the range finder (metres).
 type State = SVector<f64, 6>;
 type Square = SMatrix<f64, 6, 6>;
 
@@ -20,22 +23,22 @@ type Square = SMatrix<f64, 6, 6>;
 const COMPASS: usize = 4;
 const RANGE: usize = 5;
 
-/// A measured frame set right.
+/// Correction of a measured frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Corrected {
     pub x_m: f64,
     pub y_m: f64,
-    /// To be added to the camera's heading.
+    /// Correction to add to the camera's heading, radians.
     pub turn_rad: f64,
-    /// To be multiplied with the camera's height and movements.
+    /// Factor for the camera's height and translations.
     pub scale: f64,
-    /// Covariance of (x, y, heading) of the ground below it.
+    /// Covariance of (x, y, heading) of the frame's reference keyframe.
     pub covariance: Matrix3<f64>,
     /// Variance of the logarithm of the scale.
     pub scale_variance: f64,
 }
 
-/// How a sensor with readings fared.
+/// Innovation consistency of a sensor.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Consistency {
     pub readings: usize,
@@ -49,7 +52,7 @@ impl Consistency {
     }
 }
 
-/// The path, and what the compass and the range finder were worth; their zeros with variances.
+/// The corrected path, and the consistency and bias (with variance) of compass and range finder.
 pub struct Estimate {
     pub corrected: Vec<Corrected>,
     pub heading: Consistency,
@@ -58,14 +61,15 @@ pub struct Estimate {
     pub range_zero: (f64, f64),
 }
 
-/// One event of the way forward, for the way back.
+/// One event of the forward pass, stored for the backward pass.
 enum Event {
     Moved(Square),
     Measured { row: State, innovation: f64, spread: f64, gain: State },
     Node(State, Square),
 }
 
-/// Estimates the path over `nodes`. `gaps[k]` is what the sensors tell of the way from node k − 1 to node k, where that is a gap.
+/// Estimates the path over `nodes`. `gaps[k]` is the dead-reckoned motion from node k − 1 to node k
+/// if there is a gap between them.
 pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], range: &[Sight]) -> Estimate {
     let mut forward = Forward::new(&nodes[0]);
     let (mut headings, mut ranges) = (heading.iter().peekable(), range.iter().peekable());
@@ -101,7 +105,7 @@ pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], ra
 struct Forward {
     state: State,
     covariance: Square,
-    /// The largest variance that the camera has told of its height so far, as a part of the height.
+    /// Largest relative variance of the camera's height so far.
     height_variance: f64,
     events: Vec<Event>,
     heading: Consistency,
@@ -114,14 +118,14 @@ impl Forward {
         (state[X], state[Y]) = (first.x_m, first.y_m);
         let mut covariance = Square::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&first.carried);
-        // Any direction, any mounting.
+        // Uninformative prior of the two biases: any heading zero, any mounting.
         (covariance[(COMPASS, COMPASS)], covariance[(RANGE, RANGE)]) = (10.0, 10.0);
         let (heading, range) = Default::default();
         let height_variance = first.height_variance / first.height_m.powi(2);
         Self { state, covariance, height_variance, events: Vec::new(), heading, range }
     }
 
-    /// The camera's own movement.
+    /// Propagates by the camera's own motion.
     fn follow(&mut self, before: &Node, node: &Node) {
         let (dx, dy) = (node.x_m - before.x_m, node.y_m - before.y_m);
         let corrected = Sim2::about_origin(self.state[HEADING], self.state[LN_SCALE].exp());
@@ -130,20 +134,22 @@ impl Forward {
         transition.fixed_view_mut::<4, 4>(0, 0).copy_from(&Sim2::lever_arm(mx, my));
         self.state[X] += mx;
         self.state[Y] += my;
-        // What the camera's covariance has grown by, beyond what the turning and scaling of known errors makes of it.
+        // Process noise: growth of the camera's covariance beyond the propagation of the previous
+        // errors.
         let grown = node.carried - propagated(&Se2::lever_arm(dx, dy), &before.carried);
         let mut noise = Square::zeros();
         for i in 0..3 {
             noise[(i, i)] = grown[(i, i)].max(0.0);
         }
-        // The variance of a frame's own noise goes up and down; what it was known to before it stays known to.
+        // A frame's own noise makes the height variance fluctuate; only a new maximum counts as
+        // growth.
         let height_variance = self.height_variance.max(node.height_variance / node.height_m.powi(2));
         noise[(LN_SCALE, LN_SCALE)] = height_variance - self.height_variance;
         self.height_variance = height_variance;
         self.moved(transition, noise);
     }
 
-    /// A gap, by what the sensors tell of it.
+    /// Propagates across a gap by dead reckoning.
     fn cross(&mut self, before: &Node, node: &Node, reckoned: &Reckoned, height_change: f64) {
         let heading_rad = before.heading_rad + self.state[HEADING];
         let turned = Se2::rotation(heading_rad);
@@ -157,7 +163,7 @@ impl Forward {
         let own = propagated(&turned.product_by_right(), &reckoned.covariance);
         noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&own);
         if node.height_variance > 0.0 {
-            // Behind the gap the height is taken to be as before it.
+            // The height after the gap is assumed to equal the height before it.
             noise[(LN_SCALE, LN_SCALE)] = height_change.powi(2);
         }
         self.moved(transition, noise);
@@ -227,8 +233,9 @@ impl Forward {
     }
 }
 
-/// How much the height may change over a gap of that length, as a part of it: twice what it changes by over such a time where it is seen, but no more
-/// than [`HEIGHT_CHANGE_PER_S`], which is taken where there is not enough to tell.
+/// Standard deviation of the logarithm of the height's change over a gap of the given length: twice
+/// the root mean square change over such a time where it is measured, at most
+/// [`HEIGHT_CHANGE_PER_S`], which is also used where there are too few pairs of frames.
 fn height_change(nodes: &[Node], gap_s: f64) -> f64 {
     let most = HEIGHT_CHANGE_PER_S * gap_s;
     let (mut later, mut squares, mut pairs) = (0, 0.0, 0);
@@ -244,8 +251,8 @@ fn height_change(nodes: &[Node], gap_s: f64) -> f64 {
     if pairs < ENOUGH_PAIRS { most } else { (2.0 * (squares / f64::from(pairs)).sqrt()).min(most) }
 }
 
-/// Fewer pairs of frames do not tell how the height changes: a second or so of them.
+/// Fewest pairs of frames from which the change of height is estimated: about a second of video.
 const ENOUGH_PAIRS: u32 = 30;
 
-/// The part by which the height may change in a second unseen, one standard deviation.
+/// Largest relative change of the height per second in a gap, one standard deviation.
 const HEIGHT_CHANGE_PER_S: f64 = 0.02;

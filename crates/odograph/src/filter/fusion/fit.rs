@@ -1,42 +1,46 @@
-//! Linear least squares that outliers do not bend, and the search for a clock's offset over it.
+//! Robust linear least squares, and the estimation of a clock offset with it.
 
 use crate::numerics::{Loss, median, normal_sigma};
 use nalgebra::{Matrix4, Vector4};
 
-/// What one step of the camera says about the parameters of a sensor: `target = design · parameters + noise`, the noise of variance
-/// `duration_s` times some density.
+/// One linear observation equation of the parameters of a sensor,
+///
+/// `target = design · parameters + noise`,
+///
+/// with noise variance proportional to `duration_s` (white noise, integrated).
 #[derive(Debug, Clone, Copy)]
 pub struct Row {
     pub design: Vector4<f64>,
     pub target: f64,
     pub duration_s: f64,
-    /// Whether it is of the second of two directions, whose noise may be another one.
+    /// Whether it belongs to the second of two directions, which may have a different noise.
     pub second: bool,
 }
 
-/// What is known of the parameters before: means and standard deviations.
+/// Gaussian prior of the parameters: means and standard deviations.
 #[derive(Debug, Clone, Copy)]
 pub struct Prior {
     pub mean: Vector4<f64>,
     pub sigma: Vector4<f64>,
 }
 
-/// Parameters with all that says how well they are known.
+/// Estimated parameters with covariance and residuals.
 #[derive(Debug, Clone)]
 pub struct Fit {
     pub parameters: Vector4<f64>,
     pub covariance: Matrix4<f64>,
-    /// What the parameters leave of each row, in its own unit.
+    /// Residual of each row, in the row's unit.
     pub residuals: Vec<f64>,
-    /// Density of the noise: variance a second.
+    /// Spectral density of the noise: variance per second.
     pub density: f64,
-    /// Mean loss of a row, in units of the scale it was fitted with.
+    /// Mean Huber loss per row, in units of the noise scale of the fit.
     loss: f64,
 }
 
 const LOSS: Loss = Loss::Huber(1.5);
 
-/// Fits by iterated weights, with a scale of the noise (square root of its density) that is given or found from the median of the residuals.
+/// Iteratively reweighted least squares with Huber weights. `scale` is the square root of the noise
+/// density; if `None`, it is estimated from the median absolute residual.
 pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
     let mut parameters = prior.mean;
     let mut weights = vec![1.0; rows.len()];
@@ -58,7 +62,8 @@ pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
             *residual = (row.target - row.design.dot(&parameters)) / row.duration_s.sqrt();
         }
         if scale.is_none() {
-            // The noisier direction's: the other one's residuals are then small, not outliers of the first.
+            // The larger of the two directions' noise, so that the residuals of the noisier
+            // direction are not treated as outliers.
             let of = |second: bool| {
                 let of_direction = whitened.iter().zip(rows).filter(|(_, row)| row.second == second);
                 normal_sigma(&of_direction.map(|(residual, _)| *residual).collect::<Vec<f64>>())
@@ -83,26 +88,28 @@ pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
     }
 }
 
-/// How far a sensor's clock is ahead of the camera's.
+/// Clock offset of a sensor relative to the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeOffset {
-    /// The sensor's time less the camera's, seconds.
+    /// Sensor time minus camera time, seconds.
     pub offset_s: f64,
-    /// One standard deviation; infinite where the movement does not tell, and the offset is taken as 0.
+    /// Standard deviation, seconds; infinite if the motion does not determine the offset, which is
+    /// then 0.
     pub sigma_s: f64,
 }
 
-/// Clocks further apart than this are not brought together, seconds.
+/// Largest clock offset that is searched, seconds.
 pub const MOST_OFFSET_S: f64 = 1.0;
 
-/// The grid of the first look, seconds: a tenth of a swing at 5 Hz.
+/// Step of the grid search, seconds: a tenth of the period of a 5 Hz oscillation.
 const COARSE_S: f64 = 0.02;
 
-/// Less sure than this the offset is of no use, seconds.
+/// Largest usable standard deviation of a clock offset, seconds.
 const WORST_SIGMA_S: f64 = 0.05;
 
-/// The offset at which the sensor explains the camera's movement best; `rows` gives the comparison at an offset. Of its rows
-/// the part `independent` has noise of its own.
+/// Estimates the clock offset at which the sensor best explains the camera's motion. `rows` returns
+/// the observation equations at an offset; `independent` is the fraction of them with independent
+/// noise.
 pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior, independent: f64) -> TimeOffset {
     let unknown = TimeOffset { offset_s: 0.0, sigma_s: f64::INFINITY };
     let steps = (MOST_OFFSET_S / COARSE_S).round() as i32;
@@ -114,12 +121,13 @@ pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior, independent: f
         })
         .collect();
     let most = looks.iter().map(|look| look.1).max().unwrap_or(0);
-    // An offset that leaves much of the record without a counterpart is not judged by the rest.
+    // Offsets at which much of the record has no counterpart are not comparable, and are excluded.
     let eligible = looks.iter().filter(|look| look.1 >= 30 && 10 * look.1 >= 8 * most);
     let Some(best) = eligible.min_by(|a, b| a.2.density.total_cmp(&b.2.density)) else { return unknown };
     let count = independent * best.1 as f64;
-    // Where nothing moves noise alone makes one offset look better than the others. The variance of what is left scatters by √(2 / count);
-    // the best of a hundred is three deviations below the middle, and as much again is asked for.
+    // Significance test: without motion, noise alone makes one offset look best. The residual
+    // variance scatters by a relative √(2 / count), and the smallest of a hundred is about three
+    // standard deviations below the median; twice that is required.
     let mut densities: Vec<f64> = looks.iter().map(|look| look.2.density).collect();
     if median(&mut densities).unwrap_or(0.0) < best.2.density * (1.0 + 6.0 * (2.0 / count).sqrt()) {
         return unknown;
@@ -127,7 +135,7 @@ pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior, independent: f
     let scale = best.2.density.sqrt();
     let loss = |offset_s: f64| fit(&rows(offset_s), prior, Some(scale)).loss;
     let (mut low, mut high) = (best.0 - COARSE_S, best.0 + COARSE_S);
-    // Golden section (J. Kiefer, 1953), down to a tenth of a millisecond.
+    // Golden-section search (J. Kiefer, 1953) to 0.1 ms.
     let golden = 0.5 * (5f64.sqrt() - 1.0);
     let mut inner = [high - golden * (high - low), low + golden * (high - low)];
     let mut losses = inner.map(loss);
@@ -143,7 +151,7 @@ pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior, independent: f
         }
     }
     let offset_s = 0.5 * (low + high);
-    // The curvature over a step that is wider than the kinks between samples.
+    // Curvature over a step wider than the kinks that interpolation between samples causes.
     let curvature = count * (loss(offset_s - COARSE_S) + loss(offset_s + COARSE_S) - 2.0 * loss(offset_s))
         / (COARSE_S * COARSE_S);
     let sigma_s = if curvature > 0.0 { (2.0 / curvature).sqrt() } else { f64::INFINITY };

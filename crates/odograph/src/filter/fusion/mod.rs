@@ -1,15 +1,18 @@
-//! Cheap sensors beside the camera: gyroscope, compass, wheel and range finder.
+//! Loosely coupled fusion of the camera with low-cost sensors: gyroscope, compass, wheel odometer
+//! and range finder.
 //!
-//! The coupling is loose, over a whole recording: the camera is followed alone, and then
+//! The fusion runs over a whole recording, after visual odometry with the camera alone:
 //!
-//! 1. each sensor is compared with the camera where both see: the offset of its clock, its scale, bias and mounting are found by robust least
-//!    squares, its noise by what is left over ([`SensorReport`]);
-//! 2. a sensor that says other than the camera in more than a fifth of the seconds (normalised innovation squared; Y. Bar-Shalom et al., 2001,
-//!    §5.4), or is worse than the worst of its kind, is rejected;
-//! 3. what is left goes into one estimator, forward and backward in time: gaps are crossed by wheel and gyroscope, the compass holds the heading,
-//!    the range finder the scale, each with the weight that its noise allows beside the camera's covariance.
+//! 1. Each sensor is calibrated against the camera where both have data: clock offset, scale, bias
+//!    and mounting by robust least squares, noise from the residuals ([`SensorReport`]).
+//! 2. A sensor is rejected if it contradicts the camera in more than a fifth of the seconds
+//!    (normalised innovation squared, NIS; Y. Bar-Shalom et al., 2001, §5.4), or if its noise
+//!    exceeds a limit for its kind.
+//! 3. The accepted sensors enter one forward–backward estimator, weighted by their noise and the
+//!    camera's covariance: wheel and gyroscope bridge tracking gaps by dead reckoning, the compass
+//!    bounds heading drift, and the range finder bounds scale drift.
 //!
-//! Without a believed sensor nothing changes.
+//! Without an accepted sensor the result is the camera's, unchanged.
 
 mod bridge;
 mod calibration;
@@ -36,44 +39,44 @@ use estimator::{Consistency, Corrected, Estimate};
 use reckoning::{Believed, Gap};
 use report::{gyro_report, sighted_report, wheel_report};
 
-/// The records of the sensors there are.
+/// Records of the available sensors.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Sensors {
-    /// [`Quantity::TurnRate`] or [`Quantity::TurnRates`].
+    /// Gyroscope: [`Quantity::TurnRate`] or [`Quantity::TurnRates`].
     pub gyro: Option<SensorRecord>,
-    /// [`Quantity::Heading`].
+    /// Compass: [`Quantity::Heading`].
     pub heading: Option<SensorRecord>,
-    /// [`Quantity::Speed`] or [`Quantity::Way`].
+    /// Wheel odometer: [`Quantity::Speed`] or [`Quantity::Way`].
     pub wheel: Option<SensorRecord>,
-    /// [`Quantity::Height`] or [`Quantity::AxisDistance`].
+    /// Range finder: [`Quantity::Height`] or [`Quantity::AxisDistance`].
     pub range: Option<SensorRecord>,
 }
 
-/// A recording with what the sensors bring to it.
+/// Result of the fusion of a recording with its sensors.
 #[derive(Debug, Clone)]
 pub struct Fusion {
-    /// The frames, those with a pose set right.
+    /// The frames, with corrected poses where they have one.
     pub frames: Vec<FrameEstimate>,
-    /// What became of each sensor.
+    /// Calibration and acceptance of each sensor.
     pub reports: Vec<SensorReport>,
-    /// Whether any pose is another one than the camera's alone.
+    /// Whether the fusion changed any pose of the camera.
     pub moved: bool,
-    /// Frames without a pose, where the sensors tell one.
+    /// Dead-reckoned poses of frames that the camera could not measure.
     pub reckoned: Reckoned,
 }
 
-/// What the sensors tell of frames without a pose, in order.
+/// Dead-reckoned frames, in order of time.
 #[derive(Debug, Clone, Default)]
 pub struct Reckoned(Vec<SmoothedFrame>);
 
-/// What became of the sensors one by one: those that are believed.
+/// Sensors accepted so far.
 struct Comparison<'a> {
     believed: Believed<'a>,
     heading: Option<&'a Sighted>,
     range: Option<&'a Sighted>,
 }
 
-/// Fuses what the camera saw with what the sensors tell. Frames must be in order of time.
+/// Fuses visual odometry with the records of other sensors. Frames must be in order of time.
 pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
     let nodes = camera_motion::nodes(frames);
     let steps = camera_motion::steps(&nodes);
@@ -88,7 +91,8 @@ pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
     let mut heading = sensors.heading.as_ref().map(|record| calibration::heading(record, &nodes));
     let mut range = sensors.range.as_ref().map(|record| calibration::range(record, &nodes));
     let mut outcome: Option<(Estimate, Vec<Bridge>)> = None;
-    // A compass or range finder that does not go together with the whole is left out, and the whole is done again without it.
+    // A compass or range finder that is inconsistent with the fused estimate is rejected, and the
+    // estimate is repeated without it.
     for _ in 0..3 {
         let comparison = Comparison {
             believed: Believed {
@@ -136,7 +140,7 @@ pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
 }
 
 impl Fusion {
-    /// The smoothed path ([`smooth`]), with the gaps as the sensors tell them.
+    /// The smoothed path ([`smooth`]), with dead-reckoned poses in the gaps.
     pub fn smooth(&self, config: &FilterConfig) -> Vec<SmoothedFrame> {
         let mut path = Vec::with_capacity(self.frames.len());
         let mut merge = self.reckoned.merge();
@@ -147,13 +151,14 @@ impl Fusion {
 }
 
 impl Reckoned {
-    /// Whether there are none.
+    /// Whether there are no dead-reckoned frames.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// The same with the frames that have a pose elsewhere, as a map has them: they go along with those before and after. `moves` are the times of the
-    /// latter, in order, each with its pose before and after.
+    /// Moves the dead-reckoned frames along with their measured neighbours, for example after a
+    /// loop closure: the corrections of the neighbours are interpolated in time. `moves` has the
+    /// time of each measured frame, in order, with its pose before and after.
     pub fn laid(self, moves: &[(f64, GroundPose, GroundPose)]) -> Self {
         let moved = |frame: SmoothedFrame| {
             let next = moves.partition_point(|(time_s, ..)| *time_s <= frame.time_s);
@@ -170,20 +175,21 @@ impl Reckoned {
         Self(self.0.into_iter().map(moved).collect())
     }
 
-    /// What puts them into a smoothed path that comes frame by frame.
+    /// Starts merging the dead-reckoned frames into a smoothed path, frame by frame.
     pub fn merge(&self) -> Merge<'_> {
         Merge { rest: &self.0 }
     }
 }
 
-/// Puts what the sensors tell into a smoothed path: in the place of frames that it has, and between them.
+/// Merges dead-reckoned frames into a smoothed path: replaces frames of the same index and inserts
+/// the others.
 #[derive(Debug)]
 pub struct Merge<'a> {
     rest: &'a [SmoothedFrame],
 }
 
 impl Merge<'_> {
-    /// Takes the next frame of the path, and gives those that come up to it.
+    /// Takes the next frame of the path and outputs all frames up to it.
     pub fn next(&mut self, frame: SmoothedFrame, take: &mut dyn FnMut(SmoothedFrame)) {
         let count = self.rest.partition_point(|reckoned| reckoned.frame <= frame.frame);
         let (now, rest) = self.rest.split_at(count);
@@ -194,7 +200,7 @@ impl Merge<'_> {
         }
     }
 
-    /// Gives those behind the last frame of the path.
+    /// Outputs the frames after the last one of the path.
     pub fn end(self, take: &mut dyn FnMut(SmoothedFrame)) {
         self.rest.iter().cloned().for_each(take);
     }
@@ -214,7 +220,8 @@ fn contradicts(consistency: &Consistency) -> Option<Reason> {
 }
 
 impl Comparison<'_> {
-    /// The estimate, and the ways through the gaps. `None` where no sensor is believed or nothing was measured.
+    /// The fused estimate and the dead reckoning through the gaps. `None` without an accepted
+    /// sensor or a measured frame.
     fn estimate(
         &self,
         frames: &[FrameEstimate],
@@ -242,7 +249,8 @@ impl Comparison<'_> {
             let rates = rates_around(steps, before, after);
             let gap = Gap { from_s: node.time_s, to_s, before: rates[0], after: rates[1] };
             let Some(reckoned) = self.believed.reckon(&gap, &times_s) else { continue };
-            // Beyond the last measured frame what no sensor tells would be a guess.
+            // After the last measured frame there is nothing to interpolate to: without speed and
+            // turn rate, dead reckoning would be a guess.
             if after.is_none() && (wheel.is_none() || (gyro.is_none() && self.heading.is_none())) {
                 continue;
             }
@@ -265,7 +273,7 @@ impl Comparison<'_> {
     }
 }
 
-/// The frames with the corrections of their nodes, and those without a pose as the sensors tell them.
+/// Applies the corrections of the nodes to the frames, and fills in the dead-reckoned frames.
 fn corrected(
     frames: &[FrameEstimate],
     nodes: &[Node],
@@ -301,7 +309,7 @@ fn corrected(
         plane.covariance = propagated(&Se2::rotation(turn_rad).product_by_right(), &plane.covariance);
         let own = plane.covariance;
         known.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(correction.covariance + own));
-        // How position and height go astray together was the camera's alone.
+        // The correlations between position and height held for the camera alone.
         known.covariance.fixed_view_mut::<3, 3>(0, 3).fill(0.0);
         known.covariance.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
         if known.covariance[(HEIGHT, HEIGHT)] > 0.0 {
@@ -309,14 +317,14 @@ fn corrected(
         }
     }
     if !moved {
-        // What would be rewritten by rounding alone stays as it was.
+        // Keeps the original frames if the corrections are only rounding.
         fused = frames.to_vec();
     }
     let reckoned = Reckoned(bridges.iter().flat_map(|bridge| bridge.laid(&fused, nodes)).collect());
     Fusion { frames: fused, reports, moved, reckoned }
 }
 
-/// Corrections below a tenth of a micrometre or microradian are rounding.
+/// Corrections below 0.1 µm or 0.1 µrad are rounding.
 const LEAST_MOVE_M: f64 = 1e-7;
 const LEAST_TURN_RAD: f64 = 1e-7;
 

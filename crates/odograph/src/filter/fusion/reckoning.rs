@@ -1,4 +1,4 @@
-//! Where the camera went while it saw nothing, by what the other sensors tell.
+//! Dead reckoning with the other sensors while the camera is lost.
 
 use super::calibration::{Calibrated, Sighted};
 use super::series::{Quantity, SensorRecord};
@@ -6,7 +6,7 @@ use crate::geometry::pose_index::HEADING;
 use crate::geometry::{PlaneTransform, Se2, propagated};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// The sensors that are believed.
+/// Sensors that were accepted.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Believed<'a> {
     pub gyro: Option<(&'a SensorRecord, &'a Calibrated)>,
@@ -14,10 +14,11 @@ pub struct Believed<'a> {
     pub wheel: Option<(&'a SensorRecord, &'a Calibrated)>,
 }
 
-/// How the camera moved at one end of a gap, in its own frame: metres a second ahead and to the left, and radians a second.
+/// Velocity in the camera's frame: forward and left, metres per second, and heading rate, radians
+/// per second.
 pub type BodyRates = Vector3<f64>;
 
-/// A gap: its times and how the camera moved before and after.
+/// A tracking gap: its times, and the camera's velocity before and after it.
 #[derive(Debug, Clone, Copy)]
 pub struct Gap {
     pub from_s: f64,
@@ -26,27 +27,32 @@ pub struct Gap {
     pub after: BodyRates,
 }
 
-/// A pose in the frame of the camera at the start of the gap: ahead, left (metres) and turn (radians), with its covariance.
+/// Dead-reckoned pose relative to the camera at the start of the gap: forward, left (metres) and
+/// heading (radians), with its covariance.
 #[derive(Debug, Clone, Copy)]
 pub struct Reckoned {
     pub pose: Vector3<f64>,
     pub covariance: Matrix3<f64>,
 }
 
-/// Steps of the integration, seconds: a turn at 6 rad/s bends the way by less than 1e-4 of its length in one.
+/// Integration step, seconds: at 6 rad/s, the curvature within a step changes the path length by
+/// less than 1e-4.
 const STEP_S: f64 = 0.01;
 
-/// A longer gap is not reckoned through, seconds.
+/// Longest gap that is dead-reckoned, seconds.
 const LONGEST_S: f64 = 600.0;
 
-/// The parameters of both sensors: three factors and the bias of the gyroscope, the four of the wheel.
+/// Jacobian of the pose with respect to the calibration parameters of both sensors: scale factors
+/// (3) and bias of the gyroscope, then the four of the wheel.
 type Jacobian = SMatrix<f64, 3, 8>;
 
 impl Believed<'_> {
-    /// The poses at `times_s` (rising, within the gap) and at its end. `None` where no sensor covers the gap.
+    /// Dead-reckoned poses at `times_s` (increasing, within the gap) and at its end. `None` if no
+    /// sensor covers the gap.
     ///
-    /// What no sensor tells goes from as it was before to as it is after; it may then have stopped or doubled meanwhile, or set off from rest
-    /// at 0.2 m/s and 0.2 rad/s (two standard deviations).
+    /// Velocities that no sensor measures are interpolated between those before and after the gap.
+    /// Their uncertainty allows a stop or twice the speed in between, or 0.2 m/s and 0.2 rad/s from
+    /// rest (two standard deviations).
     pub fn reckon(&self, gap: &Gap, times_s: &[f64]) -> Option<Vec<Reckoned>> {
         let (from_s, to_s) = (gap.from_s, gap.to_s);
         if to_s - from_s > LONGEST_S {
@@ -140,7 +146,7 @@ impl Believed<'_> {
                 let half_way = Se2::rotation(pose[HEADING] + 0.5 * turn);
                 let (dx, dy) = half_way.rotate(ahead, left);
                 let carry = Se2::lever_arm(dx, dy);
-                // Half the turn's error is in the direction of the step.
+                // Midpoint rule: half of the heading error acts on the direction of this step.
                 let turned = Se2::lever_arm(0.5 * dx, 0.5 * dy) * half_way.product_by_right();
                 let own = Matrix3::from_diagonal(&Vector3::new(way_density, way_density, turn_density))
                     * duration_s;

@@ -1,4 +1,4 @@
-//! What became of a sensor.
+//! Report on the calibration and acceptance of a sensor.
 
 use super::calibration::{Calibrated, Sighted};
 use super::estimator::Consistency;
@@ -7,17 +7,17 @@ use super::series::{Quantity, SensorRecord};
 use serde::Serialize;
 use std::fmt;
 
-/// The kinds of sensors.
+/// Kind of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorKind {
-    /// Rate of turn.
+    /// Gyroscope: turn rate.
     Gyro,
-    /// Direction.
+    /// Compass: heading.
     Heading,
-    /// Speed or way.
+    /// Wheel odometer: speed or distance.
     Wheel,
-    /// Height.
+    /// Range finder: height.
     Range,
 }
 
@@ -32,21 +32,21 @@ impl fmt::Display for SensorKind {
     }
 }
 
-/// Why a sensor was not used.
+/// Why a sensor was rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Reason {
-    /// Its times and those of the frames with a pose have less than two seconds in common.
+    /// Less than two seconds of temporal overlap between the record and the frames with a pose.
     NoOverlap,
-    /// The camera turned too little to find how its axes lie.
+    /// The camera turned too little to determine the orientation of the axes.
     TooLittleTurning,
-    /// The camera moved too little to find its scale.
+    /// The camera moved too little to determine the scale.
     TooLittleMovement,
-    /// It says other than the camera.
+    /// The sensor contradicts the camera.
     Contradicts {
-        /// In so many seconds …
+        /// Number of seconds with a contradiction.
         seconds: usize,
-        /// … of so many.
+        /// Number of seconds compared.
         of: usize,
     },
 }
@@ -67,35 +67,36 @@ impl fmt::Display for Reason {
     }
 }
 
-/// A number that was found about a sensor.
+/// Estimated calibration parameter of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SensorParameter {
-    /// What it is, with its unit.
+    /// Name with its unit.
     pub name: &'static str,
-    /// Its value.
+    /// Estimated value.
     pub value: f64,
-    /// One standard deviation.
+    /// Standard deviation.
     pub sigma: f64,
 }
 
-/// What became of a sensor.
+/// Calibration and acceptance of a sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorReport {
-    /// Which one.
+    /// Kind of the sensor.
     pub sensor: SensorKind,
-    /// Why it was not used, if it was not.
+    /// Why it was rejected; `None` if it was accepted.
     pub rejected: Option<Reason>,
-    /// How far its clock is ahead.
+    /// Clock offset relative to the camera.
     pub offset: Option<TimeOffset>,
     /// Scale, bias and mounting.
     pub parameters: Vec<SensorParameter>,
-    /// Its noise: of rates the standard deviation of their integral over one second, of states that of a second's reading; radians or metres.
+    /// Standard deviation of the noise, radians or metres: for rates of the integral over one
+    /// second, for states of a reading averaged over one second.
     pub noise: Option<f64>,
-    /// Seconds in which it was compared with the camera.
+    /// Number of seconds compared with the camera.
     pub seconds: usize,
-    /// In how many of them it says other than the camera.
+    /// Number of seconds in which it contradicts the camera.
     pub contradictions: usize,
-    /// Mean normalised innovation squared; about 1 for an honest sensor.
+    /// Mean normalised innovation squared; about 1 if the noise is consistent.
     pub nis: Option<f64>,
 }
 
@@ -139,7 +140,7 @@ fn calibrated_report(
     }
 }
 
-/// What became of a gyroscope that is believed.
+/// Report on an accepted gyroscope.
 pub(super) fn gyro_report(known: &Calibrated, record: Option<&SensorRecord>) -> SensorReport {
     let (p, c) = (&known.parameters, &known.covariance);
     let mut parameters = match record.map(SensorRecord::quantity) {
@@ -154,7 +155,7 @@ pub(super) fn gyro_report(known: &Calibrated, record: Option<&SensorRecord>) -> 
     calibrated_report(SensorKind::Gyro, known, parameters)
 }
 
-/// What became of a wheel that is believed.
+/// Report on an accepted wheel.
 pub(super) fn wheel_report(known: &Calibrated) -> SensorReport {
     let (p, c) = (&known.parameters, &known.covariance);
     let scale = p[0].hypot(p[1]);
@@ -171,7 +172,7 @@ pub(super) fn wheel_report(known: &Calibrated) -> SensorReport {
     calibrated_report(SensorKind::Wheel, known, parameters)
 }
 
-/// What became of a compass or range finder that is believed; `zero` is its zero with its variance.
+/// Report on an accepted compass or range finder; `zero` is its bias with variance.
 pub(super) fn sighted_report(
     sensor: SensorKind,
     zero_name: &'static str,

@@ -1,20 +1,21 @@
-//! What a sensor wrote down, as a function of time.
+//! A sensor's record as a function of time.
 
 use crate::error::{Error, Result};
 use crate::numerics::median;
 
-/// What the numbers of a sensor mean. Angles count counter-clockwise seen from above.
+/// Measured quantity of a sensor. Angles are counter-clockwise seen from above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
-    /// Rate of turn about the vertical, rad/s; one channel.
+    /// Turn rate about the vertical axis, rad/s; one channel.
     TurnRate,
-    /// Rates of turn about the three axes of a sensor that is mounted anyhow, rad/s; three channels.
+    /// Turn rates about the three axes of a sensor of unknown orientation, rad/s; three channels.
     TurnRates,
-    /// Direction, radians, from any zero; one channel.
+    /// Heading with an arbitrary zero, radians; one channel.
     Heading,
-    /// Speed of a wheel along its way, m/s, negative backwards; one channel.
+    /// Speed of a wheel, m/s, negative backwards; one channel.
     Speed,
-    /// Way of a wheel since any beginning, metres, falling backwards; one channel.
+    /// Distance travelled by a wheel with an arbitrary zero, metres, decreasing backwards; one
+    /// channel.
     Way,
     /// Height above the ground, metres; one channel.
     Height,
@@ -28,23 +29,25 @@ impl Quantity {
     }
 }
 
-/// The record of one sensor. Its clock may be ahead of the camera's or behind it; times rise.
+/// Record of one sensor with strictly increasing times. Its clock may have an offset from the
+/// camera's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorRecord {
     quantity: Quantity,
     times_s: Vec<f64>,
     channels: Vec<Vec<f64>>,
-    /// For each channel its integral from the first sample on; of [`Quantity::Way`] the way itself.
+    /// Integral of each channel from the first sample; for [`Quantity::Way`] the distance itself.
     integrals: Vec<Vec<f64>>,
-    /// Longest time between two samples that is not a hole, seconds.
+    /// Longest interval between two samples that is not a dropout, seconds.
     longest_step_s: f64,
 }
 
 impl SensorRecord {
-    /// A record of samples `values` (one or three channels, by its quantity) at `times_s`.
+    /// A record of samples `values` (one or three channels, depending on the quantity) at
+    /// `times_s`.
     ///
-    /// Fails where there are fewer than two samples, a number is not finite, a time is not later than the one before, or channels
-    /// differ in length.
+    /// Fails if there are fewer than two samples, a number is not finite, a time is not later than
+    /// the one before, or the channels differ in length.
     pub fn new(quantity: Quantity, times_s: Vec<f64>, values: Vec<Vec<f64>>) -> Result<Self> {
         if times_s.len() < 2 {
             return Err(Error::input(format!(
@@ -75,12 +78,12 @@ impl SensorRecord {
         });
         let integrals = integrals.collect();
         let mut steps: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        // A few lost samples are bridged; a sensor that was silent has nothing to say.
+        // Interpolates over a few lost samples, but not over dropouts.
         let longest_step_s = (5.0 * median(&mut steps).unwrap_or(0.0)).max(0.1);
         Ok(Self { quantity, times_s, channels, integrals, longest_step_s })
     }
 
-    /// What its numbers mean.
+    /// The measured quantity.
     pub fn quantity(&self) -> Quantity {
         self.quantity
     }
@@ -90,24 +93,26 @@ impl SensorRecord {
         (self.times_s[0], self.times_s[self.times_s.len() - 1])
     }
 
-    /// The samples: time in seconds and the value of each channel; headings without jumps of whole turns.
+    /// The samples: time in seconds and the value of each channel; headings are unwrapped.
     pub fn samples(&self) -> impl Iterator<Item = (f64, Vec<f64>)> + '_ {
         let values = |i: usize| self.channels.iter().map(|channel| channel[i]).collect();
         self.times_s.iter().enumerate().map(move |(i, &time_s)| (time_s, values(i)))
     }
 
-    /// The value of a channel at a time, between samples on a straight line; nothing outside the record or in a hole of it.
+    /// Linearly interpolated value of a channel at a time; `None` outside the record and in
+    /// dropouts.
     pub(super) fn at(&self, channel: usize, time_s: f64) -> Option<f64> {
         let (i, since_s, step_s) = self.place(time_s)?;
         let values = &self.channels[channel];
         Some(values[i] + (values[i + 1] - values[i]) * since_s / step_s)
     }
 
-    /// The integral of a channel (of [`Quantity::Way`]: the way) from one time to a later one.
+    /// Integral of a channel (for [`Quantity::Way`] the distance) from one time to a later one;
+    /// `None` outside the record and across dropouts.
     pub(super) fn between(&self, channel: usize, from_s: f64, to_s: f64) -> Option<f64> {
         let (from, to) = (self.place(from_s)?, self.place(to_s)?);
         let hole = |i: usize| self.times_s[i + 1] - self.times_s[i] > self.longest_step_s;
-        // Frames are rarely further apart than a few samples.
+        // The scan is short: consecutive frames are rarely more than a few samples apart.
         if (from.0..=to.0).any(hole) {
             return None;
         }
@@ -125,7 +130,8 @@ impl SensorRecord {
         }
     }
 
-    /// The sample before a time, the time since it, and the time from it to the next.
+    /// Index of the sample before a time, the time since it, and the interval from it to the next
+    /// sample.
     fn place(&self, time_s: f64) -> Option<(usize, f64, f64)> {
         let (first_s, last_s) = self.span_s();
         if !(first_s..=last_s).contains(&time_s) {
@@ -138,7 +144,7 @@ impl SensorRecord {
     }
 }
 
-/// Whole turns are taken out of the steps between samples.
+/// Unwraps angles: removes jumps of whole turns between samples.
 fn unwrap(angles: &mut [f64]) {
     for i in 1..angles.len() {
         let step = crate::geometry::wrap_angle(angles[i] - angles[i - 1]);

@@ -1,4 +1,5 @@
-//! Synthetic odometry with exact truth: paths and sensors from the simulation, without rendering.
+//! Sensor fusion on synthetic odometry with exact ground truth: simulated paths and sensors,
+//! without rendering.
 
 use super::super::PoseSource;
 use super::*;
@@ -10,7 +11,7 @@ use crate::trajectory::Velocity;
 use crate::trajectory::{LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use nalgebra::Matrix6;
 
-/// A drive of which only the poses are asked for.
+/// A simulated drive; only its poses are used.
 fn drive(path: PathKind, speed_m_s: f64, effects: Effects, rig: Rig, seed: u64) -> Simulation {
     Simulation::new(SimulationConfig {
         camera: Camera::from_field_of_view((64, 48), (0.96, 0.72), rig.height_m).unwrap(),
@@ -34,8 +35,8 @@ fn gaussian(random: &mut Random) -> f64 {
 const SIGMA_M: f64 = 5e-5;
 const SIGMA_RAD: f64 = 1e-4;
 
-/// What an odometry makes of a drive: exact up to noise, and in its own frame behind each blackout, where it goes on from `lost_by` beside the
-/// truth.
+/// Simulated odometry of a drive: ground truth plus noise. After each blackout it continues in a
+/// frame displaced by `lost_by` (x and y in metres, heading in radians).
 fn followed(simulation: &Simulation, lost_by: (f64, f64, f64)) -> Vec<FrameEstimate> {
     let blackouts = &simulation.config().effects.blackouts;
     let mut random = Random::new(simulation.config().seed);
@@ -101,10 +102,10 @@ fn report(fusion: &Fusion, sensor: SensorKind) -> &SensorReport {
 }
 
 #[test]
-fn two_dark_seconds_cost_centimetres_with_gyroscope_and_wheel() {
+fn gyroscope_and_wheel_bridge_two_seconds_of_darkness_within_centimetres() {
     let mut square_sum = 0.0;
     for seed in 1..=8 {
-        // Through a bend of the eight at half a metre a second; the camera is mounted at a yaw.
+        // Through a bend of the figure eight at 0.5 m/s, with a mount yaw.
         let rig = Rig { yaw_rad: 0.4, ..Rig::level(0.75) };
         let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
         let simulation = drive(eight, 0.5, dark(6.0, 8.0), rig, seed);
@@ -119,7 +120,7 @@ fn two_dark_seconds_cost_centimetres_with_gyroscope_and_wheel() {
         assert!(fusion.reports.iter().all(|report| report.rejected.is_none()), "{:?}", fusion.reports);
         for (sensor, truth) in [(SensorKind::Gyro, sensors.gyro), (SensorKind::Wheel, sensors.wheel)] {
             let found = report(&fusion, sensor).offset.unwrap();
-            // Found to 5 ms, and not further off than it says.
+            // Accurate to 5 ms and consistent with its standard deviation.
             let off_s = (found.offset_s - truth.offset_s).abs();
             assert!(
                 off_s < 0.005 && off_s < 4.0 * found.sigma_s + 1e-3,
@@ -131,11 +132,11 @@ fn two_dark_seconds_cost_centimetres_with_gyroscope_and_wheel() {
         let known = first.estimate.as_ref().unwrap();
         let off_m = off_m(&simulation, first.time_s, &known.pose);
         let sigma_m = (known.covariance[(0, 0)] + known.covariance[(1, 1)]).sqrt();
-        // One metre of dark: three centimetres, and within three of the deviations that it tells.
+        // After one metre in the dark: within 3 cm and within three standard deviations.
         assert!(off_m < 0.03 && off_m < 3.0 * sigma_m, "seed {seed}: {off_m} m, sigma {sigma_m} m");
         assert!(sigma_m < 0.03, "{sigma_m}");
         square_sum += off_m.powi(2) / sigma_m.powi(2);
-        // Every frame in the dark has a place, as good.
+        // Every frame in the dark has a pose of the same accuracy.
         let path = fusion.smooth(&FilterConfig::default());
         assert_eq!(path.len(), frames.len());
         for frame in path.iter().filter(|frame| (6.0..8.0).contains(&frame.time_s)) {
@@ -145,14 +146,15 @@ fn two_dark_seconds_cost_centimetres_with_gyroscope_and_wheel() {
             assert!(off_m < 0.03, "{off_m} at {}", frame.time_s);
         }
     }
-    // The mean square of eight, by chi square with 16 degrees of freedom between 0.3 and 2.2 in 99 % of cases; the deviations add up the
-    // noise of cheap sensors as white, which is a little more than there is.
+    // For eight runs, χ² with 16 degrees of freedom puts the mean normalised squared error between
+    // 0.3 and 2.2 in 99 % of cases. The lower bound is wider, because modelling the noise of cheap
+    // sensors as white slightly overestimates the variance.
     let mean = square_sum / 8.0;
     assert!((0.02..2.2).contains(&mean), "{mean}");
 }
 
 #[test]
-fn a_sensor_that_lies_is_rejected_and_the_others_are_believed() {
+fn faulty_sensors_are_rejected_and_the_others_accepted() {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
     let simulation = drive(eight, 0.5, dark(6.0, 8.0), Rig::level(0.75), 3);
     let frames = followed(&simulation, (0.4, -0.3, 0.3));
@@ -217,7 +219,7 @@ fn without_sensors_and_without_gaps_nothing_changes() {
 }
 
 #[test]
-fn the_clock_of_a_compass_is_found_and_that_of_an_idle_range_finder_is_not_claimed() {
+fn clock_offsets_are_estimated_only_where_observable() {
     for seed in 1..=4 {
         let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
         let simulation = drive(eight, 0.5, Effects::default(), Rig::level(0.75), seed);
@@ -231,14 +233,14 @@ fn the_clock_of_a_compass_is_found_and_that_of_an_idle_range_finder_is_not_claim
             "{found:?}, truth {}",
             sensors.heading.offset_s
         );
-        // The height does not change: nothing tells the range finder's offset.
+        // The height is constant, so the range finder's clock offset is unobservable.
         let found = report(&fusion, SensorKind::Range).offset.unwrap();
         assert!(found.offset_s == 0.0 && found.sigma_s.is_infinite(), "{found:?}");
     }
 }
 
 #[test]
-fn a_gyroscope_mounted_anyhow_is_found_by_its_three_axes() {
+fn a_three_axis_gyroscope_is_calibrated_for_any_orientation() {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
     let simulation = drive(eight, 0.5, dark(6.0, 8.0), Rig::level(0.75), 5);
     let frames = followed(&simulation, (0.4, -0.3, 0.3));
@@ -255,7 +257,8 @@ fn a_gyroscope_mounted_anyhow_is_found_by_its_three_axes() {
     let fusion = fuse(&frames, &Sensors { gyro: Some(gyro), wheel: records.wheel, ..Sensors::default() });
     let found = report(&fusion, SensorKind::Gyro);
     assert_eq!(found.rejected, None);
-    // The carrier turns about one axis only: what the factors make of that one is all that can be found, and all that is needed.
+    // The carrier rotates about one axis only: just the scale along that axis is observable, and no
+    // more is needed.
     let along: f64 =
         found.parameters.iter().zip(axis).map(|(parameter, truth)| parameter.value * truth).sum();
     assert!((along - 1.0).abs() < 0.03, "{found:?}");
@@ -265,8 +268,8 @@ fn a_gyroscope_mounted_anyhow_is_found_by_its_three_axes() {
 }
 
 #[test]
-fn a_compass_holds_the_heading_that_the_camera_loses() {
-    // A camera whose heading goes astray at random, 0.6 degrees in a second's root, and that knows it.
+fn a_compass_bounds_the_heading_drift_of_the_camera() {
+    // The camera's heading drifts as a random walk of 0.6°/√s, with a consistent covariance.
     let rig = Rig::level(0.75);
     let walk = PathKind::RandomWalk { length_m: 60.0, seed: 4 };
     let simulation = drive(walk, 0.25, Effects::default(), rig, 7);
@@ -307,13 +310,14 @@ fn a_compass_holds_the_heading_that_the_camera_loses() {
             }
         }
     }
-    // Squares: a third of the heading's error, and half of the position's.
+    // Squared errors: the heading error falls to a third, the position error to a half.
     assert!(fused[1] < 0.11 * alone[1] && fused[0] < 0.25 * alone[0], "{alone:?} {fused:?}");
 }
 
 #[test]
-fn a_range_finder_bounds_the_drift_of_the_scale() {
-    // A camera whose height and steps grow by 8 % over the drive, and that knows that they may.
+fn a_range_finder_bounds_scale_drift() {
+    // The camera's height and translations grow by 8 % over the drive, within its stated
+    // covariance.
     let rig = Rig::level(0.75);
     let effects =
         Effects { height_change: Some(Wander { amplitude: 0.1, period_s: 6.0 }), ..Effects::default() };
@@ -340,12 +344,12 @@ fn a_range_finder_bounds_the_drift_of_the_scale() {
         "{found:?} {:?}",
         sensors.range
     );
-    // The camera is as far above the sensor as the sensor's zero is below 0.
+    // The height of the camera above the sensor is minus the sensor's bias.
     assert!((found.parameters[0].value + sensors.range.zero).abs() < 0.005, "{found:?} {:?}", sensors.range);
     let last = |frames: &[FrameEstimate]| {
         off_m(&simulation, last_s, &frames.last().unwrap().estimate.as_ref().unwrap().pose)
     };
     assert!(last(&frames) > 0.7, "{}", last(&frames));
-    // 20 m to half a percent.
+    // 0.5 % of 20 m.
     assert!(last(&fusion.frames) < 0.1, "{}", last(&fusion.frames));
 }

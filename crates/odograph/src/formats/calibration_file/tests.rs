@@ -4,7 +4,7 @@ use crate::camera::{Camera, Distortion};
 use crate::simulation::{BoardScene, Framing};
 
 #[test]
-fn the_camera_comes_back_and_the_rest_is_there() {
+fn calibration_files_round_trip_the_camera_and_list_its_quality() {
     let distortion = Distortion::from_opencv(&[-0.15, 0.03, 0.0, 0.0]).unwrap();
     let truth = Camera::new((320, 240), (300.0, 300.0), (162.0, 118.0), distortion).unwrap();
     let board: Board = "chessboard:7x5:30mm".parse().unwrap();
@@ -27,7 +27,7 @@ fn the_camera_comes_back_and_the_rest_is_there() {
 }
 
 #[test]
-fn what_is_no_number_and_what_breaks_lines_stays_readable() {
+fn non_finite_numbers_and_control_characters_are_escaped() {
     assert_eq!(real(f64::NAN), ".Nan");
     assert_eq!(real(f64::NEG_INFINITY), "-.Inf");
     assert_eq!(real(1e-5), "1.0e-5");

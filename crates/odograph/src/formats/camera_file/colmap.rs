@@ -1,14 +1,15 @@
-//! COLMAP's `cameras.txt`: one camera a line, `CAMERA_ID MODEL WIDTH HEIGHT PARAMS…`.
+//! COLMAP's `cameras.txt`: one camera per line, `CAMERA_ID MODEL WIDTH HEIGHT PARAMS…`.
 
 use super::checked_camera;
 use super::writing::{number, refuse_double_sphere};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
 
-/// COLMAP puts (0, 0) at the outer corner of the top-left pixel, whose centre is (0.5, 0.5).
+/// COLMAP's pixel convention: (0, 0) is the outer corner of the top-left pixel, whose centre is
+/// (0.5, 0.5).
 const PIXEL_CENTRE: f64 = 0.5;
 
-/// Whether the text looks like `cameras.txt` rather than like YAML.
+/// Whether the text looks like `cameras.txt` and not like YAML.
 pub(super) fn recognised(text: &str) -> bool {
     lines(text).next().is_some_and(|(_, line)| {
         let words: Vec<_> = line.split_whitespace().take(4).collect();
@@ -20,7 +21,7 @@ pub(super) fn recognised(text: &str) -> bool {
     })
 }
 
-/// Reads the only camera of the text.
+/// Reads the camera; fails unless the text has exactly one.
 pub(super) fn parse(text: &str) -> Result<Camera> {
     let count = lines(text).count();
     let Some((number, line)) = lines(text).next().filter(|_| count == 1) else {
@@ -70,7 +71,7 @@ pub(super) fn parse(text: &str) -> Result<Camera> {
     )
 }
 
-/// The text of a `cameras.txt` with this camera as its camera 1.
+/// Writes a `cameras.txt` with the camera as camera 1.
 pub(super) fn write(camera: &Camera) -> Result<String> {
     refuse_double_sphere(camera, "COLMAP")?;
     let (fx, fy) = camera.focal_px();
@@ -95,7 +96,7 @@ pub(super) fn write(camera: &Camera) -> Result<String> {
     ))
 }
 
-/// The supported models with their numbers of parameters.
+/// Supported models and their numbers of parameters.
 const EXPECTED: [(&str, usize); 7] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
@@ -108,8 +109,8 @@ const EXPECTED: [(&str, usize); 7] = [
 
 type Pair = (f64, f64);
 
-/// Focal lengths, principal point and distortion of a model from COLMAP's `sensor/models.h`; `None` for an unknown model or a
-/// wrong number of parameters.
+/// Focal lengths, principal point and distortion of a model of COLMAP's `sensor/models.h`; `None`
+/// for an unknown model or a wrong number of parameters.
 fn lens(model: &str, parameters: &[f64]) -> Option<(Pair, Pair, Distortion)> {
     let brown = |k: &[f64]| Distortion::from_opencv(k);
     Some(match (model, parameters) {
@@ -126,7 +127,7 @@ fn lens(model: &str, parameters: &[f64]) -> Option<(Pair, Pair, Distortion)> {
     })
 }
 
-/// The lines that hold something, with their numbers from 1.
+/// Lines that are neither empty nor comments, with their numbers from 1.
 fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let numbered = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
     numbered.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))

@@ -1,9 +1,11 @@
-//! Camera files as people already have them.
+//! Camera files in common formats.
 //!
-//! Read: OpenCV FileStorage YAML (and its JSON), ROS `camera_info` YAML, a Kalibr camchain with one camera, EuRoC's
-//! `sensor.yaml`, COLMAP's `cameras.txt`. Written: the forms of [`CameraFormat`]. Keys that are not ours are ignored.
+//! Read: OpenCV FileStorage YAML (and its JSON), ROS `camera_info` YAML, a Kalibr camchain with one
+//! camera, EuRoC's `sensor.yaml`, COLMAP's `cameras.txt`. Written: the formats of [`CameraFormat`].
+//! Unknown keys are ignored.
 //!
-//! Principal points follow OpenCV: pixel centres at integers. COLMAP's are half a pixel larger and are brought over.
+//! Principal points follow OpenCV's convention that pixel centres are at integers. COLMAP's are
+//! half a pixel larger and are converted.
 
 mod colmap;
 mod uncertainty;
@@ -20,13 +22,14 @@ use crate::error::{Error, Result};
 use std::fmt::Write;
 use writing::{model_and_coefficients, numbers};
 
-/// Reads a camera from the text of a camera file, in any of the forms that the [module](self) names.
+/// Reads a camera from a camera file in any of the formats of the [module](self).
 ///
-/// `fallback_size` is the image size (width, height) in pixels to use where the text names none; a size in the text wins.
+/// `fallback_size` is the image size (width, height) in pixels for a file that has none; a size in
+/// the file takes precedence.
 ///
-/// Fails, naming the key and the value, where a number is missing, not finite or not a number, a focal length is not
-/// positive, the pixels are skewed, the lens model is none of [`Distortion`], the text holds several cameras, or neither text
-/// nor caller tells the image size.
+/// Fails, naming the key and the value, if a number is missing, not finite or not a number, a focal
+/// length is not positive, the skew is not zero, the lens model is not one of [`Distortion`], the
+/// file has several cameras, or the image size is unknown.
 pub fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera> {
     let text = text.trim_start_matches('\u{feff}').trim();
     if text.is_empty() {
@@ -40,10 +43,10 @@ pub fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera
     if colmap::recognised(text) { colmap::parse(text) } else { yaml::parse(text, fallback_size) }
 }
 
-/// The text of an OpenCV FileStorage YAML file that describes the camera; [`parse`] returns the identical camera.
+/// Writes the camera as OpenCV FileStorage YAML; [`parse`] returns the identical camera.
 ///
-/// `distortion_model` names the lens model as ROS does (`none`, `plumb_bob`, `rational_polynomial`, `equidistant`) or,
-/// for the double sphere (ξ, α), `double_sphere`.
+/// `distortion_model` is the lens model by its ROS name (`none`, `plumb_bob`,
+/// `rational_polynomial`, `equidistant`) or `double_sphere` (ξ, α).
 pub fn write(camera: &Camera) -> String {
     let (fx, fy) = camera.focal_px();
     let (cx, cy) = camera.principal_px();
@@ -68,7 +71,7 @@ fn write_matrix(text: &mut String, key: &str, rows: usize, data: &[f64]) {
     );
 }
 
-/// [`Camera::new`] with the place of the numbers put before its sentence.
+/// [`Camera::new`], with the location of the numbers prefixed to its error message.
 fn checked_camera(
     place: &str,
     size: (usize, usize),

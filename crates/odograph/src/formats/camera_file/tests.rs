@@ -35,7 +35,7 @@ fn opencv_yaml_is_read() {
 }
 
 #[test]
-fn the_four_other_families_are_read() {
+fn ros_kalibr_euroc_colmap_and_json_are_read() {
     let expected = camera(Distortion::from_opencv(&[0.1, -0.02, 0.001, 0.002]).unwrap());
     let ros = "image_width: 640\nimage_height: 480\ncamera_name: head\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [500, 0, 320, 0, 501, 240, 0, 0, 1]\n\
                distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 4\n  data: [0.1, -0.02, 0.001, 0.002]\n\
@@ -56,7 +56,7 @@ fn the_four_other_families_are_read() {
 }
 
 #[test]
-fn colmap_models_are_read_with_their_half_pixel() {
+fn colmap_principal_points_are_shifted_by_half_a_pixel() {
     for (line, distortion) in [
         ("7 SIMPLE_PINHOLE 640 480 500 320.5 240.5", Distortion::None),
         ("7 PINHOLE 640 480 500 501 320.5 240.5", Distortion::None),
@@ -95,7 +95,7 @@ fn fisheye_is_recognised_by_any_of_its_names() {
 }
 
 #[test]
-fn the_callers_size_stands_in_only_where_the_file_has_none() {
+fn fallback_size_is_used_only_without_size_in_file() {
     let text = "K: [500, 0, 320, 0, 501, 240, 0, 0, 1]\nD: [0, 0, 0, 0]\n";
     let error = parse(text, None).unwrap_err().to_string();
     assert!(error.contains("add `image_width:` and `image_height:`"), "{error}");
@@ -104,7 +104,7 @@ fn the_callers_size_stands_in_only_where_the_file_has_none() {
 }
 
 #[test]
-fn what_is_wrong_is_said_with_key_and_value() {
+fn errors_name_the_key_and_the_value() {
     let with = |from: &str, to: &str| {
         assert!(OPENCV.contains(from), "{from}");
         OPENCV.replacen(from, to, 1)

@@ -1,14 +1,15 @@
-//! What a camera file says about how well its camera is known.
+//! Covariance of a camera's calibration parameters in a camera file.
 
 use super::value::Value;
 use crate::error::{Error, Result};
 use crate::mounting::CameraUncertainty;
 use nalgebra::DMatrix;
 
-/// The covariance that a calibration wrote into its camera file under `parameter_names` and `parameter_covariance`; `None` where the text
-/// has neither, as the files of other programs.
+/// Reads the covariance that a calibration has written under `parameter_names` and
+/// `parameter_covariance`; `None` if the file has neither, as files of other programs, or is not
+/// YAML.
 ///
-/// Fails where one is there without the other, or they are not what they should be. Of text that is no YAML it says nothing.
+/// Fails if only one of the two keys is present or their values are invalid.
 pub fn parse_uncertainty(text: &str) -> Result<Option<CameraUncertainty>> {
     let text = text.trim_start_matches('\u{feff}').trim();
     let as_comment = text.strip_prefix('%').map(|rest| format!("#{rest}"));
@@ -40,5 +41,5 @@ pub fn parse_uncertainty(text: &str) -> Result<Option<CameraUncertainty>> {
     CameraUncertainty::new(names, DMatrix::from_row_slice(n, n, &covariance)).map(Some)
 }
 
-/// No camera has more.
+/// Largest accepted number of parameters, far beyond any camera model.
 const MOST_PARAMETERS: usize = 64;

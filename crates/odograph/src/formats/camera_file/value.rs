@@ -1,14 +1,15 @@
-//! A YAML text as a tree of plain values, within bounds.
+//! YAML parsed to a tree of plain values, with bounded size and depth.
 
 use crate::error::{Error, Result};
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_saphyr::options::NonFiniteFloatPolicy;
 use std::fmt;
 
-/// Camera files are small; with every board corner of a long calibration they stay below this.
+/// Largest accepted file size, bytes. Camera files are small; even one with every board corner of a
+/// long calibration is below this.
 const MAX_BYTES: usize = 16 << 20;
 
-/// What the parser found wrong, for a person who wrote or exported a file and does not know the parser.
+/// Error message of the parser, for users who do not know the parser.
 fn sentence(error: &serde_saphyr::Error) -> String {
     use serde_saphyr::Error::{Budget, DuplicateMappingKey, MultipleDocuments};
     let line = error.location().map_or_else(String::new, |location| format!(" (line {})", location.line()));
@@ -24,7 +25,7 @@ fn sentence(error: &serde_saphyr::Error) -> String {
                 "the camera file is larger or nested deeper than any calibration{line}; is this the right file?"
             )
         }
-        // The parser's own message may run over several lines.
+        // Collapses a message of several lines to one.
         other => {
             let message = other.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
             format!(
@@ -35,12 +36,12 @@ fn sentence(error: &serde_saphyr::Error) -> String {
     }
 }
 
-/// The beginning of a text, for a sentence.
+/// The first characters of a text, for an error message.
 fn shown(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(40).collect()
 }
 
-/// A node of the tree.
+/// A node of the YAML tree.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Value {
     Nothing,
@@ -52,7 +53,7 @@ pub(super) enum Value {
 }
 
 impl Value {
-    /// The tree of a YAML text (JSON is YAML too).
+    /// Parses YAML (of which JSON is a subset).
     pub(super) fn parse(text: &str) -> Result<Self> {
         if text.len() > MAX_BYTES {
             return Err(Error::input(format!(
@@ -68,7 +69,7 @@ impl Value {
         serde_saphyr::from_str_with_options(text, options).map_err(|error| Error::input(sentence(&error)))
     }
 
-    /// The value of a key, where this is a map that has it.
+    /// Value of a key; `None` if the node is not a map or has no such key.
     pub(super) fn get(&self, key: &str) -> Option<&Value> {
         match self {
             Self::Map(entries) => entries.iter().find(|(name, _)| name == key).map(|(_, value)| value),
@@ -76,12 +77,12 @@ impl Value {
         }
     }
 
-    /// The first of several spellings of a key that is there, with its value.
+    /// The first of several spellings of a key that is present, with its value.
     pub(super) fn first_of<'a>(&self, keys: &[&'a str]) -> Option<(&'a str, &Value)> {
         keys.iter().find_map(|key| self.get(key).map(|value| (*key, value)))
     }
 
-    /// A finite number; `name` is what the sentence calls it.
+    /// A finite number; `name` is its name in the error message.
     pub(super) fn number(&self, name: &str) -> Result<f64> {
         match self {
             Self::Number(number) if number.is_finite() => Ok(*number),
@@ -89,7 +90,7 @@ impl Value {
         }
     }
 
-    /// A positive whole number of pixels.
+    /// An image size: a positive integer, pixels.
     pub(super) fn pixels(&self, name: &str) -> Result<usize> {
         let number = self.number(name)?;
         if number.fract() == 0.0 && (1.0..=65_536.0).contains(&number) {
@@ -98,7 +99,8 @@ impl Value {
         Err(Error::input(format!("{name} is {number}; it must be a whole number of pixels from 1 to 65536")))
     }
 
-    /// All numbers of a list, of a list of lists, or of a matrix with `rows`, `cols` and `data`, in row order.
+    /// The numbers of a list, a list of lists, or a matrix with `rows`, `cols` and `data`, in
+    /// row-major order.
     pub(super) fn numbers(&self, name: &str) -> Result<Vec<f64>> {
         match self {
             Self::List(items) => {

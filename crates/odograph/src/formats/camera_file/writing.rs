@@ -1,4 +1,4 @@
-//! Cameras as text, in the forms that other programs read.
+//! Writes camera files in the formats of other programs.
 
 use super::colmap;
 use crate::camera::{Camera, Distortion};
@@ -6,12 +6,13 @@ use crate::error::{Error, Result};
 use std::fmt::{self, Write};
 use std::str::FromStr;
 
-/// A form in which a camera file can be written.
+/// Output format of a camera file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CameraFormat {
     /// OpenCV FileStorage YAML.
     OpenCv,
-    /// ROS `camera_info` YAML, as `camera_calibration` writes it and `camera_info_manager` reads it.
+    /// ROS `camera_info` YAML, as `camera_calibration` writes it and `camera_info_manager` reads
+    /// it.
     Ros,
     /// A Kalibr `camchain.yaml` with one camera.
     Kalibr,
@@ -20,12 +21,13 @@ pub enum CameraFormat {
 }
 
 impl CameraFormat {
-    /// Every format with its name.
+    /// All formats with their names.
     pub const NAMED: [(&'static str, Self); 4] =
         [("opencv", Self::OpenCv), ("ros", Self::Ros), ("kalibr", Self::Kalibr), ("colmap", Self::Colmap)];
 
-    /// The format that a file's name makes clear: `.txt` is COLMAP's, a name with `camchain` or `kalibr` Kalibr's, one with
-    /// `camera_info` or `ros` ROS's, one with `opencv` and any `.yml` OpenCV's. `None` for other names: three of the formats are YAML.
+    /// Infers the format from a file name: `.txt` is COLMAP; a name with `camchain` or `kalibr` is
+    /// Kalibr; one with `camera_info` or `ros` is ROS; one with `opencv` or the extension `.yml` is
+    /// OpenCV. `None` for other names, because three of the formats are YAML.
     pub fn of_file_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         let words: Vec<&str> = name.split(|c: char| !c.is_ascii_alphanumeric()).collect();
@@ -61,11 +63,12 @@ impl FromStr for CameraFormat {
     }
 }
 
-/// The text of a camera file of the given format; [`super::parse`] returns the same camera (a pinhole may come back as a lens whose
-/// coefficients are all zero, and COLMAP's principal point rounded to a millionth of a millionth of a pixel).
+/// Writes a camera file in the given format. [`super::parse`] returns the same camera, except that
+/// a pinhole may come back as a lens with zero coefficients, and that COLMAP's principal point is
+/// rounded to 1e-12 pixels.
 ///
-/// Fails, naming the lens model or the coefficient, where the format cannot express the camera: Kalibr's `radtan` has no k3 to k6, and
-/// OpenCV, ROS and COLMAP know no double-sphere lens.
+/// Fails, naming the lens model or the coefficient, if the format cannot represent the camera:
+/// Kalibr's `radtan` has no k3 to k6, and OpenCV, ROS and COLMAP have no double sphere model.
 pub fn write_as(camera: &Camera, format: CameraFormat) -> Result<String> {
     match format {
         CameraFormat::OpenCv => {
@@ -78,7 +81,7 @@ pub fn write_as(camera: &Camera, format: CameraFormat) -> Result<String> {
     }
 }
 
-/// The lens model by ROS's name and its coefficients in the order that OpenCV and ROS share.
+/// ROS name of the lens model, and its coefficients in the common order of OpenCV and ROS.
 pub(super) fn model_and_coefficients(camera: &Camera) -> (&'static str, Vec<f64>) {
     let all = camera.distortion().coefficients();
     match *camera.distortion() {
@@ -97,7 +100,7 @@ fn ros(camera: &Camera) -> Result<String> {
     let (fx, fy) = camera.focal_px();
     let (cx, cy) = camera.principal_px();
     let (model, coefficients) = model_and_coefficients(camera);
-    // ROS has no name for a lens without distortion; its own drivers give this one with zeros.
+    // ROS has no model without distortion; its own drivers use plumb_bob with zero coefficients.
     let model = if model == "none" { "plumb_bob" } else { model };
     let mut text = format!("image_width: {}\nimage_height: {}\n", camera.width(), camera.height());
     text.push_str("camera_name: camera\n");
@@ -111,7 +114,7 @@ fn ros(camera: &Camera) -> Result<String> {
     matrix("camera_matrix", 3, &[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
     matrix("distortion_coefficients", 1, &coefficients);
     matrix("rectification_matrix", 3, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-    // The rectified image keeps focal lengths and principal point.
+    // The rectified image keeps the focal lengths and the principal point.
     matrix("projection_matrix", 3, &[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
     Ok(text)
 }
@@ -128,7 +131,7 @@ fn kalibr(camera: &Camera) -> Result<String> {
         Distortion::KannalaBrandt { k1, k2, k3, k4 } => {
             ("pinhole", vec![fx, fy, cx, cy], "equidistant", vec![k1, k2, k3, k4])
         }
-        // Kalibr's double sphere carries its two numbers before the focal lengths.
+        // In Kalibr's double sphere model, xi and alpha precede the focal lengths.
         Distortion::DoubleSphere { xi, alpha } => ("ds", vec![xi, alpha, fx, fy, cx, cy], "none", vec![]),
     };
     Ok(format!(
@@ -141,7 +144,7 @@ fn kalibr(camera: &Camera) -> Result<String> {
     ))
 }
 
-/// Fails, naming the first, where one of the coefficients that `model` does not have is not zero.
+/// Fails, naming the first, if a coefficient that `model` does not have is not zero.
 fn refuse_any(model: &str, coefficients: &[(&str, f64)]) -> Result<()> {
     match coefficients.iter().find(|(_, value)| *value != 0.0) {
         None => Ok(()),
@@ -152,7 +155,7 @@ fn refuse_any(model: &str, coefficients: &[(&str, f64)]) -> Result<()> {
     }
 }
 
-/// Fails for a double-sphere lens, which of these programs only Kalibr knows.
+/// Fails for a double sphere lens; of these programs only Kalibr supports it.
 pub(super) fn refuse_double_sphere(camera: &Camera, program: &str) -> Result<()> {
     match camera.distortion() {
         Distortion::DoubleSphere { .. } => Err(Error::usage(format!(
@@ -162,13 +165,14 @@ pub(super) fn refuse_double_sphere(camera: &Camera, program: &str) -> Result<()>
     }
 }
 
-/// Numbers with commas between.
+/// Comma-separated numbers.
 pub(super) fn numbers(values: &[f64]) -> String {
     values.iter().map(|&value| number(value)).collect::<Vec<_>>().join(", ")
 }
 
-/// The shortest digits that read back as the same number, always with a point, and with a sign in the exponent: without either, YAML
-/// 1.1 (Python's reader, and so Kalibr's and ROS's) takes `1e-5` for a word.
+/// Shortest decimal representation that round-trips, always with a decimal point and an explicit
+/// exponent sign. Without these, YAML 1.1 (Python's reader, hence Kalibr's and ROS's) parses `1e-5`
+/// as a string.
 pub(in crate::formats) fn number(value: f64) -> String {
     let shortest = format!("{value:?}");
     let Some((mantissa, exponent)) = shortest.split_once('e') else {

@@ -1,4 +1,4 @@
-//! Cameras out of YAML: OpenCV, ROS, Kalibr and EuRoC, told apart by their keys.
+//! Cameras in YAML: OpenCV, ROS, Kalibr and EuRoC, distinguished by their keys.
 
 use super::checked_camera;
 use super::value::Value;
@@ -41,7 +41,8 @@ const SIZE_LIST_KEYS: [&str; 6] =
     ["imageSize", "image_size", "img_size", "image_resolution", "resolution", "size"];
 
 pub(super) fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera> {
-    // OpenCV before version 3 and EuRoC write `%YAML:1.0` without the `---` that YAML wants after it: as a comment it does no harm.
+    // OpenCV before version 3 and EuRoC write `%YAML:1.0` without the `---` that YAML requires
+    // after a directive; turned into a comment, it is harmless.
     let as_comment = text.strip_prefix('%').map(|rest| format!("#{rest}"));
     let text = as_comment.as_deref().unwrap_or(text);
     // `rostopic echo` ends each message with a document separator.
@@ -68,7 +69,7 @@ pub(super) fn parse(text: &str, fallback_size: Option<(usize, usize)>) -> Result
     }
 }
 
-/// The camera of one map; `prefix` is put before its keys in sentences.
+/// The camera of one map; `prefix` precedes its keys in error messages.
 fn camera(map: &Value, prefix: &str, fallback_size: Option<(usize, usize)>) -> Result<Camera> {
     let double_sphere = kalibrs_double_sphere(map, prefix)?;
     let (place, focal_px, principal_px) = intrinsics(map, prefix)?;
@@ -82,8 +83,8 @@ fn camera(map: &Value, prefix: &str, fallback_size: Option<(usize, usize)>) -> R
         .with_readout_s(readout_s(map, prefix, size.1)?)
 }
 
-/// The readout time of the image, seconds: `readout_time_s`, or Kalibr's `line_delay` from one row to
-/// the next.
+/// Readout time of the shutter, seconds: from `readout_time_s`, or from Kalibr's `line_delay` per
+/// row.
 fn readout_s(map: &Value, prefix: &str, rows: usize) -> Result<Option<f64>> {
     let read = |key: &str, scale: f64| -> Result<Option<f64>> {
         let Some(value) = map.get(key) else { return Ok(None) };
@@ -106,7 +107,7 @@ fn readout_s(map: &Value, prefix: &str, rows: usize) -> Result<Option<f64>> {
 
 type Pair = (f64, f64);
 
-/// Where the focal lengths stand, the focal lengths, and the principal point.
+/// Location of the intrinsics in the file (for error messages), focal lengths and principal point.
 fn intrinsics(map: &Value, prefix: &str) -> Result<(String, Pair, Pair)> {
     if let Some(list) = map.get("intrinsics") {
         let place = format!("{prefix}intrinsics");
@@ -146,7 +147,8 @@ fn intrinsics(map: &Value, prefix: &str) -> Result<(String, Pair, Pair)> {
     }
 }
 
-/// Kalibr's camera model `ds`, whose intrinsics begin with xi and alpha and which knows no distortion beside them.
+/// Kalibr's camera model `ds`, whose intrinsics begin with xi and alpha and which has no further
+/// distortion.
 fn kalibrs_double_sphere(map: &Value, prefix: &str) -> Result<Option<Distortion>> {
     let place = format!("{prefix}intrinsics");
     let intrinsics = map.get("intrinsics").map(|list| list.numbers(&place)).transpose()?;
@@ -181,7 +183,7 @@ fn from_matrix(place: String, matrix: [f64; 9]) -> Result<(String, Pair, Pair)> 
     Ok((place, (fx, fy), (cx, cy)))
 }
 
-/// Why there is no camera matrix: a stereo file, or something else altogether.
+/// Explains a missing camera matrix: a stereo file, or a file without a camera.
 fn no_matrix(map: &Value) -> Error {
     const PAIRS: [(&str, &str); 5] = [
         ("M1", "M2"),
@@ -209,7 +211,7 @@ fn no_matrix(map: &Value) -> Error {
     ))
 }
 
-/// The families of lens models that the names in camera files stand for.
+/// Families of lens models by their names in camera files.
 enum LensFamily {
     None,
     BrownConrady,
@@ -230,7 +232,7 @@ fn distortion(map: &Value, prefix: &str) -> Result<Distortion> {
         };
     };
     let place = format!("{prefix}{key}");
-    // ROS leaves the list empty for rectified images.
+    // ROS writes an empty list for rectified images.
     let numbers = if *value == Value::Nothing { vec![] } else { value.numbers(&place)? };
     let all_zero = numbers.iter().all(|&number| number == 0.0);
     match family {
@@ -256,7 +258,8 @@ fn distortion(map: &Value, prefix: &str) -> Result<Distortion> {
     }
 }
 
-/// OpenCV's 0, 4, 5 or 8 coefficients; of the 12 (thin prism) and 14 (tilted sensor) those beyond the 8th must be zero.
+/// OpenCV's 0, 4, 5 or 8 coefficients; of its 12 (thin prism) or 14 (tilted sensor) those after the
+/// 8th must be zero.
 fn brown_conrady(place: &str, numbers: &[f64]) -> Result<Distortion> {
     let used = match numbers {
         [used @ .., a, b, c, d] if numbers.len() == 12 && [a, b, c, d] == [&0.0; 4] => used,
@@ -275,7 +278,7 @@ fn brown_conrady(place: &str, numbers: &[f64]) -> Result<Distortion> {
     })
 }
 
-/// What the text says about the lens model; `None` where it says nothing.
+/// The lens model named in the file; `None` if there is none.
 fn lens_family(map: &Value, prefix: &str) -> Result<Option<LensFamily>> {
     let mut family = None;
     for key in ["camera_model", "distortion_model"] {
@@ -287,7 +290,7 @@ fn lens_family(map: &Value, prefix: &str) -> Result<Option<LensFamily>> {
             }
         };
         let said = match name.as_str() {
-            // "pinhole" says how rays meet the sensor, not how they are bent before.
+            // "pinhole" is the projection; it does not specify the distortion.
             "" | "pinhole" | "perspective" => continue,
             "none" | "no_distortion" => LensFamily::None,
             "plumb_bob"
@@ -311,7 +314,7 @@ fn lens_family(map: &Value, prefix: &str) -> Result<Option<LensFamily>> {
         };
         family = Some(said);
     }
-    // OpenCV's calibration sample writes this flag.
+    // Flag of OpenCV's calibration sample.
     let flagged = match map.get("fisheye_model") {
         Some(Value::Truth(flag)) => *flag,
         Some(Value::Number(flag)) => *flag != 0.0,

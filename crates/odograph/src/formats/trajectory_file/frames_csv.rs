@@ -1,24 +1,25 @@
-//! The frames of a run as a table for people and spreadsheets.
+//! The frames of a run as CSV for people and spreadsheets.
 
 use crate::filter::SmoothedFrame;
 use crate::trajectory::FrameEstimate;
 use std::fmt::Write;
 
-/// The names of the columns of frames, with the line's end. Units are in the names, angles in degrees, counter-clockwise positive.
+/// Header line of the frames table, with its newline. Units are in the column names; angles are in
+/// degrees, counter-clockwise positive.
 ///
-/// The standard deviations are against the start of the run. `keyframe` is 0 or 1, `status` is `tracked` or `lost:` with the
-/// reason. A cell is empty where the quantity is not known.
+/// The standard deviations are relative to the start of the run. `keyframe` is 0 or 1; `status` is
+/// `tracked`, or `lost:` with the reason. Unknown quantities have empty cells.
 pub const FRAMES_HEADER: &str = "frame,time_s,x_m,y_m,heading_deg,height_m,roll_deg,pitch_deg,speed_m_s,heading_rate_deg_s,\
                       sigma_x_m,sigma_y_m,sigma_heading_deg,tracks,inliers,residual_px,keyframe,segment,status\n";
 
-/// One line a frame ([`frame_line`]), the first line names the columns ([`FRAMES_HEADER`]).
+/// The frames as CSV: the header ([`FRAMES_HEADER`]), then one line per frame ([`frame_line`]).
 pub fn csv_from_frames(frames: &[FrameEstimate]) -> String {
     let mut text = String::from(FRAMES_HEADER);
     frames.iter().for_each(|frame| text.push_str(&frame_line(frame)));
     text
 }
 
-/// A frame as a line of the table, with its end.
+/// A frame as a line of the table, with its newline.
 pub fn frame_line(frame: &FrameEstimate) -> String {
     let mut text = format!("{},{}", frame.frame, cell(Some(frame.time_s), 9));
     let estimate = frame.estimate.as_ref();
@@ -54,11 +55,12 @@ pub fn frame_line(frame: &FrameEstimate) -> String {
     text
 }
 
-/// The names of the columns of smoothed frames, with the line's end, in the units of [`FRAMES_HEADER`]. `source` is `measured`, `bridged` or `sensors`.
+/// Header line of the table of smoothed frames, with its newline, in the units of
+/// [`FRAMES_HEADER`]. `source` is `measured`, `bridged` or `sensors`.
 pub const SMOOTHED_HEADER: &str = "frame,time_s,x_m,y_m,heading_deg,height_m,roll_deg,pitch_deg,speed_m_s,heading_rate_deg_s,\
                                sigma_x_m,sigma_y_m,sigma_heading_deg,segment,source\n";
 
-/// A smoothed frame as a line of the table, with its end.
+/// A smoothed frame as a line of the table, with its newline.
 pub fn smoothed_line(frame: &SmoothedFrame) -> String {
     let (pose, velocity) = (&frame.pose, &frame.velocity);
     let sigma = |index: usize| frame.covariance[(index, index)].max(0.0).sqrt();
@@ -82,7 +84,7 @@ pub fn smoothed_line(frame: &SmoothedFrame) -> String {
     text
 }
 
-/// A finite number with the given count of decimals, or nothing.
+/// A finite number with the given number of decimals, otherwise an empty cell.
 fn cell(value: Option<f64>, decimals: usize) -> String {
     value.filter(|value| value.is_finite()).map_or_else(String::new, |value| format!("{value:.decimals$}"))
 }

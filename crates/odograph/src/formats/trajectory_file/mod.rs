@@ -1,8 +1,10 @@
-//! Trajectories as text.
+//! Trajectory files.
 //!
-//! * **TUM** (`time x y z qx qy qz qw` a line): seconds, metres, the rotation and translation of `world_from_camera`.
-//! * **KITTI** (the 12 numbers of the upper 3 × 4 part of `world_from_camera` a line, row by row): no times.
-//! * **CSV**: one frame a line with all that is known of it, for people and spreadsheets; written only.
+//! * **TUM** (one line `time x y z qx qy qz qw` per pose): seconds, metres; translation and
+//!   rotation of `world_from_camera`.
+//! * **KITTI** (one line per pose with the 12 numbers of the upper 3 × 4 part of
+//!   `world_from_camera`, row-major): without timestamps.
+//! * **CSV**: one line per frame with all its estimates, for people and spreadsheets; written only.
 
 mod frames_csv;
 
@@ -14,16 +16,17 @@ use crate::trajectory::FrameEstimate;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion};
 use std::fmt::Write;
 
-/// The form of a trajectory file.
+/// Format of a trajectory file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TrajectoryFormat {
-    /// `time x y z qx qy qz qw`.
+    /// `time x y z qx qy qz qw` per line.
     Tum,
-    /// Twelve numbers of a 3 × 4 matrix.
+    /// The 12 numbers of a 3 × 4 matrix per line.
     Kitti,
 }
 
-/// The form of a trajectory text by the count of numbers on its first line with any: 8 is TUM, 12 is KITTI.
+/// Infers the format from the number of values on the first data line: 8 is TUM, 12 is KITTI. Fails
+/// for any other number and for a text without data.
 pub fn guess_format(text: &str) -> Result<TrajectoryFormat> {
     let Some((number, line)) = data_lines(text).next() else { return Err(no_pose()) };
     match words(line).count() {
@@ -37,15 +40,16 @@ pub fn guess_format(text: &str) -> Result<TrajectoryFormat> {
 
 /// Reads a TUM trajectory.
 ///
-/// Values are separated by white space, commas or both; lines that start with `#` and empty lines are skipped. Quaternions
-/// are normalised. Fails, naming the line, where a line does not have eight finite numbers, a quaternion is zero, or a time is
-/// not later than the one before; and where there is no pose at all.
+/// Values are separated by white space, commas or both; empty lines and lines that start with `#`
+/// are skipped. Quaternions are normalised. Fails, naming the line, if a line does not have eight
+/// finite numbers, a quaternion is zero, or a time is not later than the one before. Also fails if
+/// there is no pose.
 pub fn parse_tum(text: &str) -> Result<Trajectory> {
     let mut poses: Vec<StampedPose> = Vec::new();
     for (number, line) in data_lines(text) {
         let [time_s, x, y, z, qx, qy, qz, qw] = numbers(number, line, "time x y z qx qy qz qw")?;
         let quaternion = Quaternion::new(qw, qx, qy, qz);
-        // Scaled first, so that neither a tiny nor a huge quaternion leaves the range of its squares.
+        // Scaling first prevents underflow and overflow of the squares.
         let largest = quaternion.coords.amax();
         if largest < 1e-6 {
             return Err(Error::input(format!(
@@ -62,17 +66,18 @@ pub fn parse_tum(text: &str) -> Result<Trajectory> {
     if poses.is_empty() { Err(no_pose()) } else { Ok(Trajectory { poses }) }
 }
 
-/// A trajectory as TUM text: [`TUM_HEADER`] and a line a pose ([`tum_line`]).
+/// Writes a trajectory in TUM format: [`TUM_HEADER`], then one line per pose ([`tum_line`]).
 pub fn write_tum(trajectory: &Trajectory) -> String {
     let mut text = String::from(TUM_HEADER);
     trajectory.poses.iter().for_each(|pose| text.push_str(&tum_line(pose)));
     text
 }
 
-/// The line of comment, with its end, that names the columns of a TUM trajectory.
+/// Comment line, with its newline, that names the columns of a TUM trajectory.
 pub const TUM_HEADER: &str = "# time_s x_m y_m z_m qx qy qz qw (world_from_camera)\n";
 
-/// A pose as a line of TUM text, with its end. Positions to 1e-9 m, times to 1e-9 s; of the two quaternions of a rotation the one with `qw` ≥ 0.
+/// A pose as a line in TUM format, with its newline: positions rounded to 1e-9 m, times to 1e-9 s,
+/// and the quaternion with `qw` ≥ 0.
 pub fn tum_line(pose: &StampedPose) -> String {
     let t = pose.world_from_camera.translation.vector;
     let q = pose.world_from_camera.rotation.coords;
@@ -83,16 +88,17 @@ pub fn tum_line(pose: &StampedPose) -> String {
     )
 }
 
-/// The frames that have a pose as TUM text ([`write_tum`]).
+/// Writes the frames that have a pose in TUM format ([`write_tum`]).
 pub fn tum_from_frames(frames: &[FrameEstimate]) -> String {
     write_tum(&Trajectory::from_frames(frames))
 }
 
-/// Reads a KITTI trajectory. Without `times_s` the time of a pose is its number, from 0, in "seconds".
+/// Reads a KITTI trajectory. Without `times_s` the time of a pose is its index from 0, in
+/// "seconds".
 ///
-/// Rotations that are slightly off from rounding are brought to the nearest rotation. Fails, naming the line, where a line does
-/// not have twelve finite numbers or its matrix is no rotation (by more than 1e-3); where there is no pose; and where
-/// the count of times is not that of poses.
+/// Rotations that are inexact from rounding are projected onto the nearest rotation. Fails, naming
+/// the line, if a line does not have twelve finite numbers or its matrix is not a rotation
+/// (tolerance 1e-3). Also fails if there is no pose, or if the numbers of times and poses differ.
 pub fn parse_kitti(text: &str, times_s: Option<&[f64]>) -> Result<Trajectory> {
     let mut poses = Vec::new();
     for (number, line) in data_lines(text) {
@@ -128,7 +134,7 @@ pub fn parse_kitti(text: &str, times_s: Option<&[f64]>) -> Result<Trajectory> {
     Ok(Trajectory { poses })
 }
 
-/// Reads the times that go with a KITTI trajectory: one number of seconds a line, strictly increasing.
+/// Reads the timestamps of a KITTI trajectory: one per line in seconds, strictly increasing.
 pub fn parse_times(text: &str) -> Result<Vec<f64>> {
     let mut times_s: Vec<f64> = Vec::new();
     for (number, line) in data_lines(text) {
@@ -141,7 +147,8 @@ pub fn parse_times(text: &str) -> Result<Vec<f64>> {
     Ok(times_s)
 }
 
-/// A trajectory as KITTI text, to 1e-9 m in translation and 1e-12 in rotation; times are not part of it.
+/// Writes a trajectory in KITTI format, translations rounded to 1e-9 m and rotations to 1e-12;
+/// timestamps are not written.
 pub fn write_kitti(trajectory: &Trajectory) -> String {
     let mut text = String::new();
     for pose in &trajectory.poses {
@@ -156,8 +163,9 @@ pub fn write_kitti(trajectory: &Trajectory) -> String {
     text
 }
 
-/// The rotation nearest to a matrix that is nearly one: Newton's iteration for the polar decomposition (Higham, "Computing the
-/// polar decomposition — with applications", 1986), `X ← (X + X⁻ᵀ) / 2`, which converges quadratically.
+/// Nearest rotation to a matrix that is almost one: Newton's iteration for the polar decomposition
+/// (Higham, "Computing the polar decomposition — with applications", 1986), `X ← (X + X⁻ᵀ) / 2`,
+/// which converges quadratically.
 fn nearest_rotation(matrix: Matrix3<f64>) -> Matrix3<f64> {
     let mut rotation = matrix;
     for _ in 0..4 {
@@ -167,7 +175,7 @@ fn nearest_rotation(matrix: Matrix3<f64>) -> Matrix3<f64> {
     rotation
 }
 
-/// The lines that hold something, with their numbers from 1.
+/// Lines that are neither empty nor comments, with their numbers from 1.
 fn data_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let text = text.trim_start_matches('\u{feff}');
     let numbered = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
@@ -178,7 +186,7 @@ fn words(line: &str) -> impl Iterator<Item = &str> {
     line.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty())
 }
 
-/// Exactly `COUNT` finite numbers of a line.
+/// Parses exactly `COUNT` finite numbers from a line.
 fn numbers<const COUNT: usize>(number: usize, line: &str, expected: &str) -> Result<[f64; COUNT]> {
     let mut values = [0.0; COUNT];
     let mut count = 0;

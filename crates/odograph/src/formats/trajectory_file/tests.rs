@@ -39,7 +39,7 @@ fn frames() -> Vec<FrameEstimate> {
 }
 
 #[test]
-fn the_table_has_empty_cells_where_nothing_is_known() {
+fn unknown_quantities_have_empty_cells() {
     let csv = csv_from_frames(&frames());
     let lines: Vec<_> = csv.lines().collect();
     assert_eq!(
@@ -62,7 +62,7 @@ fn only_frames_with_a_pose_are_written_as_tum() {
 }
 
 #[test]
-fn tum_tolerates_what_people_write() {
+fn tum_accepts_commas_tabs_comments_and_a_byte_order_mark() {
     let text = "\u{feff}# comment\r\n\r\n 1.5\t1 2 3 0 0 0 2 \r\n2.5, 1, 2, 3, 0, 0, 0, 1\n";
     let trajectory = parse_tum(text).unwrap();
     assert_eq!(trajectory.poses.len(), 2);
@@ -71,7 +71,7 @@ fn tum_tolerates_what_people_write() {
 }
 
 #[test]
-fn what_is_wrong_is_said_with_its_line() {
+fn errors_name_the_line() {
     for (text, part) in [
         ("", "no pose"),
         ("# nothing\n", "no pose"),

@@ -1,11 +1,11 @@
-//! Sampling and halving by hand, eight samples at a time.
+//! Hand-written AVX2 kernels: sampling and decimation, eight samples at a time.
 
 use super::scalar::{self, row_start, rows_about, total};
 use super::{Appearance, BendSums, Grid, PATCH_SIDE, Patch, PatchSums, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
-/// Samples in a register.
+/// Samples per register.
 const LANES: usize = 8;
 
 /// See [`super::sample_patch`].
@@ -19,7 +19,7 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
     }
 }
 
-/// See [`super::sample_and_multiply`]: the samples are multiplied while they are still in registers.
+/// See [`super::sample_and_multiply`]: the samples are multiplied while they are in registers.
 #[target_feature(enable = "avx2")]
 pub fn sample_and_multiply(
     image: &GrayImage,
@@ -35,20 +35,22 @@ pub fn sample_and_multiply(
     }
 }
 
-/// An image made ready for being sampled along rows of one direction.
+/// Sampler of an image along rows of one direction.
 ///
-/// A grid that is not much turned has eight neighbouring samples on few rows of the image and within few columns: those are loaded
-/// whole and shuffled. Elsewhere, and near the end of the image, samples are gathered one by one, which takes three times as long.
+/// Eight neighbouring samples of a grid that is not strongly rotated lie on few image rows and
+/// within few columns: those are loaded as a whole and shuffled. Otherwise, and near the end of the
+/// image, samples are gathered one by one, which takes three times as long.
 struct Sampler<'a> {
     samples: &'a [u8],
     width: usize,
-    /// Steps of a row from its start to its first and last eight samples.
+    /// Offsets of a row's first and last eight samples from its first.
     steps: [[__m256; 2]; 2],
-    /// The last place that has a neighbour to the right, below, and right of below.
+    /// The last index that has a right, a lower and a lower right neighbour.
     last: __m256i,
-    /// How many rows of the image eight samples and those below them lie on, 3 or 4; [`ANY`] where they may lie anywhere.
+    /// Number of image rows spanned by eight samples and those below them, 3 or 4; [`ANY`] for
+    /// arbitrary positions.
     rows: usize,
-    /// Which of eight samples is on the first row, and which in the first column.
+    /// Lane of the sample on the first row, and of the one in the first column.
     first_line: __m256i,
     first_column: __m256i,
 }
@@ -56,7 +58,7 @@ struct Sampler<'a> {
 /// See [`Sampler::rows`].
 const ANY: usize = 0;
 
-/// Bytes that are shuffled at once.
+/// Bytes per shuffle.
 const CHUNK: usize = 16;
 
 impl<'a> Sampler<'a> {
@@ -133,13 +135,14 @@ impl<'a> Sampler<'a> {
         self.twice_eight::<ROWS>(left, right)
     }
 
-    /// The samples at twice eight places, each eight on few rows and within few columns.
+    /// The samples at two times eight positions; each eight on few rows and within few columns.
     #[inline]
     #[target_feature(enable = "avx2")]
     fn twice_eight<const ROWS: usize>(&self, left: (__m256, __m256), right: (__m256, __m256)) -> [__m256; 2] {
         let left = Eight::new(left, self);
         let right = Eight::new(right, self);
-        // From here the left eight are in the lower half of a register, 16 bits each, and the right eight in the upper half.
+        // From here the left eight are in the lower half of a register, 16 bits each, and the right
+        // eight in the upper half.
         let columns = as_words(left.columns, right.columns);
         let lines = as_words(left.lines, right.lines);
         let twice =
@@ -171,7 +174,7 @@ impl<'a> Sampler<'a> {
         ]
     }
 
-    /// The samples at eight places.
+    /// The samples at eight arbitrary positions.
     #[inline]
     #[target_feature(enable = "avx2")]
     fn eight(&self, x: __m256, y: __m256) -> __m256 {
@@ -182,9 +185,10 @@ impl<'a> Sampler<'a> {
         let at = _mm256_add_epi32(line_start, column);
         let at = _mm256_max_epi32(_mm256_min_epi32(at, self.last), _mm256_setzero_si256());
         let samples = self.samples.as_ptr();
-        // SAFETY: `at` is within 0..=length − width − 2 in every lane, and the width is at least 2 (the callers assert it, and that there are two
-        // rows, so that `last` is not negative). The first gather reads the bytes at..at + 4, at most up to length − width + 2 ≤ length;
-        // the second reads at + width − 2..at + width + 2, from 0 at least, up to the length at most.
+        // SAFETY: `at` is within 0..=length − width − 2 in every lane. The width is at least 2; the
+        // callers assert it, and that there are two rows, so `last` is not negative. The first
+        // gather reads the bytes at..at + 4, at most up to length − width + 2 ≤ length. The second
+        // reads at + width − 2..at + width + 2, from at least 0 up to at most the length.
         let (upper, lower) = unsafe {
             (
                 _mm256_i32gather_epi32::<1>(samples.cast(), at),
@@ -202,7 +206,8 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Eight places of which the first chunk of bytes with all of them begins at `at`, counted from there.
+/// Eight positions relative to `at`, the start of the first chunk of bytes that contains all of
+/// them.
 struct Eight {
     columns: __m256i,
     lines: __m256i,
@@ -229,7 +234,7 @@ impl Eight {
     }
 }
 
-/// Twice eight whole numbers in 16 bits, the left ones in the lower half.
+/// Packs two times eight integers to 16 bits, the left eight in the lower half.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn as_words(left: __m256i, right: __m256i) -> __m256i {
@@ -238,7 +243,7 @@ fn as_words(left: __m256i, right: __m256i) -> __m256i {
     _mm256_packs_epi32(first, last)
 }
 
-/// Of pairs of neighbours: the left one, and what the right one has more. Exact in whole numbers as in `f32`.
+/// Left samples of pairs of neighbours, and right minus left. Exact in integers as in `f32`.
 struct LeftAndStep {
     left: __m256i,
     step: __m256i,
@@ -271,11 +276,11 @@ impl LeftAndStep {
 #[target_feature(enable = "avx2")]
 fn load_chunk(from: &[u8]) -> __m128i {
     let from: &[u8; CHUNK] = from.first_chunk().expect("a chunk");
-    // SAFETY: so many bytes can be read there.
+    // SAFETY: reads 16 bytes from an array of 16.
     unsafe { _mm_loadu_si128(from.as_ptr().cast()) }
 }
 
-/// `left + part · (right − left)`. Differences of bytes are exact in whole numbers as in `f32`.
+/// `left + part · (right − left)`. Differences of bytes are exact in integers as in `f32`.
 #[target_feature(enable = "avx2")]
 fn between(left: __m256i, right: __m256i, part: __m256) -> __m256 {
     let difference = _mm256_cvtepi32_ps(_mm256_sub_epi32(right, left));
@@ -285,18 +290,18 @@ fn between(left: __m256i, right: __m256i, part: __m256) -> __m256 {
 #[target_feature(enable = "avx2")]
 fn load(from: &[f32]) -> __m256 {
     let from: &[f32; LANES] = from.first_chunk().expect("eight samples");
-    // SAFETY: eight samples can be read there.
+    // SAFETY: reads eight samples from an array of eight.
     unsafe { _mm256_loadu_ps(from.as_ptr()) }
 }
 
 #[target_feature(enable = "avx2")]
 fn store(values: __m256, to: &mut [f32]) {
     let to: &mut [f32; LANES] = to.first_chunk_mut().expect("eight samples");
-    // SAFETY: eight samples can be written there.
+    // SAFETY: writes eight samples to an array of eight.
     unsafe { _mm256_storeu_ps(to.as_mut_ptr(), values) }
 }
 
-/// See [`super::patch_sums`]. Whole numbers: their order means nothing.
+/// See [`super::patch_sums`]. Integer addition is exact, so the order is irrelevant.
 #[target_feature(enable = "avx2")]
 pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     let mut singles = [_mm256_setzero_si256(); 3];
@@ -321,7 +326,7 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     PatchSums { sample, x, y, sample_sample, sample_x, sample_y, x_x, x_y, y_y }
 }
 
-/// See [`super::bend_sums`]. Whole numbers: their order means nothing.
+/// See [`super::bend_sums`]. Integer addition is exact, so the order is irrelevant.
 #[target_feature(enable = "avx2")]
 pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
     let mut singles = [_mm256_setzero_si256(); 2];
@@ -350,7 +355,7 @@ pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
     BendSums { bend, sample_bend, x_bend: [x_along, x_down], y_bend: [y_along, y_down] }
 }
 
-/// The sum of eight whole numbers.
+/// Sum of eight integers.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn whole_total(values: __m256i) -> i32 {
@@ -367,11 +372,11 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
     let half = _mm256_set1_epi32(128);
     let mut done = 0;
     for eight in out.chunks_exact_mut(LANES) {
-        // The last load reaches one sum beyond the last that counts.
+        // The last load reaches one sum beyond the last one used.
         let Some(from) = sums.get(2 * done..2 * done + 2 * LANES + 4) else { break };
         let mut total = half;
         for (i, weight) in weights.into_iter().enumerate() {
-            // Sums are at most 16 · 255, so that they are the same with a sign.
+            // Sums are at most 16 · 255, so they are valid signed 16-bit integers.
             total = _mm256_add_epi32(total, _mm256_madd_epi16(load_sums(&from[2 * i..]), weight));
         }
         let gray = _mm256_srli_epi32::<8>(total);
@@ -386,6 +391,6 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
 #[target_feature(enable = "avx2")]
 fn load_sums(from: &[u16]) -> __m256i {
     let from: &[u16; 2 * LANES] = from.first_chunk().expect("sixteen sums");
-    // SAFETY: sixteen sums of 16 bits can be read there.
+    // SAFETY: reads sixteen 16-bit sums from an array of sixteen.
     unsafe { _mm256_loadu_si256(from.as_ptr().cast()) }
 }

@@ -1,34 +1,36 @@
-//! Sampling by hand, sixteen samples at a time: a whole row of a patch in a register.
+//! Hand-written AVX-512 sampling, sixteen samples at a time: a whole row of a patch per register.
 //!
-//! The four neighbours of sixteen samples are 64 bytes, and one permutation (AVX-512 VBMI) takes them out of four chunks of the image's rows, two out of
-//! eight. What is done with them is what the reference does, in its order.
+//! The four neighbours of sixteen samples are 64 bytes. One permutation (AVX-512 VBMI) selects them
+//! from four chunks of image rows, two from eight. The arithmetic is that of the reference, in its
+//! order.
 
 use super::scalar::{row_start, total};
 use super::{Appearance, Grid, PATCH_SIDE, Patch, Shift, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::x86_64::*;
 
-/// Bytes of a row of the image among which a row of the patch lies, with its neighbours to the right.
+/// Bytes of an image row that contain a row of the patch with its right neighbours.
 const CHUNK: usize = 32;
 
-/// Over so many rows of the image a row of the patch lies at most, with its neighbours below.
+/// Maximum numbers of image rows that a row of the patch may span, with its neighbours below.
 const FEW_ROWS: usize = 4;
 const MANY_ROWS: usize = 8;
 
-/// Whether the processor has what is needed.
+/// Whether the processor has the required features.
 pub fn is_here() -> bool {
     is_x86_feature_detected!("avx512f")
         && is_x86_feature_detected!("avx512bw")
         && is_x86_feature_detected!("avx512vbmi")
 }
 
-/// Over how many rows of the image each row of a grid lies, where they are few enough and all is inside the image: for a patch that is turned by at most
-/// 0.4 rad, is less than twice as wide, and is not at the very end of the image.
+/// Number of image rows spanned by each row of a grid; `None` where that is too many or a chunk
+/// would exceed the image. `Some` for patches rotated by at most 0.4 rad, less than twice as wide,
+/// and not at the very end of the image.
 pub fn rows(image: &GrayImage, grid: &Grid) -> Option<usize> {
     rows_about_neighbours(image, grid, PATCH_SIDE, CHUNK, &[FEW_ROWS, MANY_ROWS])
 }
 
-/// See [`super::sample_patch`]; for grids with so many [`rows`].
+/// See [`super::sample_patch`]; `rows` is the result of [`rows`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
 pub fn sample_patch(image: &GrayImage, grid: &Grid, rows: usize, samples: &mut Patch) {
     let sampler = Sampler::new(image, grid);
@@ -40,7 +42,7 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, rows: usize, samples: &mut P
     }
 }
 
-/// See [`super::sample_and_multiply`]; for grids with so many [`rows`].
+/// See [`super::sample_and_multiply`]; `rows` is the result of [`rows`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
 pub fn sample_and_multiply(
     image: &GrayImage,
@@ -78,7 +80,7 @@ pub fn multiply_shifted(
     products.totals()
 }
 
-/// Sixteen samples between those of a row of the image and their right neighbours.
+/// Interpolates sixteen samples of an image row with their right neighbours.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
 fn between_columns(row: &[u8], fx: __m512) -> __m512 {
@@ -87,7 +89,7 @@ fn between_columns(row: &[u8], fx: __m512) -> __m512 {
     _mm512_add_ps(_mm512_cvtepi32_ps(left), _mm512_mul_ps(fx, step))
 }
 
-/// Running sums of the products of samples with an appearance, one a column.
+/// Partial sums of the products of samples with a template, one per column.
 struct Products<'a> {
     contrast: &'a [[f32; PATCH_SIDE]],
     gradient_x: &'a [[f32; PATCH_SIDE]],
@@ -107,7 +109,7 @@ impl<'a> Products<'a> {
         }
     }
 
-    /// Takes row `j`.
+    /// Adds row `j`.
     #[inline]
     #[target_feature(enable = "avx512f")]
     fn add(&mut self, j: usize, values: __m512) {
@@ -130,11 +132,11 @@ impl<'a> Products<'a> {
     }
 }
 
-/// An image made ready for being sampled along rows of one direction.
+/// Sampler of an image along rows of one direction.
 struct Sampler<'a> {
     samples: &'a [u8],
     width: usize,
-    /// Steps of a row from its start to each of its samples, along x and y, and to its last one.
+    /// Offsets of a row's samples from its first, along x and y, and of its last one.
     steps: [__m512; 2],
     last: [f32; 2],
 }
@@ -180,20 +182,21 @@ impl<'a> Sampler<'a> {
         let (column, line) = (_mm512_cvttps_epi32(x), _mm512_cvttps_epi32(y));
         let fx = _mm512_sub_ps(x, _mm512_cvtepi32_ps(column));
         let fy = _mm512_sub_ps(y, _mm512_cvtepi32_ps(line));
-        // Places along a row rise or fall: the least is at one of its ends.
+        // Positions along a row are monotonic, so the minimum is at one of its ends.
         let left = x0.min(x0 + self.last[0]) as usize;
         let top = y0.min(y0 + self.last[1]) as usize;
         let lines_on = _mm512_sub_epi32(line, _mm512_set1_epi32(top as i32));
         let columns_on = _mm512_sub_epi32(column, _mm512_set1_epi32(left as i32));
         let at = _mm512_add_epi32(_mm512_slli_epi32::<5>(lines_on), columns_on);
-        // Four bytes of each sample: itself, its right neighbour, and those of the next row, which lie 32 bytes on.
+        // Four bytes of each sample: itself, its right neighbour, and those of the next row, 32
+        // bytes later.
         let every_fourth = _mm512_set4_epi32(0x0c0c_0c0c, 0x0808_0808, 0x0404_0404, 0);
         let at = _mm512_add_epi8(_mm512_shuffle_epi8(at, every_fourth), _mm512_set1_epi32(0x2120_0100));
         let from = top * self.width + left;
         let mut four =
             _mm512_permutex2var_epi8(self.two_rows(from), at, self.two_rows(from + 2 * self.width));
         if ROWS == MANY_ROWS {
-            // The permutation leaves the eighth bit of a place out: it says whether the place is in the other four rows.
+            // The permutation ignores the eighth bit of an index: it selects the other four rows.
             let (third, fourth) =
                 (self.two_rows(from + 4 * self.width), self.two_rows(from + 6 * self.width));
             let other = _mm512_permutex2var_epi8(third, at, fourth);
@@ -202,7 +205,8 @@ impl<'a> Sampler<'a> {
         let byte = _mm512_set1_epi32(0xff);
         let upper_left = _mm512_cvtepi32_ps(_mm512_and_si512(four, byte));
         let lower_left = _mm512_cvtepi32_ps(_mm512_and_si512(_mm512_srli_epi32::<16>(four), byte));
-        // Right less left, of both rows, 16 bits each. Differences of bytes are exact in whole numbers as in `f32`.
+        // Right minus left, of both rows, 16 bits each. Differences of bytes are exact in integers
+        // as in `f32`.
         let steps = _mm512_maddubs_epi16(four, _mm512_set1_epi16(0x01ff));
         let upper_step = _mm512_cvtepi32_ps(_mm512_srai_epi32::<16>(_mm512_slli_epi32::<16>(steps)));
         let lower_step = _mm512_cvtepi32_ps(_mm512_srai_epi32::<16>(steps));
@@ -211,7 +215,7 @@ impl<'a> Sampler<'a> {
         _mm512_add_ps(upper, _mm512_mul_ps(fy, _mm512_sub_ps(lower, upper)))
     }
 
-    /// Chunks of a row of the image from this place on, and of the next row.
+    /// Chunks of two consecutive image rows from this index on.
     #[inline]
     #[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
     fn two_rows(&self, from: usize) -> __m512i {
@@ -225,29 +229,29 @@ impl<'a> Sampler<'a> {
 #[target_feature(enable = "avx512f")]
 fn load_chunk(from: &[u8]) -> __m256i {
     let from: &[u8; CHUNK] = from.first_chunk().expect("a chunk");
-    // SAFETY: so many bytes can be read there.
+    // SAFETY: reads 32 bytes from an array of 32.
     unsafe { _mm256_loadu_si256(from.as_ptr().cast()) }
 }
 
-/// Sixteen bytes as whole numbers of 32 bits.
+/// Widens sixteen bytes to 32-bit integers.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn load_bytes(from: &[u8]) -> __m512i {
     let from: &[u8; PATCH_SIDE] = from.first_chunk().expect("sixteen bytes");
-    // SAFETY: so many bytes can be read there.
+    // SAFETY: reads 16 bytes from an array of 16.
     _mm512_cvtepu8_epi32(unsafe { _mm_loadu_si128(from.as_ptr().cast()) })
 }
 
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn load(from: &[f32; PATCH_SIDE]) -> __m512 {
-    // SAFETY: sixteen samples can be read there.
+    // SAFETY: reads sixteen samples from an array of sixteen.
     unsafe { _mm512_loadu_ps(from.as_ptr()) }
 }
 
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn store(values: __m512, to: &mut [f32; PATCH_SIDE]) {
-    // SAFETY: sixteen samples can be written there.
+    // SAFETY: writes sixteen samples to an array of sixteen.
     unsafe { _mm512_storeu_ps(to.as_mut_ptr(), values) }
 }

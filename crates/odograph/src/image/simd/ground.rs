@@ -1,37 +1,40 @@
-//! Laying frames on the ground: eight ground pixels of a row at a time are taken from a frame and averaged into what lies there already.
+//! Orthorectification: samples a frame at eight ground pixels of a row at a time and averages them
+//! into the orthophoto.
 //!
-//! The reference is one pixel after the other, [`lay_eight_by_one`]; for AVX2 and for NEON eight are done side by side (`wide`, `neon`). All give the same bytes:
-//! no multiply-add is fused, and each pixel's operations have the reference's order.
+//! The scalar reference is [`lay_eight_by_one`], one pixel after the other; AVX2 and NEON process
+//! eight in parallel (`wide`, `neon`). All produce the same bytes: multiply-adds are never fused,
+//! and each pixel's operations have the reference's order.
 
 #[cfg(target_arch = "aarch64")]
 mod neon;
 #[cfg(target_arch = "x86_64")]
 mod wide;
 
-/// Ground pixels that are laid at a time.
+/// Ground pixels processed at a time.
 pub const LANES: usize = 8;
 
-/// Ground seen this many times as well before is not touched again.
+/// Ground pixels whose accumulated weight is at least this many times the new weight are not
+/// updated.
 const OUTWEIGHED: i32 = 6;
 
-/// How much a sample counts by where in the image it is.
+/// Weight of a sample by its position in the image (feathering).
 #[derive(Debug, Clone, Copy)]
 pub struct Feather {
     pub right: f32,
     pub bottom: f32,
-    /// One over half the shorter side, 1/px.
+    /// Inverse of half the shorter side, 1/px.
     by_half: f32,
 }
 
 impl Feather {
-    /// For images of this size.
+    /// Feathering for images of this size, pixels.
     pub fn new(width: usize, height: usize) -> Self {
         let (width, height) = (width as f32, height as f32);
         Self { right: width - 1.0, bottom: height - 1.0, by_half: 2.0 / width.min(height) }
     }
 
-    /// The weight, 1 to 63: greatest in the middle of the image, 1 at its border, less where the ground is seen at a slant.
-    /// 0 outside the centres of the outermost pixels.
+    /// Weight from 1 to 63: highest in the middle of the image, 1 at its border, lower for oblique
+    /// views (`quality` below 1). 0 outside the centres of the outermost pixels.
     #[inline(always)]
     pub fn weight(&self, x: f32, y: f32, quality: f32) -> i32 {
         let from_border = x.min(self.right - x).min(y.min(self.bottom - y));
@@ -41,7 +44,8 @@ impl Feather {
     }
 }
 
-/// Where eight ground pixels are in the full image, and how well each is seen there, 0 to 1. A place that is not a number is outside.
+/// Positions of eight ground pixels in the full-resolution image, with their viewing quality from 0
+/// to 1. NaN counts as outside.
 #[derive(Debug, Clone, Copy)]
 pub struct Places {
     pub x: [f32; LANES],
@@ -49,24 +53,25 @@ pub struct Places {
     pub quality: [f32; LANES],
 }
 
-/// A frame of `N` interleaved channels that is being laid.
+/// A frame of `N` interleaved channels to be orthorectified.
 #[derive(Debug, Clone, Copy)]
 pub struct Laid<'a, const N: usize> {
     samples: &'a [u8],
     width: usize,
-    /// Pixels of these samples per pixel of the full image.
+    /// Size of these samples relative to the full-resolution image.
     scale: f32,
-    /// Greatest coordinates between which can be sampled.
+    /// Largest coordinates that can be sampled.
     right: f32,
     bottom: f32,
     feather: Feather,
-    /// What the samples are multiplied with.
+    /// Gain of each channel.
     gains: [f32; N],
 }
 
 impl<'a, const N: usize> Laid<'a, N> {
-    /// A frame as its samples, `size` wide and high, `scale` times as many along a side as `feather`'s full image. `None` where there are not
-    /// as many samples as that, fewer than two columns or rows, or more than can be counted in 31 bits.
+    /// A frame of `size` (width, height); `scale` is its size relative to the full-resolution image
+    /// of `feather`. `None` where the number of samples does not match, where there are fewer than
+    /// two columns or rows, or where the number exceeds 31 bits.
     pub fn new(
         samples: &'a [u8],
         size: (usize, usize),
@@ -87,7 +92,7 @@ impl<'a, const N: usize> Laid<'a, N> {
         })
     }
 
-    /// Where a place of the full image is between these samples.
+    /// Converts a position in the full-resolution image to one in these samples.
     #[inline(always)]
     fn between(&self, x: f32, y: f32) -> (f32, f32) {
         let offset = 0.5 * self.scale - 0.5;
@@ -99,7 +104,7 @@ impl<'a, const N: usize> Laid<'a, N> {
         x >= 0.0 && y >= 0.0 && x <= self.right && y <= self.bottom
     }
 
-    /// The bilinear sample at a place between the samples, which must be contained.
+    /// Bilinear sample at a position, which must be contained.
     #[inline(always)]
     fn sample(&self, x: f32, y: f32) -> [f32; N] {
         let (left, top) = self.upper_left(x, y);
@@ -115,14 +120,15 @@ impl<'a, const N: usize> Laid<'a, N> {
         })
     }
 
-    /// The column and the row of the upper left of the four samples about a place.
+    /// Column and row of the upper left of the four samples around a position.
     #[inline(always)]
     fn upper_left(&self, x: f32, y: f32) -> (i32, i32) {
         ((x as i32).min(self.right as i32 - 1), (y as i32).min(self.bottom as i32 - 1))
     }
 }
 
-/// Averages a frame into eight neighbouring ground pixels (red, green, blue and weight). Returns whether it shows any of them.
+/// Averages a frame into eight neighbouring ground pixels (red, green, blue and weight). Returns
+/// whether the frame shows any of them.
 pub fn lay_eight<const N: usize>(
     frame: &Laid<'_, N>,
     places: &Places,
@@ -141,7 +147,7 @@ pub fn lay_eight<const N: usize>(
     lay_eight_by_one(frame, places, pixels)
 }
 
-/// The reference of [`lay_eight`].
+/// The scalar reference of [`lay_eight`].
 fn lay_eight_by_one<const N: usize>(
     frame: &Laid<'_, N>,
     places: &Places,
@@ -152,7 +158,7 @@ fn lay_eight_by_one<const N: usize>(
         let weight = frame.feather.weight(places.x[i], places.y[i], places.quality[i]);
         seen |= weight > 0;
         let (x, y) = frame.between(places.x[i], places.y[i]);
-        // What was seen much better before is left as it is: sharper, and quicker.
+        // Ground seen with much higher weight before is left unchanged: sharper, and faster.
         if i32::from(pixel[3]) < OUTWEIGHED * weight && frame.contains(x, y) {
             *pixel = blended(*pixel, frame.sample(x, y), &frame.gains, weight);
         }
@@ -160,14 +166,14 @@ fn lay_eight_by_one<const N: usize>(
     seen
 }
 
-/// The weighted mean of a stored pixel (colour and weight) and a sample.
+/// Weighted mean of a stored pixel (colour and weight) and a sample.
 #[inline(always)]
 fn blended<const N: usize>(pixel: [u8; 4], sample: [f32; N], gains: &[f32; N], weight: i32) -> [u8; 4] {
     let before = i32::from(pixel[3]);
     let share = weight as f32 / (before as f32 + weight as f32);
     let mut blended = [0; 4];
     for (channel, into) in blended[..3].iter_mut().enumerate() {
-        let from = channel.min(N - 1); // gray is laid as three channels alike
+        let from = channel.min(N - 1); // a gray sample sets all three channels
         let old = f32::from(pixel[channel]);
         let new = (sample[from] * gains[from]).min(255.0);
         *into = (old + (new - old) * share + 0.5) as i32 as u8;
@@ -189,7 +195,8 @@ mod tests {
         })
     }
 
-    /// Eight places in a row from `first` in steps of `step`, laid by the kernel and by its reference.
+    /// Eight positions in a row from `first` in steps of `step`, processed by the kernel and by its
+    /// reference.
     fn both<const N: usize>(
         size: (usize, usize),
         scale: f32,
@@ -231,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_samples_of_an_image_can_be_laid_and_what_is_no_number_is_not() {
+    fn border_samples_are_used_and_nan_positions_are_skipped() {
         for kernel in [lay_eight::<3>, lay_eight_by_one::<3>] {
             let samples = [10, 20, 30].repeat(4);
             let frame = Laid::new(&samples, (2, 2), 1.0, Feather::new(2, 2), [1.0; 3]).unwrap();

@@ -1,14 +1,17 @@
-//! The kernels that run on every sample, made wide. The only room of the library where `unsafe` may stand.
+//! SIMD kernels for per-sample loops. The only module of the library that may contain `unsafe`.
 //!
-//! Each kernel has one meaning, its scalar reference in [`scalar`], and gives the same bits on every machine:
+//! Each kernel is defined by its scalar reference in [`scalar`] and is bit-identical to it on every
+//! machine:
 //!
-//! * most are their reference, compiled a second time for AVX2 and chosen at run time: the compiler widens the loops and never
-//!   reorders or fuses operations on floating-point numbers. On 64-bit ARM it widens the reference itself, since every such processor
-//!   has NEON;
-//! * what the compiler cannot widen, or widens badly, is written by hand and held equal to its reference by tests: on x86-64 the sampling
-//!   of patches and of frames that are laid on the ground or straightened, with its gathered loads, the sums over patches and the halving of
-//!   rows (`avx2`, `avx512`, `wide` in [`ground`] and [`remap`]), on ARM the same but for patches that are only moved, and the sums of products
-//!   besides (`neon`, here and in these two). No multiply-add is fused, and the order of additions is the reference's.
+//! * Most kernels are their reference, compiled a second time for AVX2 and selected at run time.
+//!   The compiler vectorises the loops and never reorders or fuses floating-point operations. On
+//!   64-bit ARM it vectorises the reference itself, since every such processor has NEON.
+//! * Kernels that the compiler vectorises badly or not at all are hand-written and tested against
+//!   their reference. On x86-64 these are patch sampling, orthorectification and rectification with
+//!   their gathered loads, the sums over patches and the decimation of rows (`avx2`, `avx512`,
+//!   `wide` in [`ground`] and [`remap`]). On ARM they are the same except for the sampling of
+//!   purely translated patches, and in addition the sums of products (`neon`, here and in these two
+//!   modules). Multiply-adds are never fused, and the order of additions is the reference's.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -27,13 +30,15 @@ use super::GrayImage;
 #[cfg(target_arch = "aarch64")]
 use std::arch::is_aarch64_feature_detected;
 
-/// Side of a patch in samples. Even, so that a row fills whole SIMD registers; its centre lies between the middle samples.
+/// Side length of a patch, samples. Even, so that a row fills whole SIMD registers; the centre lies
+/// between the middle samples.
 pub const PATCH_SIDE: usize = 16;
 
-/// The samples of a patch, row by row, in gray levels.
+/// The samples of a patch in row order, gray levels.
 pub type Patch = [f32; PATCH_SIDE * PATCH_SIDE];
 
-/// Where the samples of a patch lie in an image: sample (i, j) is at `first + i · along_row + j · along_column`, (x, y) in pixels.
+/// Sampling grid of a patch: sample (i, j) is at `first + i · along_row + j · along_column`, (x, y)
+/// in pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Grid {
     pub first: [f64; 2],
@@ -41,7 +46,8 @@ pub struct Grid {
     pub along_column: [f64; 2],
 }
 
-/// The appearance of a patch, in what Lucas–Kanade multiplies with an image: contrast and gradients along x and y.
+/// Template of a patch for Lucas–Kanade tracking: contrast and gradients along x and y, the factors
+/// of the products with an image.
 #[derive(Debug, Clone)]
 #[repr(align(32))]
 pub struct Appearance {
@@ -58,7 +64,8 @@ impl Appearance {
     };
 }
 
-/// What the hand-written sampling needs: the processor's AVX2 or NEON, and an image whose offsets fit into 32 bits.
+/// Whether hand-written sampling is available: AVX2 or NEON, and an image whose offsets fit 32
+/// bits.
 #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 fn samples_wide(image: &GrayImage) -> bool {
     #[cfg(target_arch = "x86_64")]
@@ -68,9 +75,11 @@ fn samples_wide(image: &GrayImage) -> bool {
     is_here && i32::try_from(image.samples().len()).is_ok()
 }
 
-/// On which of so many rows of the image (`choices`, rising) `count` neighbours along a row of the grid lie wherever they are in it, with the samples
-/// below them, where `chunk` bytes of a row hold them with the samples to their right, and where all the chunks that begin at their first column and
-/// row are inside the image. `None` where none is enough: the grid is turned far, is wide, or is at the very end of the image.
+/// The number of image rows, one of `choices` (ascending), that covers `count` neighbouring samples
+/// along a row of the grid together with the samples below them, at any position in the grid. In
+/// addition, `chunk` bytes of an image row must contain them with their right neighbours, and all
+/// chunks that begin at their first column and row must lie inside the image. `None` where no
+/// choice suffices: the grid is strongly rotated, wide, or at the very end of the image.
 #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 fn rows_about_neighbours(
     image: &GrayImage,
@@ -80,7 +89,7 @@ fn rows_about_neighbours(
     choices: &[usize],
 ) -> Option<usize> {
     let [columns, lines] = grid.along_row.map(|step| (count - 1) as f64 * step.abs());
-    // With the neighbour below or to the right, one more for where they lie between samples, and rounding.
+    // Includes the neighbour below or to the right, one more for sub-pixel positions, and rounding.
     let rows = *choices.iter().find(|rows| lines < **rows as f64 - 2.01)?;
     let across = (PATCH_SIDE - 1) as f64;
     let ends = |axis: usize| {
@@ -89,14 +98,15 @@ fn rows_about_neighbours(
         (first + row.min(0.0) + column.min(0.0), first + row.max(0.0) + column.max(0.0))
     };
     let (x, y) = (ends(0), ends(1));
-    // Not so either where a number is not one.
+    // NaN makes this false as well.
     let fits = columns < chunk as f64 - 2.1 && x.0 > -0.5 && y.0 > -0.5 && x.1 < 1e6 && y.1 < 1e6;
-    // One row and one column more than needed, for rounding.
+    // One more row and column than needed, for rounding.
     let end = || (y.1 as usize + rows) * image.width() + x.1 as usize + 1 + chunk;
     (fits && end() <= image.samples().len()).then_some(rows)
 }
 
-/// Makes of a scalar reference a kernel that uses AVX2 where the processor has it; of `neon::name` one that is written by hand for NEON.
+/// Defines a kernel that runs its scalar reference compiled for AVX2 where available; with
+/// `neon::name` also a hand-written one for NEON.
 macro_rules! widened {
     ($(#[$doc:meta])* neon::$name:ident($($argument:ident: $kind:ty),* $(,)?) $(-> $result:ty)?) => {
         $(#[$doc])*
@@ -120,7 +130,7 @@ macro_rules! widened {
                     scalar::$name($($argument),*)
                 }
                 if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
-                    // SAFETY: the processor has AVX2 and counts bits, which is all that `wide` asks for.
+                    // SAFETY: the processor has AVX2 and POPCNT, the only features `wide` requires.
                     return unsafe { wide($($argument),*) };
                 }
             }
@@ -129,7 +139,8 @@ macro_rules! widened {
     };
 }
 
-/// A grid that is only moved: all its samples lie at the same place between those of the image, which are known without looking for each.
+/// A purely translated grid: all samples have the same sub-pixel offset, so their positions are
+/// implicit.
 #[derive(Debug, Clone, Copy)]
 pub struct Shift {
     left: usize,
@@ -139,7 +150,8 @@ pub struct Shift {
 }
 
 impl Shift {
-    /// The grid as a shift, where it is one; inside the image as far as the grid is, up to rounding.
+    /// The grid as a translation; `None` where it is not one. Inside the image wherever the grid
+    /// is, up to rounding.
     fn of(image: &GrayImage, grid: &Grid) -> Option<Self> {
         let still = grid.along_row == [1.0, 0.0] && grid.along_column == [0.0, 1.0];
         let room = |size: usize| size.checked_sub(PATCH_SIDE + 1);
@@ -152,10 +164,14 @@ impl Shift {
     }
 }
 
-/// Samples an image bilinearly on a grid.
+/// Samples an image on a grid by bilinear interpolation.
 ///
-/// The grid must lie inside the image: 0 ≤ x ≤ width − 1 and 0 ≤ y ≤ height − 1 up to rounding. Elsewhere the values mean nothing (nothing
-/// outside the image is read). Panics where the image is smaller than 2x2.
+/// The grid must lie inside the image: 0 ≤ x ≤ width − 1 and 0 ≤ y ≤ height − 1, up to rounding.
+/// Otherwise the values are unspecified, but nothing outside the image is read.
+///
+/// # Panics
+///
+/// Panics where the image is smaller than 2x2.
 pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
     assert!(image.width() >= 2 && image.height() >= 2, "a patch is sampled between four samples");
     if let Some(shift) = Shift::of(image, grid) {
@@ -163,7 +179,7 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
     }
     #[cfg(target_arch = "x86_64")]
     if let Some(rows) = avx512::rows(image, grid).filter(|_| avx512::is_here()) {
-        // SAFETY: the processor has what it needs.
+        // SAFETY: `is_here` checked the required features.
         return unsafe { avx512::sample_patch(image, grid, rows, samples) };
     }
     #[cfg(target_arch = "x86_64")]
@@ -180,18 +196,19 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
 }
 
 widened! {
-    /// [`sample_patch`] of a grid that is only moved.
+    /// [`sample_patch`] of a purely translated grid.
     sample_shifted(image: &GrayImage, shift: &Shift, samples: &mut Patch)
 }
 
 widened! {
-    /// [`sample_and_multiply`] of a grid that is only moved.
+    /// [`sample_and_multiply`] of a purely translated grid.
     multiply_shifted(
         image: &GrayImage, shift: &Shift, appearance: &Appearance, samples: &mut Patch,
     ) -> [f64; 3]
 }
 
-/// [`sample_patch`], and the products of the samples with contrast, gradient along x and gradient along y (see [`dot`]).
+/// [`sample_patch`], and the products of the samples with contrast, x gradient and y gradient (see
+/// [`dot`]).
 pub fn sample_and_multiply(
     image: &GrayImage,
     grid: &Grid,
@@ -202,14 +219,14 @@ pub fn sample_and_multiply(
     if let Some(shift) = Shift::of(image, grid) {
         #[cfg(target_arch = "x86_64")]
         if avx512::is_here() {
-            // SAFETY: the processor has what it needs.
+            // SAFETY: `is_here` checked the required features.
             return unsafe { avx512::multiply_shifted(image, &shift, appearance, samples) };
         }
         return multiply_shifted(image, &shift, appearance, samples);
     }
     #[cfg(target_arch = "x86_64")]
     if let Some(rows) = avx512::rows(image, grid).filter(|_| avx512::is_here()) {
-        // SAFETY: the processor has what it needs.
+        // SAFETY: `is_here` checked the required features.
         return unsafe { avx512::sample_and_multiply(image, grid, rows, appearance, samples) };
     }
     #[cfg(target_arch = "x86_64")]
@@ -226,16 +243,17 @@ pub fn sample_and_multiply(
 }
 
 widened! {
-    /// The sum of products of two patches. Sixteen running sums, one a column, added in the end.
+    /// Scalar product of two patches. Sixteen partial sums, one per column, are added at the end.
     neon::dot(a: &Patch, b: &Patch) -> f64
 }
 
 widened! {
-    /// The mean of a patch and the sum of the squared differences from it.
+    /// The mean of a patch and the sum of the squared deviations from it.
     neon::mean_and_energy(samples: &Patch) -> (f64, f64)
 }
 
-/// Sums over a patch of samples, of their central differences along x and y in half gray levels per pixel, and of the products of these.
+/// Sums over a patch of the samples, of their central differences along x and y in half gray levels
+/// per pixel, and of all products of these.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PatchSums {
     pub sample: i32,
@@ -249,8 +267,8 @@ pub struct PatchSums {
     pub y_y: i32,
 }
 
-/// What is taken off samples and gradients to make them orthogonal to constants, and the gradients to the contrast: their means, and then
-/// the gradients' shares of the contrast.
+/// Coefficients that make a template orthogonal to constants and its gradients to the contrast: the
+/// means of samples and gradients, and then the projections of the gradients onto the contrast.
 #[derive(Debug, Clone, Copy)]
 pub struct Orthogonal {
     pub mean: f32,
@@ -260,7 +278,8 @@ pub struct Orthogonal {
     pub share_y: f32,
 }
 
-/// The sums over the patch whose first sample is (`left`, `top`). One sample around the patch is read; panics where that is outside.
+/// The sums over the patch whose first sample is (`left`, `top`). Reads a border of one sample
+/// around the patch; panics where that is outside the image.
 pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
@@ -275,8 +294,9 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     scalar::patch_sums(image, left, top)
 }
 
-/// Sums over a patch of its second differences along x and along y (one of each pair), and of their products with samples and with central differences along x and y
-/// in half gray levels per pixel.
+/// Sums over a patch of the second differences along x and along y (in this order in each pair),
+/// and of their products with the samples and with the central differences along x and y in half
+/// gray levels per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BendSums {
     pub bend: [i32; 2],
@@ -285,7 +305,8 @@ pub struct BendSums {
     pub y_bend: [i32; 2],
 }
 
-/// The sums over the patch whose first sample is (`left`, `top`). One sample around the patch is read; panics where that is outside.
+/// The sums over the patch whose first sample is (`left`, `top`). Reads a border of one sample
+/// around the patch; panics where that is outside the image.
 pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
@@ -296,32 +317,38 @@ pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
 }
 
 widened! {
-    /// Contrast and central differences (gray levels per pixel) of the patch whose first sample is (`left`, `top`), less `less`. One sample
-    /// around the patch is read; panics where that is outside.
+    /// Contrast and central differences (gray levels per pixel) of the patch whose first sample is
+    /// (`left`, `top`), orthogonalised by `less`. Reads a border of one sample around the patch;
+    /// panics where that is outside the image.
     write_appearance(image: &GrayImage, left: usize, top: usize, less: &Orthogonal, appearance: &mut Appearance)
 }
 
-/// Sums over a patch, (x, y) being a sample's place from the middle, (g, h) its gradients as they are matched and (p, q) as they are: how the patch answers to
-/// what is not the same all over it.
+/// Spatial moments of a patch, which determine its response to displacement and illumination that
+/// vary over the patch. (x, y) is the position of a sample relative to the centre, (g, h) its
+/// orthogonalised gradient and (p, q) its raw gradient.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Moments {
-    /// Of g p, g q, h p and h q, each times x x, x y and y y.
+    /// Sums of g p, g q, h p and h q, each times x x, x y and y y.
     pub squares: [[f64; 3]; 4],
-    /// Of g and h times the gray level, each times x and y.
+    /// Sums of g and h times the gray level, each times x and y.
     pub light: [[f64; 2]; 2],
 }
 
 widened! {
-    /// The moments of a patch that was written with `less`.
+    /// The moments of a template that was orthogonalised by `less`.
     moments(appearance: &Appearance, less: &Orthogonal) -> Moments
 }
 
 widened! {
-    /// The binomial 1 4 6 4 1 across five rows, `sums` as long as each of them.
+    /// Binomial filter 1 4 6 4 1 across five rows; `sums` is as long as each of them.
     blur_rows(a: &[u8], b: &[u8], c: &[u8], d: &[u8], e: &[u8], sums: &mut [u16])
 }
 
-/// The binomial 1 4 6 4 1 along a row of [`blur_rows`], of every second place, rounded to gray levels: output x is about input 2 x + 2.
+/// Binomial filter 1 4 6 4 1 along a row of [`blur_rows`], decimated by two and rounded to gray
+/// levels: output x is centred on input 2 x + 2.
+///
+/// # Panics
+///
 /// Panics unless there are at least `2 · out.len() + 3` sums.
 pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
     #[cfg(target_arch = "x86_64")]
@@ -338,12 +365,14 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
 }
 
 widened! {
-    /// Scharr gradients of the middle one of three rows, in 1/32 gray levels per pixel; the first and last of a row stay as they are.
+    /// Scharr gradients of the middle one of three rows, in 1/32 gray levels per pixel. The first
+    /// and last element of a row are not written.
     scharr_gradients(above: &[u8], here: &[u8], below: &[u8], x: &mut [i16], y: &mut [i16])
 }
 
 widened! {
-    /// Adds the products of a row of gradients to the totals and takes those of an older row off.
+    /// Running sums: adds the gradient products of a new row to the totals and subtracts those of
+    /// the oldest row.
     roll_products(
         x: &[i16], y: &[i16], old_x: &[i16], old_y: &[i16],
         total_xx: &mut [i32], total_xy: &mut [i32], total_yy: &mut [i32],
@@ -351,38 +380,42 @@ widened! {
 }
 
 widened! {
-    /// The smaller eigenvalue of the gradient matrix at each place of a row: its three entries are the sums of the columns
-    /// `x .. x + window`, times `scale`. Panics unless there are as many columns as `out` and the window need.
+    /// Minimum eigenvalue of the structure tensor at each position of a row. Its three entries are
+    /// the sums of the columns `x .. x + window`, times `scale`. Panics where there are fewer
+    /// columns than `out` and the window need.
     smaller_eigenvalues_of_sums(
         xx: &[i32], xy: &[i32], yy: &[i32], window: usize, scale: f32, out: &mut [f32]
     )
 }
 
 widened! {
-    /// Adds the products of a row of gradients, weighted.
+    /// Adds the weighted gradient products of a row.
     add_weighted_products(
         x: &[i16], y: &[i16], weight: f32, xx: &mut [f32], xy: &mut [f32], yy: &mut [f32],
     )
 }
 
 widened! {
-    /// The smaller eigenvalue of the gradient matrix at each place of a row: its three entries are the sums of the columns
-    /// `x .. x + weights.len()`, weighted. Panics unless there are as many columns as `out` and the window need.
+    /// Minimum eigenvalue of the structure tensor at each position of a row. Its three entries are
+    /// the weighted sums of the columns `x .. x + weights.len()`. Panics where there are fewer
+    /// columns than `out` and the window need.
     smaller_eigenvalues(xx: &[f32], xy: &[f32], yy: &[f32], weights: &[f32], out: &mut [f32])
 }
 
 widened! {
-    /// Marks with 1 the places of the middle row that are at least `least`, above the neighbours read before them and not below those
-    /// read after; with 0 the others, and the ends.
+    /// Local maxima of the middle row: marks with 1 the positions that are at least `least`,
+    /// greater than the neighbours before them in reading order and not less than those after. All
+    /// others, and both ends, are 0.
     mark_local_maxima(above: &[f32], here: &[f32], below: &[f32], least: f32, marks: &mut [u8])
 }
 
 widened! {
-    /// In how many bits each of `others` differs from `one`; as many as there are in the shorter of `others` and `out`.
+    /// Hamming distances of `one` to each of `others`; as many as the shorter of `others` and
+    /// `out`.
     differing_bits(one: &[u64; 4], others: &[[u64; 4]], out: &mut [u32])
 }
 
 widened! {
-    /// In how many bits the two of each pair differ; as many as there are in the shorter of `pairs` and `out`.
+    /// Hamming distance of each pair; as many as the shorter of `pairs` and `out`.
     differing_bits_of_pairs(pairs: &[[[u64; 4]; 2]], out: &mut [u32])
 }

@@ -1,26 +1,27 @@
-//! Sampling, the sums over patches and halving by hand for NEON, which every 64-bit ARM processor has.
+//! Hand-written NEON kernels: sampling, sums over patches and decimation. Every 64-bit ARM
+//! processor has NEON.
 
 use super::scalar::{self, row_start, rows_about, total};
 use super::{Appearance, Grid, PATCH_SIDE, Patch, PatchSums, rows_about_neighbours};
 use crate::image::GrayImage;
 use std::arch::aarch64::*;
 
-/// Samples that are taken at once.
+/// Samples processed at a time.
 const LANES: usize = 8;
 
-/// Bytes of a row of the image among which they are looked up, with their neighbours to the right.
+/// Bytes of an image row in one look-up table, right neighbours included.
 const CHUNK: usize = 16;
 
-/// Over how many rows of the image eight samples may lie, with their neighbours below.
+/// Numbers of image rows that eight samples may span, with their neighbours below.
 const ROWS: [usize; 3] = [3, 4, 5];
 
-/// Where they may lie anywhere.
+/// Row count for samples at arbitrary positions.
 const ANY: usize = 0;
 
 /// A row of a patch.
 type Row = [float32x4_t; 4];
 
-/// See [`super::sample_patch`]; for images whose samples can be counted in 32 bits.
+/// See [`super::sample_patch`]; for images whose offsets fit 32 bits.
 #[target_feature(enable = "neon")]
 pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
     let sampler = Sampler::new(image, grid);
@@ -32,7 +33,7 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
     }
 }
 
-/// See [`super::sample_and_multiply`]; for images whose samples can be counted in 32 bits.
+/// See [`super::sample_and_multiply`]; for images whose offsets fit 32 bits.
 #[target_feature(enable = "neon")]
 pub fn sample_and_multiply(
     image: &GrayImage,
@@ -49,7 +50,8 @@ pub fn sample_and_multiply(
     }
 }
 
-/// Eight samples between the upper and the lower eight of `left` and those of `right`, `fx` to the right and `fy` down.
+/// Bilinear interpolation of eight samples. The halves of `left` and `right` are the upper and the
+/// lower neighbours; `fx` and `fy` are the fractional offsets to the right and down.
 #[inline]
 #[target_feature(enable = "neon")]
 pub fn between(
@@ -58,7 +60,7 @@ pub fn between(
     fx: [float32x4_t; 2],
     fy: [float32x4_t; 2],
 ) -> [float32x4_t; 2] {
-    // Differences of bytes are exact in whole numbers as in `f32`.
+    // Differences of bytes are exact in integers as in `f32`.
     let upper_step = signed(vsubl_u8(vget_low_u8(right), vget_low_u8(left)));
     let lower_step = signed(vsubl_high_u8(right, left));
     let upper_left = unsigned(vmovl_u8(vget_low_u8(left)));
@@ -70,14 +72,14 @@ pub fn between(
     })
 }
 
-/// Eight whole numbers of 16 bits as numbers of 32 bits.
+/// Converts eight unsigned 16-bit integers to `f32`.
 #[inline]
 #[target_feature(enable = "neon")]
 pub fn unsigned(words: uint16x8_t) -> [float32x4_t; 2] {
     [vcvtq_f32_u32(vmovl_u16(vget_low_u16(words))), vcvtq_f32_u32(vmovl_high_u16(words))]
 }
 
-/// The same of differences, which have a sign.
+/// Converts eight signed 16-bit integers to `f32`.
 #[inline]
 #[target_feature(enable = "neon")]
 fn signed(words: uint16x8_t) -> [float32x4_t; 2] {
@@ -85,7 +87,7 @@ fn signed(words: uint16x8_t) -> [float32x4_t; 2] {
     [vcvtq_f32_s32(vmovl_s16(vget_low_s16(words))), vcvtq_f32_s32(vmovl_high_s16(words))]
 }
 
-/// Running sums of the products of samples with an appearance, one a column.
+/// Partial sums of the products of samples with a template, one per column.
 struct Products<'a> {
     factors: [&'a [[f32; PATCH_SIDE]]; 3],
     sums: [Row; 3],
@@ -102,7 +104,7 @@ impl<'a> Products<'a> {
         }
     }
 
-    /// Takes row `j`.
+    /// Adds row `j`.
     #[inline]
     #[target_feature(enable = "neon")]
     fn add(&mut self, j: usize, values: Row) {
@@ -122,18 +124,20 @@ impl<'a> Products<'a> {
     }
 }
 
-/// An image made ready for being sampled along rows of one direction.
+/// Sampler of an image along rows of one direction.
 ///
-/// A grid that is not turned far has eight neighbouring samples on few rows of the image and within few columns: those are loaded
-/// whole, and the samples looked up in them. Elsewhere, and near the end of the image, samples are loaded one by one.
+/// Eight neighbouring samples of a grid that is not strongly rotated lie on few image rows and
+/// within few columns: those are loaded as a whole and the samples looked up in them. Otherwise,
+/// and near the end of the image, samples are loaded one by one.
 struct Sampler<'a> {
     samples: &'a [u8],
     width: usize,
-    /// Steps of a row from its start to each of its samples, along x and y.
+    /// Offsets of the samples of a row from its first, along x and y.
     steps: [Row; 2],
-    /// The same to the first column and the first row of the image that the left eight and the right eight are on.
+    /// Offsets of the first column and first row of the image used by the left eight and by the
+    /// right eight samples.
     first: [[f32; 2]; 2],
-    /// The last place that has a neighbour to the right, below, and right of below.
+    /// The last index that has a right, a lower and a lower right neighbour.
     last: uint32x4_t,
 }
 
@@ -198,7 +202,8 @@ impl<'a> Sampler<'a> {
             [vaddq_f32(vdupq_n_f32(start), steps[0]), vaddq_f32(vdupq_n_f32(start), steps[1])]
         };
         let (x, y) = (place(0, x0), place(1, y0));
-        // A place before the first column or row, by rounding, is at it, as in the reference.
+        // A position before the first column or row, by rounding, is clamped to it, as in the
+        // reference.
         let (columns, lines) = (x.map(|x| vcvtq_u32_f32(x)), y.map(|y| vcvtq_u32_f32(y)));
         let (upper, lower) = if ROWS == ANY {
             self.one_by_one(columns, lines)
@@ -213,8 +218,8 @@ impl<'a> Sampler<'a> {
         between(left, right, beyond(x, columns), beyond(y, lines))
     }
 
-    /// The upper and the lower two samples of eight places side by side, where these are on few rows and within few columns from the first of
-    /// either on.
+    /// The upper and the lower two samples of eight positions side by side. The positions must be
+    /// on few rows and within few columns from `first` on.
     #[inline]
     #[target_feature(enable = "neon")]
     fn looked_up<const ROWS: usize>(
@@ -224,16 +229,16 @@ impl<'a> Sampler<'a> {
         first: (usize, usize),
     ) -> (uint8x16_t, uint8x16_t) {
         let words = |[a, b]: [uint32x4_t; 2]| vuzp1q_u16(vreinterpretq_u16_u32(a), vreinterpretq_u16_u32(b));
-        // Only what is left of the difference counts, so that what 16 bits do not hold may be lost.
+        // Only the difference matters, so overflow of 16 bits is harmless.
         let place = vaddq_u16(words(columns), vshlq_n_u16::<4>(words(lines)));
         let place = vsubq_u16(place, vdupq_n_u16((first.0 + CHUNK * first.1) as u16));
         let twice = vreinterpretq_u8_u16(vsliq_n_u16::<8>(place, place));
         let neighbours = vaddq_u8(twice, vreinterpretq_u8_u16(vdupq_n_u16(0x0100)));
         let at = first.1 * self.width + first.0;
         let near = &self.samples[at..][..(ROWS - 1) * self.width + CHUNK];
-        // SAFETY: `near` ends with a chunk of the last row, which is asked for last.
+        // SAFETY: `near` ends with a chunk of the last row, the last one requested.
         let row = |k: usize| unsafe { vld1q_u8(near.as_ptr().add(k * self.width)) };
-        // The lower two are looked up at the same places of a table that begins a row later.
+        // The lower two have the same indices in a table that begins one row later.
         match ROWS {
             3 => {
                 let (a, b, c) = (row(0), row(1), row(2));
@@ -253,22 +258,22 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// The same of places anywhere.
+    /// As [`Self::looked_up`], for arbitrary positions.
     #[inline]
     #[target_feature(enable = "neon")]
     fn one_by_one(&self, columns: [uint32x4_t; 2], lines: [uint32x4_t; 2]) -> (uint8x16_t, uint8x16_t) {
         let mut at = [0; LANES];
         for (at, (column, line)) in at.as_chunks_mut::<4>().0.iter_mut().zip(columns.into_iter().zip(lines)) {
             let places = vmlaq_n_u32(column, line, self.width as u32);
-            // SAFETY: four numbers are written over four.
+            // SAFETY: writes four values over four.
             unsafe { vst1q_u32(at.as_mut_ptr(), vminq_u32(places, self.last)) };
         }
         let pairs = |below: usize| {
             let pairs: [u16; LANES] = std::array::from_fn(|i| {
-                // SAFETY: the place is at most the last one that has the neighbours that are read here.
+                // SAFETY: the index is at most the last one whose neighbours read here exist.
                 unsafe { self.samples.as_ptr().add(at[i] as usize + below).cast::<u16>().read_unaligned() }
             });
-            // SAFETY: eight numbers are read from an array of eight.
+            // SAFETY: reads eight values from an array of eight.
             vreinterpretq_u8_u16(unsafe { vld1q_u16(pairs.as_ptr()) })
         };
         (pairs(0), pairs(self.width))
@@ -312,7 +317,7 @@ pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
     (mean, total_of(sums))
 }
 
-/// The sum of running sums; see [`total`].
+/// Total of the partial sums; see [`total`].
 #[inline]
 #[target_feature(enable = "neon")]
 fn total_of(sums: Row) -> f64 {
@@ -321,7 +326,7 @@ fn total_of(sums: Row) -> f64 {
     total(lanes)
 }
 
-/// See [`super::patch_sums`]. Whole numbers: their order means nothing.
+/// See [`super::patch_sums`]. Integer addition is exact, so the order is irrelevant.
 #[target_feature(enable = "neon")]
 pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
     let mut singles = [vdupq_n_s16(0); 3];
@@ -361,7 +366,7 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
     for (number, eight) in out.as_chunks_mut().0.iter_mut().enumerate() {
         halve_eight(&sums[2 * LANES * number..], eight);
     }
-    // The last eight, some of which were done already.
+    // The last eight, which may overlap those already done.
     if let Some(eight) = out[last..].first_chunk_mut() {
         halve_eight(&sums[2 * last..], eight);
     }
@@ -371,15 +376,16 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
 #[target_feature(enable = "neon")]
 fn halve_eight(sums: &[u16], out: &mut [u8; LANES]) {
     let sums: &[u16; 2 * LANES + 3] = sums.first_chunk().expect("as many sums as eight samples are made of");
-    // SAFETY: sixteen sums can be read from the first on and from the fourth on.
+    // SAFETY: reads sixteen sums from the first on and from the fourth on, of 19.
     let (from_first, from_fourth) = unsafe { (vld2q_u16(sums.as_ptr()), vld2q_u16(sums.as_ptr().add(3))) };
     let (uint16x8x2_t(first, second), uint16x8x2_t(fourth, fifth)) = (from_first, from_fourth);
-    // The third is the first of the next sample; that of the last is the fifth of the last but one.
+    // The third sum is the first of the next sample; for the last sample it is the fifth of the
+    // last but one.
     let third = vextq_u16::<1>(first, vextq_u16::<6>(fifth, fifth));
-    // The largest total, 16 · 16 · 255, and the half that is added to it just fit into 16 bits.
+    // The largest total, 16 · 16 · 255, plus the half added for rounding just fits 16 bits.
     let total = vmlaq_n_u16(vaddq_u16(first, fifth), vaddq_u16(second, fourth), 4);
     let gray = vrshrn_n_u16::<8>(vmlaq_n_u16(total, third, 6));
-    // SAFETY: eight samples are written over as many.
+    // SAFETY: writes eight samples over eight.
     unsafe { vst1_u8(out.as_mut_ptr(), gray) };
 }
 
@@ -387,14 +393,14 @@ fn halve_eight(sums: &[u16], out: &mut [u8; LANES]) {
 #[target_feature(enable = "neon")]
 fn load_chunk(from: &[u8]) -> uint8x16_t {
     let from: &[u8; CHUNK] = from.first_chunk().expect("a chunk");
-    // SAFETY: so many bytes can be read there.
+    // SAFETY: reads 16 bytes from an array of 16.
     unsafe { vld1q_u8(from.as_ptr()) }
 }
 
 #[inline]
 #[target_feature(enable = "neon")]
 fn load(from: &[f32; PATCH_SIDE]) -> Row {
-    // SAFETY: four samples can be read from every fourth on.
+    // SAFETY: reads four samples from each multiple of four on, within 16.
     std::array::from_fn(|i| unsafe { vld1q_f32(from.as_ptr().add(4 * i)) })
 }
 
@@ -402,7 +408,7 @@ fn load(from: &[f32; PATCH_SIDE]) -> Row {
 #[target_feature(enable = "neon")]
 fn store(values: Row, to: &mut [f32; PATCH_SIDE]) {
     for (i, four) in values.into_iter().enumerate() {
-        // SAFETY: four samples can be written from every fourth on.
+        // SAFETY: writes four samples from each multiple of four on, within 16.
         unsafe { vst1q_f32(to.as_mut_ptr().add(4 * i), four) };
     }
 }

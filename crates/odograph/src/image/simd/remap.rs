@@ -1,81 +1,88 @@
-//! Bilinear sampling of a whole image at places that are known beforehand, in fixed point.
+//! Remapping of a whole image by a precomputed table: bilinear interpolation in fixed point.
 
 #[cfg(target_arch = "aarch64")]
 mod neon;
 #[cfg(target_arch = "x86_64")]
 mod wide;
 
-/// Fractions of a pixel are in 1/2^11.
+/// Number of fractional bits of a sub-pixel position.
 pub const FRACTION_BITS: u32 = 11;
-/// A whole pixel as a fraction.
+/// One pixel in fixed point.
 pub const ONE: u16 = 1 << FRACTION_BITS;
-/// Pixels of a [`Block`].
+/// Pixels per [`Block`].
 pub const BLOCK: usize = 8;
 
-/// Where eight neighbouring pixels of a row come from: for each the upper left of four samples, and how far the place is to the right
-/// of and below it. Six bytes a pixel.
+/// Source positions of eight neighbouring pixels of a row: for each the upper left of four samples
+/// and the fractional offsets to the right and down. Six bytes per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(C, align(16))]
 pub struct Block {
-    /// How far each place is to the right of its sample, 0 to [`ONE`].
+    /// Fractional offset of each position to the right of its sample, 0 to [`ONE`].
     right: [u16; BLOCK],
-    /// How far it is below it.
+    /// Fractional offset down, 0 to [`ONE`].
     down: [u16; BLOCK],
-    /// Columns from the corner in the low four bits, rows from it as [`ONE_ROW`] and [`TWO_ROWS`], or [`NO_SOURCE`].
+    /// Offsets of the samples from the corner: columns in the low four bits, rows as [`ONE_ROW`]
+    /// and [`TWO_ROWS`], or [`NO_SOURCE`].
     steps: [u8; BLOCK],
-    /// Index of the corner that the steps count from, or of the first of eight in [`Remap::loose`].
+    /// Index of the corner sample, or of the block's first entry in [`Remap::loose`].
     corner: u32,
     reach: Reach,
 }
 
-/// How far the samples of a block lie apart.
+/// Spread of the upper left samples of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u32)]
 enum Reach {
-    /// In one or two rows.
+    /// At most two rows.
     Near,
-    /// In three rows.
+    /// Three rows.
     Far,
-    /// Further than steps can tell.
+    /// Beyond the range of the steps.
     Loose,
 }
 
-/// The steps are such that the shuffle of bytes, which heeds the low four bits and the highest, finds its samples and zeros.
+/// The encoding suits the byte shuffle, which uses the low four bits as index and writes zero where
+/// the highest bit is set.
 const ONE_ROW: u8 = 1 << 6;
 const TWO_ROWS: u8 = ONE_ROW | 1 << 5;
 const NO_SOURCE: u8 = 1 << 7;
-/// Both neighbours of a row must be among 16 samples.
+/// Both neighbours in a row must be among 16 samples.
 const MOST_COLUMNS: usize = 14;
 
-/// The place that a pixel comes from.
+/// The source position of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {
     /// Column of the upper left of the four samples.
     pub column: usize,
-    /// Its row.
+    /// Row of the upper left of the four samples.
     pub row: usize,
-    /// How far the place is to the right of it, 0 to [`ONE`].
+    /// Fractional offset to the right, 0 to [`ONE`].
     pub right: u16,
-    /// How far it is below it.
+    /// Fractional offset down, 0 to [`ONE`].
     pub down: u16,
 }
 
-/// Where every pixel of an image comes from.
+/// A remap table: the source position of every pixel of an image.
 #[derive(Debug, Clone)]
 pub struct Remap {
-    /// Width and height of the source.
+    /// Width and height of the source, pixels.
     source: (usize, usize),
-    /// Width and height of the result.
+    /// Width and height of the result, pixels.
     size: (usize, usize),
-    /// Row after row, the last block of a row filled up with pixels without a source.
+    /// Blocks in row order; the last block of a row is padded with pixels without a source.
     blocks: Vec<Block>,
     /// Indices of the upper left samples of the blocks that are [`Reach::Loose`].
     loose: Vec<u32>,
 }
 
 impl Remap {
-    /// From the place of every pixel of a result of `size`, asked for row after row; `None` is black. Panics where a place's four samples
-    /// are not in the source (in a source of one column or row there are only two, or one) or the source has more than 2^32.
+    /// Builds the table of a result of `size`. `place` is called for every pixel in row order;
+    /// `None` is black.
+    ///
+    /// # Panics
+    ///
+    /// Panics where the four samples of a position are not in the source (in a source of one column
+    /// or row there are only two, or one), or where the source has more than 2^32 samples.
     pub fn new(
         source: (usize, usize),
         size: (usize, usize),
@@ -132,15 +139,19 @@ impl Remap {
         self.blocks.push(block);
     }
 
-    /// How many pixels of the result have no source.
+    /// Number of pixels of the result without a source.
     pub fn without_source(&self) -> usize {
         let empty = |block: &Block| block.steps.iter().filter(|step| **step == NO_SOURCE).count();
         let filled_up = self.size.0.next_multiple_of(BLOCK) - self.size.0;
         self.blocks.iter().map(empty).sum::<usize>() - filled_up * self.size.1
     }
 
-    /// Samples an image of `CHANNELS` interleaved channels: 1 or 3 of them use the processor's AVX2 or NEON where it has it. Panics where the
-    /// number of samples is not that of the sizes.
+    /// Remaps an image of `CHANNELS` interleaved channels; 1 and 3 channels use AVX2 or NEON where
+    /// available.
+    ///
+    /// # Panics
+    ///
+    /// Panics where a number of samples does not match the sizes.
     pub fn apply<const CHANNELS: usize>(&self, source: &[u8], result: &mut [u8]) {
         assert_eq!(source.len(), CHANNELS * self.source.0 * self.source.1, "one sample a channel and pixel");
         assert_eq!(result.len(), CHANNELS * self.size.0 * self.size.1, "one sample a channel and pixel");
@@ -169,7 +180,7 @@ impl Remap {
         self.apply_scalar::<CHANNELS>(source, result);
     }
 
-    /// What [`Remap::apply`] means.
+    /// The scalar reference of [`Remap::apply`].
     fn apply_scalar<const CHANNELS: usize>(&self, source: &[u8], result: &mut [u8]) {
         let rows = self.blocks.chunks_exact(self.size.0.div_ceil(BLOCK));
         for (blocks, row) in rows.zip(result.chunks_exact_mut(CHANNELS * self.size.0)) {
@@ -179,7 +190,8 @@ impl Remap {
         }
     }
 
-    /// Indices of the upper left samples of a block's pixels; what they are without a source means nothing.
+    /// Indices of the upper left samples of a block's pixels; unspecified for pixels without a
+    /// source.
     #[inline(always)]
     fn indices(&self, block: &Block) -> [usize; BLOCK] {
         let corner = block.corner as usize;
@@ -195,7 +207,7 @@ impl Remap {
 
     #[inline(always)]
     fn sample_block<const CHANNELS: usize>(&self, block: &Block, source: &[u8], pixels: &mut [u8]) {
-        // In an image of one column or row there is no second sample; the fraction towards it is 0.
+        // An image of one column or row has no second sample; the fraction towards it is 0.
         let right = if self.source.0 > 1 { CHANNELS } else { 0 };
         let below = if self.source.1 > 1 { CHANNELS * self.source.0 } else { 0 };
         let indices = self.indices(block);
@@ -209,7 +221,8 @@ impl Remap {
             let (x, y) = (u32::from(block.right[at]), u32::from(block.down[at]));
             let one = u32::from(ONE);
             for channel in 0..CHANNELS {
-                // 15 bits are left of a row's value, so that the second step has operands of 16 bits too: at most 255 · 128.
+                // A row's value is truncated to 15 bits, at most 255 · 128, so that the second step
+                // also has 16-bit operands.
                 let between = |row: &[u8]| {
                     let sum = u32::from(row[channel]) * (one - x) + u32::from(row[right + channel]) * x;
                     sum >> DROPPED_BITS
@@ -221,11 +234,11 @@ impl Remap {
     }
 }
 
-/// Bits that a value between two samples of a row loses before the rows are weighted, and bits that the result then has left over.
+/// Bits truncated from the interpolation along a row, and fractional bits of the final result.
 const DROPPED_BITS: u32 = 4;
 const LAST_BITS: u32 = 2 * FRACTION_BITS - DROPPED_BITS;
-/// Half of a gray level, and what the dropped bits were worth on the average: half of the last bit kept, by weights whose sum is
-/// [`ONE`].
+/// Half a gray level, plus the mean loss by truncation: half of the last bit kept, times weights
+/// that sum to [`ONE`].
 const ROUNDING: u32 = (1 << (LAST_BITS - 1)) + (1 << (FRACTION_BITS - 1));
 
 #[cfg(test)]
@@ -280,8 +293,9 @@ mod tests {
     }
 
     #[test]
-    fn far_and_loose_blocks_are_sampled_alike() {
-        // Slopes that take eight pixels over two, three and more rows, and steps of up to three columns.
+    fn blocks_of_every_spread_match_the_reference() {
+        // Slopes that spread eight pixels over two, three and more rows, and strides of up to three
+        // columns.
         let source = (200, 160);
         for (slope, stride) in [(0.0, 1.0), (0.15, 1.0), (0.28, 1.2), (0.6, 0.9), (0.1, 1.9), (0.0, 3.0)] {
             let size = (60, 40);

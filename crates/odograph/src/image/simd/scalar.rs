@@ -1,11 +1,12 @@
-//! What each kernel means. Also what runs where the processor has nothing wider.
+//! Scalar references that define the kernels; also the fallback without SIMD.
 //!
-//! `inline(always)`, so that the copies for wider registers are compiled with these bodies inside.
+//! `inline(always)`, so that the copies compiled for wider registers contain these bodies.
 
 use super::{Appearance, BendSums, Grid, Moments, Orthogonal, PATCH_SIDE, Patch, PatchSums, Shift};
 use crate::image::GrayImage;
 
-/// Running sums of a product. Their number is part of the meaning: it fixes the order of additions.
+/// Number of partial sums of a product. It is part of the definition, since it fixes the order of
+/// additions.
 const SUMS: usize = PATCH_SIDE;
 
 #[inline(always)]
@@ -28,7 +29,7 @@ pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
     }
 }
 
-/// Where row `j` of a grid begins.
+/// Position of the first sample of row `j` of a grid.
 #[inline(always)]
 pub fn row_start(grid: &Grid, j: usize) -> (f32, f32) {
     let at = |axis: usize| (grid.first[axis] + grid.along_column[axis] * j as f64) as f32;
@@ -50,7 +51,7 @@ pub fn sample_and_multiply(
     sums.map(total)
 }
 
-/// Adds the products of row `j` of a patch to running sums, one a column.
+/// Adds the products of row `j` of a patch to partial sums, one per column.
 #[inline(always)]
 fn add_products(
     sums: &mut [[f32; PATCH_SIDE]; 3],
@@ -99,7 +100,7 @@ pub fn multiply_shifted(
     sums.map(total)
 }
 
-/// Row `j` of a shifted patch, still on the image's rows.
+/// Row `j` of a translated patch, interpolated along x only.
 #[inline(always)]
 fn between_columns(image: &GrayImage, shift: &Shift, j: usize) -> [f32; PATCH_SIDE] {
     let row: &[u8] = &image.row(shift.top + j)[shift.left..][..PATCH_SIDE + 1];
@@ -111,7 +112,8 @@ fn between_columns(image: &GrayImage, shift: &Shift, j: usize) -> [f32; PATCH_SI
     between
 }
 
-/// The sum of running sums: those of the second half are added to those of the first, until one is left.
+/// Total of the partial sums by pairwise summation: the second half is added to the first until one
+/// is left.
 #[inline(always)]
 pub fn total(sums: [f32; SUMS]) -> f64 {
     let eight: [f64; 8] = std::array::from_fn(|i| f64::from(sums[i]) + f64::from(sums[i + 8]));
@@ -155,7 +157,8 @@ pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
     (mean, total(sums))
 }
 
-/// The rows of an image about row `j` of the patch whose first sample is (`left`, `top`), one sample wider on both sides.
+/// The image rows around row `j` of the patch whose first sample is (`left`, `top`), with one more
+/// sample on either side.
 #[inline(always)]
 pub fn rows_about(image: &GrayImage, left: usize, top: usize, j: usize) -> [&[u8; PATCH_SIDE + 2]; 3] {
     let row = |y: usize| image.row(y)[left - 1..].first_chunk().expect("the samples about a patch");
@@ -164,7 +167,7 @@ pub fn rows_about(image: &GrayImage, left: usize, top: usize, j: usize) -> [&[u8
 
 #[inline(always)]
 pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
-    // Running sums, one a column: whole numbers, so that their order means nothing.
+    // Partial sums, one per column. Integer addition is exact, so the order is irrelevant.
     let mut singles = [[0i16; PATCH_SIDE]; 3];
     let mut products = [[0i32; PATCH_SIDE]; 6];
     for j in 0..PATCH_SIDE {
@@ -194,7 +197,7 @@ pub fn patch_sums(image: &GrayImage, left: usize, top: usize) -> PatchSums {
 
 #[inline(always)]
 pub fn bend_sums(image: &GrayImage, left: usize, top: usize) -> BendSums {
-    // Running sums, one a column: whole numbers, so that their order means nothing.
+    // Partial sums, one per column. Integer addition is exact, so the order is irrelevant.
     let mut singles = [[0i16; PATCH_SIDE]; 2];
     let mut products = [[0i32; PATCH_SIDE]; 6];
     for j in 0..PATCH_SIDE {
@@ -282,19 +285,19 @@ pub fn moments(appearance: &Appearance, less: &Orthogonal) -> Moments {
     }
 }
 
-/// By x x, x y and y y.
+/// Moments of x x, x y and y y.
 #[inline(always)]
 fn second_moments([ones, lower, lowest]: [Columns; 3]) -> [f64; 3] {
     [sum_along(&ones, 2), sum_along(&lower, 1), sum_along(&lowest, 0)]
 }
 
-/// By x and y.
+/// Moments of x and y.
 #[inline(always)]
 fn first_moments([ones, lower, _]: [Columns; 3]) -> [f64; 2] {
     [sum_along(&ones, 1), sum_along(&lower, 0)]
 }
 
-/// The columns together, each times a power of its place.
+/// Sum of the columns, weighted with a power of their x coordinate.
 #[inline(always)]
 fn sum_along(columns: &Columns, power: usize) -> f64 {
     let mut weighted = *columns;
@@ -306,7 +309,7 @@ fn sum_along(columns: &Columns, power: usize) -> f64 {
 
 type Columns = [f32; PATCH_SIDE];
 
-/// How far a row or column of a patch is from its middle, to the power of 0, 1 and 2.
+/// Coordinate of a row or column relative to the centre of a patch, to the powers 0, 1 and 2.
 const PLACES: [Columns; 3] = {
     let mut places = [[1.0; PATCH_SIDE]; 3];
     let mut i = 0;
@@ -319,7 +322,7 @@ const PLACES: [Columns; 3] = {
     places
 };
 
-/// Column by column the sums of a (b + more), times the row's place to the power of 0, 1 and 2.
+/// Per column: sums of a (b + more), weighted with the powers 0, 1 and 2 of the row's coordinate.
 #[inline(always)]
 fn sums_down(a: &Patch, b: &Patch, more: f32) -> [Columns; 3] {
     let [mut ones, mut lower, mut lowest] = [[0.0; PATCH_SIDE]; 3];
@@ -352,7 +355,7 @@ pub fn blur_and_halve(sums: &[u16], out: &mut [u8]) {
     if out.is_empty() {
         return;
     }
-    // The largest total, 16 · 16 · 255 + 128, just fits into 16 bits.
+    // The largest total, 16 · 16 · 255 + 128, just fits 16 bits.
     let n = out.len();
     let sums = &sums[..2 * n + 3];
     let pairs = |from: usize| sums[from..][..2 * n].chunks_exact(2);
@@ -370,7 +373,7 @@ pub fn scharr_gradients(above: &[u8], here: &[u8], below: &[u8], x: &mut [i16], 
     let [(a0, a1, a2), (h0, _, h2), (b0, b1, b2)] =
         [above, here, below].map(|row| (&row[..n], &row[1..][..n], &row[2..][..n]));
     let [x, y] = [x, y].map(|row| &mut row[1..][..n]);
-    // At most 16 · 255: 16 bits hold them.
+    // At most 16 · 255, which fits 16 bits.
     for i in 0..n {
         let v = |row: &[u8]| i16::from(row[i]);
         x[i] = 3 * (v(a2) - v(a0) + v(b2) - v(b0)) + 10 * (v(h2) - v(h0));
@@ -408,7 +411,7 @@ pub fn smaller_eigenvalues_of_sums(
     scale: f32,
     out: &mut [f32],
 ) {
-    // The usual windows with their number known to the compiler.
+    // The common window sizes as compile-time constants.
     match window {
         3 => eigenvalues_of_sums([xx, xy, yy], 3, scale, out),
         5 => eigenvalues_of_sums([xx, xy, yy], 5, scale, out),
@@ -453,7 +456,7 @@ pub fn add_weighted_products(
 
 #[inline(always)]
 pub fn smaller_eigenvalues(xx: &[f32], xy: &[f32], yy: &[f32], weights: &[f32], out: &mut [f32]) {
-    const BLOCK: usize = 16; // so many places at a time keep their sums in registers
+    const BLOCK: usize = 16; // positions at a time whose sums stay in registers
     let whole = out.len() / BLOCK * BLOCK;
     let (blocks, rest) = out.split_at_mut(whole);
     for (block, out) in blocks.chunks_exact_mut(BLOCK).enumerate() {
@@ -479,7 +482,7 @@ pub fn smaller_eigenvalues(xx: &[f32], xy: &[f32], yy: &[f32], weights: &[f32], 
     }
 }
 
-/// Of the symmetric matrix (xx xy; xy yy).
+/// Smaller eigenvalue of the symmetric matrix (xx xy; xy yy).
 #[inline(always)]
 fn smaller_eigenvalue(xx: f32, xy: f32, yy: f32) -> f32 {
     let half_trace = 0.5 * (xx + yy);
@@ -500,7 +503,7 @@ pub fn mark_local_maxima(above: &[f32], here: &[f32], below: &[f32], least: f32,
     let marks = &mut marks[1..][..n];
     for x in 0..n {
         let s = h1[x];
-        // `&` and not `&&`: no branches, so that many places are judged at once.
+        // `&` instead of `&&`: branch-free, so that the loop can be vectorised.
         let before = (s > a0[x]) & (s > a1[x]) & (s > a2[x]) & (s > h0[x]);
         let after = (s >= h2[x]) & (s >= b0[x]) & (s >= b1[x]) & (s >= b2[x]);
         marks[x] = u8::from((s >= least) & before & after);

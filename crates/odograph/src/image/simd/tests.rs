@@ -1,4 +1,5 @@
-//! The kernels against their scalar references: the same bits. On a processor without AVX2 and NEON these compare the references with themselves.
+//! The kernels are bit-identical to their scalar references. Without AVX2 and NEON these tests
+//! compare the references with themselves.
 
 use super::*;
 use proptest::prelude::*;
@@ -28,7 +29,7 @@ fn appearance(seed: u32) -> Appearance {
     }
 }
 
-/// A grid of any direction that fits into the image, pushed against the border it is nearest to where `touching`.
+/// A grid of any orientation inside the image; moved to the nearest border where `touching`.
 fn grid(width: usize, height: usize, linear: [f64; 4], place: [f64; 2], touching: bool) -> Option<Grid> {
     let [xx, xy, yx, yy] = linear;
     let reach = [7.5 * (xx.abs() + xy.abs()), 7.5 * (yx.abs() + yy.abs())];
@@ -66,7 +67,7 @@ proptest! {
         sample_patch(&image, &grid, &mut sampled);
         prop_assert_eq!(found, expected);
         prop_assert_eq!(sampled, expected);
-        // Where a wider kernel was chosen.
+        // The AVX2 kernel, also where `sample_patch` chose a wider one.
         #[cfg(target_arch = "x86_64")]
         if samples_wide(&image) {
             // SAFETY: the processor has AVX2.
@@ -113,12 +114,13 @@ proptest! {
         let products = sample_and_multiply(&image, &grid, &appearance, &mut found);
         sample_patch(&image, &grid, &mut sampled);
         prop_assert_eq!(found, sampled);
-        // Places are rounded once instead of one by one: by 70 of 2⁻¹⁸ pixels, of 255 gray levels.
+        // Positions are rounded once instead of one by one: an error of 70 · 2⁻¹⁸ pixels, times 255
+        // gray levels.
         prop_assert!(general.iter().zip(found).all(|(a, b)| (a - b).abs() < 0.01));
         let shift = Shift::of(&image, &grid).unwrap();
         let expected = scalar::multiply_shifted(&image, &shift, &appearance, &mut sampled);
         prop_assert_eq!((products, found), (expected, sampled));
-        // Where a wider kernel was chosen.
+        // The kernel that runs where `sample_and_multiply` chose a wider one.
         prop_assert_eq!(multiply_shifted(&image, &shift, &appearance, &mut found), products);
         prop_assert_eq!(found, sampled);
     }
@@ -206,7 +208,7 @@ proptest! {
 }
 
 #[test]
-fn sums_over_black_and_white_are_those_of_the_reference() {
+fn sums_over_black_and_white_match_the_reference() {
     for period in [1, 2, 3, 300] {
         let white = |i: usize| if (i % 30 / period).is_multiple_of(2) { 255 } else { 0 };
         let image = GrayImage::from_samples(30, 30, (0..900).map(white).collect()).unwrap();
@@ -216,7 +218,7 @@ fn sums_over_black_and_white_are_those_of_the_reference() {
 }
 
 #[test]
-fn a_place_that_is_not_one_is_read_nowhere() {
+fn invalid_positions_read_nothing_outside_the_image() {
     let image = random_image(40, 30, 3);
     let mut samples = [0.0; 256];
     for value in [f64::NAN, f64::INFINITY, -1e30, 1e30, -5.0, 1e9] {
@@ -226,14 +228,14 @@ fn a_place_that_is_not_one_is_read_nowhere() {
 }
 
 #[test]
-fn differing_bits_are_counted_as_they_are() {
+fn hamming_distances_match_a_count_bit_by_bit() {
     let mut values = random(3);
     let mut word = || u64::from_le_bytes([(); 8].map(|()| values.next().unwrap_or(0)));
     let pairs: Vec<[[u64; 4]; 2]> =
         (0..37).map(|_| [[(); 4].map(|()| word()), [(); 4].map(|()| word())]).collect();
     let mut of_pairs = vec![0; pairs.len()];
     differing_bits_of_pairs(&pairs, &mut of_pairs);
-    // Bit by bit, by another way than the kernel's.
+    // Bit by bit, independent of the kernel's algorithm.
     let differ = |a: &[u64; 4], b: &[u64; 4]| {
         (0..256).filter(|bit| (a[bit / 64] ^ b[bit / 64]) >> (bit % 64) & 1 == 1).count()
     };

@@ -1,42 +1,45 @@
-//! What light, lens and sensor do to the picture of a board.
+//! Illumination, lens and sensor effects on the image of a calibration board.
 
 use super::{GaussianStream, mix};
 use crate::image::GrayImage;
 
-/// What makes a picture of a board hard; [`BoardEffects::default`] is a sharp picture in even light without noise.
+/// Degradations of the image of a board. [`BoardEffects::default`] is a sharp, evenly lit image
+/// without noise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardEffects {
     /// Gray level of the ink.
     pub black_gray: f64,
     /// Gray level of the paper.
     pub white_gray: f64,
-    /// Something in front of the board.
+    /// An object in front of the board.
     pub occlusion: Option<Occlusion>,
     /// Standard deviation of the lens's Gaussian blur, pixels.
     pub blur_px: f64,
-    /// By which share of the light in the middle the light changes from the left to the right edge, and from the top to the bottom
-    /// edge of the image.
+    /// Change of the illumination across the image, from left to right and from top to bottom,
+    /// relative to that in the centre.
     pub light_gradient: (f64, f64),
-    /// How much darker the corner of the image is than its centre, 0 to 1 (falls with the square of the distance).
+    /// Vignetting: relative loss of brightness in the image corners, 0 to 1; quadratic in the
+    /// distance from the centre.
     pub vignetting: f64,
-    /// Standard deviation of the sensor's noise, gray levels.
+    /// Standard deviation of the sensor noise, gray levels.
     pub noise_gray: f64,
-    /// Whether left and right are exchanged, as a selfie camera or a mirror does. [`super::BoardScene::true_view`] does not know.
+    /// Whether the image is mirrored left to right, as by a selfie camera or a mirror.
+    /// [`super::BoardScene::true_view`] is not.
     pub mirrored: bool,
-    /// Decides the noise.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
-/// A gray rectangle in front of the board, in widths and heights of the image from its top left corner.
+/// A gray rectangle in front of the board, in image widths and heights from the top left corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Occlusion {
-    /// Its top left corner.
+    /// Top left corner.
     pub from: (f64, f64),
-    /// Its bottom right corner.
+    /// Bottom right corner.
     pub to: (f64, f64),
 }
 
-/// The gray level of an [`Occlusion`]: that of a hand.
+/// Gray level of an [`Occlusion`]: that of a hand.
 const OCCLUSION_GRAY: f32 = 105.0;
 
 impl Default for BoardEffects {
@@ -56,12 +59,13 @@ impl Default for BoardEffects {
 }
 
 impl BoardEffects {
-    /// A sharp lens in even light as cameras have it: a blur of 0.7 px and noise of `noise_gray` levels.
+    /// A typical sharp camera: a blur of 0.7 px, vignetting of 0.2 and noise with a standard
+    /// deviation of `noise_gray` gray levels.
     pub fn camera_like(noise_gray: f64, seed: u64) -> Self {
         Self { blur_px: 0.7, noise_gray, vignetting: 0.2, seed, ..Self::default() }
     }
 
-    /// Turns light into samples.
+    /// Converts light to 8-bit samples.
     pub(super) fn develop(&self, width: usize, height: usize, mut light: Vec<f32>) -> GrayImage {
         if let Some(Occlusion { from, to }) = self.occlusion {
             let span = |from: f64, to: f64, size: usize| {
@@ -91,7 +95,7 @@ impl BoardEffects {
                 if noise_gray > 0.0 {
                     gray += noise_gray * noise.sample();
                 }
-                // Saturates at both ends, rounds to nearest.
+                // The cast saturates at both ends; 0.5 rounds to nearest.
                 *sample = (gray + 0.5) as u8;
             }
             if self.mirrored {
@@ -104,7 +108,7 @@ impl BoardEffects {
     }
 }
 
-/// A Gaussian blur that repeats the outermost samples beyond the edge.
+/// Gaussian blur with replicated border.
 fn blur(light: &mut [f32], width: usize, height: usize, sigma_px: f64) {
     let radius = (3.5 * sigma_px).ceil().max(1.0) as usize;
     let weight = |distance: usize| (-0.5 * (distance as f64 / sigma_px).powi(2)).exp();

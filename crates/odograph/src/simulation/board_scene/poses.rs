@@ -1,32 +1,34 @@
-//! Poses in which people hold a board before a camera.
+//! Poses of a hand-held calibration board.
 
 use super::{BoardScene, uniform};
 use crate::calibration::BoardPoint;
 use crate::geometry::Pixel;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
-/// How much of the board must be in the image.
+/// Required visibility of the board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Framing {
     /// The whole pattern.
     Whole,
-    /// A third of the points at least: for boards whose parts are enough.
+    /// At least a third of the points, for boards that can be detected partially.
     Partial,
 }
 
-/// Farther than this a board is not tilted against the line of sight, radians.
+/// Maximum tilt of the board against the line of sight, radians.
 const MOST_TILT_RAD: f64 = std::f64::consts::FRAC_PI_4;
 
 impl BoardScene {
-    /// `count` poses that cover the image: everywhere in it, a third to the whole of it large, tilted in all directions by up to 45°
-    /// and turned in the image by up to 25°. The same seed gives the same poses.
+    /// `count` poses whose boards cover the image: between a third and the whole of it large,
+    /// tilted in all directions by up to 45° and rotated in the image by up to 25°. Deterministic
+    /// for a seed.
     pub fn poses(&self, count: usize, framing: Framing, seed: u64) -> Vec<Isometry3<f64>> {
         (0..count).map(|number| self.pose(number, framing, seed)).collect()
     }
 
     fn pose(&self, number: usize, framing: Framing, seed: u64) -> Isometry3<f64> {
-        // Additive recurrences of the plastic number (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018)
-        // spread the places and the tilts; each seed begins elsewhere.
+        // Low-discrepancy additive recurrences of the plastic number (M. Roberts, "The unreasonable
+        // effectiveness of quasirandom sequences", 2018) for positions and tilts, with an offset
+        // from the seed.
         let spread = |dimension: u64, step: f64| (uniform(seed, dimension) + step * number as f64).fract();
         let draw = |index: u64| uniform(seed ^ 0x905E, 16 * number as u64 + index);
         let (mut u, mut v) = (spread(1, 0.754_877_666), spread(2, 0.569_840_291));
@@ -37,7 +39,8 @@ impl BoardScene {
             Framing::Whole => 0.35 + 0.6 * draw(1),
             Framing::Partial => 0.6 + 0.9 * draw(1),
         };
-        // Nearer to the middle and farther away until enough of it is seen.
+        // Move towards the image centre and away from the camera until enough of the board is
+        // visible.
         for _ in 0..200 {
             let pose = self.posed((u, v), size, tilt_rad, towards_rad, turn_rad);
             if let Some(pose) = pose
@@ -51,7 +54,8 @@ impl BoardScene {
         Isometry3::translation(0.0, 0.0, 1.0)
     }
 
-    /// The board's middle at a place in the image, its diagonal `size` times the image's diagonal were it not tilted.
+    /// Pose with the board's centre at (`u`, `v`) in the image; `size` is the ratio of the board's
+    /// diagonal to the image's without tilt.
     fn posed(
         &self,
         (u, v): (f64, f64),
@@ -96,7 +100,8 @@ impl BoardScene {
                 let corners = [pattern.from.x_m, pattern.to.x_m]
                     .into_iter()
                     .flat_map(|x_m| [pattern.from.y_m, pattern.to.y_m].map(|y_m| BoardPoint { x_m, y_m }));
-                // A strong lens bends an edge out of the image whose corners are inside; points along it tell.
+                // With strong distortion the corners may be inside the image and an edge between
+                // them outside, so points along the edge are checked as well.
                 corners.chain(points).all(|point| seen(point, margin_px))
             }
             Framing::Partial => 3 * points.iter().filter(|point| seen(**point, 0.0)).count() >= points.len(),

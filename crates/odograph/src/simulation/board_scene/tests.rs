@@ -15,8 +15,8 @@ fn board(text: &str) -> Board {
 }
 
 #[test]
-fn the_middle_of_a_disc_is_where_the_truth_says() {
-    // Seen straight on, the image of a disc is a disc around the image of its centre.
+fn rendered_disc_centroids_match_the_ground_truth() {
+    // Seen frontally, the image of a disc is a disc around the projection of its centre.
     let board = board("circles:4x3:40mm");
     let scene = BoardScene::new(&board, &pinhole(), 1);
     let effects = BoardEffects::default();
@@ -26,7 +26,7 @@ fn the_middle_of_a_disc_is_where_the_truth_says() {
         let view = scene.true_view(&pose);
         assert_eq!(view.points.len(), 12);
         for SeenPoint { pixel, .. } in view.points {
-            // The disc's radius is 10 px and the next begins 30 px away.
+            // The radius of a disc is 10 px and the next disc begins 30 px away.
             let (mut ink, mut x, mut y) = (0.0, 0.0, 0.0);
             for row in pixel.y as usize - 14..pixel.y as usize + 15 {
                 for column in pixel.x as usize - 14..pixel.x as usize + 15 {
@@ -34,7 +34,7 @@ fn the_middle_of_a_disc_is_where_the_truth_says() {
                     (ink, x, y) = (ink + dark, x + dark * column as f64, y + dark * row as f64);
                 }
             }
-            // Gray levels are rounded: 100 pixels of an edge, each off by up to half of 1/185.
+            // Quantisation error: 100 edge pixels, each off by up to half of 1/185.
             assert!((x / ink - pixel.x).abs() < 0.005 && (y / ink - pixel.y).abs() < 0.005);
             let area_px = ink / (effects.white_gray - effects.black_gray);
             assert!((area_px / (std::f64::consts::PI * 100.0) - 1.0).abs() < 0.002, "{area_px}");
@@ -43,7 +43,7 @@ fn the_middle_of_a_disc_is_where_the_truth_says() {
 }
 
 #[test]
-fn every_pixel_away_from_edges_has_the_colour_of_the_board_at_its_ray() {
+fn pixels_away_from_edges_have_the_board_colour() {
     for text in ["chessboard:7x5:30mm", "charuco:5x7:30mm", "aprilgrid:3x3:50mm"] {
         let board = board(text);
         let scene = BoardScene::new(&board, &barrel(), 2);
@@ -68,7 +68,7 @@ fn every_pixel_away_from_edges_has_the_colour_of_the_board_at_its_ray() {
                         continue;
                     }
                     let expected = if color == Some(true) { 30 } else { 215 };
-                    // A sliver of another colour may pass between the four places looked at.
+                    // A sliver of another colour may pass between the four positions checked.
                     let gray = i32::from(image.row(row as usize)[column as usize]);
                     assert!((gray - expected).abs() < 60, "{text} at {column}, {row}: {gray}");
                     checked += 1;
@@ -80,7 +80,7 @@ fn every_pixel_away_from_edges_has_the_colour_of_the_board_at_its_ray() {
 }
 
 #[test]
-fn poses_keep_the_board_in_the_image_and_cover_it() {
+fn poses_keep_the_board_visible_and_cover_the_image() {
     let whole = board("chessboard:8x6:25mm");
     let scene = BoardScene::new(&whole, &barrel(), 0);
     let poses = scene.poses(20, Framing::Whole, 9);
@@ -99,7 +99,7 @@ fn poses_keep_the_board_in_the_image_and_cover_it() {
 }
 
 #[test]
-fn effects_do_what_they_say() {
+fn board_effects_have_the_configured_strength() {
     let board = board("chessboard:7x5:30mm");
     let scene = BoardScene::new(&board, &pinhole(), 3);
     let pose = Isometry3::translation(-0.09, -0.06, 0.35);

@@ -1,14 +1,14 @@
-//! Pieces of paths: how they run and how progress along them follows time.
+//! Segments of paths: their shape, and progress along them as a function of time.
 
 use super::super::noise::Wobble;
 use crate::geometry::{PlaneTransform, Se2, wrap_angle};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// How a piece of the path leads from its start; progress runs from 0 to the law's amount.
+/// Shape of a segment, as a function of progress from 0 to the law's amount.
 #[derive(Debug, Clone)]
 pub(super) enum Motion {
     Still,
-    /// Progress in metres along a direction against the heading.
+    /// Progress in metres along a direction relative to the heading.
     Line {
         direction_rad: f64,
     },
@@ -21,7 +21,7 @@ pub(super) enum Motion {
     Eight {
         half_length_m: f64,
     },
-    /// Progress in metres along a curve that is tabulated at even distances.
+    /// Progress in metres along a curve that is tabulated at equal arc lengths.
     Curve {
         bend: Bend,
         step_m: f64,
@@ -29,18 +29,19 @@ pub(super) enum Motion {
     },
 }
 
-/// Heading along a curve, by distance from its start.
+/// Heading of a curve as a function of arc length.
 #[derive(Debug, Clone)]
 pub(super) enum Bend {
-    /// A turn whose rate swells and falls off over the whole length.
+    /// A single turn; curvature rises and falls over the whole length.
     Once { length_m: f64, turn_rad: f64 },
-    /// Wandering heading.
+    /// Smooth random heading.
     Wandering { wobble: Wobble, amplitude_rad: f64 },
-    /// Heading and curvature at every so many metres; between them the curvature changes evenly.
+    /// Heading and curvature at equal steps of arc length; curvature is linear between them.
     Steered { step_m: f64, nodes: Vec<(f64, f64)> },
 }
 
-/// Progress by time: constant rate, with smooth ramps where the segment starts or ends at rest.
+/// Timing law: progress at a constant rate, with smooth ramps where the segment starts or ends at
+/// rest.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Law {
     pub(super) amount: f64,
@@ -50,7 +51,7 @@ pub(super) struct Law {
     to_rest: bool,
 }
 
-/// Longest ramp between rest and full speed, seconds.
+/// Maximum duration of a ramp between rest and full speed, seconds.
 const RAMP_S: f64 = 0.5;
 
 impl Law {
@@ -59,7 +60,7 @@ impl Law {
     }
 
     pub(super) fn ramped(amount: f64, rate: f64, from_rest: bool, to_rest: bool) -> Self {
-        // Ramps take as much time as they cost distance twice; a short way gets shorter ones.
+        // A ramp covers half the distance of full speed; short segments have shorter ramps.
         Self { amount, rate, ramp_s: RAMP_S.min(amount / rate), from_rest, to_rest }
     }
 
@@ -72,7 +73,7 @@ impl Law {
         let duration_s = self.duration_s();
         let time_s = time_s.clamp(0.0, duration_s);
         let left_s = duration_s - time_s;
-        // The rate follows 3t² − 2t³ up and down; this is its integral.
+        // The rate is the smoothstep 3t² − 2t³; this is its integral.
         let ramp = |t: f64| self.rate * self.ramp_s * (t * t * t - 0.5 * t * t * t * t);
         if self.from_rest && time_s < self.ramp_s {
             ramp(time_s / self.ramp_s)
@@ -87,7 +88,7 @@ impl Law {
 }
 
 impl Motion {
-    /// Where this leads after that much progress, from the start of the segment.
+    /// Pose after the given progress, relative to the start of the segment.
     pub(super) fn end(&self, progress: f64) -> Se2 {
         match self {
             Self::Still => Se2::IDENTITY,
@@ -99,16 +100,18 @@ impl Motion {
             Self::Turn { about: (x, y), sign } => {
                 let heading_rad = sign * progress;
                 let (turned_x, turned_y) = Se2::rotation(heading_rad).rotate(*x, *y);
-                // The point stays: place + R · point = point.
+                // The point is invariant: position + R · point = point.
                 Se2 { x_m: x - turned_x, y_m: y - turned_y, heading_rad }
             }
             Self::Eight { half_length_m } => {
-                // x = a sin s, y = a/2 sin 2s leaves the crossing at 45°; turned so that it leaves along x.
+                // x = a sin s, y = a/2 sin 2s leaves the crossing at 45°; rotated so that it starts
+                // along x.
                 let (a, s) = (*half_length_m, progress);
                 let (x, y) = (a * s.sin(), 0.5 * a * (2.0 * s).sin());
                 let (dx, dy) = (s.cos(), (2.0 * s).cos());
                 let quarter = FRAC_PI_2 / 2.0;
-                // The tangent turns right by 270° and then left by as much; its angle against the start never is positive.
+                // The tangent turns right by 270° and then left by 270°; relative to the start its
+                // angle is never positive.
                 let raw = dy.atan2(dx) - quarter;
                 let heading_rad = if raw > 0.1 { raw - TAU } else { raw };
                 let (x_m, y_m) = Se2::rotation(-quarter).rotate(x, y);
@@ -139,7 +142,8 @@ impl Motion {
     }
 }
 
-/// A curve of that length: positions tabulated every few centimetres, exact between them.
+/// A curve of that length: positions are tabulated every few centimetres and integrated exactly
+/// between.
 pub(super) fn curve(bend: Bend, length_m: f64) -> Motion {
     let steps = (length_m / 0.05).ceil().max(16.0);
     let step_m = length_m / steps;
@@ -154,18 +158,20 @@ pub(super) fn curve(bend: Bend, length_m: f64) -> Motion {
 }
 
 impl Bend {
-    /// Bends at random, and where it comes near `radius_m` from its start back towards it.
+    /// Random curvature, steered back towards the start where the distance from it approaches
+    /// `radius_m`.
     pub(super) fn within(radius_m: f64, length_m: f64, seed: u64) -> Self {
         const STEP_M: f64 = 0.05;
-        /// 1/m: a turn of 1.2 m to either side is the narrowest.
+        /// Maximum curvature, 1/m: a minimum turning radius of about 1.2 m.
         const MOST: f64 = 0.8;
-        /// The wheel is turned over so many metres, twice one after the other: what it is turned to may jump.
+        /// Arc length constant of the steering, metres: two cascaded low-pass filters smooth the
+        /// requested curvature, which may jump.
         const EASE_M: f64 = 0.5;
         let wobble = Wobble::new(seed, 0.12);
         let (mut at, mut heading_rad, mut eased, mut curvature) = ((0.0f64, 0.0f64), 0.0f64, 0.0, 0.0);
         let mut nodes = vec![(heading_rad, curvature)];
         for step in 1..=(length_m / STEP_M).ceil() as usize + 1 {
-            // Home is to the left where this is positive.
+            // Bearing of the start relative to the heading, positive to the left.
             let home_rad = wrap_angle((-at.1).atan2(-at.0) - heading_rad);
             let away = (at.0.hypot(at.1) / radius_m - 0.5).clamp(0.0, 0.2) / 0.2;
             let at_random = 1.6 * wobble.at(step as f64 * STEP_M);
@@ -186,7 +192,7 @@ impl Bend {
         match self {
             Self::Once { length_m, turn_rad } => {
                 let t = (distance_m / length_m).clamp(0.0, 1.0);
-                // Quintic: curvature and its change are zero at both ends.
+                // Quintic: curvature and its derivative are zero at both ends.
                 turn_rad * t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
             }
             Self::Wandering { wobble, amplitude_rad } => {
@@ -201,7 +207,8 @@ impl Bend {
         }
     }
 
-    /// The way between two distances: the integral of the direction, by Gauss–Legendre quadrature with five points.
+    /// Displacement between two arc lengths: the integral of the direction by five-point
+    /// Gauss–Legendre quadrature.
     pub(super) fn integral(&self, from_m: f64, to_m: f64) -> (f64, f64) {
         const NODES: [(f64, f64); 5] = [
             (-0.906_179_845_938_664, 0.236_926_885_056_189_1),

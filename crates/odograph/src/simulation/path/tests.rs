@@ -1,4 +1,4 @@
-//! Paths are smooth, start where the world does, and end where they say.
+//! Paths are smooth, start at the world origin and end at the specified position.
 
 use super::*;
 use crate::geometry::Ray;
@@ -36,7 +36,8 @@ fn every_path_has_continuous_velocity_and_acceleration() {
                 let (a, b, c) = (at(i - 1), at(i), at(i + 1));
                 let acceleration: [f64; 3] =
                     std::array::from_fn(|k| (c[k] - 2.0 * b[k] + a[k]) / (step * step));
-                // Jerk stays below 60 m/s³ (rad/s³): a jump of the velocity by 1 mm/s would make it 1000.
+                // Jerk stays below 60 m/s³ (rad/s³); a jump of the velocity by 1 mm/s would make it
+                // 1000.
                 if let Some(before) = before {
                     for k in 0..3 {
                         let change = (acceleration[k] - before[k]).abs();
@@ -67,7 +68,7 @@ fn every_path_starts_at_the_origin_along_x() {
 }
 
 #[test]
-fn closed_paths_close_and_lengths_are_those_asked_for() {
+fn closed_paths_close_and_have_the_configured_length() {
     let rig = Rig::level(1.0);
     let end = |kind| {
         let path = Path::new(kind, 0.5, 0.8, true).unwrap();
@@ -84,18 +85,19 @@ fn closed_paths_close_and_lengths_are_those_asked_for() {
             assert!((length_m - 5.2).abs() < 1e-3, "{kind:?}: {length_m}");
         }
     }
-    // Without turning, the heading stays; with turns, the last corner completes the full turn; the eight undoes its own.
+    // Without turns the heading is constant; with turns the last corner completes a full turn; the
+    // figure eight cancels its own.
     assert_eq!(end(PathKind::SquareByTranslation { side_m: 1.0 }).0.heading_rad, 0.0);
     assert!((end(PathKind::SquareWithTurns { side_m: 1.0 }).0.heading_rad - TAU).abs() < 1e-9);
     assert!(end(PathKind::FigureEight { length_m: 4.0, laps: 1.0 }).0.heading_rad.abs() < 1e-9);
     let (pose, length_m, duration_s) = end(PathKind::Straight { length_m: 3.0 });
     assert!((pose.x_m - 3.0).abs() < 1e-12 && (length_m - 3.0).abs() < 1e-9);
-    // Two ramps of half a second cost half of it each.
+    // Each ramp of half a second adds a quarter of a second.
     assert!((duration_s - 6.5).abs() < 1e-12);
 }
 
 #[test]
-fn lanes_are_parallel_and_as_far_apart_as_asked() {
+fn lanes_are_parallel_with_the_configured_spacing() {
     let rig = Rig::level(1.0);
     let path =
         Path::new(PathKind::Lanes { length_m: 2.0, spacing_m: 0.5, count: 3 }, 0.5, 0.8, false).unwrap();
@@ -108,7 +110,7 @@ fn lanes_are_parallel_and_as_far_apart_as_asked() {
 }
 
 #[test]
-fn a_pivot_keeps_its_ground_point_where_it_is_in_the_image() {
+fn the_pivot_point_stays_at_the_same_pixel() {
     let rig = Rig { height_m: 0.8, roll_rad: 0.03, pitch_rad: -0.06, yaw_rad: 0.5 };
     let corner = Ray::new(-0.62, -0.47);
     let about = rig.first_pose().ground_from_ray(corner).unwrap();
@@ -123,15 +125,16 @@ fn a_pivot_keeps_its_ground_point_where_it_is_in_the_image() {
 }
 
 #[test]
-fn the_mount_yaw_turns_the_way_not_the_first_image() {
+fn mount_yaw_rotates_the_path_and_not_the_first_image() {
     let path = Path::new(PathKind::Straight { length_m: 1.0 }, 0.5, 0.8, true).unwrap();
-    // The top of the image points to the carrier's left: forward is to the image's right, world −y.
+    // The top of the image points to the vehicle's left, so forward is to the image's right: world
+    // −y.
     let end = path.pose(path.duration_s(), &Rig { yaw_rad: FRAC_PI_2, ..Rig::level(1.0) });
     assert!(end.x_m.abs() < 1e-12 && (end.y_m + 1.0).abs() < 1e-12 && end.heading_rad == 0.0);
 }
 
 #[test]
-fn impossible_paths_are_refused_by_name() {
+fn invalid_paths_are_rejected_by_name() {
     let refused = |kind, speed, rate| Path::new(kind, speed, rate, true).unwrap_err().to_string();
     assert!(refused(PathKind::Straight { length_m: -1.0 }, 0.5, 1.0).contains("length is -1"));
     assert!(refused(PathKind::Straight { length_m: 1.0 }, f64::NAN, 1.0).contains("speed is NaN"));

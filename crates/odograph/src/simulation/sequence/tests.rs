@@ -1,4 +1,5 @@
-//! Frames are what their truth says, the same whenever they are asked for, and effects do what they say.
+//! Frames agree with their ground truth, are reproducible, and effects have the configured
+//! strength.
 
 use super::*;
 use crate::camera::Distortion;
@@ -33,13 +34,13 @@ fn mean(image: &GrayImage) -> f64 {
     image.samples().iter().map(|&s| f64::from(s)).sum::<f64>() / image.samples().len() as f64
 }
 
-/// Interpolation in an image of floats by the polynomial through 6 × 6 pixels; `None` near its edge. Four would not do:
-/// their third-order error alone looks like a shift by 0.01 pixels.
+/// Polynomial interpolation over 6 × 6 pixels of a float image; `None` near the border. The
+/// interpolation bias of 4 × 4 alone looks like a shift by 0.01 pixels.
 fn interpolated(view: &[f32], width: usize, pixel: Pixel) -> Option<f64> {
     let height = view.len() / width;
     let (left, top) = (pixel.x.floor(), pixel.y.floor());
     let inside = left >= 2.0 && top >= 2.0 && left + 4.0 < width as f64 && top + 4.0 < height as f64;
-    // Lagrange's weights for the nodes −2 … 3.
+    // Lagrange weights for the nodes −2 … 3.
     let weights = |t: f64| -> [f64; 6] {
         std::array::from_fn(|i| {
             (0..6).filter(|j| *j != i).map(|j| (t + 2.0 - j as f64) / (i as f64 - j as f64)).product()
@@ -54,8 +55,8 @@ fn interpolated(view: &[f32], width: usize, pixel: Pixel) -> Option<f64> {
     })
 }
 
-/// The view under the binomial filter 1 2 1: what no interpolation can follow, next to the Nyquist frequency, is taken away, as
-/// registrations do.
+/// Low-pass filter (binomial 1 2 1): removes content near the Nyquist frequency, which no
+/// interpolation reproduces, as image registration commonly does.
 fn smoothed(view: &[f32], width: usize) -> Vec<f32> {
     let pass = |view: &[f32], step: usize| -> Vec<f32> {
         let at = |i: usize| view.get(i).copied().unwrap_or(0.0);
@@ -66,7 +67,8 @@ fn smoothed(view: &[f32], width: usize) -> Vec<f32> {
     pass(&pass(view, 1), width)
 }
 
-/// Where the second view was taken from, by dense least squares over (x, y, heading), started a little off the truth.
+/// Pose of the second view by dense photometric least squares over (x, y, heading), started near
+/// the truth.
 fn registered(
     first: &[f32],
     second: &[f32],
@@ -123,10 +125,10 @@ fn registered(
 }
 
 #[test]
-fn dense_registration_recovers_the_truth_to_three_thousandths_of_a_pixel() {
+fn dense_registration_recovers_the_truth_to_0_003_px() {
     let camera = camera();
     let renderer = Renderer::new(&camera);
-    // Tilted as well as distorted; sub-pixel shifts, and one with a turn.
+    // Tilted and distorted; sub-pixel shifts, and one with a rotation.
     let from = GroundPose { roll_rad: 0.04, pitch_rad: -0.07, x_m: 3.2, y_m: -1.7, ..GroundPose::level(0.5) };
     for texture in [Texture::Asphalt, Texture::Carpet, Texture::Grass, Texture::Concrete, Texture::Bare] {
         let ground = Ground::new(texture.clone(), renderer.footprint_m(0.5), false, 9).unwrap();
@@ -146,14 +148,15 @@ fn dense_registration_recovers_the_truth_to_three_thousandths_of_a_pixel() {
             let start = GroundPose { x_m: to.x_m + 0.3 * pixel_m, heading_rad: turn_rad + 0.002, ..to };
             let found = registered(&view(&from), &view(&to), &camera, &from, start);
             let off_px = (found.x_m - to.x_m).hypot(found.y_m - to.y_m) / pixel_m;
-            let turned_px = (found.heading_rad - to.heading_rad).abs() * 100.0; // at the image's corner
+            // at the image corner
+            let turned_px = (found.heading_rad - to.heading_rad).abs() * 100.0;
             assert!(off_px < 0.003 && turned_px < 0.003, "{texture:?}: {off_px:.4} px, {turned_px:.4} px");
         }
     }
 }
 
 #[test]
-fn every_frame_is_the_same_whenever_it_is_asked_for() {
+fn every_frame_is_reproducible_in_any_order() {
     let effects = Effects {
         noise_gray: 3.0,
         exposure_s: 0.01,
@@ -181,7 +184,7 @@ fn every_frame_is_the_same_whenever_it_is_asked_for() {
 }
 
 #[test]
-fn the_truth_starts_at_the_origin_whatever_shakes() {
+fn the_truth_starts_at_the_origin_with_any_vibration() {
     let effects = Effects {
         vibration: Some(Vibration { shift_m: 0.01, turn_rad: 0.05, frequency_hz: 8.0 }),
         height_change: Some(Wander { amplitude: 0.1, period_s: 3.0 }),
@@ -202,7 +205,7 @@ fn the_truth_starts_at_the_origin_whatever_shakes() {
 }
 
 #[test]
-fn noise_has_the_strength_asked_for() {
+fn noise_has_the_configured_standard_deviation() {
     let noisy = standing(Effects { noise_gray: 4.0, ..Effects::default() });
     let clean = standing(Effects::default()).frame(0).unwrap().image;
     let differences: Vec<f64> = (0..4)
@@ -213,7 +216,7 @@ fn noise_has_the_strength_asked_for() {
         })
         .collect();
     let deviation = (differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64).sqrt();
-    // Rounding adds a little; nothing of this texture saturates.
+    // Quantisation adds a little; this texture does not saturate.
     assert!((deviation - 4.0).abs() < 0.15, "{deviation}");
 }
 
@@ -231,11 +234,11 @@ fn blur_smooths_along_the_motion_and_is_centred_on_the_truth() {
         let s = image.samples();
         (step..s.len()).map(|i| (f64::from(s[i]) - f64::from(s[i - step])).abs()).sum::<f64>()
     };
-    // Forward is up in the image: rows are mixed, columns hardly.
+    // The motion is along the image columns: blur mixes rows, hardly columns.
     let across = roughness(&blurred.image, 1) / roughness(&sharp.image, 1);
     let along = roughness(&blurred.image, 160) / roughness(&sharp.image, 160);
     assert!(along < 0.85 * across, "{along} along, {across} across");
-    // The sharp image fits the blurred one best where it is, not a row up or down.
+    // The sharp image fits the blurred one best without a shift by a row.
     let misfit = |shift: i64| {
         (10..110)
             .flat_map(|y: i64| (10..150).map(move |x: i64| (x, y)))
@@ -250,7 +253,7 @@ fn blur_smooths_along_the_motion_and_is_centred_on_the_truth() {
 }
 
 #[test]
-fn a_blackout_covers_its_frames_and_no_others() {
+fn a_blackout_darkens_only_its_own_frames() {
     let simulation = standing(Effects {
         blackouts: vec![Blackout { from_s: 1.0, to_s: 2.0 }],
         noise_gray: 1.0,
@@ -263,7 +266,7 @@ fn a_blackout_covers_its_frames_and_no_others() {
 }
 
 #[test]
-fn light_and_shadow_change_the_brightness_and_nothing_else() {
+fn light_and_shadow_change_brightness_only() {
     let plain = standing(Effects::default()).frame(10).unwrap();
     let vignetted = standing(Effects { vignetting: 0.5, ..Effects::default() }).frame(10).unwrap();
     let corner = |image: &GrayImage| mean_of(image, 0..12, 0..12);
@@ -292,7 +295,7 @@ fn mean_of(image: &GrayImage, columns: std::ops::Range<usize>, rows: std::ops::R
 }
 
 #[test]
-fn shadows_on_the_ground_stay_on_the_ground() {
+fn ground_shadows_move_with_the_ground() {
     let effects = Effects { ground_shadow: 0.6, ..Effects::default() };
     let make = |effects: Effects| {
         Simulation::new(SimulationConfig { effects, ..config(PathKind::Straight { length_m: 3.0 }) }).unwrap()
@@ -317,13 +320,14 @@ fn an_object_covers_part_of_the_view_when_it_passes() {
         differing as f64 / without.samples().len() as f64
     };
     assert_eq!(covered(0), 0.0);
-    // In the middle of the view after half the time: π (0.08 / 0.5 · 125)² of 160 · 120 pixels.
+    // At half its period it is in the middle of the view and covers π (0.08 / 0.5 · 125)² of 160 ·
+    // 120 pixels.
     assert!((covered(60) - 0.065).abs() < 0.01, "{}", covered(60));
     assert!(covered(66) > 0.03);
 }
 
 #[test]
-fn dropped_and_late_frames_tell_their_times() {
+fn timestamps_of_dropped_and_late_frames_are_true() {
     let simulation =
         standing(Effects { timing: Timing { dropped: 0.25, jitter_s: 0.004 }, ..Effects::default() });
     let times = simulation.times_s();
@@ -334,7 +338,7 @@ fn dropped_and_late_frames_tell_their_times() {
 }
 
 #[test]
-fn colour_and_gray_recordings_show_the_same() {
+fn gray_images_match_colour_images() {
     let make = |colored: bool| {
         let texture = Texture::Bricks;
         let config = SimulationConfig { colored, texture, ..config(PathKind::Straight { length_m: 1.0 }) };
@@ -359,7 +363,7 @@ fn a_camera_that_sees_the_horizon_is_rendered() {
 }
 
 #[test]
-fn impossible_simulations_are_refused_by_name() {
+fn invalid_configurations_are_rejected_by_name() {
     let refused = |change: fn(&mut SimulationConfig)| {
         let mut config = config(PathKind::Straight { length_m: 1.0 });
         change(&mut config);

@@ -1,4 +1,4 @@
-//! The world as it is: rolling shutters, things fixed in the image, uneven ground, wind and a focus that breathes.
+//! Rolling shutter, static image regions, uneven ground, swaying ground and focus breathing.
 
 use super::tests::{config, standing};
 use super::*;
@@ -15,7 +15,7 @@ fn shaking() -> Option<Vibration> {
     Some(Vibration { shift_m: 0.004, turn_rad: 0.03, frequency_hz: 9.0 })
 }
 
-/// What a perfect camera sees from a pose over this simulation's ground, as if that were flat.
+/// Image of an ideal camera at a pose over the same ground, rendered as flat.
 fn flat_view(simulation: &Simulation, pose: &GroundPose) -> GrayImage {
     simulation.renderer.gray_view(&simulation.ground, pose)
 }
@@ -25,7 +25,7 @@ fn most_different(a: &[u8], b: &[u8]) -> u8 {
 }
 
 #[test]
-fn every_row_of_a_rolling_shutter_has_the_pose_of_its_time() {
+fn each_rolling_shutter_row_has_the_pose_of_its_time() {
     let simulation = driving(Effects { readout_s: 0.03, vibration: shaking(), ..Effects::default() });
     let frame = simulation.frame(7).unwrap();
     for row in [0, 17, 59, 60, 101, 119] {
@@ -34,19 +34,19 @@ fn every_row_of_a_rolling_shutter_has_the_pose_of_its_time() {
         let whole = flat_view(&simulation, &simulation.truth(time_s));
         assert!(most_different(frame.image.row(row), whole.row(row)) <= 1, "row {row}");
     }
-    // The readout moves something: the first row is 15 mm, 4 pixels, behind.
+    // The readout has a visible effect: the first row is 15 mm, 4 pixels, behind.
     let global = flat_view(&simulation, &frame.truth);
     assert!(most_different(frame.image.row(0), global.row(0)) > 20);
     assert_eq!(frame.truth, simulation.truth(frame.time_s));
 }
 
 #[test]
-fn a_rolling_shutter_blurs_every_row_about_its_own_time() {
+fn rolling_shutter_blur_is_centred_on_each_row_time() {
     let effects = Effects { vibration: shaking(), exposure_s: 0.01, ..Effects::default() };
     let rolling = driving(Effects { readout_s: 0.02, ..effects.clone() });
     let image = rolling.frame(5).unwrap().image;
     for row in [3, 60, 116] {
-        // The same row of a global shutter whose frame is taken at the row's time.
+        // The same row of a global-shutter frame taken at the time of the row.
         let time_s = rolling.row_time_s(5.0 / 30.0, row);
         let mut mean = vec![0.0f64; 160];
         for step in 0..40 {
@@ -76,7 +76,7 @@ fn flicker_makes_bands_in_a_rolling_shutter() {
 }
 
 #[test]
-fn what_is_beyond_a_kerb_is_seen_from_a_smaller_height() {
+fn ground_beyond_a_kerb_is_seen_from_lower_height() {
     let kerb = Some(Kerb { height_m: 0.1, at_m: 0.1 });
     let simulation =
         standing(Effects { terrain: Terrain { kerb, ..Terrain::default() }, ..Effects::default() });
@@ -103,8 +103,9 @@ fn what_is_beyond_a_kerb_is_seen_from_a_smaller_height() {
 }
 
 #[test]
-fn a_step_down_hides_what_lies_behind_its_edge() {
-    // Looking backwards over the edge from the top of a kerb, nothing between edge and shadow line is seen.
+fn a_step_down_occludes_the_ground_behind_its_edge() {
+    // Looking over the edge from the top of the kerb, the ground between the edge and its occlusion
+    // boundary is hidden.
     let kerb = Some(Kerb { height_m: -0.2, at_m: 0.1 });
     let simulation =
         standing(Effects { terrain: Terrain { kerb, ..Terrain::default() }, ..Effects::default() });
@@ -132,12 +133,13 @@ fn stones_are_displaced_by_their_parallax() {
     let mut compared = 0;
     for (row, column) in (6..114).step_by(9).flat_map(|row| (6..154).step_by(9).map(move |c| (row, c))) {
         let ray = camera.ray_from_pixel(Pixel::new(column as f64, row as f64)).unwrap();
-        // Down the ray in steps of 10 µm until it is below the ground.
+        // Reference: march along the ray in steps of 10 µm until it is below the ground.
         let at = |z: f64| GroundPoint::new(-(0.5 - z) * ray.y, -(0.5 - z) * ray.x);
         let z =
             (0..2200).map(|i| 0.011 - 1e-5 * f64::from(i)).find(|z| *z <= simulation.ground_height_m(at(*z)));
         let point = at(z.unwrap());
-        // A camera whose middle pixel looks straight down at that point sees what the pixel must show.
+        // A camera whose middle pixel looks straight down at that point must see the same gray
+        // level.
         let shade = simulation.surface.as_ref().unwrap().shade(point.x_m, point.y_m);
         let center = camera.ray_from_pixel(Pixel::new(80.0, 59.0)).unwrap();
         let above = GroundPose {
@@ -167,7 +169,7 @@ fn a_riding_camera_keeps_its_height_above_the_ground() {
         assert_eq!(level.truth(time_s).height_m, 0.5);
         let truth = riding.truth(time_s);
         let ground_m = riding.ground_level_m(GroundPoint::new(truth.x_m, truth.y_m));
-        // The wheels are up to 25 cm from the middle.
+        // The wheels are up to 25 cm from the centre.
         assert!((truth.height_m - ground_m - 0.5).abs() < 0.08, "{time_s} s: {}", truth.height_m - ground_m);
         lean = lean.max(truth.pitch_rad.abs());
     }
@@ -177,7 +179,7 @@ fn a_riding_camera_keeps_its_height_above_the_ground() {
 }
 
 #[test]
-fn a_bumper_stands_still_in_the_image_while_the_ground_moves() {
+fn a_bumper_is_static_in_the_image() {
     let effects = Effects {
         bumper: Some(Bumper { share: 0.2 }),
         vibration: shaking(),
@@ -198,7 +200,7 @@ fn a_bumper_stands_still_in_the_image_while_the_ground_moves() {
 }
 
 #[test]
-fn dirt_and_lamp_change_the_light_and_stand_still() {
+fn dirt_and_lamp_are_static_in_the_image() {
     let plain = driving(Effects::default());
     let lit =
         driving(Effects { lamp: Some(Lamp::default()), dirt: Some(Dirt { count: 5 }), ..Effects::default() });
@@ -215,7 +217,7 @@ fn dirt_and_lamp_change_the_light_and_stand_still() {
 }
 
 #[test]
-fn what_sways_moves_and_the_rest_stands_still() {
+fn only_swaying_patches_move() {
     let sway = Some(Sway { amplitude_m: 0.012, share: 0.4, period_s: 1.0 });
     let simulation = standing(Effects { sway, ..Effects::default() });
     let images: Vec<GrayImage> = (0..30).step_by(4).map(|n| simulation.frame(n).unwrap().image).collect();
@@ -223,7 +225,8 @@ fn what_sways_moves_and_the_rest_stands_still() {
         .filter(|i| images.iter().all(|image| image.samples()[*i] == images[0].samples()[*i]))
         .count() as f64
         / 19_200.0;
-    // One view shows few patches: the share in it is not the share of all the ground.
+    // One view contains few patches, so its swaying fraction varies widely about the configured
+    // one.
     assert!((0.1..0.9).contains(&still), "{still}");
     let flat = flat_view(&simulation, &GroundPose::level(0.5));
     let moved = most_different(images[3].samples(), flat.samples());
@@ -231,7 +234,7 @@ fn what_sways_moves_and_the_rest_stands_still() {
 }
 
 #[test]
-fn a_breathing_focus_shows_what_the_camera_of_that_time_sees() {
+fn focus_breathing_matches_the_camera_model_of_that_time() {
     let breathing = Some(Breathing { share: 0.03, period_s: 4.0 });
     let simulation = standing(Effects { breathing, ..Effects::default() });
     assert_eq!(simulation.camera(0.0).unwrap(), simulation.config.camera);
@@ -246,7 +249,7 @@ fn a_breathing_focus_shows_what_the_camera_of_that_time_sees() {
 }
 
 #[test]
-fn absurd_effects_are_refused_by_name() {
+fn invalid_effects_are_rejected_by_name() {
     let refused = |effects: Effects| {
         let config = config(PathKind::Straight { length_m: 1.0 });
         Simulation::new(SimulationConfig { effects, ..config }).unwrap_err().to_string()

@@ -1,4 +1,4 @@
-//! Rays meet the surface where they first touch it, and a carrier rides on it as its wheels do.
+//! Rays intersect the surface at the first contact, and a vehicle tilts with its wheels.
 
 use super::*;
 use crate::simulation::noise::uniform;
@@ -17,7 +17,7 @@ fn rough() -> Terrain {
 }
 
 #[test]
-fn a_ray_meets_the_surface_where_it_first_touches_it() {
+fn rays_stop_at_the_first_intersection_with_the_surface() {
     for terrain in [relief(0.005, 0.03), rough(), Terrain { relief: None, ..rough() }] {
         let surface = Surface::new(&terrain, 5).unwrap();
         for ray in 0..150 {
@@ -32,7 +32,8 @@ fn a_ray_meets_the_surface_where_it_first_touches_it() {
                 z - surface.height_m(camera[0] + drop * per_drop[0], camera[1] + drop * per_drop[1])
             };
             assert!(gap(z).abs() < 2e-6, "ray {ray}: {} m off the surface", gap(z));
-            // By small steps from above: grazed tips thinner than 0.2 mm may be missed.
+            // Ray marching in small steps from above; grazed tips thinner than 0.2 mm may be
+            // missed.
             let first =
                 (0..30_000).map(|step| camera[2] - 5e-5 * f64::from(step)).find(|z| gap(*z) < -2e-4).unwrap();
             assert!(first < z + 1e-4, "ray {ray} went through the surface at {first}, met it at {z}");
@@ -41,7 +42,7 @@ fn a_ray_meets_the_surface_where_it_first_touches_it() {
 }
 
 #[test]
-fn bounds_hold_over_their_area() {
+fn bounds_contain_the_surface_over_their_area() {
     let surface = Surface::new(&rough(), 5).unwrap();
     for area in 0..200 {
         let draw = |index: u64| uniform(area, index);
@@ -69,7 +70,7 @@ fn the_level_of_the_ground_is_zero_at_the_origin() {
 }
 
 #[test]
-fn relief_has_the_height_asked_for_and_no_mean() {
+fn relief_has_the_configured_amplitude_and_zero_mean() {
     let surface = Surface::new(&relief(0.01, 0.03), 2).unwrap();
     let heights: Vec<f64> = (0..90_000)
         .map(|i| surface.height_m(f64::from(i % 300) * 0.0061 - 0.9, f64::from(i / 300) * 0.0061))
@@ -80,14 +81,15 @@ fn relief_has_the_height_asked_for_and_no_mean() {
 }
 
 #[test]
-fn a_carrier_leans_as_its_ramp_does_in_every_direction() {
+fn a_vehicle_tilts_with_its_ramp_at_every_heading() {
     let terrain = Terrain { ramp: Some(Ramp { slope: 0.1, at_m: 1.0 }), ride: true, ..Terrain::default() };
     let surface = Surface::new(&terrain, 1).unwrap();
     for heading_rad in [0.0, 0.7, 2.0, 9.0] {
         let carrier = GroundPose { x_m: 3.0, y_m: 1.0, heading_rad, ..GroundPose::level(0.5) };
         let pose = surface.ridden(&carrier, carrier);
         assert!((pose.height_m - 0.5 - 0.2).abs() < 1e-9);
-        // Seen from the carrier, the ramp is level: its up is the ramp's normal.
+        // Relative to the vehicle the ramp is level: the vehicle's up axis is the normal of the
+        // ramp.
         let up = pose.world_from_camera_rotation() * nalgebra::Vector3::new(0.0, 0.0, -1.0);
         let normal = nalgebra::Vector3::new(-0.1, 0.0, 1.0).normalize();
         assert!((up - normal).norm() < 1e-9, "{up} at heading {heading_rad}");
@@ -99,7 +101,7 @@ fn a_carrier_leans_as_its_ramp_does_in_every_direction() {
 }
 
 #[test]
-fn absurd_terrains_are_refused_by_name() {
+fn invalid_terrains_are_rejected_by_name() {
     let refused = |terrain: Terrain| terrain.validated().unwrap_err().to_string();
     let undulation = |amplitude_m, wavelength_m| Terrain {
         undulation: Some(Undulation { amplitude_m, wavelength_m }),

@@ -1,11 +1,12 @@
-//! Against what cameras answered: their formats as `v4l2-ctl --list-formats-ext` prints them, from public reports of their owners.
+//! Tests with the recorded answers of cameras: their formats as printed by `v4l2-ctl
+//! --list-formats-ext`, from public reports of their owners.
 
 #![allow(clippy::unwrap_used)] // a test fails by panicking
 
 use super::*;
 use std::collections::BTreeMap;
 
-/// A USB 2 camera with both formats; it tells its first size twice.
+/// A USB 2 camera with both formats; it lists its first size twice.
 const WEBCAM: &str = "\
 [0]: 'MJPG' (Motion-JPEG, compressed)
     Size: Discrete 1920x1080
@@ -27,7 +28,7 @@ const WEBCAM: &str = "\
         Interval: Discrete 0.033s (30.000 fps)
 ";
 
-/// A USB 2 camera whose large uncompressed pictures come slowly.
+/// A USB 2 camera whose large uncompressed images have a low frame rate.
 const SLOW_WHEN_LARGE: &str = "\
 [0]: 'YUYV' (YUYV 4:2:2)
     Size: Discrete 640x480
@@ -44,7 +45,7 @@ const SLOW_WHEN_LARGE: &str = "\
         Interval: Discrete 0.067s (15.000 fps)
 ";
 
-/// The infrared camera of a laptop: luminance only, no exposure control, one size that is nobody's usual one.
+/// The infrared camera of a laptop: luminance only, no exposure control, a single uncommon size.
 const GRAY: &str = "\
 [0]: 'GREY' (8-bit Greyscale)
     Size: Discrete 640x360
@@ -52,7 +53,8 @@ const GRAY: &str = "\
         Interval: Discrete 0.033s (30.000 fps)
 ";
 
-/// A board computer's own camera: any size in steps, and formats that are not read here.
+/// The camera of a single-board computer: any size in steps, and formats that are not supported
+/// here.
 const STEPWISE: &str = "\
 [0]: 'YU12' (Planar YUV 4:2:0)
     Size: Stepwise 32x32 - 2592x1944 with step 2/2
@@ -64,7 +66,7 @@ const STEPWISE: &str = "\
     Size: Stepwise 32x32 - 2592x1944 with step 2/2
 ";
 
-/// An industrial camera of 12 Mpixel with Bayer pictures only.
+/// An industrial camera of 12 Mpixel with Bayer images only.
 const BAYER: &str = "\
 [0]: 'GRBG' (8-bit Bayer GRGR/BGBG)
     Size: Discrete 3872x2764
@@ -73,14 +75,14 @@ const BAYER: &str = "\
 
 type Listed = Vec<((u32, u32), Vec<(u32, u32)>)>;
 
-/// A driver that answers as a camera did.
+/// A driver that replays recorded answers.
 #[derive(Default)]
 struct Recorded {
     formats: Vec<([u8; 4], Option<Sizes>, Listed)>,
     controls: BTreeMap<Control, i32>,
-    /// What the format is set to, whatever is asked for.
+    /// The format that is set, whatever was requested.
     stubborn: Option<Given>,
-    /// What the interval becomes, whatever is asked for.
+    /// The frame interval that is set, whatever was requested.
     lazy: Option<(u32, u32)>,
     bytes_per_line: Option<u32>,
     busy: bool,
@@ -109,7 +111,7 @@ impl Recorded {
             } else {
                 let rate = line.split_once('(').unwrap().1.split_once(' ').unwrap().0;
                 let rate: f64 = rate.parse().unwrap();
-                // In units of 100 ns, as the driver for USB cameras has it.
+                // In units of 100 ns, like the Linux driver for USB cameras.
                 sizes.last_mut().unwrap().1.push(((1e7 / rate).round() as u32, 10_000_000));
             }
         }
@@ -117,7 +119,7 @@ impl Recorded {
     }
 
     fn with_exposure(mut self) -> Self {
-        // Automatic with the aperture fixed, 15.6 ms, white balance automatic.
+        // Automatic exposure with fixed aperture, 15.6 ms, automatic white balance.
         self.controls =
             [(Control::ExposureAuto, 3), (Control::Exposure, 156), (Control::WhiteBalanceAuto, 1)].into();
         self
@@ -176,7 +178,7 @@ impl Driver for Recorded {
         self.asked.push(format!("{control:?} {value}"));
         let there = self.controls.get_mut(&control).ok_or_else(|| io::Error::from_raw_os_error(22))?;
         *there = value;
-        // A camera that forgets its exposure with the switch to manual.
+        // A camera that resets its exposure when switched to manual.
         if control == Control::ExposureAuto && value == EXPOSURE_MANUAL {
             self.controls.insert(Control::Exposure, 3);
         }
@@ -189,7 +191,7 @@ fn size(width: u32, height: u32) -> ModeWish {
 }
 
 #[test]
-fn each_camera_is_set_up_as_its_answers_allow() {
+fn each_recorded_camera_gets_its_best_mode() {
     let chosen = |printed: &str, wish: ModeWish| {
         let mut camera = Recorded::camera(printed);
         let agreed = camera.set_up(wish)?;
@@ -233,9 +235,9 @@ fn each_camera_is_set_up_as_its_answers_allow() {
 fn every_mode_is_listed_once() {
     let listed = |printed: &str| modes(&Recorded::camera(printed));
     assert_eq!([WEBCAM, SLOW_WHEN_LARGE, GRAY, BAYER].map(|printed| listed(printed).len()), [6, 9, 2, 0]);
-    // The common sizes and both ends, three rates each, two formats.
+    // Six common sizes and both ends, three rates each, two formats.
     assert_eq!(listed(STEPWISE).len(), 8 * 3 * 2);
-    // A driver that does not tell its rates has modes all the same.
+    // A driver that does not report frame rates has modes as well.
     let mut camera = Recorded::camera(GRAY);
     camera.formats[0].2[0].1.clear();
     camera.formats[0].1 = Some(Sizes::Listed(vec![(640, 360), (320, 180)]));
@@ -243,7 +245,7 @@ fn every_mode_is_listed_once() {
 }
 
 #[test]
-fn what_a_driver_does_not_keep_to_is_told() {
+fn deviations_of_the_driver_are_reported() {
     let mut camera = Recorded::camera(WEBCAM);
     camera.lazy = Some((1, 15));
     let agreed = camera.set_up(ModeWish::default()).unwrap();
@@ -257,7 +259,7 @@ fn what_a_driver_does_not_keep_to_is_told() {
     camera.busy = true;
     let error = camera.set_up(ModeWish::default()).unwrap_err();
     assert_eq!(error, "/dev/video7 cannot be set up: it is in use by another program");
-    // Rows with a gap between them, and a driver that does not say where rows begin.
+    // Padded rows, and a driver that does not report the row stride.
     for (told, bytes) in [(1344, 1344), (0, 1280)] {
         let mut camera = Recorded::camera(WEBCAM);
         camera.bytes_per_line = Some(told);
@@ -266,12 +268,12 @@ fn what_a_driver_does_not_keep_to_is_told() {
 }
 
 #[test]
-fn exposure_is_held_where_it_was_found() {
+fn exposure_is_fixed_at_its_automatic_value() {
     let mut camera = Recorded::camera(WEBCAM).with_exposure();
     hold_exposure(&mut camera).unwrap();
     assert_eq!(camera.asked, ["ExposureAuto 1", "Exposure 156", "WhiteBalanceAuto 0"]);
     assert_eq!(camera.controls[&Control::Exposure], 156);
-    // Without the control it cannot be held, and that is said by who asks.
+    // Without the control the exposure cannot be fixed, and the caller reports it.
     let mut camera = Recorded::camera(GRAY);
     assert_eq!(hold_exposure(&mut camera).unwrap_err().raw_os_error(), Some(22));
 }

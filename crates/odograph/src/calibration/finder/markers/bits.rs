@@ -1,48 +1,50 @@
-//! Reading a marker's bits where it is known to be.
+//! Decoding of the bits of a marker at a known position.
 
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 use nalgebra::{Matrix3, Vector3};
 
-/// How a family of markers is drawn.
+/// The printed layout of a marker family.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Layout {
-    /// Bits along a side.
+    /// Number of bits along a side, without the border.
     pub bits: usize,
     /// Width of the black border, in bits.
     pub border: usize,
 }
 
 impl Layout {
-    /// Bits along a side with the border.
+    /// Number of bits along a side, including the border.
     pub fn side(self) -> usize {
         self.bits + 2 * self.border
     }
 }
 
-/// What was read of one marker.
+/// The decoded bits and gray levels of a marker.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Reading {
-    /// The bits, row after row from the top left, the first the most significant; 1 is white.
+    /// The bits in row-major order from the top left, the first one most significant; 1 is white.
     pub bits: u64,
-    /// The gray of each bit in the same order, 0 halfway between black and white, which are one apart. Not sharpened.
+    /// Gray level of each bit in the same order, without sharpening: −0.5 black, 0 the midpoint,
+    /// 0.5 white.
     pub grays: [f64; MOST_BITS * MOST_BITS],
 }
 
-/// The least contrast that is read, gray levels.
+/// Minimum contrast, gray levels.
 const LEAST_CONTRAST: f64 = 10.0;
-/// The part of the border that may read white, and of the surroundings that may read black.
+/// Maximum share of white samples on the border, and of black samples in the surroundings.
 const MOST_WRONG_BORDER: f64 = 0.12;
 const MOST_WRONG_SURROUNDINGS: f64 = 0.25;
-/// Bits smaller than this are blurred into each other and get sharpened, pixels.
+/// Smaller bits are blurred into each other and are sharpened, pixels.
 const SMALL_BIT_PX: f64 = 5.0;
 
-/// Reads the marker whose unit square `pixel` maps to the image (x to the right of the marker, y down); `quiet` is how much white
-/// surrounds it, in its sides.
+/// Decodes a marker; `pixel` maps its unit square to the image (x to the right of the marker, y
+/// down), and `quiet` is the width of the white quiet zone in sides of the marker.
 ///
-/// The levels of black and white are planes through what is read on the border and around it, so light may change over the marker; bits
-/// are sharpened against their four neighbours, as in AprilTag 3 (M. Krogius et al., "Flexible layouts for fiducial tags", 2019). `None`
-/// where the marker does not lie in the image, or border and surroundings do not look like a marker's.
+/// The black and white levels are planes fitted to the samples on the border and around it, so the
+/// illumination may vary over the marker. Small bits are sharpened against their four neighbours,
+/// as in AprilTag 3 (M. Krogius et al., "Flexible layouts for fiducial tags", 2019). `None` if the
+/// marker is not inside the image, or if its border and surroundings do not match a marker.
 pub(crate) fn read(
     image: &GrayImage,
     layout: Layout,
@@ -54,7 +56,8 @@ pub(crate) fn read(
     let step = 1.0 / side as f64;
     let at = |i: usize| (i as f64 + 0.5) * step;
     let sample = |x: f64, y: f64| interpolated(image, pixel(x, y)?);
-    // Four samples a bit; in small bits all near its middle, away from the neighbours.
+    // Four samples per bit. In small bits all of them are close to the middle, away from the
+    // neighbours.
     let reach = if bit_px < 3.0 { 0.12 * step } else { 0.2 * step };
     let of_bit = |x: f64, y: f64| {
         Some(
@@ -77,10 +80,10 @@ pub(crate) fn read(
         }
     }
     let outside = 0.5 * quiet.min(step);
-    // Not at its ends, where an AprilGrid's squares touch.
+    // The ends are skipped, because the squares of an AprilGrid touch there.
     for i in 1..side - 1 {
         for (x, y) in [(at(i), -outside), (at(i), 1.0 + outside), (-outside, at(i)), (1.0 + outside, at(i))] {
-            // Some of the surroundings may lie beyond the image.
+            // Parts of the surroundings may be outside the image.
             if let Some(value) = sample(x, y) {
                 white.add(x, y, value);
             }
@@ -109,7 +112,7 @@ pub(crate) fn read(
                 let around =
                     grid[here - 1] + grid[here + 1] + grid[here - MOST_SIDE] + grid[here + MOST_SIDE];
                 value += value - 0.25 * around;
-                // Between equals, sharpening moves the middle of black and white nowhere.
+                // Sharpening has no effect in uniform areas, so the threshold remains valid.
             }
             let is_white = value > middle(at(column), at(row));
             bits = bits << 1 | u64::from(is_white);
@@ -118,12 +121,13 @@ pub(crate) fn read(
     Some(Reading { bits, grays })
 }
 
-/// The most bits along a side of a marker without its border.
+/// Maximum number of bits along a side, without the border.
 pub(super) const MOST_BITS: usize = 6;
-/// The most bits along a side with the border: an AprilTag with two bits of border.
+/// Maximum number of bits along a side, including the border: an AprilTag with a border of two
+/// bits.
 const MOST_SIDE: usize = 10;
 
-/// Gray levels at places of the marker.
+/// Gray level samples at positions on the marker.
 #[derive(Default)]
 struct Level {
     samples: Vec<(f64, f64, f64)>,
@@ -134,7 +138,7 @@ impl Level {
         self.samples.push((x, y, value));
     }
 
-    /// The plane through the samples, least squares: coefficients of x, y and 1.
+    /// Least-squares plane through the samples: coefficients of x, y and 1.
     fn plane(&self) -> Option<Vector3<f64>> {
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for &(x, y, value) in &self.samples {
@@ -151,7 +155,7 @@ impl Level {
     }
 }
 
-/// The image between its samples; `None` beyond it.
+/// Bilinear interpolation; `None` outside the image.
 pub(crate) fn interpolated(image: &GrayImage, at: Pixel) -> Option<f64> {
     let inside =
         at.x >= 0.0 && at.y >= 0.0 && at.x < image.width() as f64 - 1.0 && at.y < image.height() as f64 - 1.0;

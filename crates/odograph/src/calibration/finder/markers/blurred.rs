@@ -1,35 +1,38 @@
-//! Markers whose bits run into each other: told by their looks as a whole.
+//! Decoding of blurred markers, whose bits merge, by template matching of the whole marker.
 
 use super::bits::MOST_BITS;
 
-/// Standard deviations of the blur that markers are compared under, bits.
+/// Standard deviations of the blur of the templates, in bits.
 const BLURS: [f64; 4] = [0.35, 0.55, 0.75, 1.0];
-/// The least correlation of the grays of a marker's bits with what is expected, and by how much the best marker must be ahead of the next.
+/// Minimum correlation with the best template, and minimum margin over the next-best marker or
+/// orientation.
 const LEAST_CORRELATION: f64 = 0.88;
 const LEAST_LEAD: f64 = 0.08;
 
-/// The grays of a marker's bits, without their mean and of unit length.
+/// Gray levels of a marker's bits, with zero mean and unit norm.
 type Grays = [f32; MOST_BITS * MOST_BITS];
 
-/// What markers look like when blurred, in each of four turns.
+/// Templates of the blurred markers in four orientations.
 #[derive(Debug, Clone)]
 pub(super) struct Blurred {
     bits: usize,
-    /// For each marker, turn and blur.
+    /// Indexed by marker, orientation and blur.
     looks: Vec<[[Grays; BLURS.len()]; 4]>,
 }
 
 impl Blurred {
-    /// The looks of markers given in their four turns.
+    /// Templates of markers given in their four orientations.
     pub fn new(turned: &[[u64; 4]], bits: usize) -> Self {
         let looks =
             turned.iter().map(|turns| turns.map(|code| BLURS.map(|blur| look(code, bits, blur)))).collect();
         Self { bits, looks }
     }
 
-    /// The marker that looks most like what was read, and how often it is turned; `None` where none does or two do.
+    /// The marker with the highest correlation, and its number of quarter turns. `None` if the
+    /// correlation is too low or the result is ambiguous.
     ///
-    /// A matched filter for each marker: with equal blur all around it, the most probable marker under Gaussian noise.
+    /// This is a matched filter for each marker: the maximum-likelihood decision for uniform blur
+    /// and Gaussian noise.
     pub fn look_up(&self, grays: &[f64; MOST_BITS * MOST_BITS]) -> Option<(usize, usize)> {
         let seen = self.normalised(grays)?;
         let (mut best, mut next) = ((0.0, None), 0.0);
@@ -47,7 +50,7 @@ impl Blurred {
         (best.0 >= LEAST_CORRELATION && best.0 - next >= LEAST_LEAD).then_some(best.1).flatten()
     }
 
-    /// The correlation of what was read with an upright marker under the blur that fits best.
+    /// Correlation of a reading with an upright marker, maximised over the blur.
     pub fn likeness(&self, id: usize, grays: &[f64; MOST_BITS * MOST_BITS]) -> f64 {
         self.normalised(grays).map_or(0.0, |seen| self.correlation(&self.looks[id][0], &seen))
     }
@@ -64,7 +67,7 @@ impl Blurred {
     }
 }
 
-/// Without their mean and of unit length; `None` where all are the same.
+/// Normalises to zero mean and unit norm; `None` for constant gray levels.
 fn normalised(grays: &[f64; MOST_BITS * MOST_BITS], count: usize) -> Option<Grays> {
     let mean = grays[..count].iter().sum::<f64>() / count as f64;
     let length = grays[..count].iter().map(|gray| (gray - mean).powi(2)).sum::<f64>().sqrt();
@@ -77,13 +80,14 @@ fn normalised(grays: &[f64; MOST_BITS * MOST_BITS], count: usize) -> Option<Gray
     })
 }
 
-/// The grays at the middles of a marker's bits under a Gaussian blur, black all around.
+/// Gray levels at the bit centres of a marker under Gaussian blur, with a black surround.
 fn look(code: u64, bits: usize, blur: f64) -> Grays {
-    // The shares of a bit and of each of its two neighbours along a row in what is seen at its middle.
+    // The weights of a bit and of each of its two neighbours along a row, for the value at its
+    // centre.
     let own = error_function(0.5 / (blur * std::f64::consts::SQRT_2));
     let side = 0.5 * (1.0 - own);
     let white = |column: usize, row: usize| {
-        // Counted from one, so that the border is at 0.
+        // Counted from one; the border is at 0.
         let inside = (1..=bits).contains(&column) && (1..=bits).contains(&row);
         inside && code >> (bits * bits - 1 - (row - 1) * bits - (column - 1)) & 1 == 1
     };
@@ -102,8 +106,8 @@ fn look(code: u64, bits: usize, blur: f64) -> Grays {
     normalised(&grays, bits * bits).unwrap_or([0.0; MOST_BITS * MOST_BITS])
 }
 
-/// The error function for what is not negative (M. Abramowitz and I. Stegun, "Handbook of mathematical functions", 1964, 7.1.25), to
-/// 3e-5.
+/// The error function for non-negative x, accurate to 3e-5 (M. Abramowitz and I. Stegun, "Handbook
+/// of mathematical functions", 1964, 7.1.25).
 fn error_function(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.47047 * x);
     1.0 - t * (0.348_024_2 - t * (0.095_879_8 - t * 0.747_855_6)) * (-x * x).exp()

@@ -1,8 +1,8 @@
-//! Square markers (ArUco, AprilTag) in an image: where they are, which they are, and how they are turned.
+//! Detection of square fiducial markers (ArUco, AprilTag): position, identity and orientation.
 //!
-//! The way of S. Garrido-Jurado et al., "Automatic generation and detection of highly reliable fiducial markers under occlusion", 2014:
-//! dark areas by a local threshold, their outlines, those that are quadrangles, the bits within. What is looked up afterwards is only
-//! what the board has.
+//! The method is that of S. Garrido-Jurado et al., "Automatic generation and detection of highly
+//! reliable fiducial markers under occlusion", 2014: adaptive threshold, outlines of dark regions,
+//! selection of quadrangles, decoding of the bits. Only the markers of the board are looked up.
 
 mod bits;
 mod blurred;
@@ -19,52 +19,54 @@ use bits::Reading;
 use blurred::Blurred;
 use threshold::Dark;
 
-/// The markers of a board, as they are to be looked up.
+/// The codes of a board's markers, prepared for decoding.
 #[derive(Debug, Clone)]
 pub(super) struct Codes {
-    /// How they are drawn; where more than one way is in use, the first that reads is taken.
+    /// Possible layouts of the printed markers; the first one that can be decoded is used.
     pub layouts: Vec<Layout>,
-    /// White around a marker, in its sides.
+    /// Width of the white quiet zone around a marker, in sides of the marker.
     pub quiet: f64,
-    /// Each marker turned clockwise by 0 to 3 quarter turns.
+    /// The code of each marker, rotated clockwise by 0 to 3 quarter turns.
     turned: Vec<[u64; 4]>,
-    /// Wrong bits that are forgiven.
+    /// Maximum number of corrected bit errors.
     pub most_wrong: u32,
-    /// What they look like when blurred.
+    /// Templates of the blurred markers.
     blurred: Blurred,
-    /// The windows of the threshold, in tiles around the middle one, and how far below the mean it lies, in standard deviations.
+    /// Windows of the adaptive threshold: radius in tiles, and offset below the local mean in
+    /// standard deviations.
     windows: Vec<(usize, f64)>,
 }
 
-/// A marker that was read.
+/// A decoded marker.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Marker {
-    /// Which of [`Codes`].
+    /// Index into the markers of [`Codes`].
     pub id: usize,
-    /// Its corners, from its top left clockwise as printed.
+    /// Corners in the image, clockwise from the marker's top left as printed.
     pub corners: [Pixel; 4],
-    /// Which of [`Codes::layouts`] it was read by.
+    /// Index into [`Codes::layouts`].
     pub layout: usize,
 }
 
-/// What was read in an image.
+/// Detections in an image.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Markers {
-    /// Markers of the board, in the order they were met.
+    /// Decoded markers of the board, in the order of detection.
     pub read: Vec<Marker>,
-    /// What reads as a marker of the board in a mirror, and not otherwise.
+    /// Quadrangles that can only be decoded as mirrored markers of the board.
     pub mirrored: Vec<Marker>,
-    /// The dark quadrangles, clockwise.
+    /// Dark quadrangles, with clockwise corners.
     pub quadrangles: Vec<[Pixel; 4]>,
 }
 
-/// Dark areas less wide or high than this hold no marker that can be read, pixels.
+/// Minimum width and height of a dark region with a decodable marker, pixels.
 const LEAST_PX: usize = 6;
-/// Most quadrangles that are read, a bound on time: a full board has some hundred.
+/// Maximum number of decoded quadrangles, to bound the run time; a full board has some hundred.
 const MOST_QUADRANGLES: usize = 4000;
 
 impl Codes {
-    /// The codes of markers of `bits` by `bits`; bit errors are forgiven as far as these markers' distances allow and one less.
+    /// Codes for markers of `bits` by `bits`. The number of corrected bit errors is one less than
+    /// the minimum Hamming distance of these markers permits.
     pub fn new(markers: &[u64], layouts: Vec<Layout>, quiet: f64, windows: &[(usize, f64)]) -> Self {
         let bits = layouts.first().map_or(0, |layout| layout.bits);
         let turned: Vec<[u64; 4]> = markers
@@ -93,7 +95,8 @@ impl Codes {
         Self { layouts, quiet, turned, most_wrong, blurred, windows: windows.to_vec() }
     }
 
-    /// The marker with the fewest wrong bits, and how often it is turned clockwise by a quarter.
+    /// The marker with the smallest Hamming distance, and the number of clockwise quarter turns;
+    /// `None` with too many bit errors.
     fn look_up(&self, bits: u64) -> Option<(usize, usize)> {
         let mut best = (self.most_wrong + 1, None);
         for (id, turns) in self.turned.iter().enumerate() {
@@ -107,8 +110,9 @@ impl Codes {
         best.1
     }
 
-    /// Whether a reading looks like a marker, upright, that is expected there: most of its bits are right, or its grays are much like the
-    /// marker blurred. Unrelated grays correlate by chance the less, the more bits there are.
+    /// Whether a reading matches an expected upright marker: either most bits are right, or the
+    /// gray levels correlate with the blurred marker. The more bits there are, the lower is the
+    /// correlation by chance, and the lower the threshold.
     pub fn looks_like(&self, id: usize, reading: &Reading) -> bool {
         let side = self.layouts.first().map_or(1, |layout| layout.bits) as f64;
         let wrong = (self.turned[id][0] ^ reading.bits).count_ones();
@@ -117,27 +121,28 @@ impl Codes {
     }
 }
 
-/// The part of the bits of an expected marker that may be wrong.
+/// Maximum share of wrong bits of an expected marker.
 const MOST_WRONG_EXPECTED: f64 = 0.15;
-/// Bits larger than this read without regard to blur, or not at all, pixels.
+/// Maximum bit size for matching blurred templates, pixels; larger bits are only decoded one by
+/// one.
 const BLURRED_BIT_PX: f64 = 6.0;
-/// With more, markers are found in texture.
+/// Maximum number of corrected bit errors; with more, texture is decoded as markers.
 const MOST_FORGIVEN: u32 = 3;
 
-/// Bits after a clockwise quarter turn.
+/// The bits after a clockwise rotation by 90°.
 fn turned_once(bits: u64, side: usize) -> u64 {
     let bit = |column: usize, row: usize| bits >> (side * side - 1 - row * side - column) & 1;
     (0..side * side).fold(0, |turned, at| turned << 1 | bit(at / side, side - 1 - at % side))
 }
 
-/// Bits as a mirror shows them, left and right exchanged.
+/// The bits mirrored left to right.
 fn in_mirror(bits: u64, side: usize) -> u64 {
     let bit = |column: usize, row: usize| bits >> (side * side - 1 - row * side - column) & 1;
     (0..side * side).fold(0, |turned, at| turned << 1 | bit(side - 1 - at % side, at / side))
 }
 
-/// All markers of the board that can be read in an image. One may be met more than once: under each window, and where a picture shows it
-/// several times.
+/// All decodable markers of the board in an image. A marker may be detected several times: once for
+/// each window, and for each copy in the image.
 pub(super) fn find(image: &GrayImage, codes: &Codes) -> Markers {
     let mut markers = Markers::default();
     for (reach, below) in codes.windows.iter().copied() {
@@ -155,10 +160,12 @@ pub(super) fn find(image: &GrayImage, codes: &Codes) -> Markers {
     markers
 }
 
-/// The markers of a chessboard's white squares, looked for between its black squares.
+/// Searches for the markers in the white squares of a chessboard, starting from its black squares.
 ///
-/// Where bits are small, blur breaks a marker's narrow border and its outline is no quadrangle, but the black squares beside it still
-/// are. Each tells where its four white neighbours are; their far corners are those of further black squares, if there are any near.
+/// If bits are small, blur breaks the narrow border of a marker, so that its outline is not a
+/// quadrangle; the outlines of the black squares still are. Each black square predicts its four
+/// white neighbours. Their far corners are taken from further black squares if there are any
+/// nearby.
 pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Markers) {
     let squares = std::mem::take(&mut markers.quadrangles);
     let mut corners: Vec<Pixel> = squares.iter().flatten().copied().collect();
@@ -174,7 +181,7 @@ pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Marke
         let Some(map) = map_of_square(square) else { continue };
         for side in 0..4 {
             let (from, to) = (SQUARE[side], SQUARE[(side + 1) % 4]);
-            // Outwards of a clockwise side is to its left.
+            // With clockwise corners, the outside is to the left of a side.
             let outwards = (to.1 - from.1, from.0 - to.0);
             let far = |from: (f64, f64)| {
                 let predicted = map.pixel((from.0 + outwards.0, from.1 + outwards.1))?;
@@ -195,21 +202,22 @@ pub(super) fn find_between(image: &GrayImage, codes: &Codes, markers: &mut Marke
     markers.quadrangles = squares;
 }
 
-/// Quadrangles whose neighbours are read, a bound on time.
+/// Maximum number of quadrangles whose neighbours are decoded, to bound the run time.
 const MOST_SQUARES: usize = 1500;
-/// Corners in one column of the image that are looked through for the nearest, a bound on time.
+/// Maximum number of corners searched for the nearest one within a range of x, to bound the run
+/// time.
 const MOST_NEAR: usize = 400;
 
 const SQUARE: [(f64, f64); 4] = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
 
 /// The homography from the unit square to a quadrangle.
 fn map_of_square(corners: &[Pixel; 4]) -> Option<PlaneMap> {
-    // Heavy, so that nothing holds the perspective back.
+    // The weight is large so that the perspective prior is negligible.
     let pairs = [0, 1, 2, 3].map(|i| (SQUARE[i], corners[i], 1e6));
     PlaneMap::fit(&pairs, (0.5, 0.5), 1.0)
 }
 
-/// Reads a quadrangle and notes the marker it is, if any.
+/// Decodes a quadrangle and stores the marker, if any.
 fn identify(image: &GrayImage, codes: &Codes, corners: [Pixel; 4], markers: &mut Markers) {
     let Some(map) = map_of_square(&corners) else { return };
     let Some(width) = map.steps((0.5, 0.5), 1.0).map(least_width) else { return };
@@ -222,14 +230,15 @@ fn identify(image: &GrayImage, codes: &Codes, corners: [Pixel; 4], markers: &mut
             .look_up(reading.bits)
             .or_else(|| (bit_px < BLURRED_BIT_PX).then(|| codes.blurred.look_up(&reading.grays)).flatten());
         if let Some((id, turn)) = known {
-            // Turned clockwise once, the marker's top left corner is the quadrangle's second.
+            // After one clockwise quarter turn, the marker's top left corner is the second of the
+            // quadrangle.
             let corners = [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]);
             markers.read.push(Marker { id, corners, layout: drawn });
             return;
         }
         let mirrored = codes.look_up(in_mirror(reading.bits, layout.bits));
         if let Some((id, turn)) = mirrored {
-            // Seen in a mirror, the corners run the other way round, from the second.
+            // In a mirrored image the corners are in reverse order, starting from the second.
             let corners = [1, 0, 3, 2].map(|i| corners[i]);
             let corners = [0, 1, 2, 3].map(|i| corners[(i + turn) % 4]);
             markers.mirrored.push(Marker { id, corners, layout: drawn });

@@ -1,10 +1,10 @@
-//! Outlines of dark areas.
+//! Outlines of dark regions.
 
 use super::threshold::Dark;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 
-/// A dark area whose pixels are joined by their sides.
+/// A 4-connected dark region.
 struct Area {
     /// The leftmost pixel of its top row.
     start: (usize, usize),
@@ -14,12 +14,12 @@ struct Area {
     bottom: usize,
 }
 
-/// A piece of a row of dark pixels, from `start` to before `end`.
+/// A run of dark pixels in a row, from `start` to before `end`.
 struct Run {
     row: usize,
     start: usize,
     end: usize,
-    /// Another run of the same area, nearer to its first; the first points to itself.
+    /// Union–find parent: an earlier run of the same region; the root points to itself.
     parent: usize,
 }
 
@@ -32,7 +32,8 @@ fn first(runs: &mut [Run], mut run: usize) -> usize {
     run
 }
 
-/// All dark areas whose bounding box is at least `least` pixels wide and high and that lie clear of the image's border.
+/// All dark regions whose bounding box is at least `least` pixels wide and high and that do not
+/// touch the image border.
 fn areas(dark: &Dark, least: usize) -> Vec<Area> {
     let mut runs: Vec<Run> = Vec::new();
     let mut above = 0..0;
@@ -52,7 +53,7 @@ fn areas(dark: &Dark, least: usize) -> Vec<Area> {
             let mut touching = candidate;
             while touching < above.end && runs[touching].start < end {
                 let (a, b) = (first(&mut runs, touching), first(&mut runs, this));
-                // The earlier run stays the root: it is the top one of its area.
+                // The earlier run remains the root, so the root is in the top row of its region.
                 runs[a.max(b)].parent = a.min(b);
                 touching += 1;
             }
@@ -91,11 +92,12 @@ fn areas(dark: &Dark, least: usize) -> Vec<Area> {
     areas
 }
 
-/// A convex outline on pixel borders is exactly as long as its bounding box's; this much longer and it is no quadrangle.
+/// Maximum length of an outline relative to half the perimeter of its bounding box. A convex
+/// outline along pixel borders is exactly as long as the perimeter.
 const MOST_DENTED: usize = 3;
 
-/// The outer outlines of the dark areas, clockwise as the image is looked at, at sub-pixel places: where the image crosses the threshold
-/// between the dark pixel and its bright neighbour.
+/// The outer outlines of the dark regions, clockwise in the image. Their points have sub-pixel
+/// accuracy: the threshold crossing between a dark pixel and its bright neighbour.
 pub(super) fn outlines(image: &GrayImage, dark: &Dark, least: usize) -> Vec<Vec<Pixel>> {
     areas(dark, least)
         .iter()
@@ -106,11 +108,13 @@ pub(super) fn outlines(image: &GrayImage, dark: &Dark, least: usize) -> Vec<Vec<
         .collect()
 }
 
-/// One outline, followed along the sides of pixels with the dark ones to the right; `None` where it is longer than `most`.
+/// Traces one outline along pixel borders with the dark pixels to the right; `None` if it is longer
+/// than `most`.
 fn outline(image: &GrayImage, dark: &Dark, start: (usize, usize), most: usize) -> Option<Vec<Pixel>> {
-    // A corner of pixels: (x, y) is the top left corner of that pixel. Directions: east, south, west, north.
+    // Positions are pixel corners: (x, y) is the top left corner of pixel (x, y). Directions: east,
+    // south, west, north.
     const STEPS: [(i32, i32); 4] = [(1, 0), (0, 1), (-1, 0), (0, -1)];
-    // The pixel to the right of a step that leaves a corner, and to its left, relative to the corner.
+    // The pixels to the right and to the left of a step, relative to its starting corner.
     const RIGHT: [(i32, i32); 4] = [(0, 0), (-1, 0), (-1, -1), (0, -1)];
     const LEFT: [(i32, i32); 4] = [(0, -1), (0, 0), (-1, 0), (-1, -1)];
     let begin = (start.0 as i32, start.1 as i32);
@@ -126,7 +130,8 @@ fn outline(image: &GrayImage, dark: &Dark, start: (usize, usize), most: usize) -
         at = (at.0 + STEPS[direction].0, at.1 + STEPS[direction].1);
         let right = (at.0 + RIGHT[direction].0, at.1 + RIGHT[direction].1);
         let left = (at.0 + LEFT[direction].0, at.1 + LEFT[direction].1);
-        // The right one first: areas that touch at a corner only are apart.
+        // The right pixel is tested first, so regions that only touch at a corner are separate
+        // (4-connectivity).
         if !dark.at(right.0, right.1) {
             direction = (direction + 1) % 4;
         } else if dark.at(left.0, left.1) {
@@ -138,7 +143,8 @@ fn outline(image: &GrayImage, dark: &Dark, start: (usize, usize), most: usize) -
     }
 }
 
-/// Where the image crosses the threshold from a dark pixel to its bright neighbour; `None` where either is beyond the image.
+/// Linear interpolation of the threshold crossing between a dark pixel and its bright neighbour;
+/// `None` if either is outside the image.
 fn crossing(image: &GrayImage, dark: &Dark, inner: (i32, i32), outer: (i32, i32)) -> Option<Pixel> {
     let sample = |(x, y): (i32, i32)| {
         let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);

@@ -1,16 +1,18 @@
-//! Quadrangles among outlines.
+//! Detection of quadrangles among outlines.
 
 use super::bits::interpolated;
 use crate::geometry::Pixel;
 use crate::image::GrayImage;
 
-/// The shortest side of a quadrangle that can hold a marker that is read, pixels.
+/// Minimum side of a quadrangle with a decodable marker, pixels.
 const SHORTEST_SIDE_PX: f64 = 5.0;
 
-/// The four corners of an outline that is a convex quadrangle, in the outline's order.
+/// The four corners of a convex quadrangular outline, in the order of the outline; `None` for other
+/// outlines.
 ///
-/// The outline is cut where it is farthest from its chords (U. Ramer, "An iterative procedure for the polygonal approximation of plane
-/// curves", 1972); then each side is fitted anew by a straight line, its ends left out, and neighbouring lines are intersected.
+/// The outline is approximated by a polygon (U. Ramer, "An iterative procedure for the polygonal
+/// approximation of plane curves", 1972). Then a straight line is fitted to the inner part of each
+/// side, and adjacent lines are intersected.
 pub(super) fn quadrangle(outline: &[Pixel]) -> Option<[Pixel; 4]> {
     let count = outline.len();
     if count < 12 {
@@ -27,7 +29,8 @@ pub(super) fn quadrangle(outline: &[Pixel]) -> Option<[Pixel; 4]> {
     };
     let a = farthest(middle)?;
     let c = farthest(outline[a])?;
-    // A pixel for the stairs and rounding of a small outline, a part of the side for a bent large one.
+    // One pixel for the staircase and the rounded corners of a small outline, plus a share of the
+    // side for the lens distortion of a large one.
     let tolerance = 1.0 + 0.03 * count as f64 / 4.0;
     let mut corners = Vec::with_capacity(6);
     let cuts = |from: usize, to: usize, corners: &mut Vec<usize>| {
@@ -61,18 +64,21 @@ pub(super) fn quadrangle(outline: &[Pixel]) -> Option<[Pixel; 4]> {
     is_convex(&result).then_some(result)
 }
 
-/// Moves the sides of a dark quadrangle to where the image is steepest, however the threshold lay; `None` where a side is not there.
+/// Moves the sides of a dark quadrangle to the maximum image gradient, which makes them independent
+/// of the threshold. `None` if a side has no edge.
 pub(super) fn moved_to_edges(image: &GrayImage, corners: &[Pixel; 4]) -> Option<[Pixel; 4]> {
     let mut lines = [Line { at: corners[0], direction: (1.0, 0.0) }; 4];
     let shortest = (0..4).map(|i| corners[i].distance(corners[(i + 1) % 4])).fold(f64::MAX, f64::min);
-    // Half a pixel apart, as far as a quarter of a side into the bright and a sixth into the dark: bits and other squares begin there.
+    // The profile has steps of half a pixel. It extends by a quarter of a side into the bright area
+    // and a sixth into the dark area, where other squares and the bits begin.
     let outwards = (((0.25 * shortest).clamp(1.0, 3.0)) * 2.0) as i32;
     let inwards = (((0.17 * shortest).clamp(1.0, 3.0)) * 2.0) as i32;
     for side in 0..4 {
         let (from, to) = (corners[side], corners[(side + 1) % 4]);
         let length = from.distance(to);
         let direction = ((to.x - from.x) / length, (to.y - from.y) / length);
-        // The dark is to the right of a clockwise side, so outwards is to the left.
+        // With clockwise corners, dark is to the right of a side and the outward normal to the
+        // left.
         let normal = (direction.1, -direction.0);
         let mut profile = [0.0; 16];
         let count = (inwards + outwards + 1) as usize;
@@ -110,11 +116,12 @@ pub(super) fn moved_to_edges(image: &GrayImage, corners: &[Pixel; 4]) -> Option<
     is_convex(&result).then_some(result)
 }
 
-/// How many places of a side tell where it is.
+/// Number of positions along a side that are averaged in the profile.
 const PLACES_ON_A_SIDE: usize = 9;
 
-/// Cuts the outline between two places where it is farther than `tolerance` from their chord, in order; false where that would make
-/// more corners than four.
+/// Ramer's recursion: splits the outline between two indices where it is farthest from the chord,
+/// if by more than `tolerance`, and appends the corners in order. False if that would make more
+/// than four corners.
 fn cut(outline: &[Pixel], from: usize, to: usize, tolerance: f64, corners: &mut Vec<usize>) -> bool {
     let count = outline.len();
     let (start, end) = (outline[from % count], outline[to % count]);
@@ -146,7 +153,7 @@ struct Line {
 }
 
 impl Line {
-    /// The line with the least squared distances to points.
+    /// Total least-squares line through points.
     fn through(points: impl Iterator<Item = Pixel> + Clone) -> Option<Self> {
         let (mut n, mut x, mut y) = (0.0, 0.0, 0.0);
         for p in points.clone() {
@@ -172,7 +179,7 @@ impl Line {
     fn meets(&self, other: &Self) -> Option<Pixel> {
         let ((ax, ay), (bx, by)) = (self.direction, other.direction);
         let cross = ax * by - ay * bx;
-        // Sides of a marker seen at an angle of less than 5 degrees are of no use.
+        // Sides that meet at less than 5 degrees are not usable.
         if cross.abs() < 0.09 {
             return None;
         }

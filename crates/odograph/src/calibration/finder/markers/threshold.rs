@@ -1,33 +1,38 @@
-//! Which pixels are dark among their neighbours.
+//! Adaptive threshold: dark pixels relative to their surroundings.
 
 use crate::image::GrayImage;
 
-/// Side of the tiles on which the threshold is worked out, pixels.
+/// Side of the tiles on which the threshold is computed, pixels.
 const TILE: usize = 4;
-/// An area whose samples deviate less than this, gray levels, is plain: noise of 4 levels must not look like print.
+/// Standard deviation below which an area is uniform, gray levels: noise of 4 levels must not be
+/// detected as print.
 const PLAIN: f64 = 6.0;
 
-/// The dark pixels of an image.
+/// A binarised image.
 pub(super) struct Dark {
     pub width: usize,
     pub height: usize,
-    /// 1 where the image is dark, row after row.
+    /// 1 for dark pixels, in row-major order.
     pub dark: Vec<u8>,
-    /// The threshold of each tile, 0 in plain areas.
+    /// The threshold of each tile; 0 in uniform areas.
     thresholds: Vec<u8>,
     tiles_across: usize,
 }
 
 impl Dark {
-    /// Pixels darker than the mean of the tiles within `reach` less `below` standard deviations are dark (W. Niblack, "An introduction to
-    /// digital image processing", 1986, page 115), worked out a tile at a time. In plain areas nothing is dark, so a marker larger than
-    /// the window is a ring, whose outline is the marker's all the same.
+    /// Binarises an image. A pixel is dark if it is below the mean of the tiles within `reach`
+    /// minus `below` standard deviations (W. Niblack, "An introduction to digital image
+    /// processing", 1986, page 115); the threshold is computed per tile. Uniform areas are never
+    /// dark, so a marker larger than the window becomes a ring, whose outer outline is still that
+    /// of the marker.
     ///
-    /// The threshold lies below the middle on purpose: squares that touch at their corners come apart there.
+    /// The threshold is below the midpoint on purpose: it separates squares that touch at their
+    /// corners.
     pub fn new(image: &GrayImage, reach: usize, below: f64) -> Self {
         let (width, height) = (image.width(), image.height());
         let (across, down) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        // Integral images of count, sum and sum of squares over tiles, with a margin of one at the left and top.
+        // Integral images of the sum and of the sum of squares over tiles, with a margin of one at
+        // the left and top.
         let stride = across + 1;
         let mut sums = vec![(0u64, 0u64); stride * (down + 1)];
         let mut row_of_tiles = vec![(0u32, 0u32); across];
@@ -82,14 +87,14 @@ impl Dark {
         Self { width, height, dark, thresholds, tiles_across: across }
     }
 
-    /// Whether a pixel is dark; beyond the image none is.
+    /// Whether a pixel is dark; false outside the image.
     pub fn at(&self, x: i32, y: i32) -> bool {
         (x as u32 as usize) < self.width
             && (y as u32 as usize) < self.height
             && self.dark[y as usize * self.width + x as usize] != 0
     }
 
-    /// The threshold that was applied to a pixel of the image.
+    /// The threshold applied to a pixel of the image.
     pub fn threshold(&self, x: usize, y: usize) -> u8 {
         self.thresholds[y / TILE * self.tiles_across + x / TILE]
     }

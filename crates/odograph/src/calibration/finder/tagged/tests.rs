@@ -13,7 +13,8 @@ const BOARDS: [&str; 5] = [
     "aprilgrid:3x4:50mm:12mm",
 ];
 
-/// A camera, and a board seen in its middle turned by `roll`, tilted by `tilt`, with steps between points of about `spacing_px`.
+/// A camera and a board at a given image position, with roll and tilt; neighbouring points are
+/// about `spacing_px` apart.
 struct View {
     scene: BoardScene,
     pose: Isometry3<f64>,
@@ -48,7 +49,8 @@ impl View {
         BoardFinder::new(self.scene.board()).find(&self.scene.render(&self.pose, effects))
     }
 
-    /// Errors of the points found, pixels, and how many of the points at least a spacing inside the image were found.
+    /// Errors of the detected points, pixels; then the numbers of detected and of all points that
+    /// are at least a spacing inside the image.
     fn judge(&self, found: &BoardView, spacing_px: f64) -> (Vec<f64>, usize, usize) {
         let truth = self.scene.true_view(&self.pose);
         let at =
@@ -68,7 +70,7 @@ fn root_mean_square(errors: &[f64]) -> f64 {
 }
 
 #[test]
-fn whole_boards_are_found_to_some_hundredths_of_a_pixel() {
+fn whole_boards_are_located_to_hundredths_of_a_pixel() {
     for (text, roll) in BOARDS.into_iter().zip([0.0, 1.0, 2.5, 4.0, 5.5]) {
         for tilt in [0.0, 0.6] {
             let view = View::new(text, &[0.0; 4], 36.0, (320.0, 240.0), tilt, roll);
@@ -76,7 +78,7 @@ fn whole_boards_are_found_to_some_hundredths_of_a_pixel() {
                 view.find(&BoardEffects::camera_like(2.0, 3)).unwrap_or_else(|e| panic!("{text}: {e}"));
             let (errors, met, expected) = view.judge(&found, 36.0);
             assert!(met * 100 >= expected * 98, "{text} tilted {tilt}: {met} of {expected}");
-            // 0.03 px an axis at noise of 2 levels; two axes.
+            // 0.03 px per axis with noise of 2 gray levels.
             let rms = root_mean_square(&errors);
             assert!(rms < 0.042, "{text} tilted {tilt}: {rms} px");
         }
@@ -84,7 +86,7 @@ fn whole_boards_are_found_to_some_hundredths_of_a_pixel() {
 }
 
 #[test]
-fn parts_of_boards_behind_a_barrel_lens_and_small_squares_are_found() {
+fn partial_and_small_boards_are_found_with_barrel_distortion() {
     let barrel = [-0.30, 0.085, 0.0005, -0.0005];
     for (text, spacing_px, middle) in [
         (BOARDS[0], 40.0, (600.0, 120.0)),
@@ -101,7 +103,7 @@ fn parts_of_boards_behind_a_barrel_lens_and_small_squares_are_found() {
 }
 
 #[test]
-fn a_hidden_part_of_a_board_does_not_hide_the_rest() {
+fn partial_occlusion_does_not_prevent_detection() {
     let view = View::new(BOARDS[0], &[0.0; 4], 36.0, (320.0, 240.0), 0.3, 0.0);
     let hand = Occlusion { from: (0.4, 0.3), to: (0.6, 0.6) };
     let effects = BoardEffects { occlusion: Some(hand), ..BoardEffects::camera_like(2.0, 3) };
@@ -111,12 +113,12 @@ fn a_hidden_part_of_a_board_does_not_hide_the_rest() {
         let covered = (262.0..378.0).contains(&point.pixel.x) && (150.0..282.0).contains(&point.pixel.y);
         assert!(!covered, "{point:?}");
     }
-    // A point at the very edge of the hand may be moved by it a little.
+    // A point at the very edge of the hand may be biased slightly.
     assert!(view.judge(&found, 36.0).0.iter().all(|&error| error < 0.35));
 }
 
 #[test]
-fn in_a_mirror_no_board_is_found_and_the_reason_is_told() {
+fn mirrored_boards_are_reported_as_mirrored() {
     for text in BOARDS {
         for roll in [0.0, 0.8] {
             let view = View::new(text, &[0.0; 4], 36.0, (320.0, 240.0), 0.2, roll);
@@ -127,13 +129,14 @@ fn in_a_mirror_no_board_is_found_and_the_reason_is_told() {
 }
 
 #[test]
-fn another_board_is_no_board() {
+fn other_boards_are_rejected() {
     for text in BOARDS {
         for other in BOARDS.into_iter().filter(|other| *other != text) {
             let image = View::new(text, &[0.0; 4], 36.0, (320.0, 240.0), 0.2, 0.4);
             let image = image.scene.render(&image.pose, &BoardEffects::camera_like(2.0, 3));
             let other: Board = other.parse().unwrap();
-            // Two AprilGrids share their tags: that they stand elsewhere is for the residuals to tell.
+            // Two AprilGrids share their tags; a wrong layout only shows in the residuals of the
+            // calibration.
             if other.kind() == image_kind(text)
                 || (text.starts_with("april") && other.to_string().starts_with("april"))
             {
@@ -149,14 +152,14 @@ fn image_kind(text: &str) -> crate::calibration::BoardKind {
 }
 
 #[test]
-fn too_blurred_a_board_is_refused() {
+fn blurred_boards_are_rejected() {
     let view = View::new(BOARDS[0], &[0.0; 4], 24.0, (320.0, 240.0), 0.0, 0.0);
     let effects = BoardEffects { blur_px: 5.0, noise_gray: 3.0, ..BoardEffects::default() };
     assert!(view.find(&effects).is_err());
 }
 
 #[test]
-fn images_without_a_board_are_refused() {
+fn images_without_a_board_are_rejected() {
     let noise = |width: usize, height: usize, contrast: u64| {
         let mut state = 88172645463325252u64;
         let samples = (0..width * height).map(|_| {

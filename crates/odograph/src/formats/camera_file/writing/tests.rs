@@ -12,7 +12,7 @@ fn brown(coefficients: &[f64]) -> Distortion {
 
 const FISHEYE: Distortion = Distortion::KannalaBrandt { k1: 0.1, k2: -0.02, k3: 3e-6, k4: 0.004 };
 
-/// Every lens with the formats that can express it.
+/// Every lens model with the formats that can represent it.
 fn lenses() -> Vec<(Distortion, Vec<CameraFormat>)> {
     use CameraFormat::{Colmap, Kalibr, OpenCv, Ros};
     vec![
@@ -25,18 +25,18 @@ fn lenses() -> Vec<(Distortion, Vec<CameraFormat>)> {
     ]
 }
 
-/// The same lens: that of no distortion may be written as one whose coefficients are all zero.
+/// Asserts equality, except that a pinhole may be a lens with zero coefficients.
 fn same(a: &Camera, b: &Camera) {
     assert_eq!((a.width(), a.height(), a.focal_px()), (b.width(), b.height(), b.focal_px()));
     let (p, q) = (a.principal_px(), b.principal_px());
-    // Half a pixel added and taken away again rounds the last digit.
+    // Adding and subtracting half a pixel rounds the last digit.
     assert!((p.0 - q.0).abs() < 1e-12 && (p.1 - q.1).abs() < 1e-12, "{p:?} {q:?}");
     let none = |camera: &Camera| camera.distortion().coefficients().iter().all(|&k| k == 0.0);
     assert!(a.distortion() == b.distortion() || (none(a) && none(b)), "{a:?} {b:?}");
 }
 
 #[test]
-fn every_camera_survives_the_way_through_every_pair_of_formats() {
+fn every_camera_round_trips_through_every_pair_of_formats() {
     for (lens, formats) in lenses() {
         let camera = camera(lens);
         for &first in &formats {
@@ -50,7 +50,7 @@ fn every_camera_survives_the_way_through_every_pair_of_formats() {
 }
 
 #[test]
-fn what_a_format_cannot_express_is_refused_by_name() {
+fn unsupported_lens_models_are_rejected_by_name() {
     for (lens, formats) in lenses() {
         for (_, format) in CameraFormat::NAMED {
             let written = write_as(&camera(lens), format);
@@ -59,7 +59,7 @@ fn what_a_format_cannot_express_is_refused_by_name() {
     }
     let sphere = camera(Distortion::DoubleSphere { xi: -0.18, alpha: 0.59 });
     assert!(write_as(&sphere, CameraFormat::Ros).unwrap_err().to_string().contains("no double-sphere lens"));
-    // Our own file is OpenCV's form with one more lens.
+    // Our own format is OpenCV's with an additional lens model.
     assert_eq!(parse(&write(&sphere), None).unwrap(), sphere);
     let kalibr = write_as(&sphere, CameraFormat::Kalibr).unwrap();
     for (from, to, part) in [
@@ -82,15 +82,17 @@ fn colmaps_principal_point_is_half_a_pixel_larger() {
     let line = text.lines().last().unwrap();
     assert_eq!(line, "1 PINHOLE 640 480 500.25 501.5 319.2 241.8");
     assert_eq!(parse(line, None).unwrap().principal_px(), (318.7, 241.3));
-    // The image of the axis is the same place in both: COLMAP's pixel (0.5, 0.5) is our (0, 0).
+    // The principal point is the same image point in both conventions: COLMAP's (0.5, 0.5) is our
+    // (0, 0).
     let ours = camera(Distortion::None).pixel_from_ray(Ray::new(0.0, 0.0)).unwrap();
     assert_eq!((ours.x + 0.5, ours.y + 0.5), (319.2, 241.8));
 }
 
-/// The formulas as COLMAP (`sensor/models.h`) and Kalibr (`RadialTangentialDistortion`) write them, with their own names: what is written
-/// must mean the same there, the tangential signs too.
+/// Evaluates the formulas of COLMAP (`sensor/models.h`) and Kalibr (`RadialTangentialDistortion`)
+/// in their own notation: the written coefficients must have the same meaning there, including the
+/// signs of the tangential terms.
 #[test]
-fn the_written_coefficients_mean_the_same_to_the_other_program() {
+fn written_coefficients_agree_with_the_formulas_of_colmap_and_kalibr() {
     let lens = brown(&[-0.28, 0.07, 2e-3, -3e-3]);
     let ray = Ray::new(0.31, -0.22);
     let ours = camera(lens).pixel_from_ray(ray).unwrap();
@@ -120,7 +122,7 @@ fn the_written_coefficients_mean_the_same_to_the_other_program() {
 }
 
 #[test]
-fn numbers_are_numbers_to_every_yaml_reader() {
+fn exponents_are_written_for_yaml_1_1_readers() {
     for (value, text) in [(1e-5, "1.0e-5"), (1.5e-7, "1.5e-7"), (-2e16, "-2.0e+16"), (3.0, "3.0")] {
         assert_eq!(number(value), text);
         assert_eq!(text.parse::<f64>().unwrap(), value);
@@ -130,7 +132,7 @@ fn numbers_are_numbers_to_every_yaml_reader() {
 }
 
 #[test]
-fn a_files_name_tells_its_format_where_it_can() {
+fn formats_are_inferred_from_unambiguous_file_names() {
     use CameraFormat::{Colmap, Kalibr, OpenCv, Ros};
     for (name, format) in [
         ("cameras.txt", Some(Colmap)),

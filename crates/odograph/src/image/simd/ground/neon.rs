@@ -4,7 +4,7 @@ use super::super::neon::{between, unsigned};
 use super::{LANES, Laid, OUTWEIGHED, Places};
 use std::arch::aarch64::*;
 
-/// Eight numbers.
+/// Eight floating-point values.
 type Eight = [float32x4_t; 2];
 
 /// See [`super::lay_eight`].
@@ -21,7 +21,7 @@ pub fn lay_eight<const N: usize>(
     let place = |place: Eight| place.map(|place| vaddq_f32(vmulq_f32(place, scale), offset));
     let (x, y) = (place(x), place(y));
     let pixels = pixels.as_flattened_mut();
-    // SAFETY: eight pixels of four bytes are read from as many.
+    // SAFETY: reads the 32 bytes of eight pixels of four bytes.
     let stored = unsafe { vld4_u8(pixels.as_ptr()) };
     let before = [stored.0, stored.1, stored.2, stored.3].map(|bytes| vmovl_u8(bytes));
     let [red, green, blue, old_weight] = before;
@@ -57,12 +57,12 @@ pub fn lay_eight<const N: usize>(
         vbsl_u8(wanted, blended(blue, 2), stored.2),
         vbsl_u8(wanted, total, stored.3),
     );
-    // SAFETY: eight pixels of four bytes are written over as many.
+    // SAFETY: writes the 32 bytes of eight pixels of four bytes.
     unsafe { vst4_u8(pixels.as_mut_ptr(), result) };
     seen
 }
 
-/// [`super::Feather::weight`] of eight places.
+/// [`super::Feather::weight`] of eight positions.
 #[inline]
 #[target_feature(enable = "neon")]
 fn weights<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight, quality: Eight) -> [int32x4_t; 2] {
@@ -78,18 +78,18 @@ fn weights<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight, quality: Eig
     })
 }
 
-/// Which of four coordinates are from 0 to `last`.
+/// Mask of the coordinates in 0 to `last`.
 #[inline]
 #[target_feature(enable = "neon")]
 fn within(place: float32x4_t, last: f32) -> uint32x4_t {
     vandq_u32(vcgezq_f32(place), vcleq_f32(place, vdupq_n_f32(last)))
 }
 
-/// The bilinear samples at eight places, each channel's; what is not contained in the frame gives anything.
+/// Bilinear samples of each channel at eight positions; unspecified outside the frame.
 #[inline]
 #[target_feature(enable = "neon")]
 fn sample<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight) -> [Eight; N] {
-    // What is no number, or less than 0, becomes 0.
+    // NaN and negative values become 0.
     let whole = |place: Eight, last: f32| {
         let last = vdupq_n_u32(last as u32 - 1);
         place.map(|place| vminq_u32(vcvtq_u32_f32(place), last))
@@ -102,7 +102,7 @@ fn sample<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight) -> [Eight; N]
     let mut at = [0; LANES];
     for (i, at) in at.as_chunks_mut::<4>().0.iter_mut().enumerate() {
         let pixel = vmlaq_n_u32(left[i], top[i], frame.width as u32);
-        // SAFETY: four numbers are written over four.
+        // SAFETY: writes four values over four.
         unsafe { vst1q_u32(at.as_mut_ptr(), vmulq_n_u32(pixel, N as u32)) };
     }
     let stride = N * frame.width;
@@ -112,23 +112,25 @@ fn sample<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight) -> [Eight; N]
     if N == 1 {
         let pairs = |below: usize| {
             let pairs: [u16; LANES] = std::array::from_fn(|i| {
-                // SAFETY: `at` is a pixel that is neither in the last column nor in the last row: its own and its right neighbour's sample and
-                // those below are there.
+                // SAFETY: `at` is a pixel outside the last column and the last row, so its own and
+                // its right neighbour's sample and those below exist.
                 unsafe { start.add(at[i] as usize + below).cast::<u16>().read_unaligned() }
             });
-            // SAFETY: eight numbers are read from an array of eight.
+            // SAFETY: reads eight values from an array of eight.
             vreinterpretq_u8_u16(unsafe { vld1q_u16(pairs.as_ptr()) })
         };
         let (upper, lower) = (pairs(0), pairs(stride));
         samples[0] = between(vuzp1q_u8(upper, lower), vuzp2q_u8(upper, lower), dx, dy);
         return samples;
     }
-    // Six bytes of each pixel and its right neighbour in eight, the upper ones at their beginning and the lower ones at their end.
+    // Per pixel eight bytes that contain the six of the pixel and its right neighbour: first for
+    // the upper row, last for the lower row.
     let eights = |offset: usize| {
         let eights: [u64; LANES] = std::array::from_fn(|i| {
-            // SAFETY: `at` is the first byte of a pixel that is neither in the last column nor in the last row, so that its own, its right
-            // neighbour's and those below end at at + stride + 6 at most, and a row has at least 6 bytes. Eight bytes are read from at on, and
-            // from at + stride − 2 on.
+            // SAFETY: `at` is the first byte of a pixel outside the last column and the last row.
+            // That pixel, its right neighbour and the two below therefore end at at + stride + 6 at
+            // most, and a row has at least 6 bytes. Eight bytes are read from at on, and from at +
+            // stride − 2 on.
             unsafe { start.add(at[i] as usize + offset).cast::<u64>().read_unaligned() }
         });
         let pair =
@@ -137,11 +139,11 @@ fn sample<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight) -> [Eight; N]
     };
     let (upper, lower) = (eights(0), eights(stride - 2));
     for (channel, sample) in samples.iter_mut().enumerate() {
-        // The left ones of eight pixels, and the right ones.
+        // The left samples of eight pixels, then the right ones.
         let all = |first: usize| {
             let places: [u8; 16] =
                 std::array::from_fn(|i| (8 * (i % 8) + 3 * (i / 8) + first + channel) as u8);
-            // SAFETY: 16 bytes are read from an array of 16.
+            // SAFETY: reads 16 bytes from an array of 16.
             unsafe { vld1q_u8(places.as_ptr()) }
         };
         let (upper, lower) = (vqtbl4q_u8(upper, all(0)), vqtbl4q_u8(lower, all(2)));
@@ -152,14 +154,14 @@ fn sample<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight) -> [Eight; N]
     samples
 }
 
-/// Eight whole numbers of 16 bits in 32.
+/// Widens eight 16-bit integers to 32 bits.
 #[inline]
 #[target_feature(enable = "neon")]
 fn wide(words: uint16x8_t) -> [int32x4_t; 2] {
     [vmovl_u16(vget_low_u16(words)), vmovl_high_u16(words)].map(|four| vreinterpretq_s32_u32(four))
 }
 
-/// The lowest bytes of eight whole numbers.
+/// The lowest bytes of eight integers.
 #[inline]
 #[target_feature(enable = "neon")]
 fn narrow([first, last]: [uint32x4_t; 2]) -> uint8x8_t {
@@ -169,6 +171,6 @@ fn narrow([first, last]: [uint32x4_t; 2]) -> uint8x8_t {
 #[inline]
 #[target_feature(enable = "neon")]
 fn load(from: &[f32; LANES]) -> Eight {
-    // SAFETY: four numbers can be read from the first and from the fifth of eight on.
+    // SAFETY: reads four values each from the first and from the fifth of eight.
     [0, 4].map(|first| unsafe { vld1q_f32(from.as_ptr().add(first)) })
 }

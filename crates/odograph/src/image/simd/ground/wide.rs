@@ -16,7 +16,7 @@ pub fn lay_eight<const N: usize>(
     let offset = _mm256_set1_ps(0.5 * frame.scale - 0.5);
     let between = |place| _mm256_add_ps(_mm256_mul_ps(place, scale), offset);
     let (x, y) = (between(x), between(y));
-    // SAFETY: eight pixels of four bytes are read from as many.
+    // SAFETY: reads the 32 bytes of eight pixels of four bytes.
     let stored = unsafe { _mm256_loadu_si256(pixels.as_ptr().cast()) };
     let before = _mm256_srli_epi32::<24>(stored);
     let enough = _mm256_mullo_epi32(weight, _mm256_set1_epi32(OUTWEIGHED));
@@ -43,12 +43,12 @@ pub fn lay_eight<const N: usize>(
         blended = _mm256_or_si256(blended, _mm256_sllv_epi32(rounded, place));
     }
     let result = _mm256_blendv_epi8(stored, blended, wanted);
-    // SAFETY: eight pixels of four bytes are written over as many.
+    // SAFETY: writes the 32 bytes of eight pixels of four bytes.
     unsafe { _mm256_storeu_si256(pixels.as_mut_ptr().cast(), result) };
     seen
 }
 
-/// [`super::Feather::weight`] of eight places.
+/// [`super::Feather::weight`] of eight positions.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn weights<const N: usize>(frame: &Laid<'_, N>, x: __m256, y: __m256, quality: __m256) -> __m256i {
@@ -63,7 +63,7 @@ fn weights<const N: usize>(frame: &Laid<'_, N>, x: __m256, y: __m256, quality: _
     _mm256_and_si256(weight, _mm256_castps_si256(inside))
 }
 
-/// Which of eight coordinates are from 0 to `last`.
+/// Mask of the coordinates in 0 to `last`.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn within(place: __m256, last: f32) -> __m256 {
@@ -71,11 +71,11 @@ fn within(place: __m256, last: f32) -> __m256 {
     _mm256_and_ps(above, _mm256_cmp_ps::<_CMP_LE_OQ>(place, _mm256_set1_ps(last)))
 }
 
-/// The bilinear samples at eight places, each channel's; what is not contained in the frame gives anything.
+/// Bilinear samples of each channel at eight positions; unspecified outside the frame.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn sample<const N: usize>(frame: &Laid<'_, N>, x: __m256, y: __m256) -> [__m256; N] {
-    // What is no number becomes the least whole one, and that the first column or row.
+    // NaN is converted to the most negative integer, which is clamped to the first column or row.
     let whole = |place: __m256, last: f32| {
         let last = _mm256_set1_epi32(last as i32 - 1);
         _mm256_max_epi32(_mm256_min_epi32(_mm256_cvttps_epi32(place), last), _mm256_setzero_si256())
@@ -88,11 +88,13 @@ fn sample<const N: usize>(frame: &Laid<'_, N>, x: __m256, y: __m256) -> [__m256;
     let stride = N * frame.width;
     assert!((N == 1 || N == 3) && frame.width >= 2 && frame.samples.len() >= 2 * stride);
     let start = frame.samples.as_ptr();
-    // SAFETY: `at` is the first byte of a pixel that is neither in the last column nor in the last row, so that its own, its right neighbour's
-    // and those below end at at + stride + 2 N, which is at most the number of samples and fits into 31 bits. Four bytes are read from
-    // `offset` on: 0, N where that is 3, and those with which the two pixels below end: all at most stride + 2 N − 4, and none negative.
+    // SAFETY: `at` is the first byte of a pixel outside the last column and the last row. That
+    // pixel, its right neighbour and the two below therefore end at at + stride + 2 N, which is at
+    // most the number of samples and fits 31 bits. Four bytes are read from each `offset` on. The
+    // offsets are 0, N where that is 3, and those at which the two pixels below end: all at most
+    // stride + 2 N − 4, and none negative.
     let gather = |offset: usize| unsafe { _mm256_i32gather_epi32::<1>(start.add(offset).cast(), at) };
-    // What is loaded, and which of its bytes is the first that counts.
+    // The loaded word, and the index of its first relevant byte.
     let end = stride + 2 * N;
     let upper_left = (gather(0), 0);
     let upper_right = if N == 1 { (upper_left.0, 1) } else { (gather(N), 0) };
@@ -117,6 +119,6 @@ fn sample<const N: usize>(frame: &Laid<'_, N>, x: __m256, y: __m256) -> [__m256;
 #[inline]
 #[target_feature(enable = "avx2")]
 fn load(from: &[f32; LANES]) -> __m256 {
-    // SAFETY: eight numbers are read from an array of eight.
+    // SAFETY: reads eight values from an array of eight.
     unsafe { _mm256_loadu_ps(from.as_ptr()) }
 }

@@ -1,18 +1,19 @@
 //! [`Remap::apply`] for NEON: eight pixels at a time, without gathered loads.
 //!
-//! The samples of a block lie in few rows and within 16 columns, so that a load a row brings all of them, and both neighbours of every pixel
-//! are looked up in the rows as in one table.
+//! The samples of a block lie in few rows and within 16 columns. One load per row therefore covers
+//! all of them, and table look-ups over the rows select both neighbours of every pixel.
 
 use super::{BLOCK, Block, DROPPED_BITS, FRACTION_BITS, LAST_BITS, ONE_ROW, ROUNDING, Reach, Remap};
 use std::arch::aarch64::*;
 
-/// Samples of a row that a block is taken from.
+/// Samples of a row that a block may use.
 const WINDOW: usize = 16;
 
-/// A row more is so far on in the table.
+/// Offset of the next row in the look-up table.
 const NEXT_ROW: u8 = WINDOW as u8;
 
-/// Rows of samples from the corner of a block on, of which the last is read only where the block reaches [`Reach::Far`].
+/// Rows of samples from the corner of a block on; the last is used only for blocks that are
+/// [`Reach::Far`].
 type Rows = [uint8x16_t; 4];
 
 /// Gray images.
@@ -31,16 +32,16 @@ pub fn gray(remap: &Remap, source: &[u8], result: &mut [u8]) {
                 remap.sample_block::<1>(block, source, pixels);
                 continue;
             };
-            // SAFETY: a window of each of four rows is there.
+            // SAFETY: `near` contains a window of each of the four rows.
             let rows = std::array::from_fn(|row| unsafe { vld1q_u8(near.as_ptr().add(row * stride)) });
             let values = Weights::new(block).mean(rows);
-            // SAFETY: eight bytes are written over as many.
+            // SAFETY: writes eight bytes over eight.
             unsafe { vst1_u8(pixels.as_mut_ptr(), values) };
         }
     }
 }
 
-/// Colour images: the channels are taken apart as they are loaded, and put together as they are stored.
+/// Colour images: channels are deinterleaved on load and interleaved on store.
 #[target_feature(enable = "neon")]
 pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
     let (width, stride) = (remap.size.0, remap.source.0);
@@ -56,7 +57,7 @@ pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
                 remap.sample_block::<3>(block, source, pixels);
                 continue;
             };
-            // SAFETY: a window of each of four rows is there.
+            // SAFETY: `near` contains a window of each of the four rows.
             let row = |row: usize| unsafe { vld3q_u8(near.as_ptr().add(3 * row * stride)) };
             let (a, b, c, d) = (row(0), row(1), row(2), row(3));
             let weights = Weights::new(block);
@@ -65,13 +66,14 @@ pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
                 weights.mean([a.1, b.1, c.1, d.1]),
                 weights.mean([a.2, b.2, c.2, d.2]),
             );
-            // SAFETY: 24 bytes are written over as many.
+            // SAFETY: writes 24 bytes over 24.
             unsafe { vst3_u8(pixels.as_mut_ptr(), values) };
         }
     }
 }
 
-/// The samples from the corner of a block on: three rows, and a window of a fourth. `None` where the block is loose or so much is not there.
+/// The samples from the corner of a block on: three rows, and a window of a fourth. `None` where
+/// the block is loose or the source ends before.
 #[inline(always)]
 fn near<'a>(block: &Block, source: &'a [u8], stride: usize, channels: usize) -> Option<&'a [u8]> {
     let (corner, count) = (block.corner as usize, 3 * stride + WINDOW);
@@ -79,9 +81,10 @@ fn near<'a>(block: &Block, source: &'a [u8], stride: usize, channels: usize) -> 
     near.filter(|_| block.reach != Reach::Loose)
 }
 
-/// Where the samples of a block's pixels are in its rows, and how they are weighted.
+/// Table indices and interpolation weights of a block's pixels.
 struct Weights {
-    /// Eight left neighbours and the eight right ones; beyond the table, which gives 0, where there is no source.
+    /// Indices of the eight left neighbours, then of the eight right ones; without a source they
+    /// exceed the table, and the look-up returns 0.
     neighbours: uint8x16_t,
     right: int16x8_t,
     down: int16x8_t,
@@ -93,11 +96,12 @@ impl Weights {
     #[inline]
     #[target_feature(enable = "neon")]
     fn new(block: &Block) -> Self {
-        // SAFETY: as many numbers are read from arrays of eight.
+        // SAFETY: reads eight values each from arrays of eight.
         let (steps, right, down) = unsafe {
             (vld1_u8(block.steps.as_ptr()), vld1q_u16(block.right.as_ptr()), vld1q_u16(block.down.as_ptr()))
         };
-        // The bits that tell of one row and of a second one count a row of the table each; all others stay.
+        // The bits that add one row and a second one advance the table index by a row each; all
+        // other bits are kept.
         let row = vdup_n_u8(NEXT_ROW);
         const { assert!(ONE_ROW >> 2 == NEXT_ROW) };
         let (first, second) = (vand_u8(vshr_n_u8::<2>(steps), row), vand_u8(vshr_n_u8::<1>(steps), row));
@@ -115,7 +119,7 @@ impl Weights {
     #[inline]
     #[target_feature(enable = "neon")]
     fn mean(&self, [a, b, c, d]: Rows) -> uint8x8_t {
-        // The lower two of each pixel are at the same places of a table that begins a row later.
+        // The lower two samples have the same indices in a table that begins one row later.
         let (upper, lower) = if self.far {
             (
                 vqtbl3q_u8(uint8x16x3_t(a, b, c), self.neighbours),
@@ -132,7 +136,7 @@ impl Weights {
         };
         let upper = between_columns([vget_low_u8(upper), vget_high_u8(upper)]);
         let lower = between_columns([vget_low_u8(lower), vget_high_u8(lower)]);
-        // Values have 15 bits, so that their difference has 16.
+        // Values have 15 bits, so their difference fits 16.
         let step = vreinterpretq_s16_u16(vsubq_u16(lower, upper));
         let [first, last] = weighed(upper, step, self.down);
         let rounding = vdupq_n_u32(ROUNDING);
@@ -141,7 +145,7 @@ impl Weights {
     }
 }
 
-/// `first · (ONE − part) + second · part`, where `step` is what `second` is more than `first`.
+/// `first · (ONE − part) + second · part`, where `step` is `second − first`.
 #[inline]
 #[target_feature(enable = "neon")]
 fn weighed(first: uint16x8_t, step: int16x8_t, part: int16x8_t) -> [uint32x4_t; 2] {

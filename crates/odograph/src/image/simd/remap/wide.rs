@@ -1,12 +1,12 @@
-//! [`Remap::apply`] for AVX2: eight pixels at a time, without gathered loads.
+//! [`Remap::apply`] for AVX2: eight pixels at a time, without gather instructions.
 //!
-//! The samples of a block lie in few rows and within 16 columns, so that a load a row brings all of them and a shuffle of bytes puts
-//! each pixel's two neighbours side by side.
+//! The samples of a block lie in few rows and within 16 columns. One load per row therefore covers
+//! all of them, and a byte shuffle brings the two neighbours of each pixel together.
 
 use super::{BLOCK, Block, DROPPED_BITS, LAST_BITS, ONE, ROUNDING, Reach, Remap};
 use std::arch::x86_64::*;
 
-/// Samples of a row that a block is taken from.
+/// Samples of a row that a block may use.
 const WINDOW: usize = 16;
 
 /// Gray images.
@@ -28,13 +28,13 @@ pub fn gray(remap: &Remap, source: &[u8], result: &mut [u8]) {
             }
             let (upper, lower) = neighbours(block, source, stride);
             let values = weigh(upper, lower, weights(&block.right), weights(&block.down));
-            // SAFETY: there are eight pixels, the low half of the register.
+            // SAFETY: writes the eight pixels of the block from the low half of the register.
             unsafe { _mm_storel_epi64(pixels.as_mut_ptr().cast(), narrow(values)) };
         }
     }
 }
 
-/// Eight 32-bit values as bytes.
+/// Narrows eight 32-bit values to bytes.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn narrow(values: __m256i) -> __m128i {
@@ -42,9 +42,11 @@ fn narrow(values: __m256i) -> __m128i {
     _mm_packus_epi16(words, words)
 }
 
-/// The upper and the lower two samples of each pixel side by side, in 16 bits each; zeros where there is no source.
+/// The upper and the lower two samples of each pixel side by side, 16 bits per pair; zeros without
+/// a source.
 ///
-/// The block must not be loose, and three rows and [`WINDOW`] samples from its corner on must be in the source.
+/// The block must not be loose, and three rows and [`WINDOW`] samples from its corner on must be
+/// inside the source.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn neighbours(block: &Block, source: &[u8], stride: usize) -> (__m256i, __m256i) {
@@ -53,11 +55,12 @@ fn neighbours(block: &Block, source: &[u8], stride: usize) -> (__m256i, __m256i)
     let left_and_right = _mm_unpacklo_epi8(steps, _mm_add_epi8(steps, _mm_set1_epi8(1)));
     let row = |number: usize| {
         let samples = &corner[number * stride..][..WINDOW];
-        // SAFETY: 16 bytes are read from a slice of 16.
+        // SAFETY: reads 16 bytes from a slice of 16.
         let samples = unsafe { _mm_loadu_si128(samples.as_ptr().cast()) };
         _mm_shuffle_epi8(samples, left_and_right)
     };
-    // The bit that tells of a row more, moved to where the blend looks for it; the bits that come over from a neighbour do not matter.
+    // The bit that adds a row, shifted to the position tested by the blend; bits carried over from
+    // a neighbour are irrelevant.
     let doubled = _mm_unpacklo_epi8(steps, steps);
     let one_row = _mm_slli_epi16::<1>(doubled);
     let (first, second, third) = (row(0), row(1), row(2));
@@ -71,25 +74,26 @@ fn neighbours(block: &Block, source: &[u8], stride: usize) -> (__m256i, __m256i)
     (_mm256_cvtepu8_epi16(upper), _mm256_cvtepu8_epi16(lower))
 }
 
-/// Eight fractions as pairs of weights: of the first of two samples in the low 16 bits, of the second in the high ones.
+/// Eight fractions as pairs of weights: the first sample's in the low 16 bits, the second's in the
+/// high ones.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn weights(fractions: &[u16; BLOCK]) -> __m256i {
-    // SAFETY: 16 bytes are read from an array of eight 16-bit numbers.
+    // SAFETY: reads 16 bytes from an array of eight 16-bit values.
     let fractions = unsafe { _mm_loadu_si128(fractions.as_ptr().cast()) };
     let second = _mm256_cvtepu16_epi32(fractions);
     let first = _mm256_sub_epi32(_mm256_set1_epi32(i32::from(ONE)), second);
     _mm256_or_si256(first, _mm256_slli_epi32::<16>(second))
 }
 
-/// Weighted means of four samples, in eight 32-bit numbers up to 255.
+/// Weighted means of four samples, as eight 32-bit values up to 255.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn weigh(upper: __m256i, lower: __m256i, across: __m256i, down: __m256i) -> __m256i {
     let upper = _mm256_madd_epi16(upper, across);
     let lower = _mm256_madd_epi16(lower, across);
-    // Both values without the dropped bits, side by side: the lower one is shifted into the upper half, where the bits that would be
-    // below it are those of the upper value.
+    // Both values without the dropped bits, side by side. The lower row's value is shifted into the
+    // upper half; the bits below it are replaced by the upper row's value.
     let both = _mm256_blend_epi16::<0xAA>(
         _mm256_srli_epi32::<{ DROPPED_BITS as i32 }>(upper),
         _mm256_slli_epi32::<{ 16 - DROPPED_BITS as i32 }>(lower),
@@ -98,8 +102,8 @@ fn weigh(upper: __m256i, lower: __m256i, across: __m256i, down: __m256i) -> __m2
     _mm256_srli_epi32::<{ LAST_BITS as i32 }>(sum)
 }
 
-/// Colour images: the two samples of a channel are three bytes apart, so every pixel is loaded by itself, and two are weighed at a
-/// time.
+/// Colour images: the two samples of a channel are three bytes apart, so every pixel is loaded
+/// separately, and two are interpolated at a time.
 #[target_feature(enable = "avx2")]
 pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
     let (width, stride) = (remap.size.0, remap.source.0);
@@ -110,7 +114,8 @@ pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
             remap.sample_block::<3>(block, source, rest);
         }
         for (block, pixels) in blocks.iter().zip(whole) {
-            // 16 bytes are read from each pixel on, six of which are its own and its right neighbour's.
+            // Reads 16 bytes from each pixel on, six of which are its own and its right
+            // neighbour's.
             let last = 3 * (block.corner as usize + 3 * stride + WINDOW + 4);
             if block.reach == Reach::Loose || last > source.len() {
                 remap.sample_block::<3>(block, source, pixels);
@@ -119,7 +124,7 @@ pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
             let [first, second] = four_and_four(block, &source[3 * block.corner as usize..last], stride);
             // 24 bytes: twelve of each half.
             let upto = _mm_or_si128(first, _mm_slli_si128::<12>(second));
-            // SAFETY: there are 24 bytes; 16 are written from the first on and eight from the 17th on.
+            // SAFETY: writes 24 bytes: 16 from the first on and eight from the 17th on.
             unsafe {
                 _mm_storeu_si128(pixels.as_mut_ptr().cast(), upto);
                 _mm_storel_epi64(pixels.as_mut_ptr().add(16).cast(), _mm_srli_si128::<4>(second));
@@ -128,8 +133,9 @@ pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
     }
 }
 
-/// Red, green and blue of the first and of the last four pixels of a block that is not loose, in the low twelve bytes. `near` are the
-/// samples from the block's corner on: three rows, and 20 pixels of a fourth.
+/// Red, green and blue of the first and of the last four pixels of a block, in the low twelve
+/// bytes. The block must not be loose. `near` are the samples from the block's corner on: three
+/// rows, and 20 pixels of a fourth.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn four_and_four(block: &Block, near: &[u8], stride: usize) -> [__m128i; 2] {
@@ -139,11 +145,11 @@ fn four_and_four(block: &Block, near: &[u8], stride: usize) -> [__m128i; 2] {
     assert!(near.len() >= 3 * (3 * stride + WINDOW + 4));
     let pixel = |number: usize, below: usize| {
         let at = offsets[number] as usize + 3 * below * stride;
-        // SAFETY: a pixel is at most 14 columns and two rows from the corner, and one row more is read: 3 · (14 + 3 · stride) + 16 bytes,
-        // which are fewer than there are.
+        // SAFETY: a pixel is at most 14 columns and two rows from the corner, and one more row is
+        // read: 3 · (14 + 3 · stride) + 16 bytes, fewer than the length asserted above.
         unsafe { _mm_loadu_si128(near.as_ptr().add(at).cast()) }
     };
-    // The two samples of each channel side by side in 16 bits each, of one pixel in either half.
+    // The two samples of each channel side by side, 16 bits each; one pixel per half.
     let half = _mm_setr_epi8(0, -1, 3, -1, 1, -1, 4, -1, 2, -1, 5, -1, -1, -1, -1, -1);
     let order = _mm256_set_m128i(half, half);
     let beside = |number: usize, below: usize| {
@@ -174,14 +180,16 @@ fn four_and_four(block: &Block, near: &[u8], stride: usize) -> [__m128i; 2] {
         _mm256_shuffle_epi32::<0xFF>(across),
         _mm256_shuffle_epi32::<0xFF>(down),
     );
-    // Bytes: pixels 0 to 3 in the lower half, 4 to 7 in the upper one, four bytes each of which the last is nothing.
+    // Bytes: pixels 0 to 3 in the lower half, 4 to 7 in the upper one, four bytes each with the
+    // last unused.
     let bytes = _mm256_packus_epi16(_mm256_packs_epi32(zero, one), _mm256_packs_epi32(two, three));
     let half = _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1);
     let bytes = _mm256_shuffle_epi8(bytes, _mm256_set_m128i(half, half));
     [_mm256_castsi256_si128(bytes), _mm256_extracti128_si256::<1>(bytes)]
 }
 
-/// How far, in bytes of a colour image, each pixel's upper left sample is from the corner of its block, which must not be loose.
+/// Offset of each pixel's upper left sample from the corner of its block, bytes of a colour image.
+/// The block must not be loose.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn offsets(block: &Block, stride: usize) -> [u32; BLOCK] {
@@ -208,14 +216,14 @@ fn offsets(block: &Block, stride: usize) -> [u32; BLOCK] {
 #[inline]
 #[target_feature(enable = "avx2")]
 fn steps(block: &Block) -> __m128i {
-    // SAFETY: eight bytes are read from an array of eight.
+    // SAFETY: reads eight bytes from an array of eight.
     unsafe { _mm_loadl_epi64(block.steps.as_ptr().cast()) }
 }
 
-/// Weights that are zero where there is no source.
+/// Zeroes the weights of pixels without a source.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn with_source(block: &Block, weights: __m256i) -> __m256i {
-    // The highest bit of a step tells that there is none.
+    // The highest bit of a step marks a pixel without a source.
     _mm256_andnot_si256(_mm256_srai_epi32::<31>(_mm256_cvtepi8_epi32(steps(block))), weights)
 }
