@@ -4,8 +4,8 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::geometry::Pixel;
 use odograph::simulation::{
-    Blackout, Bumper, Dirt, Effects, Kerb, Lamp, Lighting, MovingObject, PathKind, Relief, Shadow, Terrain,
-    Timing, Undulation, Vibration, Wander,
+    Blackout, Bumper, Dirt, Effects, Kerb, Lamp, Lighting, MovingObject, PathKind, Ramp, Relief, Shadow,
+    Terrain, Timing, Undulation, Vibration, Wander,
 };
 use std::f64::consts::TAU;
 
@@ -162,6 +162,8 @@ pub fn rows() -> Vec<Row> {
     let on = |terrain| Effects { terrain, ..noise() };
     let relief = Relief { amplitude_m: 0.005, scale_m: 0.06 };
     let undulation = Undulation { amplitude_m: 0.03, wavelength_m: 2.0 };
+    let gravel = Relief { amplitude_m: 0.015, scale_m: 0.06 };
+    let ramp = Ramp { slope: 0.1, at_m: 2.0 };
     let kerb = Kerb { height_m: 0.05, at_m: 2.0 };
     let dark = vec![Blackout { from_s: 3.0, to_s: 5.0 }];
     vec![
@@ -213,6 +215,19 @@ pub fn rows() -> Vec<Row> {
         Row {
             seeds: 1,
             ..small("undulation", on(Terrain { undulation: Some(undulation), ..Terrain::default() }))
+        },
+        Row { seeds: 1, ..small("relief-15mm", on(Terrain { relief: Some(gravel), ..Terrain::default() })) },
+        Row {
+            seeds: 1,
+            ..small(
+                "undulation-ride",
+                on(Terrain { undulation: Some(undulation), ride: true, ..Terrain::default() }),
+            )
+        },
+        Row {
+            path: ahead,
+            seeds: 1,
+            ..small("ramp-ride", on(Terrain { ramp: Some(ramp), ride: true, ..Terrain::default() }))
         },
         Row {
             path: ahead,

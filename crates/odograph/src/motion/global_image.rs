@@ -25,7 +25,7 @@ pub fn global_image(
     let source = |x: usize, y: usize| {
         let pixel = Pixel::new(x as f64, y as f64);
         let ground = camera.ray_from_pixel(pixel).and_then(|ray| pose.ground_from_ray(ray));
-        let at = ground.and_then(|ground| view.pixel(camera, ground)).unwrap_or(pixel);
+        let at = ground.and_then(|ground| view.pixel(camera, ground, 0.0)).unwrap_or(pixel);
         [(at.x - pixel.x) as f32, (at.y - pixel.y) as f32]
     };
     let columns = width.div_ceil(STEP) + 1;

@@ -1,6 +1,6 @@
 //! Patches of an image that lie on the ground: where, and in which shape, another camera sees them.
 
-use super::planar_pose::{Axes, ground_by_pose};
+use super::planar_pose::{Axes, ray_by_pose};
 use super::rolling_shutter::RollingShutter;
 use crate::camera::Camera;
 use crate::flow::Warp;
@@ -29,6 +29,8 @@ const AROUND: [(f64, f64); POINTS] = [
 pub struct GroundPatch {
     /// Where its centre lies.
     pub ground: GroundPoint,
+    /// How high above the plane z = 0, metres.
+    pub elevation_m: f64,
     /// Where the points of the ring around the centre lie.
     ring: [GroundPoint; POINTS],
     /// Pixels from one sample to the next.
@@ -61,22 +63,25 @@ impl GroundPatch {
         let (ray, around) = rays_about(camera, centre, RING * pixels_per_sample)?;
         let [a, b, c, d, e] = around.map(|ray| from.of(ray));
         let ring = [a?, b?, c?, d?, e?];
-        Some(Self { ground: from.of(ray)?, ring, pixels_per_sample, by_readout: [0.0; 2] })
+        let (ground, elevation_m) = (from.of(ray)?, from.elevation_m);
+        Some(Self { ground, elevation_m, ring, pixels_per_sample, by_readout: [0.0; 2] })
     }
 
     /// The patch about `centre` of an image that a rolling shutter exposed while the middle row was at
-    /// `pose`; `axes` are those of that pose.
+    /// `pose`, on ground at an elevation, metres; `axes` are those of that pose.
     pub fn behind_shutter(
         camera: &Camera,
         (pose, axes): (&GroundPose, &Axes),
         shutter: &RollingShutter,
+        elevation_m: f64,
         centre: Pixel,
     ) -> Option<Self> {
         let at_row = shutter.pose_at(pose, centre.y);
-        let mut patch = Self::new(camera, &GroundFromRay::new(&at_row), centre, 1.0)?;
+        let from_ray = GroundFromRay::new(&at_row).at_elevation(elevation_m);
+        let mut patch = Self::new(camera, &from_ray, centre, 1.0)?;
         // Above and below the centre the camera was elsewhere; over a patch that is linear.
         let rate = |ground: &GroundPoint| {
-            let by_pose = ground_by_pose(ground, pose, axes);
+            let by_pose = ray_by_pose(ground, elevation_m, pose, axes);
             by_pose.map(|row| row.iter().zip(&shutter.rates).map(|(by, rate)| by * rate).sum::<f64>())
         };
         let seconds_per_row = shutter.readout_s / shutter.rows as f64;
@@ -90,15 +95,20 @@ impl GroundPatch {
         Some(patch)
     }
 
+    /// Where a camera at `pose` sees its centre.
+    pub fn pixel(&self, camera: &Camera, pose: &ViewingPose) -> Option<Pixel> {
+        pose.pixel(camera, self.ground, self.elevation_m)
+    }
+
     /// Where and in which shape a camera at `pose` sees the patch; `None` where it would be out of sight.
     pub fn warp(&self, camera: &Camera, pose: &ViewingPose) -> Option<PatchWarp> {
-        let centre = pose.pixel(camera, self.ground)?;
+        let centre = pose.pixel(camera, self.ground, self.elevation_m)?;
         let mut mean = Vector2::zeros();
         let (mut right_left, mut down_up) = (Vector2::zeros(), Vector2::zeros());
         let (mut stretch, mut shear) = (Vector2::zeros(), Vector2::zeros());
         // The harmonics of the ring: least squares.
         for (point, (right, down)) in self.ring.iter().zip(AROUND) {
-            let pixel = pose.pixel(camera, *point)?;
+            let pixel = pose.pixel(camera, *point, self.elevation_m)?;
             let from_centre = Vector2::new(pixel.x - centre.x, pixel.y - centre.y);
             mean += from_centre;
             right_left += from_centre * right;
@@ -194,10 +204,14 @@ impl ViewingPose {
         Self { shutter: Some(moving), ..still }
     }
 
-    /// Where a ground point is seen; may lie outside the image. `None` where it is not in front of the lens.
-    pub fn pixel(&self, camera: &Camera, point: GroundPoint) -> Option<Pixel> {
-        let from_camera =
-            Vector3::new(point.x_m - self.pose.x_m, point.y_m - self.pose.y_m, -self.pose.height_m);
+    /// Where a ground point at an elevation, metres, is seen; may lie outside the image. `None` where
+    /// it is not in front of the lens.
+    pub fn pixel(&self, camera: &Camera, point: GroundPoint, elevation_m: f64) -> Option<Pixel> {
+        let from_camera = Vector3::new(
+            point.x_m - self.pose.x_m,
+            point.y_m - self.pose.y_m,
+            elevation_m - self.pose.height_m,
+        );
         let p = self.camera_from_world * from_camera;
         let seen = |p: &Vector3<f64>| {
             (p.z > 1e-9).then(|| camera.pixel_and_derivative(Ray::new(p.x / p.z, p.y / p.z)))?
@@ -215,19 +229,25 @@ impl ViewingPose {
 pub struct GroundFromRay<'a> {
     pose: &'a GroundPose,
     world_from_camera: Matrix3<f64>,
+    elevation_m: f64,
 }
 
 impl<'a> GroundFromRay<'a> {
     /// For the rays of a camera at `pose`.
     pub fn new(pose: &'a GroundPose) -> Self {
-        Self { pose, world_from_camera: pose.world_from_camera_rotation() }
+        Self { pose, world_from_camera: pose.world_from_camera_rotation(), elevation_m: 0.0 }
+    }
+
+    /// The same for ground at another elevation above the plane z = 0, metres.
+    pub fn at_elevation(self, elevation_m: f64) -> Self {
+        Self { elevation_m, ..self }
     }
 
     /// The ground point that a ray meets; `None` where it does not go downwards.
     pub fn of(&self, ray: Ray) -> Option<GroundPoint> {
         let direction = self.world_from_camera * ray.vector();
         (direction.z < -1e-9).then(|| {
-            let reach = -self.pose.height_m / direction.z;
+            let reach = (self.elevation_m - self.pose.height_m) / direction.z;
             GroundPoint::new(self.pose.x_m + reach * direction.x, self.pose.y_m + reach * direction.y)
         })
     }

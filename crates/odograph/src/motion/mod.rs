@@ -7,6 +7,7 @@
 
 mod coarse;
 pub mod dense;
+mod elevation;
 mod global_image;
 mod ground_patch;
 mod mean;
@@ -19,10 +20,11 @@ mod rolling_shutter;
 mod sharing;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
+pub use elevation::{BEYOND_CHANCE, Elevation, MeasuredElevation, Roughness};
 pub use global_image::global_image;
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use mean::mean_displacement;
-pub use planar_pose::Axes;
+pub use planar_pose::{Axes, HIGHEST_KERB};
 pub use random::Random;
 pub use rig_prior::{RigPrior, RigWander};
 pub use rolling_shutter::{PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
@@ -111,6 +113,8 @@ impl Default for MotionConfig {
 pub struct Observation {
     /// Where the point lies, as its keyframe placed it.
     pub ground: GroundPoint,
+    /// How high.
+    pub elevation: Elevation,
     /// Where the track is in the present frame.
     pub pixel: Pixel,
     /// What a distance from there is multiplied with to be as uncertain in every direction as that of a usual track: the identity weighs both
@@ -143,6 +147,8 @@ pub struct Observations<'a> {
 pub struct Sighting {
     /// Where the point lies.
     pub ground: GroundPoint,
+    /// How high.
+    pub elevation: Elevation,
     /// Where it was found.
     pub pixel: Pixel,
     /// Covariance of that, pixels².
@@ -172,6 +178,7 @@ pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Obser
         let whitening = root.map_or(Matrix2::identity(), |root| root.l().transpose());
         Observation {
             ground: seen.ground,
+            elevation: seen.elevation,
             pixel: seen.pixel,
             whitening,
             row_fraction: seen.row_fraction,
@@ -201,6 +208,10 @@ pub struct MotionEstimate {
     pub neighbours: Neighbours,
     /// What the tracks alone say of height and tilt; only where all three were unknown.
     pub rig_evidence: Option<RigEvidence>,
+    /// Elevation of each observation given the pose; empty where these are no single points.
+    pub elevations: Buffer<MeasuredElevation>,
+    /// Whether the tracks agree only on ground that is not flat.
+    pub needs_relief: bool,
     /// What the tracks say of the shutter, where it may roll.
     pub shutter: Option<ShutterEstimate>,
 }
@@ -246,7 +257,7 @@ pub fn estimate(
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<MotionEstimate> {
-    let (start, agreeing) = ransac::consensus(camera, observations.seen, prediction, prior, config, random)?;
+    let (start, agreeing) = ransac::consensus(camera, observations, prediction, prior, config, random)?;
     let enough = |inliers: usize| {
         inliers >= config.minimum_inliers
             && inliers as f64 >= config.minimum_inlier_fraction * observations.seen.len() as f64

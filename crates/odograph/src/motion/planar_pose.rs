@@ -1,5 +1,6 @@
 //! The pose that re-projects ground points onto their tracks: robust Gauss–Newton in pixels.
 
+use super::elevation::{MeasuredElevation, Parallax};
 use super::normal_equations::{Factor, NormalEquations, POSE, Row, WITH_KEYFRAME, WITH_SKEW};
 use super::sharing::{Neighbours, shared_errors, shared_errors_of_rig, shared_px};
 use super::{
@@ -61,6 +62,8 @@ pub(super) struct Residual {
     pub by_pose: [[f64; 6]; 2],
     /// Its derivative by height, roll and pitch of the keyframe that laid the point, whitened.
     pub by_keyframe: [[f64; 3]; 2],
+    /// Its parts along and across the parallax of the point.
+    pub parallax: Parallax,
 }
 
 stored!(Residual);
@@ -72,6 +75,7 @@ impl Residual {
         distance_px: f64::INFINITY,
         by_pose: [[0.0; 6]; 2],
         by_keyframe: [[0.0; 3]; 2],
+        parallax: Parallax::NONE,
     };
 
     fn length(&self) -> f64 {
@@ -82,8 +86,11 @@ impl Residual {
 /// `None` where the point is not in front of the lens.
 #[inline]
 fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes: &Axes) -> Option<Residual> {
-    let from_camera =
-        Vector3::new(observation.ground.x_m - pose.x_m, observation.ground.y_m - pose.y_m, -pose.height_m);
+    let from_camera = Vector3::new(
+        observation.ground.x_m - pose.x_m,
+        observation.ground.y_m - pose.y_m,
+        observation.elevation.mean_m - pose.height_m,
+    );
     let p = axes.camera_from_world * from_camera;
     if p.z <= 1e-9 {
         return None;
@@ -108,8 +115,8 @@ fn residual(camera: &Camera, observation: &Observation, pose: &GroundPose, axes:
         [by_pose[0][i], by_pose[1][i]] = whitened(first[i], second[i]);
     }
     let (x, y) = (pixel.x - observation.pixel.x, pixel.y - observation.pixel.y);
-    let (error, by_keyframe) = (whitened(x, y), Residual::NONE.by_keyframe);
-    Some(Residual { error, distance_px: (x * x + y * y).sqrt(), by_pose, by_keyframe })
+    let distance_px = (x * x + y * y).sqrt();
+    Some(Residual { error: whitened(x, y), distance_px, by_pose, ..Residual::NONE })
 }
 
 /// The rotation of a pose and the world axes about which its angles turn; heading turns about z.
@@ -187,6 +194,9 @@ struct Beside<'a> {
     values: [f64; WITH_SKEW - POSE],
 }
 
+/// The highest elevation of a kerb, a part of the height above the ground.
+pub const HIGHEST_KERB: f64 = 0.15;
+
 /// What moves no point of the image by more than this need not be solved for, pixels.
 const NOTHING_PX: f64 = 0.01;
 
@@ -212,8 +222,7 @@ impl<'a> Beside<'a> {
         if self.count == POSE {
             return;
         }
-        let [along_x, along_y] =
-            ground_by_pose(&observation.ground, self.observations.laid_from, &self.laid_from);
+        let [along_x, along_y] = ground_by_pose(observation, self.observations.laid_from, &self.laid_from);
         let (keyframe, skew) = self.values.split_at(WITH_KEYFRAME - POSE);
         for k in 0..2 {
             let row = &residual.by_pose[k];
@@ -228,6 +237,31 @@ impl<'a> Beside<'a> {
         let error = nalgebra::Vector2::from(residual.error);
         residual.distance_px =
             observation.whitening.try_inverse().map_or(error, |inverse| inverse * error).norm();
+    }
+
+    /// Eliminates the elevation of the point: along its parallax the residual counts less.
+    fn eliminate_elevation(&self, observation: &Observation, residual: &mut Residual, noise_px2: f64) {
+        let Observation { ground, elevation, .. } = observation;
+        // A point that rises keeps to the ray of the keyframe.
+        let laid_from = self.observations.laid_from;
+        let reach_m = laid_from.height_m - elevation.mean_m;
+        let (x, y) = ((laid_from.x_m - ground.x_m) / reach_m, (laid_from.y_m - ground.y_m) / reach_m);
+        let by_elevation = residual.by_pose.map(|row| -(row[0] * x + row[1] * y + row[3]));
+        let parallax = Parallax::new(residual.error, by_elevation);
+        residual.parallax = parallax;
+        let variance_m2 = elevation.variance_m2;
+        if variance_m2 <= 0.0 {
+            return;
+        }
+        let left_px = parallax.left_px(variance_m2, noise_px2);
+        residual.distance_px *= left_px / residual.length().max(1e-12);
+        let whiten = parallax.whitener(variance_m2, noise_px2);
+        let [first, second] = &mut residual.error;
+        whiten(first, second);
+        let [first, second] = &mut residual.by_pose;
+        first.iter_mut().zip(second).for_each(|(first, second)| whiten(first, second));
+        let [first, second] = &mut residual.by_keyframe;
+        first.iter_mut().zip(second).for_each(|(first, second)| whiten(first, second));
     }
 
     /// The derivatives of a coordinate of a residual by the first `count` unknowns.
@@ -352,7 +386,7 @@ impl<'a> Beside<'a> {
             if weight <= 0.0 {
                 continue;
             }
-            let [along_x, along_y] = ground_by_pose(&observation.ground, laid_from, &self.laid_from);
+            let [along_x, along_y] = ground_by_pose(observation, laid_from, &self.laid_from);
             let weight = weight * share(observation);
             for k in 0..2 {
                 let row = self.row(observation, residual, k, count);
@@ -412,25 +446,30 @@ pub fn refine(
     let mut errors = Buffer::of(0.0, observations.len());
     let mut sorted = Buffer::new();
     // Each pose is looked at once: what is left of the observations there weighs them and leads to the next.
-    let mut look =
-        |pose: &GroundPose, beside: &Beside<'_>, residuals: &mut [Residual], errors: &mut [f64]| -> f64 {
-            let axes = Axes::new(pose);
-            for ((observation, kept), error) in observations.iter().zip(residuals).zip(&mut *errors) {
-                *error = match residual(camera, observation, pose, &axes) {
-                    Some(mut residual) => {
-                        beside.complete(observation, &mut residual);
-                        *kept = residual;
-                        residual.length()
-                    }
-                    None => {
-                        *kept = Residual::NONE;
-                        f64::INFINITY
-                    }
-                };
-            }
-            robust_scale(errors, config.inlier_px, &mut sorted)
-        };
-    look(&pose, &beside, &mut residuals, &mut errors);
+    let mut look = |pose: &GroundPose,
+                    beside: &Beside<'_>,
+                    noise_px: f64,
+                    residuals: &mut [Residual],
+                    errors: &mut [f64]|
+     -> f64 {
+        let axes = Axes::new(pose);
+        for ((observation, kept), error) in observations.iter().zip(residuals).zip(&mut *errors) {
+            *error = match residual(camera, observation, pose, &axes) {
+                Some(mut residual) => {
+                    beside.complete(observation, &mut residual);
+                    beside.eliminate_elevation(observation, &mut residual, noise_px * noise_px);
+                    *kept = residual;
+                    residual.length()
+                }
+                None => {
+                    *kept = Residual::NONE;
+                    f64::INFINITY
+                }
+            };
+        }
+        robust_scale(errors, config.inlier_px, &mut sorted)
+    };
+    look(&pose, &beside, USUAL_NOISE * config.inlier_px, &mut residuals, &mut errors);
     let mut reach_px = config.inlier_px;
     let mut equations = NormalEquations::new(beside.count);
     let mut rig_evidence = None;
@@ -445,7 +484,8 @@ pub fn refine(
         pose = moved(&pose, &step)?;
         beside.advance(&step);
         let pull = Pull::new(&prior, scale_px);
-        scale_px = look(&pose, &beside, &mut residuals, &mut errors);
+        let noise_px = if round == 0 { USUAL_NOISE * config.inlier_px } else { scale_px };
+        scale_px = look(&pose, &beside, noise_px, &mut residuals, &mut errors);
         reach_px = (4.685 * scale_px).min(config.inlier_px.max(2.0 * scale_px));
         let per_reach = 1.0 / reach_px;
         weights.iter_mut().zip(&errors).for_each(|(weight, &error)| *weight = biweight(error * per_reach));
@@ -504,6 +544,7 @@ pub fn refine(
     // To agree is to be near, not only to be uncertain: of what is unlike the ground all is uncertain.
     let near = |(residual, &weight): (&Residual, &f64)| weight > 0.0 && residual.distance_px < reach_px;
     let inliers: Buffer<bool> = residuals.iter().zip(&weights).map(near).collect();
+    let elevations = elevations(observations, &residuals, pose.height_m);
     let own = Fit {
         residuals: &residuals,
         weights: &weights,
@@ -534,9 +575,35 @@ pub fn refine(
         residual_px: (squares / count as f64).sqrt(),
         neighbours: Neighbours::of(camera, observations, &residuals, &weights),
         rig_evidence,
+        elevations,
+        needs_relief: false,
         shutter,
     })
 }
+
+/// The elevations of the observed points given the pose.
+fn elevations(
+    observations: &[Observation],
+    residuals: &[Residual],
+    height_m: f64,
+) -> Buffer<MeasuredElevation> {
+    // Across its parallax a residual is noise, whatever the elevation.
+    let mut across: Buffer<f64> =
+        residuals.iter().map(|residual| residual.parallax.across_squared()).collect();
+    let middle = across.len() / 2;
+    let median = across.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let noise_px2 = (*median / MEDIAN_OF_SQUARE).max(SMALLEST_SCALE_PX * SMALLEST_SCALE_PX);
+    let measured = |(observation, residual): (&Observation, &Residual)| {
+        residual.parallax.measured(observation.elevation, noise_px2, HIGHEST_KERB * height_m)
+    };
+    observations.iter().zip(residuals).map(measured).collect()
+}
+
+/// The median of the square of a normally distributed number over its variance.
+const MEDIAN_OF_SQUARE: f64 = 0.455;
+
+/// Noise of usual tracks before the residuals tell, as a part of the distance of inliers.
+const USUAL_NOISE: f64 = 0.05;
 
 /// The changes of the pose that belong to changes of the slope.
 fn solutions(factor: &Factor, slopes: &[Row; POSE], unknowns: &Unknowns) -> Matrix6<f64> {
@@ -566,8 +633,19 @@ fn scale_where_held(
 
 /// How x and y of the ground point that a ray meets, metres, change with the six numbers of the pose
 /// of the camera whose ray it is.
-pub fn ground_by_pose(ground: &GroundPoint, laid_from: &GroundPose, axes: &Axes) -> [[f64; 6]; 2] {
-    let height_m = laid_from.height_m;
+pub fn ground_by_pose(observation: &Observation, laid_from: &GroundPose, axes: &Axes) -> [[f64; 6]; 2] {
+    let Observation { ground, elevation, .. } = observation;
+    ray_by_pose(ground, elevation.mean_m, laid_from, axes)
+}
+
+/// The same of a ray that meets the ground at an elevation, metres.
+pub fn ray_by_pose(
+    ground: &GroundPoint,
+    elevation_m: f64,
+    laid_from: &GroundPose,
+    axes: &Axes,
+) -> [[f64; 6]; 2] {
+    let height_m = laid_from.height_m - elevation_m;
     let (x, y) = (ground.x_m - laid_from.x_m, ground.y_m - laid_from.y_m);
     // A turn about an axis swings the ray, which then meets the ground elsewhere.
     let swung = |axis: &Vector3<f64>| {

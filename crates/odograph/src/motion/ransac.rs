@@ -1,10 +1,11 @@
 //! The movement that most tracks agree on.
 
 use super::planar_pose::{Unknowns, gauss_newton_step};
-use super::{MotionConfig, MotionModel, Observation, Random, RigPrior};
+use super::{Elevation, MotionConfig, MotionModel, Observation, Observations, Random, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Ray, length};
+use nalgebra::{Matrix3, Vector3};
 
 stored!(Option<Ray>);
 
@@ -19,16 +20,17 @@ const MISS: f64 = 1e-4;
 /// within the inlier distance this differs from pixels by the lens's local magnification only, and the refinement measures in pixels.
 pub fn consensus(
     camera: &Camera,
-    observations: &[Observation],
+    observations: Observations<'_>,
     prediction: &GroundPose,
     prior: &RigPrior,
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<(GroundPose, Buffer<bool>)> {
+    let Observations { seen: observations, laid_from, .. } = observations;
     // The refinement takes height and tilt along; until then they may be a little off.
     let limit =
         if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
-    let agreeing = agreeing(camera, observations, prediction, limit);
+    let agreeing = agreeing(camera, observations, laid_from, prediction, limit);
     let count = agreeing.iter().filter(|&&agrees| agrees).count();
     if count >= config.minimum_inliers && count as f64 >= CLEAR * observations.len() as f64 {
         return Some((*prediction, agreeing));
@@ -47,13 +49,11 @@ pub fn consensus(
             .iter()
             .zip(&rays)
             .map(|(observation, ray)| {
-                let ground = observation.ground;
-                let point = camera_from_world
-                    * nalgebra::Vector3::new(ground.x_m - pose.x_m, ground.y_m - pose.y_m, -pose.height_m);
+                let point = camera_from_world * from_camera(observation, pose);
                 match ray {
                     Some(ray) if point.z > 1e-9 => {
-                        (fx * (point.x / point.z - ray.x)).powi(2)
-                            + (fy * (point.y / point.z - ray.y)).powi(2)
+                        let off = [fx * (point.x / point.z - ray.x), fy * (point.y / point.z - ray.y)];
+                        unexplained(observation, laid_from, &point, &camera_from_world, (fx, fy), off)
                     }
                     _ => f64::INFINITY,
                 }
@@ -86,22 +86,58 @@ pub fn consensus(
 const CLEAR: f64 = 0.8;
 
 /// Which observations lie within the limit, squared pixels, of where a pose has them.
-fn agreeing(camera: &Camera, observations: &[Observation], pose: &GroundPose, limit: f64) -> Buffer<bool> {
+fn agreeing(
+    camera: &Camera,
+    observations: &[Observation],
+    laid_from: &GroundPose,
+    pose: &GroundPose,
+    limit: f64,
+) -> Buffer<bool> {
     let camera_from_world = pose.world_from_camera_rotation().transpose();
     let agrees = |observation: &Observation| {
-        let ground = observation.ground;
-        let point = camera_from_world
-            * nalgebra::Vector3::new(ground.x_m - pose.x_m, ground.y_m - pose.y_m, -pose.height_m);
+        let point = camera_from_world * from_camera(observation, pose);
         if point.z <= 1e-9 {
             return false;
         }
         let seen = camera.pixel_from_ray(Ray::new(point.x / point.z, point.y / point.z));
         seen.is_some_and(|seen| {
-            let (x, y) = (seen.x - observation.pixel.x, seen.y - observation.pixel.y);
-            x * x + y * y < limit
+            let off = [seen.x - observation.pixel.x, seen.y - observation.pixel.y];
+            let focal_px = camera.focal_px();
+            unexplained(observation, laid_from, &point, &camera_from_world, focal_px, off) < limit
         })
     };
     observations.iter().map(agrees).collect()
+}
+
+/// From the camera to an observed point, in world axes.
+fn from_camera(observation: &Observation, pose: &GroundPose) -> Vector3<f64> {
+    let Observation { ground, elevation, .. } = observation;
+    Vector3::new(ground.x_m - pose.x_m, ground.y_m - pose.y_m, elevation.mean_m - pose.height_m)
+}
+
+/// The squared distance, pixels², that an elevation within three standard deviations does not
+/// explain.
+fn unexplained(
+    observation: &Observation,
+    laid_from: &GroundPose,
+    point: &Vector3<f64>,
+    camera_from_world: &Matrix3<f64>,
+    (fx, fy): (f64, f64),
+    [x, y]: [f64; 2],
+) -> f64 {
+    let Elevation { mean_m, variance_m2 } = observation.elevation;
+    if variance_m2 <= 0.0 {
+        return x * x + y * y;
+    }
+    // A point that rises keeps to the ray of the keyframe.
+    let rise = from_camera(observation, laid_from) / (mean_m - laid_from.height_m);
+    let rise = camera_from_world * rise;
+    let by_x = fx * (rise.x - point.x / point.z * rise.z) / point.z;
+    let by_y = fy * (rise.y - point.y / point.z * rise.z) / point.z;
+    let squared = (by_x * by_x + by_y * by_y).max(1e-12);
+    let most_m = 3.0 * variance_m2.sqrt();
+    let elevation_m = ((x * by_x + y * by_y) / squared).clamp(-most_m, most_m);
+    (x - elevation_m * by_x).powi(2) + (y - elevation_m * by_y).powi(2)
 }
 
 /// Which hypotheses are drawn: `auto` frees what the prior says may differ much from the frame before.

@@ -141,6 +141,11 @@ pub struct RigWander {
     tilt: [MountTilt; 2],
     steps: [Steps; 3],
     last: Option<[f64; 3]>,
+    /// Elevation of the ground in view, of this frame and of the keyframe, metres.
+    level_m: f64,
+    keyframe_level_m: f64,
+    /// The variance of the elevations of the quarters of the view, metres².
+    unevenness_m2: f64,
     neighbours: Neighbours,
 }
 
@@ -203,6 +208,9 @@ impl RigWander {
             tilt: [MountTilt::UNKNOWN; 2],
             steps: Default::default(),
             last: None,
+            level_m: 0.0,
+            keyframe_level_m: 0.0,
+            unevenness_m2: 0.0,
             neighbours: Neighbours::default(),
         }
     }
@@ -214,7 +222,8 @@ impl RigWander {
             MotionModel::Auto => {
                 let smallest = [SMALLEST_SIGMA[0] * self.nominal[0], SMALLEST_SIGMA[1], SMALLEST_SIGMA[2]];
                 let wander = self.wander();
-                let sigma = [0, 1, 2].map(|i| wander[i].sqrt().max(smallest[i]));
+                let mut sigma = [0, 1, 2].map(|i| wander[i].sqrt().max(smallest[i]));
+                sigma[0] = sigma[0].hypot(self.unevenness_m2.sqrt());
                 RigPrior { mean: self.mount(), sigma, shared_part }.after(self.last.as_ref(), &self.steps)
             }
             _ => RigPrior {
@@ -251,7 +260,21 @@ impl RigWander {
     fn mount(&self) -> [f64; 3] {
         let ([height_m, roll_rad, pitch_rad], [_, of_roll, of_pitch]) = (self.nominal, self.sway());
         let [roll, pitch] = &self.tilt;
-        [height_m, roll_rad + roll.found(of_roll), pitch_rad + pitch.found(of_pitch)]
+        [height_m + self.level_m, roll_rad + roll.found(of_roll), pitch_rad + pitch.found(of_pitch)]
+    }
+
+    /// The camera is over ground of this elevation, metres, above which the mount has its height. As
+    /// far as the ground is uneven that may be another than the level on which the wheels are.
+    pub fn stand_on(&mut self, level_m: f64, unevenness_m2: f64) {
+        (self.level_m, self.unevenness_m2) = (level_m, unevenness_m2);
+    }
+
+    /// Forgets how the rig was seen to move.
+    pub fn forget_movement(&mut self) {
+        self.deviations = Default::default();
+        self.tilt = [MountTilt::UNKNOWN; 2];
+        self.steps = Default::default();
+        self.last = None;
     }
 
     /// Learns from a measured frame: from which pose of its keyframe that was done, and what that one's uncertainty makes of the frame's covariance.
@@ -264,7 +287,8 @@ impl RigWander {
         let Some(evidence) = &estimate.rig_evidence else {
             return;
         };
-        let from = [keyframe.height_m, keyframe.roll_rad, keyframe.pitch_rad];
+        let risen_m = self.level_m - self.keyframe_level_m;
+        let from = [keyframe.height_m + risen_m, keyframe.roll_rad, keyframe.pitch_rad];
         let mount = self.mount();
         for (i, &value) in evidence.value.iter().enumerate() {
             let of_keyframe = carried[(3 + i, 3 + i)];
@@ -286,5 +310,6 @@ impl RigWander {
         let [_, of_roll, of_pitch] = self.sway();
         self.tilt[0].learn(of_roll);
         self.tilt[1].learn(of_pitch);
+        self.keyframe_level_m = self.level_m;
     }
 }

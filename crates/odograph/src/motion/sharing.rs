@@ -187,11 +187,12 @@ mod tests {
     use super::*;
     use crate::camera::Distortion;
     use crate::geometry::GroundPoint;
-    use crate::motion::Random;
+    use crate::motion::{Elevation, Random};
     use nalgebra::Matrix2;
 
     fn observation(ground: GroundPoint, pixel: Pixel, whitening: Matrix2<f64>) -> Observation {
-        Observation { ground, pixel, whitening, row_fraction: 0.0, keyframe_row_fraction: 0.0 }
+        let elevation = Elevation::FLAT;
+        Observation { ground, elevation, pixel, whitening, row_fraction: 0.0, keyframe_row_fraction: 0.0 }
     }
 
     /// What fifty frames show whose 300 tracks are off by noise of their own and by that of the block of sixteen pixels in which they lie.

@@ -31,6 +31,7 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
             };
             seen.push(Observation {
                 ground,
+                elevation: Elevation::FLAT,
                 pixel,
                 whitening: nalgebra::Matrix2::identity(),
                 row_fraction: 0.0,
@@ -151,7 +152,7 @@ fn the_pose_moves_with_that_of_its_keyframe_as_is_said() {
     // The same rays from a keyframe that is a little off.
     let laid_from = |keyframe: &GroundPose| -> Vec<Observation> {
         let lay = |seen: &Observation| {
-            let pixel = ViewingPose::new(from).pixel(&camera(), seen.ground).unwrap();
+            let pixel = ViewingPose::new(from).pixel(&camera(), seen.ground, 0.0).unwrap();
             let ground = keyframe.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
             Observation { ground, ..*seen }
         };
@@ -192,7 +193,7 @@ fn a_wrong_tilt_of_the_keyframe_is_found_with_the_pose() {
     let (mut squares, runs) = (0.0, 60);
     for seed in 0..runs {
         let lay = |seen: &Observation| {
-            let pixel = ViewingPose::new(keyframe).pixel(&camera(), seen.ground).unwrap();
+            let pixel = ViewingPose::new(keyframe).pixel(&camera(), seen.ground, 0.0).unwrap();
             let ground = taken_for.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
             Observation { ground, ..*seen }
         };

@@ -13,11 +13,11 @@ use crate::image::Pyramid;
 use crate::motion::RigPrior;
 use crate::motion::dense::{self, DenseEstimate, DenseImage};
 use crate::motion::{
-    MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RollingShutter, ShutterPrior,
-    Sighting, ViewingPose, estimate, mean_displacement, whitened,
+    Elevation, MotionEstimate, MotionModel, Observation, Observations, PatchWarp, Random, RollingShutter,
+    ShutterPrior, Sighting, ViewingPose, estimate, mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
-use nalgebra::{Matrix2, Matrix6, Vector2};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3};
 
 /// A frame measured against a keyframe.
 #[derive(Debug, Clone)]
@@ -57,6 +57,7 @@ fn observations(
     camera: &Camera,
     pose: &GroundPose,
     shutter: Option<(&ShutterPrior, &RollingShutter)>,
+    relief_m2: f64,
 ) -> Buffer<Observation> {
     let light = LightField::between(found);
     let sighting = |found: &Found| {
@@ -77,7 +78,9 @@ fn observations(
         }
         let covariance_px2 = found.covariance_px2;
         let keyframe_row_fraction = keyframe.shutter.row_fraction(corner.template.centre().y);
-        Sighting { ground, pixel, covariance_px2, row_fraction, keyframe_row_fraction }
+        let unknown = Elevation { mean_m: corner.patch.elevation_m, variance_m2: relief_m2 };
+        let elevation = corner.elevation.unwrap_or(unknown);
+        Sighting { ground, elevation, pixel, covariance_px2, row_fraction, keyframe_row_fraction }
     };
     let sightings: Buffer<Sighting> = found.iter().map(sighting).collect();
     whitened(&sightings, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
@@ -268,7 +271,7 @@ fn in_view<'a>(
 ) -> usize {
     let pose = ViewingPose::new(*pose);
     let seen = |corner: &&KeyCorner| {
-        let pixel = pose.pixel(camera, corner.patch.ground);
+        let pixel = corner.patch.pixel(camera, &pose);
         pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX) && !keyframe.is_masked(pixel))
     };
     corners.filter(seen).count()
@@ -281,7 +284,7 @@ pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &
     }
     let pose = ViewingPose::new(*pose);
     let seen = |found: &&Found| {
-        let pixel = pose.pixel(camera, keyframe.corners[found.corner].patch.ground);
+        let pixel = keyframe.corners[found.corner].patch.pixel(camera, &pose);
         pixel.is_some_and(|pixel| camera.contains(pixel, TEMPLATE_REACH_PX) && !keyframe.is_masked(pixel))
     };
     found.iter().filter(seen).count() as f64 / keyframe.corners_at_first.max(1) as f64
@@ -378,7 +381,7 @@ fn agreement(
 ) -> Option<GroundPose> {
     let shutter = learned.shutter_at(camera, prediction);
     let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
-    let observations = observations(keyframe, found, camera, prediction, shutter);
+    let observations = observations(keyframe, found, camera, prediction, shutter, learned.relief_m2());
     let prior = learned.wander.prior(prediction, &config.motion);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
     let laid_covariance = &keyframe.rig_covariance();
@@ -407,6 +410,9 @@ fn find(
     config: &OdometryConfig,
 ) -> Option<Found> {
     let PatchWarp { warp, curvature, .. } = corner.patch.warp(camera, pose)?;
+    let parallax = corner.parallax_px(camera, &keyframe.pose, pose);
+    let warp =
+        Warp { position: Pixel::new(warp.position.x + parallax.x, warp.position.y + parallax.y), ..warp };
     if keyframe.is_masked(warp.position) {
         return None;
     }
@@ -472,12 +478,15 @@ fn judge(
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
         let prior = learned.wander.prior(prediction, &config.motion);
-        let mut measure = |near: &GroundPose, prior: &RigPrior| {
+        let mut measure = |near: &GroundPose, prior: &RigPrior, plane: Plane| {
             let shutter = learned.shutter_at(camera, near);
-            let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
-            let observations = observations(keyframe, &found, camera, near, shutter);
+            let frame_shutter = learned
+                .frame_shutter
+                .map(|prior| ShutterPrior { applies: prior.applies || plane.is_tilted, ..prior });
+            let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
+            let observations = observations(keyframe, &found, camera, near, shutter, plane.relief_m2);
             let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-            let laid_covariance = &keyframe.rig_covariance();
+            let laid_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
             let observations =
                 Observations { seen: &observations, laid_from: &keyframe.pose, laid_covariance, shutter };
             estimate(camera, observations, near, prior, &config.motion, random)
@@ -485,19 +494,78 @@ fn judge(
         let near = settled.unwrap_or(*prediction);
         // A keyframe that is off the mount by more than the mount is seen to move still holds its frames.
         let prior = [prior, prior.reaching(&keyframe.pose)];
-        let first = prior.iter().find_map(|prior| Some((measure(&near, prior)?, prior)));
-        match first {
-            // The rates were those of a pose that was foretold; once more with those of the one found.
-            Some((found, prior)) if learned.skew_is_fitted() => {
-                Some(measure(&found.pose, prior).unwrap_or(found))
+        let mut best = |plane: Plane| {
+            let first = prior.iter().find_map(|prior| Some((measure(&near, prior, plane)?, prior)));
+            match first {
+                // The rates were those of a pose that was foretold; once more with those of the one found.
+                Some((found, prior)) if learned.skew_is_fitted() => {
+                    Some(measure(&found.pose, prior, plane).unwrap_or(found))
+                }
+                first => first.map(|(found, _)| found),
             }
-            first => first.map(|(found, _)| found),
+        };
+        let relief_m2 = learned.relief_m2();
+        let found = best(Plane { relief_m2, is_tilted: false });
+        let is_poor = found.as_ref().is_none_or(|found| found.residual_px > POOR_PX);
+        if is_poor && relief_m2 == 0.0 && learned.may_see_skew() {
+            let rough = best(Plane { relief_m2: learned.least_relief_m2(), is_tilted: false });
+            let mut tilted = || best(Plane { relief_m2: 0.0, is_tilted: true });
+            match rough {
+                Some(rough)
+                    if rough.residual_px < POOR_PX
+                        && is_better(&rough, &found, RELIEF_FACTOR)
+                        && is_better(&rough, &tilted(), RELIEF_OVER_TILT) =>
+                {
+                    Some(MotionEstimate { needs_relief: true, ..rough })
+                }
+                _ => found,
+            }
+        } else {
+            found
         }
     };
     let estimate = estimate.ok_or_else(|| why_not(keyframe, camera, &found, prediction))?;
     let support = estimate.inlier_count() as f64 / keyframe.corners_at_first.max(1) as f64;
     let settled = settled.is_some();
     Ok(Measurement { estimate, prediction: *prediction, found, support, settled, agreement: None })
+}
+
+/// Where tracks of flat ground are off by more than this, pixels, it may not be flat, or the
+/// shutter rolls, or images are blurred.
+pub const POOR_PX: f64 = 0.1;
+
+/// Relief is a freer model: it must lower the residual by this factor. Noise along and across the
+/// parallax is alike, so that on flat ground it lowers it by a third; motion blur made that a half.
+const RELIEF_FACTOR: f64 = 4.0;
+
+/// The same over a plane with a tilt and a rolling shutter that are not known, which are free, too.
+const RELIEF_OVER_TILT: f64 = 2.0;
+
+/// Whether a fit with relief leaves a residual smaller by a factor than that of one without.
+fn is_better(rough: &MotionEstimate, flat: &Option<MotionEstimate>, factor: f64) -> bool {
+    flat.as_ref().is_none_or(|flat| {
+        factor * rough.residual_px < flat.residual_px && rough.inlier_count() >= flat.inlier_count()
+    })
+}
+
+/// What the ground may be beside the plane z = 0.
+#[derive(Clone, Copy)]
+struct Plane {
+    /// Variance of elevations, metres².
+    relief_m2: f64,
+    /// Whether the keyframe may have had another tilt over it, and the shutter may roll.
+    is_tilted: bool,
+}
+
+/// Standard deviation of a tilt that was not in the rig file, radians.
+const UNKNOWN_TILT: f64 = 0.05;
+
+impl Plane {
+    /// Covariance of height, roll and pitch of the keyframe.
+    fn tilt_covariance(&self) -> Matrix3<f64> {
+        let variance = if self.is_tilted { UNKNOWN_TILT * UNKNOWN_TILT } else { 0.0 };
+        Matrix3::from_diagonal(&Vector3::new(0.0, variance, variance))
+    }
 }
 
 /// The paper's mean vector from the last frame to this one.
@@ -532,6 +600,8 @@ fn mean(
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
         neighbours: Default::default(),
         rig_evidence: None,
+        elevations: Buffer::new(),
+        needs_relief: false,
         shutter: None,
     })
 }

@@ -1,21 +1,26 @@
 //! Keyframes: images whose corners lie on the ground as metric points.
 
+use super::follow::Found;
+use super::surface::Surface;
 use super::texture::{self, Texture};
 use crate::camera::Camera;
 use crate::detection::{Detection, DetectionConfig};
 use crate::fixed_pattern::ImageMask;
 use crate::flow::{Template, Warp};
-use crate::geometry::{GroundPose, Pixel, Ray};
+use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use crate::image::{GrayImage, Pyramid};
 use crate::mapping::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
 use crate::motion::{
-    Axes, CoarseRegistration, GroundFromRay, GroundPatch, GroundView, MotionEstimate, PoseRates,
-    RollingShutter, ViewingPose,
+    Axes, BEYOND_CHANCE, CoarseRegistration, Elevation, GroundFromRay, GroundPatch, GroundView, HIGHEST_KERB,
+    MeasuredElevation, MotionEstimate, PoseRates, RollingShutter, Roughness, ViewingPose,
 };
-use nalgebra::{Matrix3, Matrix6, Vector6};
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector6};
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
+
+/// Ground within this part of the height is below the camera.
+const BELOW: f64 = 0.15;
 
 /// Corners this near the border cannot carry a full template with its gradients.
 const MARGIN_PX: usize = 9;
@@ -36,6 +41,12 @@ pub struct Keyframe {
     /// How the pose changes with the readout time, metres and radians per second: what a readout time
     /// that is off has done to it since the start.
     pub by_readout: PoseRates,
+    /// Mean elevation of its corners where no earlier keyframe saw them, metres.
+    level_m: f64,
+    /// Whether the ground undulates, so that its level is its elevation below the camera.
+    undulates: bool,
+    /// The ground that earlier keyframes saw, where it is not flat.
+    pub surface: Option<Surface>,
     pub corners: Vec<KeyCorner>,
     /// What of the image is known not to be ground.
     pub mask: Option<Arc<ImageMask>>,
@@ -62,20 +73,47 @@ struct GroundOf<'a> {
     camera: &'a Camera,
     pose: &'a GroundPose,
     shutter: &'a RollingShutter,
+    /// Elevation where nothing else is known, metres.
+    level_m: f64,
+    surface: Option<&'a Surface>,
     from_ray: GroundFromRay<'a>,
     axes: Axes,
 }
 
 impl<'a> GroundOf<'a> {
-    fn new(camera: &'a Camera, pose: &'a GroundPose, shutter: &'a RollingShutter) -> Self {
-        Self { camera, pose, shutter, from_ray: GroundFromRay::new(pose), axes: Axes::new(pose) }
+    fn new(
+        camera: &'a Camera,
+        pose: &'a GroundPose,
+        shutter: &'a RollingShutter,
+        (level_m, surface): (f64, Option<&'a Surface>),
+    ) -> Self {
+        let (from_ray, axes) = (GroundFromRay::new(pose), Axes::new(pose));
+        Self { camera, pose, shutter, level_m, surface, from_ray, axes }
     }
 
-    fn patch(&self, centre: Pixel) -> Option<GroundPatch> {
-        if self.shutter.is_static() {
-            return GroundPatch::new(self.camera, &self.from_ray, centre, 1.0);
+    fn patch(&self, centre: Pixel) -> Option<(GroundPatch, Option<Elevation>)> {
+        let elevation = self.surface.map(|surface| self.elevation(surface, centre));
+        let elevation_m = elevation.map_or(self.level_m, |elevation| elevation.mean_m);
+        let patch = if self.shutter.is_static() {
+            let from_ray = self.from_ray.at_elevation(elevation_m);
+            GroundPatch::new(self.camera, &from_ray, centre, 1.0)?
+        } else {
+            let pose = (self.pose, &self.axes);
+            GroundPatch::behind_shutter(self.camera, pose, self.shutter, elevation_m, centre)?
+        };
+        Some((patch, elevation))
+    }
+
+    /// The elevation where the ray of a pixel meets the surface.
+    fn elevation(&self, surface: &Surface, pixel: Pixel) -> Elevation {
+        let mut elevation = Elevation { mean_m: surface.mean_m(), variance_m2: 0.0 };
+        let Some(ray) = self.camera.ray_from_pixel(pixel) else { return elevation };
+        // Slopes are small: the second step is off by their square.
+        for _ in 0..2 {
+            let Some(ground) = self.from_ray.at_elevation(elevation.mean_m).of(ray) else { break };
+            elevation = surface.at(ground);
         }
-        GroundPatch::behind_shutter(self.camera, (self.pose, &self.axes), self.shutter, centre)
+        elevation
     }
 }
 
@@ -91,8 +129,76 @@ pub struct KeyCorner {
     pub template: Template,
     /// Where it lies on the ground.
     pub patch: GroundPatch,
+    /// Its elevation as earlier keyframes have it; `None` on flat ground.
+    pub elevation: Option<Elevation>,
+    /// Its elevation as the frame has it that tells it best.
+    measured: Option<MeasuredElevation>,
+    /// What an earlier frame told of its elevation, and how often later ones confirmed that it is
+    /// off the ground.
+    seen_before: Option<MeasuredElevation>,
+    confirmations: usize,
+    is_on_kerb: bool,
     /// How it was last found.
     pub seen: Warp,
+}
+
+/// A corner is on a kerb where an elevation was confirmed this many times, each time by this many
+/// times the information of the time before: a parallax that is half as long again.
+const CONFIRMATIONS: usize = 2;
+const LONGER_PARALLAX: f64 = 2.0;
+
+/// Frames whose tracks are off by more than this, pixels, show no kerb: the shutter rolls, or images
+/// are blurred.
+const KERB_PX: f64 = 0.3;
+
+/// Of fewer confirmed corners a kerb is not remembered: tracks that slip along an edge are off the
+/// ground as well.
+const CORNERS_OF_KERB: usize = 12;
+
+impl KeyCorner {
+    /// Compares its elevation with that of an earlier frame, where the parallax has grown enough
+    /// since, and gives the earlier one. Where both say several times that it is off the ground it
+    /// is on a kerb, and its elevation may be anything up to `highest_m`; with `None` the tracks are
+    /// off for another reason.
+    fn compare(&mut self, seen: &MeasuredElevation, highest_m: Option<f64>) -> Option<MeasuredElevation> {
+        let Some(before) = self.seen_before else {
+            self.seen_before = Some(*seen);
+            return None;
+        };
+        if seen.parallax_squared < LONGER_PARALLAX * before.parallax_squared {
+            return None;
+        }
+        self.seen_before = Some(*seen);
+        let off_m = seen.alone_m - before.alone_m;
+        let variance_m2 = 1.0 / seen.information + 1.0 / before.information;
+        let confirms = seen.is_off && before.is_off && off_m * off_m < BEYOND_CHANCE * variance_m2;
+        self.confirmations = if confirms { self.confirmations + 1 } else { 0 };
+        if let Some(highest_m) = highest_m
+            && self.confirmations >= CONFIRMATIONS
+            && !self.is_on_kerb
+        {
+            self.is_on_kerb = true;
+            let mean_m = self.patch.elevation_m;
+            self.elevation = Some(Elevation { mean_m, variance_m2: highest_m * highest_m });
+        }
+        Some(before)
+    }
+
+    /// How far from its patch a camera at `pose` is expected to see it for its measured elevation,
+    /// pixels.
+    pub fn parallax_px(&self, camera: &Camera, keyframe: &GroundPose, pose: &ViewingPose) -> Vector2<f64> {
+        let Some(MeasuredElevation { elevation: measured, .. }) = self.measured else {
+            return Vector2::zeros();
+        };
+        let GroundPatch { ground, elevation_m, .. } = self.patch;
+        let nearer = (keyframe.height_m - measured.mean_m) / (keyframe.height_m - elevation_m);
+        let raised = GroundPoint::new(
+            keyframe.x_m + nearer * (ground.x_m - keyframe.x_m),
+            keyframe.y_m + nearer * (ground.y_m - keyframe.y_m),
+        );
+        let (from, to) = (self.patch.pixel(camera, pose), pose.pixel(camera, raised, measured.mean_m));
+        from.zip(to).map_or(Vector2::zeros(), |(from, to)| Vector2::new(to.x - from.x, to.y - from.y))
+    }
 }
 
 impl Keyframe {
@@ -131,6 +237,7 @@ impl Keyframe {
             shutter: RollingShutter { readout_s: 0.0, rows, rates: PoseRates::zeros() },
             rate_variance: PoseRates::zeros(),
             by_readout: PoseRates::zeros(),
+            surface: None,
             mask: mask.cloned(),
             places: Vec::new(),
             view: None,
@@ -158,6 +265,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            surface,
             mask,
             places,
             view,
@@ -174,6 +282,9 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            level_m: 0.0,
+            undulates: surface.as_ref().is_some_and(Surface::is_smooth),
+            surface,
             mask,
             places,
             sought: None,
@@ -216,11 +327,21 @@ impl Keyframe {
         if first == until {
             return;
         }
-        let ground = GroundOf::new(camera, &self.pose, &self.shutter);
+        let ground = GroundOf::new(camera, &self.pose, &self.shutter, (self.level_m, self.surface.as_ref()));
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&self.pyramid, place)?;
             let centre = template.centre();
-            Some(KeyCorner { patch: ground.patch(centre)?, seen: Warp::translation(centre), template })
+            let (patch, elevation) = ground.patch(centre)?;
+            Some(KeyCorner {
+                patch,
+                elevation,
+                measured: None,
+                seen_before: None,
+                confirmations: 0,
+                is_on_kerb: false,
+                seen: Warp::translation(centre),
+                template,
+            })
         };
         self.corners.reserve_exact(places - first);
         self.corners.extend(self.places[first..until].iter().filter_map(corner));
@@ -231,12 +352,105 @@ impl Keyframe {
     /// Sets right how its image was exposed, and with it where its corners lie.
     pub fn expose(&mut self, camera: &Camera, shutter: RollingShutter) {
         self.shutter = shutter;
-        let ground = GroundOf::new(camera, &self.pose, &self.shutter);
+        self.lay_again(camera);
+    }
+
+    /// Sets the mean elevation of its corners so that the ground below the camera is on the plane
+    /// z = 0, as the height of the rig has it.
+    pub fn set_level(&mut self, camera: &Camera, relief_m2: f64) {
+        if relief_m2 <= 0.0 {
+            return;
+        }
+        let Some(surface) = self.surface_now(relief_m2) else { return };
+        self.undulates = surface.is_smooth();
+        if !self.undulates {
+            return;
+        }
+        let below = surface.at(GroundPoint::new(self.pose.x_m, self.pose.y_m));
+        self.level_m -= below.mean_m;
+        self.corners.iter_mut().filter_map(|corner| corner.measured.as_mut()).for_each(|measured| {
+            measured.elevation.mean_m -= below.mean_m;
+        });
+        self.lay_again(camera);
+    }
+
+    /// Lays its corners on the ground as it is known now.
+    fn lay_again(&mut self, camera: &Camera) {
+        let ground = GroundOf::new(camera, &self.pose, &self.shutter, (self.level_m, self.surface.as_ref()));
         for corner in &mut self.corners {
-            if let Some(patch) = ground.patch(corner.template.centre()) {
-                corner.patch = patch;
+            if let Some((patch, elevation)) = ground.patch(corner.template.centre()) {
+                (corner.patch, corner.elevation) = (patch, elevation);
             }
         }
+    }
+
+    /// The weight of a corner in the level of the ground below a camera at `pose`.
+    pub fn level_weight(&self, corner: usize, pose: &GroundPose) -> f64 {
+        if !self.undulates {
+            return 1.0;
+        }
+        let GroundPatch { ground, .. } = self.corners[corner].patch;
+        let squared_m2 = (ground.x_m - pose.x_m).powi(2) + (ground.y_m - pose.y_m).powi(2);
+        (1.0 + squared_m2 / (BELOW * pose.height_m).powi(2)).powi(-2)
+    }
+
+    /// Takes a surface into use that earlier keyframes saw.
+    pub fn set_surface(&mut self, surface: Option<Surface>) {
+        self.undulates = surface.as_ref().is_some_and(Surface::is_smooth);
+        self.surface = surface;
+    }
+
+    /// In which quarter of the image a corner is.
+    pub fn quadrant(&self, corner: usize) -> usize {
+        let (image, centre) = (self.pyramid.base(), self.corners[corner].template.centre());
+        let is_right = 2.0 * centre.x > image.width() as f64;
+        let is_below = 2.0 * centre.y > image.height() as f64;
+        usize::from(is_right) + 2 * usize::from(is_below)
+    }
+
+    /// Learns the elevations of its corners from a frame measured against it, and how rough the
+    /// ground is.
+    pub fn learn_elevations(&mut self, found: &[Found], frame: &MotionEstimate) -> Roughness {
+        let mut roughness = Roughness::default();
+        let level_m = self.surface.as_ref().map_or(self.level_m, Surface::mean_m);
+        let highest_m = HIGHEST_KERB * self.pose.height_m;
+        let is_exact = frame.residual_px < KERB_PX;
+        for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
+            let corner = &mut self.corners[found.corner];
+            if seen.is_plausible
+                && let Some(before) = corner.compare(seen, is_exact.then_some(highest_m))
+            {
+                let [first, second] = [&before, seen].map(|seen| (seen.alone_m - level_m, seen.information));
+                roughness.add([first, second]);
+            }
+            if *agrees
+                && !seen.is_off
+                && seen.elevation.variance_m2 > 0.0
+                && corner.measured.is_none_or(|known| seen.parallax_squared > known.parallax_squared)
+            {
+                corner.measured = Some(*seen);
+            }
+        }
+        roughness
+    }
+
+    /// The ground as it is known now, where elevations have this variance; `None` where it is flat.
+    pub fn surface_now(&self, relief_m2: f64) -> Option<Surface> {
+        let kerb = self.corners.iter().filter(|corner| corner.is_on_kerb).count();
+        if relief_m2 <= 0.0 && kerb < CORNERS_OF_KERB && self.surface.is_none() {
+            return None;
+        }
+        let point = |corner: &KeyCorner| {
+            let GroundPatch { ground, elevation_m, .. } = corner.patch;
+            let unknown = Elevation { mean_m: elevation_m, variance_m2: relief_m2 };
+            let measured = corner.measured.map(|measured| measured.elevation);
+            let elevation = measured.or(corner.elevation).unwrap_or(unknown);
+            let nearer = (self.pose.height_m - elevation.mean_m) / (self.pose.height_m - elevation_m);
+            let x_m = self.pose.x_m + nearer * (ground.x_m - self.pose.x_m);
+            let y_m = self.pose.y_m + nearer * (ground.y_m - self.pose.y_m);
+            (GroundPoint::new(x_m, y_m), elevation)
+        };
+        Surface::new(self.corners.iter().map(point).collect(), relief_m2)
     }
 
     /// What can be made of its corners.
@@ -319,6 +533,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            surface,
             mask,
             places,
             view,
@@ -333,6 +548,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            surface,
             mask,
             places,
             view,
@@ -351,6 +567,7 @@ pub struct KeyframeRecord {
     shutter: RollingShutter,
     rate_variance: PoseRates,
     by_readout: PoseRates,
+    surface: Option<Surface>,
     mask: Option<Arc<ImageMask>>,
     places: Vec<(usize, usize)>,
     view: Option<GroundView>,
@@ -480,7 +697,7 @@ pub fn seen_share(
     let ground_from_ray = GroundFromRay::new(at);
     let seen = rays.iter().filter(|ray| {
         let ground = ray.and_then(|ray| ground_from_ray.of(ray));
-        let back = ground.and_then(|ground| pose.pixel(camera, ground));
+        let back = ground.and_then(|ground| pose.pixel(camera, ground, 0.0));
         back.is_some_and(|pixel| camera.contains(pixel, MARGIN_PX as f64))
     });
     seen.count() as f64 / (GRID * GRID) as f64

@@ -1,11 +1,13 @@
 //! What the frames so far taught about those to come.
 
+use super::follow::Found;
+use super::keyframe::Keyframe;
 use super::last_pose::LastPose;
 use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
-    MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, ShutterPrior, ViewingPose,
+    MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, Roughness, ShutterPrior, ViewingPose,
 };
 use nalgebra::Matrix6;
 
@@ -18,12 +20,19 @@ pub struct Learned {
     presence: Option<f64>,
     /// The shutter; `None` where it is taken to be global.
     shutter: Option<ShutterState>,
+    /// How rough the ground is.
+    roughness: Roughness,
+    least_relief_m2: f64,
     /// What is expected of the shutter in the present frame; `None` where it is global.
     pub frame_shutter: Option<ShutterPrior>,
 }
 
 /// Weight of the newest frame in the usual presence: about the last five count.
 const PRESENCE_RATE: f64 = 0.2;
+
+/// Standard deviation of the elevations of rough ground, at least, a part of the height. A wide one
+/// costs nothing: elevations within it are told by their parallax.
+const LEAST_RELIEF: f64 = 0.01;
 
 /// What is expected before any frame was measured.
 const UNKNOWN_PRESENCE: f64 = 0.5;
@@ -34,7 +43,14 @@ const ALL_PRESENT: f64 = 0.75;
 impl Learned {
     /// Nothing yet, of a camera that begins here.
     pub fn new(first: &GroundPose) -> Self {
-        Self { wander: RigWander::new(first), presence: None, shutter: None, frame_shutter: None }
+        Self {
+            wander: RigWander::new(first),
+            presence: None,
+            shutter: None,
+            roughness: Roughness::default(),
+            least_relief_m2: (LEAST_RELIEF * first.height_m).powi(2),
+            frame_shutter: None,
+        }
     }
 
     /// The same with a shutter that may roll.
@@ -53,6 +69,48 @@ impl Learned {
     pub fn foretell_shutter(&mut self, last: Option<&LastPose>, time_s: f64) {
         let both = last.zip(self.shutter.as_ref());
         self.frame_shutter = both.and_then(|(last, shutter)| shutter.prior(last, time_s));
+    }
+
+    /// Learns the roughness of the ground, and its level below the camera, from a measured frame.
+    pub fn saw_relief(&mut self, keyframe: &mut Keyframe, found: &[Found], estimate: &MotionEstimate) {
+        let was_flat = self.relief_m2() == 0.0;
+        self.roughness.learn(&keyframe.learn_elevations(found, estimate));
+        if estimate.needs_relief {
+            self.roughness.begin();
+        }
+        if was_flat && self.relief_m2() > 0.0 {
+            // What was taken for a movement of the rig was the shape of the ground.
+            self.wander.forget_movement();
+        }
+        let (mut level, mut weights) = (0.0, 0.0);
+        let mut quadrants = [(0.0, 0.0); 4];
+        for ((found, seen), agrees) in found.iter().zip(&estimate.elevations).zip(&estimate.inliers) {
+            if *agrees {
+                let elevation_m = seen.elevation.mean_m;
+                let weight = keyframe.level_weight(found.corner, &estimate.pose);
+                (level, weights) = (level + weight * elevation_m, weights + weight);
+                let (sum, count) = &mut quadrants[keyframe.quadrant(found.corner)];
+                (*sum, *count) = (*sum + elevation_m, *count + 1.0);
+            }
+        }
+        let level_m = if weights > 0.0 { level / weights } else { 0.0 };
+        let means = quadrants.iter().filter(|(_, count)| *count > 0.0).map(|(sum, count)| sum / count);
+        let squares = means.map(|mean_m| (mean_m - level_m).powi(2)).sum::<f64>();
+        self.wander.stand_on(level_m, 0.25 * squares);
+    }
+
+    /// The variance of the elevations of points of which nothing else is known, metres²: zero where
+    /// the ground is flat.
+    pub fn relief_m2(&self) -> f64 {
+        match self.roughness.variance_m2() {
+            0.0 => 0.0,
+            variance_m2 => variance_m2.max(self.least_relief_m2),
+        }
+    }
+
+    /// The same where the ground is rough, at least.
+    pub fn least_relief_m2(&self) -> f64 {
+        self.least_relief_m2
     }
 
     /// Learns of the shutter from a measured frame.
@@ -91,6 +149,11 @@ impl Learned {
     /// How the present frame is exposed where it was taken at `pose`; `None` for a global shutter.
     pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> Option<RollingShutter> {
         self.frame_shutter.as_ref().map(|prior| prior.shutter_at(camera, pose))
+    }
+
+    /// Whether a skew of the present frame would be seen, or there is none.
+    pub fn may_see_skew(&self) -> bool {
+        self.frame_shutter.is_some() || self.shutter.as_ref().is_none_or(ShutterState::is_known)
     }
 
     /// Whether the pose of the present frame is fitted with a skew.

@@ -259,6 +259,8 @@ mod tests {
             residual_px: 0.1,
             neighbours: Default::default(),
             rig_evidence: None,
+            elevations: Buffer::new(),
+            needs_relief: false,
             shutter: None,
         };
         Found {

@@ -57,6 +57,8 @@ impl Odometry {
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
         next.by_readout = by_readout;
+        let relief_m2 = self.learned.relief_m2();
+        next.set_surface(self.keyframe.as_ref().and_then(|before| before.surface_now(relief_m2)));
         self.expose(&mut next, estimate);
         self.number(&mut next, (self.frames, time_s), before);
         self.serve_from_here(next.id, pose);

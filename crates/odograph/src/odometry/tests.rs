@@ -2,9 +2,13 @@ use super::*;
 use crate::camera::Distortion;
 use crate::geometry::wrap_angle;
 use crate::motion::Random;
-use crate::simulation::{Effects, Ground, Path, PathKind, Renderer, Simulation, SimulationConfig, Texture};
+use crate::simulation::{
+    Effects, Ground, Kerb, Path, PathKind, Renderer, Simulation, SimulationConfig, Terrain, Texture,
+    Undulation,
+};
 
 mod lossy;
+mod relief;
 mod rolling;
 
 const HEIGHT_M: f64 = 0.75;

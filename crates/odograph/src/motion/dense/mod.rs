@@ -17,7 +17,8 @@ pub use plane::DenseImage;
 
 use super::GroundFromRay;
 use super::{
-    MotionConfig, MotionEstimate, Observations, RigPrior, Sighting, ViewingPose, planar_pose, whitened,
+    Elevation, MotionConfig, MotionEstimate, Observations, RigPrior, Sighting, ViewingPose, planar_pose,
+    whitened,
 };
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
@@ -78,7 +79,7 @@ impl DenseReference {
         let Some((_, tiles)) = self.levels.first() else { return 0.0 };
         let viewing = ViewingPose::new(*pose);
         let seen = |tile: &&Tile| {
-            viewing.pixel(camera, tile.patch.ground).is_some_and(|pixel| camera.contains(pixel, SIDE as f64))
+            tile.patch.pixel(camera, &viewing).is_some_and(|pixel| camera.contains(pixel, SIDE as f64))
         };
         tiles.iter().filter(seen).count() as f64 / tiles.len().max(1) as f64
     }
@@ -238,6 +239,7 @@ impl Level<'_> {
             linear * inverse * linear.transpose() * (noise / (light.answer * light.answer));
         Some(Sighting {
             ground: tile.patch.ground,
+            elevation: Elevation::FLAT,
             pixel: Pixel::new(position.x - bend.x - step.x, position.y - bend.y - step.y),
             covariance_px2,
             row_fraction: 0.0,

@@ -67,7 +67,7 @@ impl World {
         for at in 0..320 * 240 {
             let pixel = Pixel::new((at % 320) as f64, (at / 320) as f64);
             let ground = self.camera.ray_from_pixel(pixel).and_then(|ray| pose.ground_from_ray(ray));
-            let before = ground.and_then(|ground| ViewingPose::new(*from).pixel(&self.camera, ground));
+            let before = ground.and_then(|ground| ViewingPose::new(*from).pixel(&self.camera, ground, 0.0));
             if before.is_some_and(|before| self.camera.contains(before, 0.0)) {
                 let slope =
                     Vector3::from_fn(|i, _| f64::from(slopes[i].0[at] - slopes[i].1[at]) / (2.0 * step));

@@ -72,7 +72,7 @@ fn moved(
 ) -> Option<(i32, i32)> {
     let middle = Pixel::new(left as f64 + 7.5, top as f64 + 7.5);
     let ground = GroundFromRay::new(pose).of(world.camera.ray_from_pixel(middle)?)?;
-    let before = ViewingPose::new(*last).pixel(&world.camera, ground)?;
+    let before = ViewingPose::new(*last).pixel(&world.camera, ground, 0.0)?;
     let quarters = |distance: f64| (4.0 * distance).round() as i32;
     Some((quarters(before.x - middle.x), quarters(before.y - middle.y)))
 }

@@ -1,0 +1,201 @@
+//! The surface of ground that is not flat: elevations between points where they are known, by
+//! ordinary kriging with a power variogram that the points themselves tell (G. Matheron, 1963;
+//! N. Cressie, "Statistics for Spatial Data", 1993).
+
+use crate::geometry::GroundPoint;
+use crate::motion::Elevation;
+use nalgebra::{SMatrix, SVector};
+
+/// Points of the ground with their elevations, and how these vary with the distance.
+#[derive(Debug, Clone)]
+pub struct Surface {
+    points: Vec<(GroundPoint, Elevation)>,
+    variogram: Variogram,
+    mean_m: f64,
+}
+
+/// Exponent of the variogram above which the ground undulates: gravel has 0.2, undulations that are
+/// as long as the image is wide and longer 0.9 and more.
+const SMOOTH: f64 = 0.5;
+
+/// Points that an elevation is interpolated from.
+const NEIGHBOURS: usize = 8;
+
+impl Surface {
+    /// Through these points, on ground whose elevations have this variance. `None` for fewer points
+    /// than an elevation is interpolated from.
+    pub fn new(points: Vec<(GroundPoint, Elevation)>, variance_m2: f64) -> Option<Self> {
+        if points.len() < NEIGHBOURS {
+            return None;
+        }
+        let variogram = Variogram::fitted(&points, variance_m2);
+        let mean_m = points.iter().map(|(_, elevation)| elevation.mean_m).sum::<f64>() / points.len() as f64;
+        Some(Self { points, variogram, mean_m })
+    }
+
+    /// Whether differences grow with the distance as on undulating ground; on gravel they do not,
+    /// and the level of the ground is the mean of many stones.
+    pub fn is_smooth(&self) -> bool {
+        self.variogram.exponent > SMOOTH
+    }
+
+    /// The mean elevation of its points, metres.
+    pub fn mean_m(&self) -> f64 {
+        self.mean_m
+    }
+
+    /// The elevation at a point.
+    pub fn at(&self, point: GroundPoint) -> Elevation {
+        let nearest = self.nearest(point);
+        let semivariance =
+            |a: GroundPoint, b: GroundPoint| 0.5 * self.variogram.squared_difference(a.distance(b));
+        // Weights λ and the Lagrange multiplier of Σ λ = 1.
+        let mut system = SMatrix::<f64, { NEIGHBOURS + 1 }, { NEIGHBOURS + 1 }>::zeros();
+        let mut right = SVector::<f64, { NEIGHBOURS + 1 }>::zeros();
+        for (i, &(_, a)) in nearest.iter().enumerate() {
+            let (place, elevation) = &self.points[a];
+            for (k, &(_, b)) in nearest.iter().enumerate() {
+                system[(i, k)] =
+                    if i == k { -elevation.variance_m2 } else { semivariance(*place, self.points[b].0) };
+            }
+            system[(i, NEIGHBOURS)] = 1.0;
+            system[(NEIGHBOURS, i)] = 1.0;
+            right[i] = semivariance(*place, point);
+        }
+        right[NEIGHBOURS] = 1.0;
+        let nearest_one = self.points[nearest[0].1].1;
+        let Some(weights) = system.lu().solve(&right) else {
+            let variance_m2 = nearest_one.variance_m2 + 2.0 * right[0];
+            return Elevation { variance_m2, ..nearest_one };
+        };
+        let mean_m =
+            nearest.iter().enumerate().map(|(i, &(_, a))| weights[i] * self.points[a].1.mean_m).sum();
+        // The variance of the kriging estimate.
+        let variance_m2 = weights.dot(&right);
+        Elevation { mean_m, variance_m2: variance_m2.max(LEAST_SIGMA_M * LEAST_SIGMA_M) }
+    }
+
+    /// The nearest points: squared distance and index, the nearest first.
+    fn nearest(&self, point: GroundPoint) -> [(f64, usize); NEIGHBOURS] {
+        let mut nearest = [(f64::INFINITY, 0); NEIGHBOURS];
+        for (index, (place, _)) in self.points.iter().enumerate() {
+            let squared = (place.x_m - point.x_m).powi(2) + (place.y_m - point.y_m).powi(2);
+            if squared < nearest[NEIGHBOURS - 1].0 {
+                let at = nearest.partition_point(|(other, _)| *other <= squared);
+                nearest[at..].rotate_right(1);
+                nearest[at] = (squared, index);
+            }
+        }
+        nearest
+    }
+}
+
+/// Elevations are never taken to be known better than this, metres.
+const LEAST_SIGMA_M: f64 = 1e-5;
+
+/// The mean squared difference of two elevations as a power of their distance: near 0 for gravel,
+/// near 2 for smooth ground.
+#[derive(Debug, Clone, Copy)]
+pub struct Variogram {
+    /// Metres² for points a metre apart.
+    at_metre_m2: f64,
+    exponent: f64,
+}
+
+/// Distances from twice one lag to the next, the first in metres.
+const LAGS: usize = 9;
+const FIRST_LAG_M: f64 = 0.01;
+
+/// A power variogram is valid for exponents between 0 and 2, both excluded.
+const EXPONENTS: (f64, f64) = (0.05, 1.9);
+
+/// Pairs of points that a lag must have.
+const LEAST_PAIRS: f64 = 30.0;
+
+impl Variogram {
+    /// That of points that are known well against the spread of all elevations.
+    pub fn fitted(points: &[(GroundPoint, Elevation)], variance_m2: f64) -> Self {
+        let known: Vec<_> = points.iter().filter(|(_, e)| e.variance_m2 < WELL_KNOWN * variance_m2).collect();
+        let (mut roots, mut noise, mut pairs) = ([0.0; LAGS], [0.0; LAGS], [0.0; LAGS]);
+        for (i, (place, elevation)) in known.iter().enumerate() {
+            for (other, beside) in &known[..i] {
+                let lag = (place.distance(*other) / FIRST_LAG_M).log2().round();
+                if (0.0..LAGS as f64).contains(&lag) {
+                    let lag = lag as usize;
+                    roots[lag] += (elevation.mean_m - beside.mean_m).abs().sqrt();
+                    noise[lag] += elevation.variance_m2 + beside.variance_m2;
+                    pairs[lag] += 1.0;
+                }
+            }
+        }
+        // A line through logarithms.
+        let (mut count, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for lag in 0..LAGS {
+            if pairs[lag] < LEAST_PAIRS {
+                continue;
+            }
+            // The fourth power of the mean root is robust (N. Cressie and D. Hawkins, 1980).
+            let squared_m2 = f64::powi(roots[lag] / pairs[lag], 4) / 0.457 - noise[lag] / pairs[lag];
+            if squared_m2 > 0.0 {
+                let log_m = (FIRST_LAG_M * f64::powi(2.0, lag as i32)).ln();
+                let log_m2 = squared_m2.ln();
+                (count, x, y) = (count + 1.0, x + log_m, y + log_m2);
+                (xx, xy) = (xx + log_m * log_m, xy + log_m * log_m2);
+            }
+        }
+        if count < 2.0 {
+            return Self { at_metre_m2: 2.0 * variance_m2, exponent: EXPONENTS.0 };
+        }
+        let slope = (xy - x * y / count) / (xx - x * x / count);
+        let exponent = slope.clamp(EXPONENTS.0, EXPONENTS.1);
+        Self { at_metre_m2: ((y - exponent * x) / count).exp(), exponent }
+    }
+
+    /// The mean squared difference of two elevations this far apart, metres².
+    pub fn squared_difference(&self, distance_m: f64) -> f64 {
+        self.at_metre_m2 * distance_m.powf(self.exponent)
+    }
+}
+
+/// Points whose own variance is below this part of that of all elevations tell the variogram.
+const WELL_KNOWN: f64 = 0.25;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points on a lattice of 5 cm with these elevations, each known to a tenth of a millimetre.
+    fn surface(elevation: impl Fn(f64, f64) -> f64) -> Surface {
+        let point = |i: usize| {
+            let (x_m, y_m) = (0.05 * (i % 16) as f64, 0.05 * (i / 16) as f64);
+            let mean_m = elevation(x_m, y_m);
+            (GroundPoint::new(x_m, y_m), Elevation { mean_m, variance_m2: 1e-8 })
+        };
+        Surface::new((0..256).map(point).collect(), 1e-4).unwrap()
+    }
+
+    #[test]
+    fn a_wave_is_interpolated_and_undulates() {
+        let wave = |x: f64, y: f64| 0.03 * (3.0 * x).sin() * (2.0 * y).cos();
+        let surface = surface(wave);
+        let found = surface.at(GroundPoint::new(0.38, 0.42));
+        assert!((found.mean_m - wave(0.38, 0.42)).abs() < 5e-4, "{found:?}");
+        assert!(surface.is_smooth());
+        let beyond = surface.at(GroundPoint::new(1.2, 0.42));
+        assert!(beyond.variance_m2 > 10.0 * found.variance_m2, "unseen ground is not known");
+    }
+
+    #[test]
+    fn gravel_tells_nothing_between_its_stones() {
+        let stone = |x: f64, y: f64| 0.005 * (1e4 * (x * 7.1 + y * 3.3)).sin();
+        let surface = surface(stone);
+        assert!(!surface.is_smooth());
+        let found = surface.at(GroundPoint::new(0.38, 0.42));
+        assert!(found.variance_m2.sqrt() > 0.002, "{found:?}");
+    }
+
+    #[test]
+    fn fewer_points_than_neighbours_make_no_surface() {
+        assert!(Surface::new(vec![(GroundPoint::new(0.0, 0.0), Elevation::FLAT); 7], 1e-4).is_none());
+    }
+}
