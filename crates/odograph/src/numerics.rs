@@ -10,7 +10,8 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 /// The median of |x| of normal x, in standard deviations.
 pub const NORMAL_MEDIAN: f64 = 0.6745;
 
-/// The standard deviation of normal values about 0, by the median of their magnitudes (MAD); 0 of no values.
+/// The standard deviation of zero-mean normal values from their median magnitude (MAD); 0 of no
+/// values.
 pub fn normal_sigma(values: &[f64]) -> f64 {
     let mut magnitudes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
     1.4826 * median(&mut magnitudes).unwrap_or(0.0)
@@ -34,7 +35,8 @@ pub enum Loss {
     Logarithmic(f64),
     /// Cauchy's: as [`Loss::Logarithmic`], without the bend between the two.
     Cauchy(f64),
-    /// Tukey's biweight: nothing counts beyond the limit; 4.685 has 95 % efficiency on normal residuals.
+    /// Tukey's biweight: zero weight beyond the limit; 4.685 has an efficiency of 95 % on normal
+    /// residuals.
     Tukey(f64),
 }
 

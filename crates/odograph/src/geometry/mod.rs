@@ -156,7 +156,8 @@ impl GroundPose {
         Se2::new(self.x_m, self.y_m, self.heading_rad)
     }
 
-    /// The similarity of the plane that takes this pose to `to`, with the ratio of their heights for its scale.
+    /// The similarity of the plane that maps this pose to `to`; its scale is the ratio of the
+    /// heights.
     pub fn similarity_to(&self, to: &Self) -> Sim2 {
         let turned = Sim2::about_origin(to.heading_rad - self.heading_rad, to.height_m / self.height_m);
         let (x_m, y_m) = turned.rotate(self.x_m, self.y_m);

@@ -1,4 +1,5 @@
-//! Rigid and similarity transforms of the ground plane, SE(2) and Sim(2), and covariances through them.
+//! Rigid and similarity transforms of the ground plane, SE(2) and Sim(2), and the propagation of
+//! covariances.
 //!
 //! A transform is `target_from_source`; `world_from_a * a_from_b` is `world_from_b`. Headings are
 //! never wrapped: a product adds them, so whole turns are kept.

@@ -497,7 +497,7 @@ fn judge(
         let mut best = |plane: Plane| {
             let first = prior.iter().find_map(|prior| Some((measure(&near, prior, plane)?, prior)));
             match first {
-                // The rates were those of a pose that was foretold; once more with those of the one found.
+                // The rates were those of the predicted pose: once more with those of the measured.
                 Some((found, prior)) if learned.skew_is_fitted() => {
                     Some(measure(&found.pose, prior, plane).unwrap_or(found))
                 }

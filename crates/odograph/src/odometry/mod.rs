@@ -77,9 +77,9 @@ pub struct Odometry {
     /// Time of the first frame, seconds.
     first_time_s: Option<f64>,
     keyframes: u64,
-    /// The frame at which the present keyframe was taken into use.
-    /// By how much the last pose differs for what was learned of the keyframe's height and tilt.
+    /// Change of the last pose by the estimated error of the keyframe's height and tilt.
     keyframe_off: PoseRates,
+    /// The frame from which the present keyframe is the reference.
     serves_since: u64,
     segment: usize,
     tracks: Vec<TrackView>,
@@ -211,7 +211,7 @@ impl Odometry {
     }
 
     /// The tracks of the last frame as global shutters would have them, where they are those of a
-    /// plane and tell tilt and lens; empty on ground that is not flat.
+    /// plane and observe tilt and lens; empty on ground that is not flat.
     pub fn planar_tracks(&self) -> Vec<TrackView> {
         let has_relief = self.keyframe.as_ref().is_some_and(|keyframe| keyframe.surface.is_some());
         // Elevations that no ground has come from a lens that is another than in its file.
