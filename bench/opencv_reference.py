@@ -101,6 +101,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gate", type=Path, default=Path("target/release/gate"))
     parser.add_argument("--ours", type=Path, default=Path("bench/baseline.json"), help="figures that the gate wrote")
+    parser.add_argument("--field", action="store_true", help="the figures are those of gate --field")
     parser.add_argument("--json", type=Path, help="writes the reference's figures there")
     parser.add_argument("words", nargs="*")
     arguments = parser.parse_args()
@@ -115,7 +116,8 @@ def main():
             continue
         with tempfile.TemporaryDirectory() as folder:
             seeds = ["--first-seed", str(row["first_seed"]), "--seeds", str(row["seeds"])]
-            subprocess.run([arguments.gate, name, "--export", folder, *seeds], check=True, capture_output=True)
+            field = ["--field"] if arguments.field else []
+            subprocess.run([arguments.gate, name, *field, "--export", folder, *seeds], check=True, capture_output=True)
             # The word may match other rows as well.
             clips = [path for path in sorted(Path(folder).iterdir()) if path.name.rpartition("-")[0] == name]
             theirs[name] = median_over_seeds([figures(Clip(path)) for path in clips])

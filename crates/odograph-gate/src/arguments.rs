@@ -1,5 +1,7 @@
 //! Command-line arguments.
 
+use crate::field;
+use crate::rows::{self, Row};
 use clap::Parser;
 use std::path::PathBuf;
 
@@ -9,6 +11,10 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// Only rows whose name contains one of these words.
     pub words: Vec<String>,
+    /// The rows of the field instead of the gate's: disturbances of all kinds, for comparison with
+    /// other programs over several seeds.
+    #[arg(long)]
+    pub field: bool,
     /// Number of clips rendered and tracked in parallel; by default all available cores.
     #[arg(long)]
     pub threads: Option<usize>,
@@ -42,6 +48,12 @@ impl Arguments {
     /// Whether the row of that name is selected.
     pub fn asks_for(&self, name: &str) -> bool {
         self.words.is_empty() || self.words.iter().any(|word| name.contains(word.as_str()))
+    }
+
+    /// The rendered rows that are selected.
+    pub fn rows(&self) -> Vec<Row> {
+        let rows = if self.field { field::rows() } else { rows::rows() };
+        rows.into_iter().filter(|row| self.asks_for(row.name)).collect()
     }
 
     /// Number of threads, at least 1.

@@ -52,6 +52,9 @@ pub fn render(row: &Row, seed: u64) -> Result<Clip> {
         clip.truth.poses.push(StampedPose { time_s: frame.time_s, world_from_camera });
         clip.frames.push((frame.time_s, frame.image));
     }
+    if let Some(alteration) = row.alteration {
+        alteration.apply(&mut clip, seed);
+    }
     if let Some(qp) = row.h264_qp {
         compression::compress(&mut clip, qp)?;
     }

@@ -2,7 +2,6 @@
 
 use crate::arguments::Arguments;
 use crate::clip::{Clip, render};
-use crate::rows::rows;
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file, trajectory_file};
 use std::io::{BufWriter, Write};
@@ -10,7 +9,7 @@ use std::path::Path;
 
 /// Writes the clips of the selected rows, each into `folder/ROW-SEED`.
 pub fn export(arguments: &Arguments, folder: &Path) -> Result<()> {
-    for row in rows().into_iter().filter(|row| arguments.asks_for(row.name)) {
+    for row in arguments.rows() {
         let seeds = arguments.seeds.unwrap_or(row.seeds);
         for seed in arguments.first_seed..arguments.first_seed + seeds {
             let to = folder.join(format!("{}-{seed}", row.name));

@@ -71,7 +71,7 @@ fn pass(
         let begun = busy_ms();
         let frame = odometry.process(image, *time_s)?;
         followed.times_ms.push(busy_ms() - begun);
-        if let Some(found) = watch.as_mut().and_then(|watch| watch.watch(&frame, &odometry.planar_tracks())) {
+        if let Some(found) = watch.as_mut().and_then(|watch| watch.watch(&frame, &odometry)) {
             return Ok(Pass::Again(Box::new(found)));
         }
         followed.frames.push(frame);

@@ -8,11 +8,13 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // prints a report
 
+mod alterations;
 mod arguments;
 mod baseline;
 mod clip;
 mod compression;
 mod export;
+mod field;
 mod figures;
 mod following;
 mod measuring;

@@ -7,7 +7,7 @@ use crate::figures::Figures;
 use crate::following::{Followed, follow};
 use crate::processor::{peak_memory_mb, reference_ms};
 use crate::recordings::{self, Recording};
-use crate::rows::{Row, rows};
+use crate::rows::Row;
 use nalgebra::Vector3;
 use odograph::error::Result;
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
@@ -33,7 +33,7 @@ pub fn measure(arguments: &Arguments) -> Measured {
     let mut jobs: Vec<(String, Job)> = Vec::new();
     let data = recordings::folder();
     for recording in recordings::all() {
-        if !arguments.asks_for(recording.name) {
+        if arguments.field || !arguments.asks_for(recording.name) {
             continue;
         }
         let there = data.join(recording.name).is_dir();
@@ -44,7 +44,7 @@ pub fn measure(arguments: &Arguments) -> Measured {
             measured.skipped.push(Skipped { name: recording.name.to_owned(), reason });
         }
     }
-    for row in rows().into_iter().filter(|row| arguments.asks_for(row.name)) {
+    for row in arguments.rows() {
         let seeds = arguments.seeds.unwrap_or(row.seeds);
         for seed in arguments.first_seed..arguments.first_seed + seeds {
             jobs.push((row.name.to_owned(), Job::Rendered { row: Box::new(row.clone()), seed }));

@@ -1,5 +1,6 @@
 //! The rendered rows. To add one, add a `Row { … }` to [`rows`].
 
+use crate::alterations::Alteration;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::geometry::Pixel;
@@ -48,6 +49,8 @@ pub struct Row {
     pub readout_is_told: bool,
     /// Quantisation parameter of H.264, 0 to 51; `None` for uncompressed recordings.
     pub h264_qp: Option<u8>,
+    /// What the camera's software does to the images.
+    pub alteration: Option<Alteration>,
     /// How it is tracked.
     pub follow: Follow,
     /// Default number of seeds; results are medians over them.
@@ -83,11 +86,11 @@ fn corner_turn(seed: u64) -> PathKind {
 }
 
 /// 4 m straight ahead, from standstill to standstill.
-fn ahead(_: u64) -> PathKind {
+pub fn ahead(_: u64) -> PathKind {
     PathKind::Straight { length_m: 4.0 }
 }
 
-fn eight(_: u64) -> PathKind {
+pub fn eight(_: u64) -> PathKind {
     PathKind::FigureEight { length_m: 1.5, laps: 1.0 }
 }
 
@@ -106,7 +109,7 @@ fn noise() -> Effects {
 }
 
 /// An easy drive over asphalt; the base of all other rows.
-fn clean() -> Row {
+pub fn clean() -> Row {
     Row {
         name: "asphalt",
         texture: "asphalt",
@@ -120,13 +123,14 @@ fn clean() -> Row {
         rig_told: Rig::level(HEIGHT_M),
         readout_is_told: false,
         h264_qp: None,
+        alteration: None,
         follow: Follow::Recorded,
         seeds: 1,
     }
 }
 
 /// The clean drive with other effects.
-fn with(name: &'static str, effects: Effects) -> Row {
+pub fn with(name: &'static str, effects: Effects) -> Row {
     Row { name, effects, ..clean() }
 }
 

@@ -253,6 +253,7 @@ pub struct Camera {
     distortion: Distortion,
     tangent_limit: f64,
     readout_s: Option<f64>,
+    readout_deviation_s: f64,
 }
 
 /// The serialised form of a [`Camera`]: plain, unchecked numbers.
@@ -267,20 +268,27 @@ struct CameraParameters {
     distortion: Distortion,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     readout_s: Option<f64>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    readout_deviation_s: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl TryFrom<CameraParameters> for Camera {
     type Error = Error;
 
     fn try_from(p: CameraParameters) -> Result<Self> {
-        Self::new((p.width, p.height), (p.fx, p.fy), (p.cx, p.cy), p.distortion)?.with_readout_s(p.readout_s)
+        let camera = Self::new((p.width, p.height), (p.fx, p.fy), (p.cx, p.cy), p.distortion)?;
+        Ok(camera.with_readout_s(p.readout_s)?.with_readout_deviation_s(p.readout_deviation_s))
     }
 }
 
 impl From<Camera> for CameraParameters {
     fn from(c: Camera) -> Self {
-        let Camera { width, height, fx, fy, cx, cy, distortion, readout_s, .. } = c;
-        Self { width, height, fx, fy, cx, cy, distortion, readout_s }
+        let Camera { width, height, fx, fy, cx, cy, distortion, readout_s, readout_deviation_s, .. } = c;
+        Self { width, height, fx, fy, cx, cy, distortion, readout_s, readout_deviation_s }
     }
 }
 
@@ -336,6 +344,7 @@ impl Camera {
             distortion,
             tangent_limit,
             readout_s: None,
+            readout_deviation_s: 0.0,
         })
     }
 
@@ -354,7 +363,7 @@ impl Camera {
                     1e3 * Self::LONGEST_READOUT_S
                 )))
             }
-            _ => Ok(Self { readout_s, ..self }),
+            _ => Ok(Self { readout_s, readout_deviation_s: 0.0, ..self }),
         }
     }
 
@@ -365,6 +374,18 @@ impl Camera {
     /// Readout time of the shutter, seconds ([`Camera::with_readout_s`]); `None` if unknown.
     pub fn readout_s(&self) -> Option<f64> {
         self.readout_s
+    }
+
+    /// The same camera whose readout time has this standard deviation, seconds; 0, which
+    /// [`Camera::with_readout_s`] sets, where it is exact. What is not finite or negative counts as 0.
+    pub fn with_readout_deviation_s(self, deviation_s: f64) -> Self {
+        let readout_deviation_s = if deviation_s.is_finite() { deviation_s.max(0.0) } else { 0.0 };
+        Self { readout_deviation_s, ..self }
+    }
+
+    /// Standard deviation of [`Camera::readout_s`], seconds.
+    pub fn readout_deviation_s(&self) -> f64 {
+        self.readout_deviation_s
     }
 
     /// A pinhole camera whose image covers `field_of_view_m` (width, height, metres) on level

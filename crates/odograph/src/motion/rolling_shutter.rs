@@ -1,7 +1,7 @@
 //! Rolling shutters: each row of an image is exposed at its own time, while the camera moves.
 //!
 //! The time of an image is that of its middle row, and so is its pose. Within the image the pose
-//! changes at constant rates. A pixel is brought to where a global shutter would have seen the same
+//! changes at constant accelerations. A pixel is brought to where a global shutter would have seen the same
 //! ground ([`RollingShutter::global_pixel`]); rates and readout time that differ from what was
 //! assumed are unknowns beside the pose (`super::normal_equations`).
 
@@ -19,14 +19,16 @@ pub struct RollingShutter {
     pub readout_s: f64,
     /// Rows of the image.
     pub rows: usize,
-    /// Rates of the pose within the image.
+    /// Rates of the pose in the middle of the image.
     pub rates: PoseRates,
+    /// How they change within the image, per second.
+    pub accelerations: PoseRates,
 }
 
 impl RollingShutter {
     /// A camera with a readout time, moving at `rates`.
     pub fn new(camera: &Camera, readout_s: f64, rates: PoseRates) -> Self {
-        Self { readout_s, rows: camera.height(), rates }
+        Self { readout_s, rows: camera.height(), rates, accelerations: PoseRates::zeros() }
     }
 
     /// Where a row lies in the image: −1/2 at its upper edge, 1/2 at its lower edge.
@@ -41,7 +43,9 @@ impl RollingShutter {
 
     /// The pose at the time of a row; `pose` is that of the middle row.
     pub fn pose_at(&self, pose: &GroundPose, y: f64) -> GroundPose {
-        GroundPose::from_vector(&(pose.to_vector() + self.row_time_s(y) * self.rates))
+        let later_s = self.row_time_s(y);
+        let moved = later_s * (self.rates + 0.5 * later_s * self.accelerations);
+        GroundPose::from_vector(&(pose.to_vector() + moved))
     }
 
     /// Whether all rows see the same pose.
@@ -85,6 +89,10 @@ pub struct ShutterPrior {
     pub rate_offset: PoseRates,
     /// Variances of the rates.
     pub rate_variance: PoseRates,
+    /// The accelerations of the pose are expected at these times the pose plus `acceleration_offset`.
+    pub acceleration_by_pose: PoseRates,
+    /// See `acceleration_by_pose`.
+    pub acceleration_offset: PoseRates,
     /// Whether the pose is fitted with a skew; otherwise what the tracks tell of it is only looked at.
     pub applies: bool,
 }
@@ -93,7 +101,11 @@ impl ShutterPrior {
     /// The shutter of an image at `pose`, as it is expected.
     pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> RollingShutter {
         let rates = self.rate_by_pose_hz * pose.to_vector() + self.rate_offset;
-        RollingShutter::new(camera, self.readout.mean_s, rates)
+        let accelerations = self.acceleration_by_pose.component_mul(&pose.to_vector());
+        RollingShutter {
+            accelerations: accelerations + self.acceleration_offset,
+            ..RollingShutter::new(camera, self.readout.mean_s, rates)
+        }
     }
 
     /// Standard deviations of the skew of an image that is expected to move at `rates`.

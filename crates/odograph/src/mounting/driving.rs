@@ -15,10 +15,13 @@
 
 mod bundle;
 mod lens;
+mod rates;
+mod readout;
 mod untold;
 
-use bundle::{Solved, TILT};
+use bundle::{READOUT, Solved, TILT};
 pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
+pub use readout::ReadoutMeasurement;
 pub use untold::{Found, Untold};
 
 use super::combination::{Combined, combine};
@@ -26,9 +29,12 @@ use super::uncertainty::CameraUncertainty;
 use crate::camera::{Camera, Rig};
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel};
-use crate::odometry::TrackView;
+use crate::mapping::KeyframeId;
+use crate::odometry::{Odometry, TrackView};
 use crate::trajectory::FrameEstimate;
 use nalgebra::Matrix2;
+use rates::{Moving, PoseRates, RateHistory};
+use std::collections::VecDeque;
 
 /// How pairs of views are chosen from a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,6 +62,13 @@ pub struct DrivenTilt {
     pairs: usize,
     /// How far the tracks had moved at the last pair of the present keyframe, pixels.
     moved_px: f64,
+    rates: RateHistory,
+    /// Whether the ground looked uneven.
+    relief_seen: bool,
+    /// The readout time with which the odometry works, seconds.
+    assumed_readout_s: f64,
+    /// Pairs whose rates later frames tell.
+    pending: VecDeque<Pending>,
     path: Path,
 }
 
@@ -69,6 +82,44 @@ pub(in crate::mounting) struct Group {
 #[derive(Debug, Clone)]
 struct Pair {
     tracks: Vec<(Pixel, Pixel, bool)>,
+    /// How the two images were exposed, where that is known.
+    exposure: Option<Exposure>,
+}
+
+/// Rates of the pose in the two views of a pair, in the axes of the first view and in units of its
+/// height, per second, and how far the camera was then from the first view (heights): the rates of
+/// the position are wrong in the same proportion as that.
+#[derive(Debug, Clone, Copy)]
+struct Exposure {
+    rates: [PoseRates; 2],
+    /// The same of their derivatives.
+    accelerations: [PoseRates; 2],
+    distance: f64,
+}
+
+/// A pair whose exposure is not known yet: its group and its place there, its keyframe, and the count of
+/// its frame.
+#[derive(Debug, Clone, Copy)]
+struct Pending {
+    pair: (usize, usize),
+    keyframe: KeyframeId,
+    frame: u64,
+}
+
+impl Exposure {
+    fn new(first: &Moving, second: &Moving) -> Self {
+        let (height_m, (sin, cos)) = (first.pose[3], first.pose[2].sin_cos());
+        let local = |r: PoseRates| {
+            let (x, y) = (cos * r[0] + sin * r[1], cos * r[1] - sin * r[0]);
+            PoseRates::new(x / height_m, y / height_m, r[2], r[3] / height_m, r[4], r[5])
+        };
+        let both = [first, second];
+        Self {
+            rates: both.map(|view| local(view.rates)),
+            accelerations: both.map(|view| local(view.accelerations)),
+            distance: (second.pose[0] - first.pose[0]).hypot(second.pose[1] - first.pose[1]) / height_m,
+        }
+    }
 }
 
 /// The way of the camera over the ground, at the height that the odometry assumed.
@@ -93,6 +144,8 @@ pub struct TiltMeasurement {
     pub pitch_rad: f64,
     /// Covariance of (roll, pitch), radians².
     pub covariance: Matrix2<f64>,
+    /// The readout time that goes with it; `None` where it was not looked for.
+    pub readout: Option<ReadoutMeasurement>,
     /// Whether the movement determined both.
     pub revealed: Revealed,
     /// Standard deviation of (roll, pitch) from keyframe to keyframe beyond the noise of the tracks: a mount that shakes, an uneven floor.
@@ -125,6 +178,10 @@ const SHORTEST: f64 = 0.25;
 /// A tilt known worse than this is not a measurement: the level mount that people take without one is about as good, degrees.
 const USEFUL_DEG: f64 = 0.25;
 
+/// Tracks of flat ground scatter by less than this about a plane, pixels. Gravel of ±5 mm at a height of
+/// 0.75 m leaves 0.3.
+const FLAT_PX: f64 = 0.12;
+
 /// Fewer keyframes than this cannot tell how much they scatter.
 const FEWEST_KEYFRAMES: usize = 4;
 
@@ -137,13 +194,30 @@ impl DrivenTilt {
             groups: vec![Group::default()],
             pairs: 0,
             moved_px: 0.0,
+            rates: RateHistory::default(),
+            relief_seen: false,
+            assumed_readout_s: camera.readout_s().unwrap_or(0.0),
+            pending: VecDeque::new(),
             path: Path::default(),
         }
     }
 
-    /// Takes the next frame: what [`crate::odometry::Odometry::process`] gave, and its tracks.
-    pub fn watch(&mut self, frame: &FrameEstimate, tracks: &[TrackView]) {
+    /// Tells with which readout time the odometry works, seconds, where that of the camera is looked for.
+    fn assume_readout_s(&mut self, readout_s: f64) {
+        self.assumed_readout_s = readout_s;
+    }
+
+    /// Takes the next frame: what [`Odometry::process`] gave, and its tracks.
+    pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
+        let reference = odometry.reference().map(|reference| reference.keyframe);
+        self.relief_seen |= odometry.sees_relief();
+        self.take(frame, odometry.tracks(), reference);
+    }
+
+    fn take(&mut self, frame: &FrameEstimate, tracks: &[TrackView], reference: Option<KeyframeId>) {
         self.path.go_on(frame);
+        let count = self.rates.push(frame, reference);
+        self.expose_pairs();
         if frame.estimate.is_none() || tracks.is_empty() {
             return self.next_keyframe();
         }
@@ -159,8 +233,11 @@ impl DrivenTilt {
             let every = tracks.len().div_ceil(self.config.most_tracks.max(1));
             let kept = tracks.iter().step_by(every);
             let tracks = kept.map(|track| (track.corner, track.pixel, track.inlier)).collect();
+            let index = self.groups.len() - 1;
             if let Some(group) = self.groups.last_mut() {
-                group.pairs.push(Pair { tracks });
+                let pair = (index, group.pairs.len());
+                self.pending.extend(reference.map(|keyframe| Pending { pair, keyframe, frame: count }));
+                group.pairs.push(Pair { tracks, exposure: None });
                 self.pairs += 1;
             }
             self.moved_px = moved_px;
@@ -170,11 +247,31 @@ impl DrivenTilt {
         }
     }
 
+    /// Tells pairs how they were exposed, as soon as that is known.
+    fn expose_pairs(&mut self) {
+        while let Some(&Pending { pair: (group, pair), keyframe, frame }) = self.pending.front() {
+            if !self.rates.is_decided(frame) {
+                break;
+            }
+            self.pending.pop_front();
+            let views = self.rates.of_keyframe(keyframe).zip(self.rates.of_frame(frame));
+            if let Some(pair) = self.groups.get_mut(group).and_then(|group| group.pairs.get_mut(pair)) {
+                pair.exposure = views.map(|(first, second)| Exposure::new(&first, &second));
+            }
+        }
+    }
+
     fn next_keyframe(&mut self) {
         self.moved_px = 0.0;
         if self.groups.last().is_none_or(|group| !group.pairs.is_empty()) {
             self.groups.push(Group::default());
         }
+    }
+
+    /// Whether what was found explains the tracks: on ground that looked uneven a plane must leave no
+    /// more than their noise.
+    pub(super) fn explains(&self, found: &TiltMeasurement) -> bool {
+        !self.relief_seen || found.rms_px < FLAT_PX
     }
 
     /// How many pairs of views there are so far.
@@ -240,6 +337,7 @@ impl DrivenTilt {
             roll_rad: solved.roll_rad + combined.offset[0],
             pitch_rad: solved.pitch_rad + combined.offset[1],
             covariance,
+            readout: (N > READOUT).then(|| ReadoutMeasurement::new(solved, combined, self.assumed_readout_s)),
             revealed,
             scatter_rad: [0, 1].map(|k| combined.scatter[k].sqrt()),
             keyframes: solved.parts.len(),

@@ -14,7 +14,7 @@ mod uncertainty;
 
 pub use board::{BoardDirection, BoardMounting, FloorBoard, MountingView, ambiguity_turns, rig_from_boards};
 pub use driving::{
-    DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement, Revealed, SelfCalibration,
-    TiltMeasurement, Untold,
+    DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement, ReadoutMeasurement, Revealed,
+    SelfCalibration, TiltMeasurement, Untold,
 };
 pub use uncertainty::{CameraUncertainty, MeasuredRig, RigDeviations};

@@ -5,6 +5,7 @@ use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
 /// A camera at a pose over the ground, its rotation worked out once for many points.
+#[derive(Clone, Copy)]
 pub struct PosedCamera<'a> {
     camera: &'a Camera,
     pose: GroundPose,
@@ -18,8 +19,8 @@ pub struct PosedCamera<'a> {
 /// Where a ray meets the ground, and how that changes.
 pub struct Met {
     pub point: GroundPoint,
-    /// By roll and pitch of the pose.
-    pub by_tilt: Matrix2<f64>,
+    /// By (x, y, heading, height, roll, pitch) of the pose.
+    pub by_pose: SMatrix<f64, 2, 6>,
     /// By the ray.
     pub by_ray: Matrix2<f64>,
 }
@@ -90,9 +91,13 @@ impl<'a> PosedCamera<'a> {
         let [by_roll, by_pitch] =
             [&self.roll_axis, &self.pitch_axis].map(|axis| slides(axis.cross(&direction)));
         let [by_x, by_y] = [0, 1].map(|k| slides(world_from_camera.column(k).into_owned()));
+        let (x, y) = (point.x_m - self.pose.x_m, point.y_m - self.pose.y_m);
+        let by_height = Vector2::new(x, y) / self.pose.height_m;
+        let by_heading = Vector2::new(-y, x);
+        let along = [Vector2::x(), Vector2::y(), by_heading, by_height, by_roll, by_pitch];
         Some(Met {
             point,
-            by_tilt: Matrix2::from_columns(&[by_roll, by_pitch]),
+            by_pose: SMatrix::from_columns(&along),
             by_ray: Matrix2::from_columns(&[by_x, by_y]),
         })
     }

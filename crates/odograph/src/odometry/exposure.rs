@@ -31,7 +31,8 @@ impl Odometry {
     pub(super) fn expose(&mut self, next: &mut Keyframe, estimate: &MotionEstimate) {
         let (Some(seen), Some(prior)) = (&estimate.shutter, &self.learned.frame_shutter) else { return };
         let readout_s = prior.readout.mean_s;
-        next.shutter = RollingShutter::new(&self.camera, readout_s, seen.expected_rates);
+        next.shutter =
+            RollingShutter { rates: seen.expected_rates, ..prior.shutter_at(&self.camera, &estimate.pose) };
         next.rate_variance = prior.rate_variance;
         let Some(keyframe) = self.keyframe.as_ref().filter(|_| self.rows_tell_rates(readout_s)) else {
             return;
@@ -80,15 +81,6 @@ impl Odometry {
         } else {
             keyframe.shutter.rates = rates;
         }
-    }
-
-    /// How the present keyframe and a frame measured against it were exposed; `None` where the shutter is
-    /// global.
-    pub(super) fn exposed_now(&self, estimate: &MotionEstimate) -> Option<[(GroundPose, RollingShutter); 2]> {
-        let (keyframe, seen) = (self.keyframe.as_ref()?, estimate.shutter.as_ref()?);
-        let readout_s = self.learned.frame_shutter.as_ref()?.readout.mean_s;
-        let shutter = RollingShutter::new(&self.camera, readout_s, seen.expected_rates);
-        Some([(keyframe.pose, keyframe.shutter), (estimate.pose, shutter)])
     }
 
     /// The first keyframe moved as the camera did until the first frame after it, give or take as much.

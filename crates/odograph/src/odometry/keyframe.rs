@@ -234,7 +234,12 @@ impl Keyframe {
             pyramid,
             pose,
             covariance,
-            shutter: RollingShutter { readout_s: 0.0, rows, rates: PoseRates::zeros() },
+            shutter: RollingShutter {
+                readout_s: 0.0,
+                rows,
+                rates: PoseRates::zeros(),
+                accelerations: PoseRates::zeros(),
+            },
             rate_variance: PoseRates::zeros(),
             by_readout: PoseRates::zeros(),
             surface: None,
@@ -409,12 +414,17 @@ impl Keyframe {
     }
 
     /// Learns the elevations of its corners from a frame measured against it, and how rough the
-    /// ground is.
-    pub fn learn_elevations(&mut self, found: &[Found], frame: &MotionEstimate) -> Roughness {
+    /// ground is; kerbs only where the shutter is known, because skew looks like one.
+    pub fn learn_elevations(
+        &mut self,
+        found: &[Found],
+        frame: &MotionEstimate,
+        tells_kerbs: bool,
+    ) -> Roughness {
         let mut roughness = Roughness::default();
         let level_m = self.surface.as_ref().map_or(self.level_m, Surface::mean_m);
         let highest_m = HIGHEST_KERB * self.pose.height_m;
-        let is_exact = frame.residual_px < KERB_PX;
+        let is_exact = tells_kerbs && frame.residual_px < KERB_PX;
         for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
             let corner = &mut self.corners[found.corner];
             if seen.is_plausible

@@ -74,7 +74,8 @@ impl Learned {
     /// Learns the roughness of the ground, and its level below the camera, from a measured frame.
     pub fn saw_relief(&mut self, keyframe: &mut Keyframe, found: &[Found], estimate: &MotionEstimate) {
         let was_flat = self.relief_m2() == 0.0;
-        self.roughness.learn(&keyframe.learn_elevations(found, estimate));
+        let tells_kerbs = self.shutter.as_ref().is_none_or(ShutterState::is_sure);
+        self.roughness.learn(&keyframe.learn_elevations(found, estimate, tells_kerbs));
         if estimate.needs_relief {
             self.roughness.begin();
         }

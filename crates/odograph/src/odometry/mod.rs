@@ -30,7 +30,7 @@ use crate::filter::ConstantAcceleration;
 use crate::fixed_pattern::{FixedPattern, ImageMask, SinceLast};
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
-use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random, Readout, RollingShutter};
+use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random, Readout};
 use crate::trajectory::{FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus};
 use candidate::Candidate;
 pub use config::{KeyframeConfig, OdometryConfig};
@@ -88,8 +88,6 @@ pub struct Odometry {
     /// What happened to the keyframes and was not asked for yet, where it is asked for.
     events: Option<Vec<KeyframeEvent>>,
     reference: Option<FrameReference>,
-    /// How the keyframe and the last frame measured against it were exposed, where a shutter rolls.
-    exposed: Option<[(GroundPose, RollingShutter); 2]>,
 }
 
 /// Where this part of the corners in view that usually agree is found and agrees, what is missing lies out of view: to search again would find nothing.
@@ -104,10 +102,6 @@ const STEPS_BEFORE_JUDGING: u64 = 10;
 /// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
 /// measured to have.
 const ELEVATIONS_IN_VIEW: f64 = 10.0;
-
-/// Standard deviation of the elevations of rough ground, at most, a part of the height: undulating
-/// ground of ±3 cm has 0.025 at a height of 0.75 m, a lens that is off by 14 px made it 0.15.
-const MOST_RELIEF: f64 = 0.03;
 
 /// Frames from one look at the elevation below a keyframe to the next, where the ground is rough.
 const LEVELLED_EVERY: u64 = 4;
@@ -143,7 +137,6 @@ impl Odometry {
             spare: None,
             events: None,
             reference: None,
-            exposed: None,
         })
     }
 
@@ -210,26 +203,11 @@ impl Odometry {
         &self.tracks
     }
 
-    /// The tracks of the last frame as global shutters would have them, where they are those of a
-    /// plane and observe tilt and lens; empty on ground that is not flat.
-    pub fn planar_tracks(&self) -> Vec<TrackView> {
+    /// Whether the tracks of the last frame look like those of ground that is not flat. A tilt, a lens or
+    /// a shutter that is another than it was given may look so, too.
+    pub fn sees_relief(&self) -> bool {
         let has_relief = self.keyframe.as_ref().is_some_and(|keyframe| keyframe.surface.is_some());
-        // Elevations that no ground has come from a lens that is another than in its file.
-        let relief_m2 = self.learned.relief_m2();
-        let is_ground = relief_m2 < (MOST_RELIEF * self.first_pose.height_m).powi(2);
-        if (has_relief || relief_m2 > 0.0) && is_ground {
-            return Vec::new();
-        }
-        let Some(exposed) = &self.exposed else { return self.tracks.clone() };
-        let brought = |pixel: Pixel, (pose, shutter): &(GroundPose, RollingShutter)| {
-            shutter.global_pixel(&self.camera, pose, pixel).unwrap_or(pixel)
-        };
-        let track = |track: &TrackView| TrackView {
-            pixel: brought(track.pixel, &exposed[1]),
-            corner: brought(track.corner, &exposed[0]),
-            ..*track
-        };
-        self.tracks.iter().map(track).collect()
+        has_relief || self.learned.relief_m2() > 0.0
     }
 
     /// The readout time of the image as it is known now.
@@ -419,7 +397,6 @@ impl Odometry {
         let exposed = self.keyframe.as_ref().map(|keyframe| (&keyframe.pose, &keyframe.shutter));
         self.learned.saw_shutter(&estimate, self.last.as_ref(), exposed);
         self.refine_exposure(&estimate);
-        self.exposed = self.exposed_now(&estimate);
         let improved = self.improve(time_s, &estimate);
         let measured_against = self.keyframe.as_ref().and_then(|keyframe| keyframe.id);
         self.reference = measured_against.map(|keyframe| FrameReference { keyframe, next: None });

@@ -10,6 +10,8 @@ use std::collections::VecDeque;
 #[derive(Debug, Clone)]
 pub struct ShutterState {
     readout: Readout,
+    /// What was known of it before the first image.
+    first: Readout,
     phase: Phase,
     steps_seen: u64,
     /// How far the camera has moved while it was undecided, in heights.
@@ -72,6 +74,9 @@ const LEAST_RATE_ERROR: f64 = 1e-4;
 const RAISING: f64 = 0.3;
 const LOWERING: f64 = 0.05;
 
+/// The standard deviation of a sure readout time, a part of itself.
+const SURE: f64 = 0.03;
+
 /// A readout time is known no better than this, seconds: a thousandth of the image at usual speeds.
 const LEAST_READOUT_S: f64 = 2e-5;
 
@@ -82,13 +87,18 @@ impl ShutterState {
     /// What the camera's file says, or nothing.
     pub fn new(camera: &Camera, height_m: f64) -> Self {
         let readout = match camera.readout_s() {
-            Some(readout_s) => Readout { mean_s: readout_s, variance_s2: 0.0 },
+            Some(mean_s) => Readout { mean_s, variance_s2: camera.readout_deviation_s().powi(2) },
             None => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
         };
         let (turn, shift) = (FIRST_RATE_ERROR.powi(2), (FIRST_RATE_ERROR * height_m).powi(2));
         Self {
             readout,
-            phase: if camera.readout_s().is_some() { Phase::Settled } else { Phase::Undecided },
+            first: readout,
+            phase: match camera.readout_s() {
+                Some(known_s) if camera.readout_deviation_s() > SURE * known_s.abs() => Phase::Rolling,
+                Some(_) => Phase::Settled,
+                None => Phase::Undecided,
+            },
             steps_seen: 0,
             moved: 0.0,
             rate_variance: PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0),
@@ -122,6 +132,14 @@ impl ShutterState {
                 && self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2))
     }
 
+    /// Whether the skew of an image is known so well that what is left of the residuals is not skew.
+    pub fn is_sure(&self) -> bool {
+        match self.phase {
+            Phase::Settled | Phase::TakenGlobal | Phase::Undecided => true,
+            Phase::Rolling => self.readout.variance_s2 < (SURE * self.readout.mean_s).powi(2),
+        }
+    }
+
     /// Whether all rows are exposed at once.
     pub fn is_global(&self) -> bool {
         self.phase == Phase::Settled && self.readout.mean_s == 0.0
@@ -148,7 +166,34 @@ impl ShutterState {
             Phase::TakenGlobal => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
             _ => self.readout,
         };
-        Some(ShutterPrior { readout, rate_by_pose_hz, rate_offset, rate_variance, applies })
+        let (acceleration_by_pose, acceleration_offset) = self.accelerations(last, step_s);
+        Some(ShutterPrior {
+            readout,
+            rate_by_pose_hz,
+            rate_offset,
+            rate_variance,
+            acceleration_by_pose,
+            acceleration_offset,
+            applies,
+        })
+    }
+
+    /// The second derivative of the parabola through the last two poses and that of an image `step_s`
+    /// later, as a linear function of the latter; less where the rates are badly foretold (Wiener): there
+    /// the camera shakes faster than images are taken.
+    fn accelerations(&self, last: &LastPose, step_s: f64) -> (PoseRates, PoseRates) {
+        let steps = self.history.front().zip(self.history.get(1));
+        let (Some(rates), Some((now, before))) = (last.pose_rates, steps) else { return Default::default() };
+        let between_s = 0.5 * (step_s + last.step_s);
+        let seen = (now - before) / last.step_s.max(1e-6);
+        let reliable = seen.zip_map(&self.rate_variance, |seen, variance| {
+            let noise = variance / (between_s * between_s);
+            if seen == 0.0 { 0.0 } else { seen * seen / (seen * seen + noise) }
+        });
+        let by_pose = reliable / (between_s * step_s);
+        let offset =
+            -by_pose.component_mul(&last.pose.to_vector()) - reliable.component_mul(&rates) / between_s;
+        (by_pose, offset)
     }
 
     /// Learns from the mean rates since the last pose how well they can be foretold; `None` where there
@@ -234,8 +279,8 @@ impl ShutterState {
         let is_explained = self.phase != Phase::Rolling && all.left_by(readout_s) > all.left_by_displacement;
         let (readout_s, variance_s2) =
             if is_explained { (0.0, variance_s2 + readout_s * readout_s) } else { (readout_s, variance_s2) };
-        let (before, now) = (UNKNOWN_READOUT_S.powi(-2), 1.0 / variance_s2);
-        let mean_s = now * readout_s / (before + now);
+        let (before, now) = (1.0 / self.first.variance_s2, 1.0 / variance_s2);
+        let mean_s = (before * self.first.mean_s + now * readout_s) / (before + now);
         let seen =
             mean_s.abs() > LEAST_ROLLING_S && readout_s * readout_s > SIGNIFICANT.powi(2) * variance_s2;
         if seen && self.phase != Phase::Rolling {

@@ -156,7 +156,7 @@ fn follow(
             last = Some(frame.rgb());
         }
         let estimate = odometry.process(frame.gray, frame.time_s)?;
-        driven.watch(&estimate, &odometry.planar_tracks());
+        driven.watch(&estimate, &odometry);
         if let Some(pose) = estimate.estimate.map(|estimate| estimate.pose) {
             let from = before.replace(pose).unwrap_or(pose);
             length_by_frames_m += (pose.x_m - from.x_m).hypot(pose.y_m - from.y_m);

@@ -88,7 +88,7 @@ fn look(plan: &RunPlan, mut untold: Untold) -> Result<Option<Found>> {
     let mut odometry = plan.odometry()?;
     while let Some(frame) = source.next_frame()? {
         let estimate = odometry.process(frame.gray, frame.time_s)?;
-        let found = untold.watch(&estimate, &odometry.planar_tracks());
+        let found = untold.watch(&estimate, &odometry);
         if found.is_some() || untold.pairs() >= LOOKED_AT || interrupt::asked() {
             return Ok(found);
         }

@@ -248,7 +248,7 @@ impl Tracking<'_> {
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
         if let Some(untold) = &mut self.untold {
-            self.found = untold.watch(&estimate, &self.odometry.planar_tracks());
+            self.found = untold.watch(&estimate, &self.odometry);
             if self.found.is_some() {
                 return Ok(None);
             }

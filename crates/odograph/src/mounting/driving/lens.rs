@@ -6,7 +6,7 @@
 //! So are the principal point and the decentering, by where the bending is centred, and the ratio of the focal lengths, by turns. The focal length itself is not:
 //! over level ground it is the height.
 
-use super::bundle::{self, Lens, Solved, TILT};
+use super::bundle::{self, HELD, Lens, Solved};
 use super::{DrivenTilt, TiltMeasurement};
 use crate::camera::{Camera, Distortion, Rig};
 use crate::error::Result;
@@ -79,10 +79,10 @@ impl LensMeasurement {
 
     /// The lens whose leading coefficients were changed by `bent`, known as well as `combined` says.
     fn new<const N: usize>(told: &Camera, bent: &[f64], combined: &Combined<N>) -> Option<Self> {
-        let mut lens = Lens::new(told, N - TILT)?;
+        let mut lens = Lens::new(told, N - HELD)?;
         lens.bend(bent)?;
-        let covariance = combined.covariance.view((TILT, TILT), (bent.len(), bent.len())).clone_owned();
-        let scatter = DMatrix::from_diagonal(&combined.scatter.rows(TILT, bent.len()).clone_owned());
+        let covariance = combined.covariance.view((HELD, HELD), (bent.len(), bent.len())).clone_owned();
+        let scatter = DMatrix::from_diagonal(&combined.scatter.rows(HELD, bent.len()).clone_owned());
         let off = DVector::from_column_slice(bent);
         let significance = off.dot(&(covariance.clone().try_inverse()? * &off)).sqrt();
         let mut largest = [0.0f64; 3];
@@ -144,12 +144,12 @@ impl DrivenTilt {
     fn explained(&self, solved: &Solved<MOST>, parameters: usize) -> Option<SelfCalibration> {
         // A principal point that is off looks much like decentering: where one is another, so may be the other, if the lens has any.
         let whole = match self.camera.distortion() {
-            Distortion::KannalaBrandt { .. } => self.another(&solved.as_told::<7>(), 4, parameters),
-            _ => self.another(solved, 4, parameters),
+            Distortion::KannalaBrandt { .. } => self.another(&solved.as_told::<8>(), 5, parameters),
+            _ => self.another(solved, 5, parameters),
         };
         let lens = whole
-            .or_else(|| self.another(&solved.as_told::<4>(), 3, parameters))
-            .or_else(|| self.bent(&solved.as_told::<3>()));
+            .or_else(|| self.another(&solved.as_told::<5>(), 4, parameters))
+            .or_else(|| self.bent(&solved.as_told::<4>()));
         Some(SelfCalibration { tilt: self.held(solved)?, lens })
     }
 
@@ -160,21 +160,21 @@ impl DrivenTilt {
         first: usize,
         parameters: usize,
     ) -> Option<(LensMeasurement, TiltMeasurement)> {
-        let as_before = parameters > first - TILT;
+        let as_before = parameters > first - HELD;
         let found = self.bent(solved).filter(|_| as_before || last_are_others(solved, first))?;
         (as_before || found.0.is_another()).then_some(found)
     }
 
     /// The tilt with the lens as it was told.
     fn held<const N: usize>(&self, solved: &Solved<N>) -> Option<TiltMeasurement> {
-        let held = solved.as_told::<TILT>();
+        let held = solved.as_told::<HELD>();
         self.tilt(&held, &combine(&held.parts)?).ok()
     }
 
     fn bent<const N: usize>(&self, solved: &Solved<N>) -> Option<(LensMeasurement, TiltMeasurement)> {
         let combined = combine(&solved.parts)?;
         let bent: Vec<f64> =
-            solved.bent.iter().zip(combined.offset.iter().skip(TILT)).map(|(a, b)| a + b).collect();
+            solved.bent.iter().zip(combined.offset.iter().skip(HELD)).map(|(a, b)| a + b).collect();
         let lens = LensMeasurement::new(&self.camera, &bent, &combined)?;
         Some((lens, self.tilt(solved, &combined).ok()?))
     }
@@ -183,7 +183,7 @@ impl DrivenTilt {
 /// Whether the parameters from `first` on are together surely others than was told.
 fn last_are_others<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
     let Some(combined) = combine(&solved.parts) else { return false };
-    let off = DVector::from_fn(N - first, |k, _| solved.bent[first + k - TILT] + combined.offset[first + k]);
+    let off = DVector::from_fn(N - first, |k, _| solved.bent[first + k - HELD] + combined.offset[first + k]);
     let covariance = combined.covariance.view((first, first), (N - first, N - first)).clone_owned();
     covariance.try_inverse().is_some_and(|inverse| off.dot(&(inverse * &off)) > SIGNIFICANT * SIGNIFICANT)
 }
@@ -191,5 +191,5 @@ fn last_are_others<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
 /// So many pairs of views are enough for the lens; of more, keyframes are left out evenly.
 const ENOUGH: usize = 256;
 
-/// Roll, pitch, two radial coefficients, the principal point, the second focal length and the decentering.
-const MOST: usize = TILT + 7;
+/// Roll, pitch, readout time, two radial coefficients, the principal point, the second focal length and the decentering.
+const MOST: usize = HELD + 7;

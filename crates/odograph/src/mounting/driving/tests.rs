@@ -48,7 +48,7 @@ fn collected(
             let seen = Pixel::new(seen.x + noise * normal(random), seen.y + noise * normal(random));
             tracks.push((corner, seen, !wrong));
         }
-        driven.groups.push(Group { pairs: vec![Pair { tracks }] });
+        driven.groups.push(Group { pairs: vec![Pair { tracks, exposure: None }] });
     }
     driven
 }
@@ -56,6 +56,55 @@ fn collected(
 /// Forward, with turns to both sides.
 fn turning(index: usize, random: &mut Random) -> [f64; 3] {
     [0.2, 0.02 * normal(random), if index.is_multiple_of(2) { 0.15 } else { -0.1 }]
+}
+
+#[test]
+fn the_readout_time_is_told_apart_from_a_tilt() {
+    // From standstill to driving straight ahead: within one pair skew looks like a tilt.
+    let (camera, readout_s, mut random) = (camera(), 0.020, Random::new(9));
+    let mut driven = DrivenTilt::new(&camera, DrivingConfig::default());
+    driven.groups.clear();
+    let speed = |x_m: f64| (2.0 * 0.6 * x_m).sqrt().min(0.5);
+    for keyframe in 0..8 {
+        let at = |x_m: f64| {
+            let pose = GroundPose { x_m, ..RIG.first_pose() };
+            let rates = PoseRates::new(speed(x_m), 0.0, 0.05, 0.0, 0.0, 0.0);
+            (pose, rates)
+        };
+        let view = |x_m: f64, y: f64| {
+            let (pose, rates) = at(x_m);
+            GroundPose::from_vector(&(pose.to_vector() + readout_s * ((y + 0.5) / 480.0 - 0.5) * rates))
+        };
+        let (from, mut pairs) = (0.35 * keyframe as f64, Vec::new());
+        for step in 1..=3 {
+            let to = from + 0.1 * f64::from(step);
+            let mut tracks = Vec::new();
+            while tracks.len() < 80 {
+                let corner = Pixel::new(10.0 + random.below(620) as f64, 10.0 + random.below(460) as f64);
+                let ray = camera.ray_from_pixel(corner).unwrap();
+                let ground = view(from, corner.y).ground_from_ray(ray).unwrap();
+                // The row in which a point is seen and the pose at that row depend on each other.
+                let mut seen = corner;
+                for _ in 0..20 {
+                    let ray = view(to, seen.y).ray_from_ground(ground).unwrap();
+                    seen = camera.pixel_from_ray(ray).unwrap();
+                }
+                let noise = 0.05 * normal(&mut random);
+                tracks.push((corner, Pixel::new(seen.x + noise, seen.y + 0.05 * normal(&mut random)), true));
+            }
+            let moving = |x_m: f64| {
+                let (pose, rates) = at(x_m);
+                Moving { pose: pose.to_vector(), rates, accelerations: PoseRates::zeros() }
+            };
+            pairs.push(Pair { tracks, exposure: Some(Exposure::new(&moving(from), &moving(to))) });
+        }
+        driven.groups.push(Group { pairs });
+    }
+    let found = driven.self_calibration(&Rig::level(1.0), 0).unwrap().tilt;
+    let readout = found.readout.unwrap();
+    assert!((readout.readout_s - readout_s).abs() < 4.0 * readout.deviation_s, "{readout:?}");
+    assert!(readout.is_another(0.0) && readout.deviation_s < 0.001, "{readout:?}");
+    assert!(off(&found).norm() < 2e-3, "{found:?}");
 }
 
 fn off(found: &TiltMeasurement) -> nalgebra::Vector2<f64> {
@@ -152,7 +201,7 @@ fn measured(simulation: &Simulation, start: Rig, passes: usize) -> (TiltMeasurem
         let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
         for frame in simulation.frames() {
             let estimate = odometry.process(frame.image, frame.time_s).unwrap();
-            driven.watch(&estimate, odometry.tracks());
+            driven.watch(&estimate, &odometry);
         }
         let found = driven.solve(&rig, None).unwrap();
         rig = Rig { roll_rad: found.roll_rad, pitch_rad: found.pitch_rad, ..rig };
@@ -191,7 +240,7 @@ fn noticed(simulation: &Simulation, told: Rig, mut untold: Untold) -> Option<(Fo
     let mut odometry = Odometry::new(camera, told, OdometryConfig::default()).unwrap();
     let on_the_way = simulation.frames().find_map(|frame| {
         let estimate = odometry.process(frame.image, frame.time_s).unwrap();
-        Some((untold.watch(&estimate, odometry.tracks())?, estimate.frame))
+        Some((untold.watch(&estimate, &odometry)?, estimate.frame))
     });
     on_the_way.or_else(|| Some((untold.at_end()?, simulation.times_s().len() as u64)))
 }
@@ -230,7 +279,7 @@ fn through_lens(camera: &Camera, told: &Camera, rig: Rig, effects: Effects) -> O
     let mut untold = Untold::new(told, &rig);
     simulation.frames().find_map(|frame| {
         let estimate = odometry.process(frame.image, frame.time_s).unwrap();
-        untold.watch(&estimate, odometry.tracks())
+        untold.watch(&estimate, &odometry)
     })
 }
 

@@ -6,10 +6,11 @@
 //! hundredth of a pixel on well-textured ground. So whoever reads a recording begins again with what was found, and the path is that of a camera
 //! which had been told right.
 
-use super::{DrivenTilt, DrivingConfig, LensMeasurement, Revealed, TiltMeasurement};
+use super::{DrivenTilt, DrivingConfig, LensMeasurement, ReadoutMeasurement, Revealed, TiltMeasurement};
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
-use crate::odometry::TrackView;
+use crate::motion::Readout;
+use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
 use nalgebra::Vector2;
 
@@ -20,6 +21,7 @@ pub struct Untold {
     told: Rig,
     /// Whether the lens is looked at, too.
     lens: bool,
+    readout_is_given: bool,
     /// What the told tilt and lens were found by, where they were.
     before: Found,
     /// Whether the odometry has found that the camera is not as it was told.
@@ -33,6 +35,8 @@ pub struct Untold {
 pub struct Found {
     /// How it sits.
     pub tilt: Option<TiltMeasurement>,
+    /// How long its images take to be read out.
+    pub readout: Option<ReadoutMeasurement>,
     /// How its lens bends.
     pub lens: Option<LensMeasurement>,
     /// Pairs of views from which it was found.
@@ -42,7 +46,7 @@ pub struct Found {
 impl Found {
     /// Nothing is another than it was told.
     fn is_nothing(&self) -> bool {
-        self.tilt.is_none() && self.lens.is_none()
+        self.tilt.is_none() && self.readout.is_none() && self.lens.is_none()
     }
 
     /// A rig with the tilt that was found.
@@ -53,10 +57,17 @@ impl Found {
         }
     }
 
-    /// The camera with the lens that was found.
+    /// The camera with the lens and the readout time that were found.
     pub fn camera(&self, told: &Camera) -> Camera {
-        let Some(lens) = &self.lens else { return told.clone() };
-        lens.camera.clone().with_readout_s(told.readout_s()).unwrap_or_else(|_| lens.camera.clone())
+        let camera = self.lens.as_ref().map_or_else(|| told.clone(), |lens| lens.camera.clone());
+        let (readout_s, deviation_s) = match self.readout {
+            Some(found) => (Some(found.readout_s), found.deviation_s),
+            None => (told.readout_s(), told.readout_deviation_s()),
+        };
+        match camera.clone().with_readout_s(readout_s) {
+            Ok(camera) => camera.with_readout_deviation_s(deviation_s),
+            Err(_) => camera,
+        }
     }
 }
 
@@ -99,13 +110,17 @@ impl Untold {
             DrivingConfig { most_tracks: MOST_TRACKS, most_pairs: LAST_LOOK, ..DrivingConfig::default() };
         let driven = DrivenTilt::new(camera, config);
         let (before, next_look) = (Found::default(), FIRST_LOOK);
-        Self { driven, told: *told, lens: true, before, doubted: false, next_look }
+        let readout_is_given = camera.readout_s().is_some();
+        Self { driven, told: *told, lens: true, readout_is_given, before, doubted: false, next_look }
     }
 
     /// The same where `camera` and `told` are what was found in an earlier part of the recording.
     pub fn found(camera: &Camera, told: &Rig, before: &Found) -> Self {
         let next_look = AGAIN * before.pairs;
-        Self { before: before.clone(), doubted: true, next_look, ..Self::new(camera, told) }
+        let unknown = camera.clone().with_readout_s(None).ok().filter(|_| before.readout.is_some());
+        let mut watch = Self::new(unknown.as_ref().unwrap_or(camera), told);
+        watch.driven.assume_readout_s(camera.readout_s().unwrap_or(0.0));
+        Self { before: before.clone(), doubted: true, next_look, ..watch }
     }
 
     /// The same where the lens is known to be as it was told.
@@ -113,13 +128,14 @@ impl Untold {
         Self { lens: false, ..self }
     }
 
-    /// Takes the next frame: what [`crate::odometry::Odometry::process`] gave, and its tracks. The camera as it is, where by now it is sure that it is not as it
+    /// Takes the next frame: what [`Odometry::process`] gave, and its tracks. The camera as it is, where by now it is sure that it is not as it
     /// was told, or known better than what was found before.
-    pub fn watch(&mut self, frame: &FrameEstimate, tracks: &[TrackView]) -> Option<Found> {
+    pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<Found> {
         if self.next_look > LAST_LOOK {
             return None;
         }
-        self.driven.watch(frame, tracks);
+        self.driven.watch(frame, odometry);
+        self.doubted |= odometry.readout().is_some_and(seems_to_roll);
         self.doubted |= frame.estimate.as_ref().is_some_and(|known| self.differs(&known.pose));
         if self.driven.pairs() < self.next_look {
             return None;
@@ -140,11 +156,17 @@ impl Untold {
             return None;
         }
         let (tilt, lens) = self.measured()?;
+        if !self.driven.explains(&tilt) {
+            return None;
+        }
         let tilt_is_news = self.tilt_is_news(&tilt);
         let lens_is_news = lens.as_ref().is_some_and(|lens| self.lens_is_news(lens));
-        (tilt_is_news || lens_is_news).then(|| Found {
+        let readout = tilt.readout;
+        let readout_is_news = readout.is_some_and(|readout| self.readout_is_news(&readout));
+        (tilt_is_news || lens_is_news || readout_is_news).then(|| Found {
             // What was found before is replaced by what is found now, be it little else.
             tilt: (tilt_is_news || self.before.tilt.is_some()).then_some(tilt),
+            readout: readout.filter(|_| readout_is_news || self.before.readout.is_some()),
             lens,
             pairs: self.driven.pairs(),
         })
@@ -191,6 +213,13 @@ impl Untold {
         }
     }
 
+    fn readout_is_news(&self, found: &ReadoutMeasurement) -> bool {
+        match &self.before.readout {
+            Some(before) => found.is_better_than(before),
+            None => !self.readout_is_given && found.is_another(0.0),
+        }
+    }
+
     /// Whether a tilt is surely, steadily and usefully another than the one told.
     fn is_another(&self, found: &TiltMeasurement) -> bool {
         let off = Vector2::new(found.roll_rad - self.told.roll_rad, found.pitch_rad - self.told.pitch_rad);
@@ -218,3 +247,10 @@ impl Untold {
 const LEAST_BETTER_RAD: f64 = 5e-5;
 const LEAST_BETTER_PX: f64 = 0.03;
 const BETTER: f64 = 0.8;
+
+/// A readout time this many standard deviations from zero is worth a look.
+const SEEMS_TO_ROLL: f64 = 1.5;
+
+fn seems_to_roll(readout: Readout) -> bool {
+    readout.mean_s.powi(2) > SEEMS_TO_ROLL * SEEMS_TO_ROLL * readout.variance_s2
+}

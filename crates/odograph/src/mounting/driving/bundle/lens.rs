@@ -1,6 +1,6 @@
 //! A lens that bends otherwise than its calibration says.
 
-use super::TILT;
+use super::HELD;
 use crate::camera::{Camera, Distortion};
 use crate::geometry::Ray;
 use crate::mounting::combination::Part;
@@ -110,8 +110,8 @@ impl Lens {
                 _ => 1.0,
             };
             let variance = (CARELESS * unit) * (CARELESS * unit);
-            known.information[(TILT + k, TILT + k)] = 1.0 / variance;
-            known.slope[TILT + k] = -bent / variance;
+            known.information[(HELD + k, HELD + k)] = 1.0 / variance;
+            known.slope[HELD + k] = -bent / variance;
         }
         known
     }

@@ -16,10 +16,12 @@ use std::ops::AddAssign;
 use sway::{Sway, Wobble};
 use system::System;
 
-/// The solution, and what each keyframe says about it: the tilt where `N` is 2, and `N` − 2 parameters of the lens beside it.
+/// The solution, and what each keyframe says about it: the tilt where `N` is 2, with the readout
+/// time where it is 3, and beside them `N` − 3 parameters of the lens.
 pub struct Solved<const N: usize> {
     pub roll_rad: f64,
     pub pitch_rad: f64,
+    pub readout_s: f64,
     /// By how much each parameter of the lens was changed.
     pub bent: Vec<f64>,
     pub parts: Vec<Part<N>>,
@@ -45,6 +47,10 @@ const FEWEST_TRACKS: f64 = 12.0;
 
 /// Roll and pitch are the first of what the pairs have in common.
 pub const TILT: usize = 2;
+/// Then comes the readout time, seconds.
+pub const READOUT: usize = 2;
+/// How many they are without the lens.
+pub const HELD: usize = 3;
 
 pub fn solve<'a, const N: usize>(
     camera: &Camera,
@@ -64,6 +70,7 @@ pub fn solve<'a, const N: usize>(
 /// Everything that is solved for.
 struct Bundle<'a, const N: usize> {
     tilt: Vector2<f64>,
+    readout: Readout,
     lens: Lens,
     pairs: Vec<Work<'a>>,
     sway: Sway,
@@ -75,14 +82,15 @@ struct Bundle<'a, const N: usize> {
 impl<'a, const N: usize> Bundle<'a, N> {
     fn begin(camera: &Camera, groups: impl ExactSizeIterator<Item = &'a Group>, start: &Rig) -> Option<Self> {
         let tilt = Vector2::new(start.roll_rad, start.pitch_rad);
-        let lens = Lens::new(camera, N - TILT)?;
+        let lens = Lens::new(camera, N.saturating_sub(HELD))?;
+        let readout = Readout::new(camera);
         let tilted = vec![Vector2::zeros(); groups.len()];
         let pairs = groups
             .enumerate()
             .flat_map(|(group, pairs)| pairs.pairs.iter().map(move |pair| (group, pair)))
-            .filter_map(|(group, pair)| Work::begin(&lens, group, pair, &first_pose(&tilt)))
+            .filter_map(|(group, pair)| Work::begin(&lens, readout.value_s, group, pair, &first_pose(&tilt)))
             .collect();
-        Some(Self { tilt, lens, pairs, sway: Sway::default(), tilted, wobble: Wobble::default() })
+        Some(Self { tilt, readout, lens, pairs, sway: Sway::default(), tilted, wobble: Wobble::default() })
     }
 
     /// The pose of the first view of a pair.
@@ -91,7 +99,9 @@ impl<'a, const N: usize> Bundle<'a, N> {
     }
 
     fn systems(&self) -> Vec<System<N>> {
-        let system = |pair: &Work<'_>| System::new(&self.lens, pair, &self.first_pose(pair), &self.sway);
+        let system = |pair: &Work<'_>| {
+            System::new(&self.lens, self.readout.value_s, pair, &self.first_pose(pair), &self.sway)
+        };
         self.pairs.iter().map(system).collect()
     }
 
@@ -111,6 +121,7 @@ impl<'a, const N: usize> Bundle<'a, N> {
         let systems = self.systems();
         let parts = self.parts(&systems);
         let mut all = self.lens.prior();
+        self.readout.add_prior(&mut all);
         for (part, tilted) in parts.iter().zip(&self.tilted) {
             all += self.wobble.freed(part, tilted)?.left;
         }
@@ -119,7 +130,10 @@ impl<'a, const N: usize> Bundle<'a, N> {
         if self.tilt.iter().any(|angle| angle.is_nan() || angle.abs() >= STEEPEST_RAD) {
             return None;
         }
-        self.lens.bend(&step.as_slice()[TILT..])?;
+        if N > READOUT {
+            self.readout.value_s += step[READOUT];
+            self.lens.bend(&step.as_slice()[HELD..])?;
+        }
         let mut steps = Vec::with_capacity(parts.len());
         let mut variances = Vec::with_capacity(parts.len());
         for (part, tilted) in parts.iter().zip(&mut self.tilted) {
@@ -136,10 +150,10 @@ impl<'a, const N: usize> Bundle<'a, N> {
             if let Some(step) = system.movement_step(&steps[pair.group]) {
                 pair.movement += step;
             }
-            if N > TILT {
+            if N > HELD {
                 pair.look_through(&self.lens);
             }
-            pair.judge(self.lens.camera(), pose, round);
+            pair.judge(self.lens.camera(), self.readout.value_s, pose, round);
         }
         // The first steps are long: what they leave is not the mount's.
         if round >= 2 {
@@ -165,10 +179,37 @@ impl<'a, const N: usize> Bundle<'a, N> {
         Solved {
             roll_rad: self.tilt[0],
             pitch_rad: self.tilt[1],
+            readout_s: self.readout.value_s,
             bent: self.lens.bent().to_vec(),
             parts,
             pairs,
             rms_px: (squares / f64::max(kept, 1.0)).sqrt(),
+        }
+    }
+}
+
+/// The readout time while it is looked for.
+struct Readout {
+    value_s: f64,
+    /// What is known of it without any pair: mean and standard deviation, seconds.
+    prior: (f64, f64),
+}
+
+/// Standard deviations of a readout time that was given and of one that was not, seconds.
+const GIVEN_READOUT_S: f64 = 1e-8;
+const UNKNOWN_READOUT_S: f64 = 0.015;
+
+impl Readout {
+    fn new(camera: &Camera) -> Self {
+        let prior = camera.readout_s().map_or((0.0, UNKNOWN_READOUT_S), |given_s| (given_s, GIVEN_READOUT_S));
+        Self { value_s: prior.0, prior }
+    }
+
+    fn add_prior<const N: usize>(&self, known: &mut Part<N>) {
+        if N > READOUT {
+            let information = self.prior.1.powi(-2);
+            known.information[(READOUT, READOUT)] += information;
+            known.slope[READOUT] -= information * (self.value_s - self.prior.0);
         }
     }
 }
@@ -184,11 +225,12 @@ impl<const N: usize> Part<N> {
 impl<const N: usize> Solved<N> {
     /// The same where all but the first `M` of what the pairs have in common are as they were told.
     pub fn as_told<const M: usize>(&self) -> Solved<M> {
-        let told = SVector::from_fn(|k, _| k.checked_sub(TILT).map_or(0.0, |k| -self.bent[k]));
+        let told = SVector::from_fn(|k, _| k.checked_sub(HELD).map_or(0.0, |k| -self.bent[k]));
         Solved {
             roll_rad: self.roll_rad,
             pitch_rad: self.pitch_rad,
-            bent: self.bent[..M - TILT].to_vec(),
+            readout_s: self.readout_s,
+            bent: self.bent[..M - HELD].to_vec(),
             parts: self.parts.iter().map(|part| part.with_known::<M>(&told)).collect(),
             pairs: self.pairs,
             rms_px: self.rms_px,

@@ -5,6 +5,7 @@ use super::{FEWEST_TRACKS, ROBUST_ROUNDS};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
 use crate::mounting::driving::Pair;
+use crate::mounting::reprojection::PosedCamera;
 use nalgebra::{Vector2, Vector6};
 
 /// The movement of the camera between two views: x, y (heights), turn (radians); then by how much the second is higher than the first
@@ -20,6 +21,76 @@ pub struct Corner {
     pub by_lens: [Vector2<f64>; lens::MOST],
 }
 
+/// The two views of a pair, exposed row by row: the pose of a row is that of the middle row and what
+/// the rates add to it.
+pub struct Views<'a> {
+    camera: &'a Camera,
+    poses: [Vector6<f64>; 2],
+    rates: [Vector6<f64>; 2],
+    accelerations: [Vector6<f64>; 2],
+    readout_s: f64,
+    rows: f64,
+    /// Those of the middle rows.
+    global: [PosedCamera<'a>; 2],
+}
+
+impl<'a> Views<'a> {
+    fn row_fraction(&self, y: f64) -> f64 {
+        (y + 0.5) / self.rows - 0.5
+    }
+
+    fn by_readout(&self, view: usize, y: f64) -> Vector6<f64> {
+        let fraction = self.row_fraction(y);
+        fraction * (self.rates[view] + fraction * self.readout_s * self.accelerations[view])
+    }
+
+    fn pose(&self, view: usize, y: f64) -> GroundPose {
+        let later_s = self.readout_s * self.row_fraction(y);
+        let moved = later_s * (self.rates[view] + 0.5 * later_s * self.accelerations[view]);
+        GroundPose::from_vector(&(self.poses[view] + moved))
+    }
+
+    fn posed(&self, view: usize, y: f64) -> PosedCamera<'a> {
+        if self.readout_s == 0.0 {
+            return self.global[view];
+        }
+        PosedCamera::new(self.camera, self.pose(view, y))
+    }
+
+    /// The pose of a row of the first view.
+    pub fn first_pose(&self, y: f64) -> GroundPose {
+        self.pose(0, y)
+    }
+
+    /// The pose of a row of the second view.
+    pub fn second_pose(&self, y: f64) -> GroundPose {
+        self.pose(1, y)
+    }
+
+    /// The camera in a row of the first view.
+    pub fn first(&self, y: f64) -> PosedCamera<'a> {
+        self.posed(0, y)
+    }
+
+    /// The camera in a row of the second view.
+    pub fn second(&self, y: f64) -> PosedCamera<'a> {
+        self.posed(1, y)
+    }
+
+    /// The derivative of the pose of a row of the first view by the readout time.
+    pub fn first_by_readout(&self, y: f64) -> Vector6<f64> {
+        self.by_readout(0, y)
+    }
+
+    /// The derivative of the pose of a row of the second view by the readout time.
+    pub fn second_by_readout(&self, y: f64) -> Vector6<f64> {
+        self.by_readout(1, y)
+    }
+}
+
+/// Over a shorter distance, heights, its proportion to the odometry's is noise.
+const LEAST_DISTANCE: f64 = 0.05;
+
 /// A pair that is being solved.
 pub struct Work<'a> {
     pub pair: &'a Pair,
@@ -34,7 +105,13 @@ pub struct Work<'a> {
 impl<'a> Work<'a> {
     /// The planar movement that brings the ground points of the tracks best together (Umeyama, "Least-squares estimation of transformation
     /// parameters", 1991, without scale), from those with which the odometry agreed.
-    pub fn begin(lens: &Lens, group: usize, pair: &'a Pair, rig: &GroundPose) -> Option<Self> {
+    pub fn begin(
+        lens: &Lens,
+        readout_s: f64,
+        group: usize,
+        pair: &'a Pair,
+        rig: &GroundPose,
+    ) -> Option<Self> {
         let camera = lens.camera();
         let on_ground = |pixel| camera.ray_from_pixel(pixel).and_then(|ray| rig.ground_from_ray(ray));
         let agreeing: Vec<(GroundPoint, GroundPoint)> = pair
@@ -70,7 +147,7 @@ impl<'a> Work<'a> {
         let weights = vec![1.0; pair.tracks.len()];
         let mut work = Self { pair, corners: Vec::new(), group, movement, weights, variance_px2: 1.0 };
         work.look_through(lens);
-        work.judge(lens.camera(), rig, 0);
+        work.judge(lens.camera(), readout_s, rig, 0);
         Some(work)
     }
 }
@@ -97,18 +174,32 @@ impl Work<'_> {
         }
     }
 
+    /// The two views, exposed row by row.
+    pub fn views<'b>(&self, camera: &'b Camera, readout_s: f64, rig: &GroundPose) -> Views<'b> {
+        let poses = [rig.to_vector(), self.second_pose(rig).to_vector()];
+        let still = [Vector6::zeros(); 2];
+        let (rates, accelerations) = self.pair.exposure.map_or((still, still), |exposure| {
+            let moved = self.movement[0].hypot(self.movement[1]);
+            let scale = if exposure.distance > LEAST_DISTANCE { moved / exposure.distance } else { 1.0 };
+            let scaled = |r: Vector6<f64>| Vector6::new(scale * r[0], scale * r[1], r[2], r[3], r[4], r[5]);
+            (exposure.rates.map(scaled), exposure.accelerations.map(scaled))
+        });
+        let global = poses.map(|pose| PosedCamera::new(camera, GroundPose::from_vector(&pose)));
+        Views { camera, poses, rates, accelerations, readout_s, rows: camera.height() as f64, global }
+    }
+
     /// Weights and noise from how well the tracks are explained now.
-    pub fn judge(&mut self, camera: &Camera, rig: &GroundPose, round: usize) {
-        let second = self.second_pose(rig);
+    pub fn judge(&mut self, camera: &Camera, readout_s: f64, rig: &GroundPose, round: usize) {
+        let views = self.views(camera, readout_s, rig);
         let errors: Vec<f64> = self
             .pair
             .tracks
             .iter()
             .zip(&self.corners)
-            .map(|((_, seen, _), corner)| {
+            .map(|((corner_at, seen, _), corner)| {
                 let ray = corner.as_ref().map(|corner| corner.ray);
-                ray.and_then(|ray| rig.ground_from_ray(ray))
-                    .and_then(|ground| second.ray_from_ground(ground))
+                ray.and_then(|ray| views.first_pose(corner_at.y).ground_from_ray(ray))
+                    .and_then(|ground| views.second_pose(seen.y).ray_from_ground(ground))
                     .and_then(|ray| camera.pixel_from_ray(ray))
                     .map_or(f64::INFINITY, |pixel| pixel.distance(*seen))
             })

@@ -1,12 +1,11 @@
 //! The normal equations of one pair.
 
-use super::TILT;
 use super::lens::Lens;
 use super::pair::{Movement, Work};
 use super::sway::Sway;
+use super::{HELD, READOUT, TILT};
 use crate::geometry::GroundPose;
 use crate::mounting::combination::{Part, inverse};
-use crate::mounting::reprojection::PosedCamera;
 use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
 
 /// Normal equations of one pair in units of its noise: what it has in common with the others first, its movement second.
@@ -19,10 +18,8 @@ pub struct System<const N: usize> {
 }
 
 impl<const N: usize> System<N> {
-    pub fn new(lens: &Lens, work: &Work<'_>, rig: &GroundPose, sway: &Sway) -> Self {
-        let second_pose = work.second_pose(rig);
-        let first = PosedCamera::new(lens.camera(), *rig);
-        let second = PosedCamera::new(lens.camera(), second_pose);
+    pub fn new(lens: &Lens, readout_s: f64, work: &Work<'_>, rig: &GroundPose, sway: &Sway) -> Self {
+        let views = work.views(lens.camera(), readout_s, rig);
         let mut system = Self {
             common: SMatrix::zeros(),
             mixed: SMatrix::zeros(),
@@ -31,20 +28,27 @@ impl<const N: usize> System<N> {
             movement_slope: Movement::zeros(),
         };
         let tracks = work.pair.tracks.iter().zip(&work.corners).zip(&work.weights);
-        for (((_, seen_at, _), corner), &weight) in tracks {
+        for (((corner_at, seen_at, _), corner), &weight) in tracks {
             let Some(corner) = corner.as_ref().filter(|_| weight > 0.0) else { continue };
+            let (first, second) = (views.first(corner_at.y), views.second(seen_at.y));
             let Some(met) = first.ground(corner.ray) else { continue };
             let Some(seen) = second.see(met.point) else { continue };
             let Some(slides) = lens.slides(seen.ray) else { continue };
             let weight = weight / work.variance_px2;
             let error = Vector2::new(seen_at.x - seen.pixel.x, seen_at.y - seen.pixel.y);
             let by_movement = seen.by_pose;
-            let by_tilt = seen.by_pose.fixed_columns::<TILT>(4) + seen.by_ground * met.by_tilt;
+            let by_tilt =
+                seen.by_pose.fixed_columns::<TILT>(4) + seen.by_ground * met.by_pose.fixed_columns::<TILT>(4);
             let mut by_common = SMatrix::<f64, 2, N>::zeros();
             by_common.fixed_columns_mut::<TILT>(0).copy_from(&by_tilt);
-            for k in TILT..N {
-                let gives_way = corner.by_lens[k - TILT];
-                let by_lens = slides[k - TILT] + seen.by_ground * (met.by_ray * gives_way);
+            if N > READOUT {
+                let by_first = seen.by_ground * met.by_pose * views.first_by_readout(corner_at.y);
+                by_common
+                    .set_column(READOUT, &(by_first + seen.by_pose * views.second_by_readout(seen_at.y)));
+            }
+            for k in HELD..N {
+                let gives_way = corner.by_lens[k - HELD];
+                let by_lens = slides[k - HELD] + seen.by_ground * (met.by_ray * gives_way);
                 by_common.set_column(k, &by_lens);
             }
             system.common += weight * by_common.transpose() * by_common;

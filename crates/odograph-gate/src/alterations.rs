@@ -1,0 +1,171 @@
+//! What cameras and their software do to images after the exposure, applied to rendered clips.
+//!
+//! None of these is modelled by the odometry: they show how it fares with effects that it was not
+//! designed for.
+
+use crate::clip::Clip;
+use odograph::image::GrayImage;
+use std::f64::consts::TAU;
+
+/// A change of the images of a clip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Alteration {
+    /// Sharpening as in phones: an unsharp mask of 3x3 pixels.
+    Sharpened {
+        /// How much of the difference from the local mean is added.
+        amount: f64,
+    },
+    /// Temporal noise reduction: each image keeps a share of the one before.
+    Ghosting {
+        /// That share, 0 to 1.
+        share: f64,
+    },
+    /// A line of digits that change, as surveillance cameras print it into the image.
+    Overlay,
+    /// Lamps that flicker, seen by a rolling shutter: dark bands that drift.
+    Bands {
+        /// Relative amplitude.
+        amount: f64,
+    },
+    /// Every n-th image is a copy of the one before, with a time of its own.
+    Duplicated {
+        /// n.
+        every: usize,
+    },
+    /// Streaks of rain, different in each image.
+    Rain {
+        /// How many.
+        streaks: usize,
+    },
+    /// Even rows show the time of the image, odd rows that of the one before: interlaced video.
+    Interlaced,
+    /// Two images are one: a camera that resizes its images up by two.
+    Upscaled,
+}
+
+impl Alteration {
+    /// Applies it to all images of a clip.
+    pub fn apply(self, clip: &mut Clip, seed: u64) {
+        let originals: Vec<GrayImage> = clip.frames.iter().map(|(_, image)| image.clone()).collect();
+        let mut random = Stream(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        let mut kept: Vec<f64> = Vec::new();
+        for (number, (time_s, image)) in clip.frames.iter_mut().enumerate() {
+            let before = originals.get(number.wrapping_sub(1));
+            let (width, height) = (image.width(), image.height());
+            let mut samples = image.samples().to_vec();
+            match self {
+                Self::Sharpened { amount } => sharpen(image, amount, &mut samples),
+                Self::Ghosting { share } => {
+                    if kept.is_empty() {
+                        kept = samples.iter().map(|&sample| f64::from(sample)).collect();
+                    }
+                    for (kept, sample) in kept.iter_mut().zip(&mut samples) {
+                        *kept = share * *kept + (1.0 - share) * f64::from(*sample);
+                        *sample = kept.round() as u8;
+                    }
+                }
+                Self::Overlay => overlay(number, width, &mut samples),
+                Self::Bands { amount } => {
+                    for (y, row) in samples.chunks_exact_mut(width).enumerate() {
+                        let row_s = *time_s + 0.02 * y as f64 / height as f64;
+                        let gain = 1.0 + amount * (TAU * 100.0 * row_s).sin();
+                        row.iter_mut().for_each(|sample| *sample = (gain * f64::from(*sample)) as u8);
+                    }
+                }
+                Self::Duplicated { every } => {
+                    if number % every == every - 1
+                        && let Some(before) = before
+                    {
+                        samples.copy_from_slice(before.samples());
+                    }
+                }
+                Self::Rain { streaks } => {
+                    for _ in 0..streaks {
+                        let (x, y) = (random.below(width), random.below(height));
+                        for step in 0..24.min(height - y) {
+                            let at = (y + step) * width + (x + step / 6).min(width - 1);
+                            samples[at] = samples[at].saturating_add(60);
+                        }
+                    }
+                }
+                Self::Interlaced => {
+                    if let Some(before) = before {
+                        for y in (1..height).step_by(2) {
+                            let row = y * width..(y + 1) * width;
+                            samples[row.clone()].copy_from_slice(&before.samples()[row]);
+                        }
+                    }
+                }
+                Self::Upscaled => upscale(image, &mut samples),
+            }
+            if let Some(altered) = GrayImage::from_samples(width, height, samples) {
+                *image = altered;
+            }
+        }
+    }
+}
+
+fn sharpen(image: &GrayImage, amount: f64, samples: &mut [u8]) {
+    let (width, height, from) = (image.width(), image.height(), image.samples());
+    for y in 1..height - 1 {
+        for x in 1..width - 1 {
+            let rows = [y - 1, y, y + 1].map(|y| y * width + x);
+            let sum: f64 = rows.iter().flat_map(|&at| &from[at - 1..=at + 1]).map(|&s| f64::from(s)).sum();
+            let here = f64::from(from[y * width + x]);
+            samples[y * width + x] = (here + amount * (here - sum / 9.0)).round().clamp(0.0, 255.0) as u8;
+        }
+    }
+}
+
+/// Eighteen digits of 16 by 24 pixels, each a pattern of its own that stands for a digit.
+fn overlay(number: usize, width: usize, samples: &mut [u8]) {
+    for place in 0..18 {
+        let digit = if place < 12 { place * 7 % 10 } else { number / 10usize.pow(17 - place as u32) % 10 };
+        for (y, bits) in [0x7u8, 0x5, 0x7, 0x1, 0x7, 0x4].iter().enumerate() {
+            let bits = bits.rotate_left(digit as u32);
+            for x in 0..4 {
+                let lit = bits >> x & 1 == 1;
+                for at in 0..16 {
+                    let (px, py) = (16 + 20 * place + 4 * x + at % 4, 12 + 4 * y + at / 4);
+                    if px < width {
+                        samples[py * width + px] = if lit { 250 } else { 10 };
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Half the resolution, made large again by repeating pixels bilinearly.
+fn upscale(image: &GrayImage, samples: &mut [u8]) {
+    let (width, height, from) = (image.width(), image.height(), image.samples());
+    let half = |x: usize, y: usize| {
+        let (x, y) = (2 * x.min(width / 2 - 1), 2 * y.min(height / 2 - 1));
+        let at = y * width + x;
+        [from[at], from[at + 1], from[at + width], from[at + width + 1]].map(f64::from).iter().sum::<f64>()
+            / 4.0
+    };
+    for y in 0..height {
+        for x in 0..width {
+            let (u, v) = ((x as f64 - 0.5) / 2.0, (y as f64 - 0.5) / 2.0);
+            let (u, v) = (u.max(0.0), v.max(0.0));
+            let (a, b) = (u.fract(), v.fract());
+            let (i, k) = (u as usize, v as usize);
+            let top = (1.0 - a) * half(i, k) + a * half(i + 1, k);
+            let bottom = (1.0 - a) * half(i, k + 1) + a * half(i + 1, k + 1);
+            samples[y * width + x] = ((1.0 - b) * top + b * bottom).round() as u8;
+        }
+    }
+}
+
+/// A stream of random numbers (xorshift; G. Marsaglia, 2003).
+struct Stream(u64);
+
+impl Stream {
+    fn below(&mut self, count: usize) -> usize {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 33) as usize % count
+    }
+}
