@@ -4,9 +4,9 @@ use super::TILT;
 use super::lens::Lens;
 use super::pair::{Movement, Work};
 use super::sway::Sway;
+use crate::camera::PosedCamera;
 use crate::geometry::GroundPose;
-use crate::mounting::combination::{Part, inverse};
-use crate::mounting::reprojection::PosedCamera;
+use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
 
 /// Normal equations of one pair in units of its noise: what it has in common with the others first, its movement second.
