@@ -7,7 +7,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::formats::{camera_file, rig_file};
 use odograph::geometry::GroundPose;
 use odograph::image::GrayImage;
-use odograph::simulation::{BoardEffects, BoardScene};
+use odograph_simulation::{BoardEffects, BoardScene};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -5,8 +5,8 @@ use crate::rows::{Row, camera};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
-use odograph::simulation::{Path, Simulation, SimulationConfig, Texture};
 use odograph::trajectory::{StampedPose, Trajectory};
+use odograph_simulation::{Path, Simulation, SimulationConfig, Texture};
 
 /// A recording with its ground truth.
 #[derive(Debug)]

@@ -4,7 +4,7 @@
 
 use crate::alterations::Alteration;
 use crate::rows::{Row, ahead, eight, with};
-use odograph::simulation::{
+use odograph_simulation::{
     Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Relief, Shadow, Sway, Terrain, Undulation,
     Vibration, Wander,
 };

@@ -5,10 +5,12 @@ use crate::processor::busy_ms;
 use crate::rows::Follow;
 use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
+use odograph::ground_map::MemoryImages;
+use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
 use odograph::mounting::{Found, Untold};
 use odograph::odometry::{Odometry, OdometryConfig};
-use odograph::slam::{Mapper, MemoryImages, SlamConfig, map_frames};
+use odograph::slam::{Mapper, map_frames};
 use odograph::trajectory::FrameEstimate;
 
 /// Result of tracking a clip.
@@ -61,7 +63,7 @@ fn pass(
     let mut odometry = Odometry::new(camera.clone(), rig, *config)?;
     let mut mapper = (follow == Follow::Mapped).then(|| {
         odometry.tell_keyframes();
-        (Mapper::new(camera, rig, config, SlamConfig::default()), MemoryImages::default())
+        (Mapper::new(camera, rig, config, LoopClosureConfig::default()), MemoryImages::default())
     });
     let mut followed = Followed::default();
     let mut references = Vec::new();

@@ -4,7 +4,7 @@ use crate::alterations::Alteration;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::geometry::Pixel;
-use odograph::simulation::{
+use odograph_simulation::{
     Blackout, Bumper, Dirt, Effects, Kerb, Lamp, Lighting, MovingObject, PathKind, Ramp, Relief, Shadow,
     Terrain, Timing, Undulation, Vibration, Wander,
 };

@@ -1,7 +1,8 @@
 //! The ground map below the trajectory, in tiles that a page fetches when they change.
 
 use odograph::error::{Error, Result};
-use odograph::mapping::{Mosaic, MosaicSquare, Placement};
+use odograph::geometry::Placement;
+use odograph::mosaic::{Mosaic, MosaicSquare};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

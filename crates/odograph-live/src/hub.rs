@@ -4,7 +4,7 @@
 use crate::ground::Ground;
 use crate::record::{Records, TrackRecord};
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
-use odograph::mapping::MosaicSquare;
+use odograph::mosaic::MosaicSquare;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -330,7 +330,7 @@ impl Drop for Viewer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use odograph::mapping::Mosaic;
+    use odograph::mosaic::Mosaic;
 
     fn hub() -> Arc<Hub> {
         let introduction = Introduction {

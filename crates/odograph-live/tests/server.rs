@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test fails by panicking
 
-use odograph::mapping::Mosaic;
+use odograph::mosaic::Mosaic;
 use odograph_live::server::MOST_CONNECTIONS;
 use odograph_live::{Hub, Introduction, Server, ServerOptions, Status, TrackRecord, View};
 use std::io::{Read, Write};

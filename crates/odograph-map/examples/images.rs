@@ -12,11 +12,12 @@ use odograph::camera::{Camera, Rig};
 use odograph::detection::{DetectionConfig, detect};
 use odograph::flow::{FlowConfig, Template, Warp, track};
 use odograph::geometry::GroundPose;
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::image::{GrayImage, Pyramid};
-use odograph::mapping::places::Signature;
-use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapKeyframe};
-use odograph::simulation::{Ground, Renderer, Texture};
+use odograph::keyframe::KeyframeId;
+use odograph::place_recognition::Signature;
 use odograph_map::MapFile;
+use odograph_simulation::{Ground, Renderer, Texture};
 use std::time::Instant;
 
 fn main() {

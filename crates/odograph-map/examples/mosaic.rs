@@ -13,11 +13,13 @@
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::{GroundPoint, GroundPose};
+use odograph::ground_map::{KeyframeImage, MapKeyframe};
 use odograph::image::GrayImage;
-use odograph::mapping::places::Signature;
-use odograph::mapping::{KeyframeId, KeyframeImage, MapKeyframe, Mosaic, MosaicOptions, MosaicPicture};
-use odograph::simulation::{Ground, Renderer, Texture};
+use odograph::keyframe::KeyframeId;
+use odograph::mosaic::{Mosaic, MosaicOptions, MosaicPicture};
+use odograph::place_recognition::Signature;
 use odograph_map::MapFile;
+use odograph_simulation::{Ground, Renderer, Texture};
 use std::time::Instant;
 
 const FOOTPRINT_M: f64 = 0.5 / 260.0;

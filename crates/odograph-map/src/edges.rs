@@ -5,7 +5,7 @@ use crate::file::MapFile;
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use nalgebra::Vector4;
 use odograph::error::Result;
-use odograph::mapping::{EdgeKind, KeyframeId, MapEdge};
+use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use rusqlite::{Connection, params};
 
 impl MapFile {

@@ -6,7 +6,7 @@ use crate::schema;
 use crate::thinning::{Thinning, thinning};
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
-use odograph::mapping::{GroundMap, KeyframeImages};
+use odograph::ground_map::{GroundMap, KeyframeImages};
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Row, params};

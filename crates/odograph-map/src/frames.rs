@@ -3,7 +3,7 @@
 
 use crate::image::{self, StoredImage};
 use odograph::error::{Error, Result};
-use odograph::mapping::KeyframeImage;
+use odograph::ground_map::KeyframeImage;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};

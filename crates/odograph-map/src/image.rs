@@ -6,8 +6,8 @@
 
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use odograph::error::{Error, Result};
+use odograph::ground_map::KeyframeImage;
 use odograph::image::{GrayImage, RgbImage};
-use odograph::mapping::KeyframeImage;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;

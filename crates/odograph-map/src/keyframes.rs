@@ -10,8 +10,9 @@ use crate::paths::{self, KeyframeMove, PathFrame, carried};
 use nalgebra::Matrix6;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
-use odograph::mapping::places::Signature;
-use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::keyframe::{KeyframeId, MapEdge};
+use odograph::place_recognition::Signature;
 use rusqlite::{Connection, OptionalExtension, Row, params};
 use std::collections::BTreeMap;
 

@@ -6,7 +6,8 @@
 mod ground;
 
 use odograph::camera::Rig;
-use odograph::mapping::{KeyframeId, KeyframeImages};
+use odograph::ground_map::KeyframeImages;
+use odograph::keyframe::KeyframeId;
 use odograph_map::MapFile;
 use rusqlite::Connection;
 use std::path::{Path, PathBuf};

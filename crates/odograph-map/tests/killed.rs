@@ -40,7 +40,7 @@ fn writer() {
         // mosaic.
         if turn % 20 == 10 {
             let moved = (0..=number)
-                .map(|k| (odograph::mapping::KeyframeId(k), ground::pose(k), ground::covariance()));
+                .map(|k| (odograph::keyframe::KeyframeId(k), ground::pose(k), ground::covariance()));
             map.set_poses(&moved.collect::<Vec<_>>()).unwrap();
             let frame =
                 |frame| PathFrame { frame, segment: 0, time_s: frame as f64, pose: ground::pose(frame) };

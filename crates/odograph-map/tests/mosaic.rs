@@ -6,8 +6,9 @@ mod ground;
 
 use odograph::camera::Rig;
 use odograph::geometry::GroundPose;
+use odograph::ground_map::KeyframeImage;
 use odograph::image::GrayImage;
-use odograph::mapping::{KeyframeImage, MosaicPicture};
+use odograph::mosaic::MosaicPicture;
 use odograph_map::MapFile;
 
 /// The mosaic of twelve keyframes with modified images and with the poses of `misplaced`.

@@ -7,9 +7,9 @@ mod ground;
 use ground::{camera, covariance, edge_to, image, keyframe, pose};
 use odograph::camera::Rig;
 use odograph::geometry::GroundPose;
-use odograph::mapping::{
-    GroundMap, KeyframeId, KeyframeImage, KeyframeImages, Mosaic, MosaicOptions, MosaicPicture,
-};
+use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages};
+use odograph::keyframe::KeyframeId;
+use odograph::mosaic::{Mosaic, MosaicOptions, MosaicPicture};
 use odograph_map::{MapFile, PathFrame};
 
 fn rig() -> Rig {

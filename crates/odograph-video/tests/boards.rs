@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // helper functions of tests may panic
 
-use odograph::calibration::{Board, BoardFinder, BoardView, NotFound};
+use odograph_calibration::{Board, BoardFinder, BoardView, NotFound};
 use odograph_video::{SourceOptions, open};
 use std::path::{Path, PathBuf};
 

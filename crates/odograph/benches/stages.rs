@@ -9,7 +9,7 @@ use odograph::flow::{FlowConfig, Template, Warp, track};
 use odograph::geometry::Pixel;
 use odograph::image::{GrayImage, Pyramid, RgbImage};
 use odograph::odometry::{Odometry, OdometryConfig};
-use odograph::simulation::{Effects, Path, PathKind, RenderedFrame, Simulation, SimulationConfig, Texture};
+use odograph_simulation::{Effects, Path, PathKind, RenderedFrame, Simulation, SimulationConfig, Texture};
 use std::hint::black_box;
 
 const SIZES: [(usize, usize); 2] = [(640, 480), (1280, 720)];

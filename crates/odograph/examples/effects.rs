@@ -16,11 +16,11 @@ use odograph::error::Result;
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
 use odograph::geometry::{GroundPose, Pixel, wrap_angle};
 use odograph::odometry::{Odometry, OdometryConfig};
-use odograph::simulation::{
+use odograph::trajectory::{StampedPose, Trajectory};
+use odograph_simulation::{
     Blackout, Effects, Lighting, MovingObject, Path, PathKind, Simulation, SimulationConfig, Texture, Timing,
     Vibration, Wander,
 };
-use odograph::trajectory::{StampedPose, Trajectory};
 use std::f64::consts::TAU;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};

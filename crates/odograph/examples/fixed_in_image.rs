@@ -12,9 +12,7 @@ use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use odograph::image::GrayImage;
 use odograph::odometry::{Odometry, OdometryConfig};
-use odograph::simulation::{
-    Effects, Lighting, Path, PathKind, Shadow, Simulation, SimulationConfig, Texture,
-};
+use odograph_simulation::{Effects, Lighting, Path, PathKind, Shadow, Simulation, SimulationConfig, Texture};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

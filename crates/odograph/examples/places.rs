@@ -29,13 +29,16 @@ use nalgebra::Matrix6;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
 use odograph::geometry::{GroundPose, Pixel, wrap_angle};
+use odograph::ground_map::{GroundMap, KeyframeImage, MapKeyframe};
+use odograph::ground_map::{KeyframeStore, MemoryImages};
 use odograph::image::{GrayImage, Pyramid, RgbImage};
-use odograph::mapping::places::{PlaceHypothesis, PlaceIndex, PlacesConfig, Signature};
-use odograph::mapping::{GroundMap, KeyframeId, KeyframeImage, MapKeyframe};
+use odograph::keyframe::KeyframeId;
+use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::Random;
 use odograph::odometry::OdometryConfig;
-use odograph::simulation::{Ground, Renderer, Texture, Tiling};
-use odograph::slam::{KeyframeStore, Mapper, MemoryImages, SlamConfig};
+use odograph::place_recognition::{PlaceHypothesis, PlaceIndex, PlacesConfig, Signature};
+use odograph::slam::Mapper;
+use odograph_simulation::{Ground, Renderer, Texture, Tiling};
 use processor_time::busy_ms;
 use std::f64::consts::PI;
 
@@ -288,7 +291,7 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
         map.keyframes.push(keyframe);
     }
     let new = KeyframeId(keyframes.len() as u64);
-    let mapper = Mapper::continuing(map, &OdometryConfig::default(), SlamConfig::default(), 1, new);
+    let mapper = Mapper::continuing(map, &OdometryConfig::default(), LoopClosureConfig::default(), 1, new);
     let (mut off_mm, mut off_deg, mut times_ms, mut wrong) = (Vec::new(), Vec::new(), Vec::new(), 0);
     // A small area gets fewer queries, two per square metre.
     let queries = QUERIES.min((2.0 * area_m2) as usize);

@@ -18,10 +18,12 @@ mod processor_time;
 use nalgebra::{SMatrix, SVector, Vector2};
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::Result;
+use odograph::ground_map::MemoryImages;
+use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::{KeyframeEvent, Odometry, OdometryConfig};
-use odograph::simulation::{Effects, Path, PathKind, Simulation, SimulationConfig, Texture};
-use odograph::slam::{Mapper, MemoryImages, SlamConfig, map_frames};
+use odograph::slam::{Mapper, map_frames};
 use odograph::trajectory::FrameEstimate;
+use odograph_simulation::{Effects, Path, PathKind, Simulation, SimulationConfig, Texture};
 use processor_time::busy_ms;
 
 struct Drive {
@@ -169,7 +171,7 @@ fn line(drive: &Drive) -> Result<String> {
     let config = OdometryConfig::default();
     let mut odometry = Odometry::new(camera(drive.size)?, told, config)?;
     odometry.tell_keyframes();
-    let mut mapper = Mapper::new(&camera(drive.size)?, told, &config, SlamConfig::default());
+    let mut mapper = Mapper::new(&camera(drive.size)?, told, &config, LoopClosureConfig::default());
     let mut images = MemoryImages::default();
     let (mut frames, mut references, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
     for frame in (0..simulation.len()).map_while(|number| simulation.frame(number)) {
@@ -200,15 +202,15 @@ fn line(drive: &Drive) -> Result<String> {
     let straight = map_frames(&mapper, &frames, &references);
     let (without, with) = (errors_mm(&simulation, &frames), errors_mm(&simulation, &straight));
     let median = odometry_median(&mut times_ms);
-    let ties = mapper.map().edges.iter().filter(|e| e.kind == odograph::mapping::EdgeKind::Loop).count();
+    let ties = mapper.map().edges.iter().filter(|e| e.kind == odograph::keyframe::EdgeKind::Loop).count();
     // Error of a loop closure: its distance from the true relative pose of its keyframes.
-    let truth = |id: odograph::mapping::KeyframeId| {
+    let truth = |id: odograph::keyframe::KeyframeId| {
         let found = mapper.map().keyframes.iter().find(|keyframe| keyframe.id == id);
         found.map_or(simulation.truth(0.0), |keyframe| simulation.truth(keyframe.time_s))
     };
-    let off_mm = |closure: &odograph::slam::LoopClosure| {
+    let off_mm = |closure: &odograph::loop_closure::LoopClosure| {
         let seen =
-            odograph::mapping::plane_motion::seen_from(&truth(closure.edge.from), &truth(closure.edge.to));
+            odograph::keyframe::relative_pose::seen_from(&truth(closure.edge.from), &truth(closure.edge.to));
         1e3 * (seen[0] - closure.edge.motion[0]).hypot(seen[1] - closure.edge.motion[1])
     };
     let worst_loop_mm = mapper.closures().iter().map(off_mm).fold(0.0, f64::max);

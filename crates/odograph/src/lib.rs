@@ -16,7 +16,6 @@ pub mod geometry;
 pub mod numerics;
 pub mod image;
 pub mod camera;
-pub mod calibration;
 pub mod correction;
 pub mod fixed_pattern;
 pub mod detection;
@@ -24,10 +23,18 @@ pub mod flow;
 pub mod motion;
 pub mod trajectory;
 pub mod filter;
-pub mod mapping;
+pub mod keyframe;
 pub mod odometry;
+pub mod pose_graph;
+pub mod place_recognition;
+pub mod ground_map;
+pub mod loop_closure;
 pub mod slam;
+pub mod mosaic;
+pub mod drawing;
 pub mod mounting;
 pub mod evaluation;
 pub mod formats;
-pub mod simulation;
+
+#[cfg(test)]
+mod simulation;

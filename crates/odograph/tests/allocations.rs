@@ -12,10 +12,10 @@ use odograph::filter::{Carrier, FilterConfig, Smoother};
 use odograph::geometry::GroundPose;
 use odograph::image::GrayImage;
 use odograph::odometry::{Odometry, OdometryConfig};
-use odograph::simulation::{Ground, Renderer, Texture};
 use odograph::trajectory::{
     FrameEstimate, FrameSummary, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity,
 };
+use odograph_simulation::{Ground, Renderer, Texture};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

@@ -7,11 +7,12 @@ mod picture;
 use crate::lengths::{self, Height, Typed};
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
+use odograph::camera::{CameraUncertainty, MeasuredRig};
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file};
 use odograph::geometry::Pixel;
 use odograph::image::RgbImage;
-use odograph::mounting::{BoardDirection, CameraUncertainty, MeasuredRig};
+use odograph_calibration::BoardDirection;
 use odograph_video::SourceOptions;
 use std::path::{Path, PathBuf};
 

@@ -6,9 +6,9 @@ use super::run::{
 };
 use crate::{Outcome, console, lengths};
 use odograph::error::{Error, Result};
+use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
 use odograph::odometry::OdometryConfig;
-use odograph::slam::SlamConfig;
 use odograph_map::MapFile;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -133,7 +133,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         odometry,
         budget: None,
         // A read-only look-up cannot corrupt the map, so a single certain sighting is enough.
-        slam: SlamConfig { sightings: if read_only { 1 } else { 2 }, ..SlamConfig::default() },
+        slam: LoopClosureConfig { sightings: if read_only { 1 } else { 2 }, ..LoopClosureConfig::default() },
     };
     let report = run::follow(&plan, source, folder, &output)?;
     tell(&arguments, &report)?;

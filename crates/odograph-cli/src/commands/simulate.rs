@@ -10,7 +10,7 @@ use crate::Outcome;
 use crate::lengths::{self, Height};
 use clap::ValueEnum;
 use odograph::error::Result;
-use odograph::simulation::Simulation;
+use odograph_simulation::Simulation;
 use output::Output;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -225,7 +225,7 @@ pub struct SimulateArguments {
     exposure_jumps: Option<f64>,
     /// The lens is covered from one time to another, seconds; may be given more than once
     #[arg(long, value_name = "FROM:TO", value_parser = scene::parse_blackout, help_heading = "Effects")]
-    blackout: Vec<odograph::simulation::Blackout>,
+    blackout: Vec<odograph_simulation::Blackout>,
     /// Rolling shutter: time from the first row to the last, milliseconds
     ///
     /// A timestamp is that of the middle row.

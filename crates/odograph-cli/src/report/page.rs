@@ -4,10 +4,11 @@ use super::charts::over_time;
 use super::figures::{Figures, in_words, sigmas, weakest};
 use super::parts::{card, head, number, warnings};
 use odograph::camera::{Camera, Distortion, Rig};
+use odograph::drawing::MapDrawing;
+use odograph::drawing::scale::{duration_text, length_text};
+use odograph::drawing::svg::{data_uri, escape};
 use odograph::filter::fusion::SensorReport;
-use odograph::mapping::drawing::scale::{duration_text, length_text};
-use odograph::mapping::drawing::svg::{data_uri, escape};
-use odograph::mapping::{MapDrawing, Placement};
+use odograph::geometry::Placement;
 use odograph::trajectory::FrameSummary;
 use std::fmt::Write;
 

@@ -1,7 +1,7 @@
 //! Elements common to all report pages.
 
-use odograph::mapping::drawing::scale::label;
-use odograph::mapping::drawing::svg::escape;
+use odograph::drawing::scale::label;
+use odograph::drawing::svg::escape;
 use std::fmt::Write;
 
 /// The style sheet of all pages.

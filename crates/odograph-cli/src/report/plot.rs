@@ -1,7 +1,7 @@
 //! Plots of values over time for the report; colours come from the page's style sheet.
 
-use odograph::mapping::drawing::scale::{label, multiples, round_step};
-use odograph::mapping::drawing::svg::coordinate;
+use odograph::drawing::scale::{label, multiples, round_step};
+use odograph::drawing::svg::coordinate;
 use std::fmt::Write;
 
 const WIDTH: f64 = 520.0;

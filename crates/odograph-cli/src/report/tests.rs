@@ -1,8 +1,9 @@
 use super::*;
 use odograph::camera::{Camera, Distortion, Rig};
+use odograph::drawing::{Backdrop, MapDrawing};
 use odograph::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use odograph::image::RgbImage;
-use odograph::mapping::{Backdrop, MapDrawing, Mosaic, MosaicOptions};
+use odograph::mosaic::{Mosaic, MosaicOptions};
 use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus};
 use std::f64::consts::TAU;
 

@@ -1,10 +1,10 @@
 //! Recordings of a calibration board, rendered by the test.
 
 use nalgebra::Isometry3;
-use odograph::calibration::Board;
 use odograph::camera::{Camera, Distortion};
 use odograph::image::GrayImage;
-use odograph::simulation::{BoardEffects, BoardScene, Framing};
+use odograph_calibration::Board;
+use odograph_simulation::{BoardEffects, BoardScene, Framing};
 use std::fs;
 use std::path::Path;
 

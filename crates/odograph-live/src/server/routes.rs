@@ -6,7 +6,7 @@ use super::deadline::Deadlined;
 use super::http::{ANSWER_PATIENCE, Answer, Method, Refusal, Request};
 use crate::ground::tile_png;
 use crate::record::TrackRecord;
-use odograph::mapping::MosaicSquare;
+use odograph::mosaic::MosaicSquare;
 use serde_json::json;
 use std::fs::File;
 use std::io::{self, Read, Write};

@@ -2,7 +2,7 @@
 
 use super::MosaicLayer;
 use crate::geopackage::{self, Extent, UNDEFINED_CARTESIAN};
-use odograph::mapping::{MOSAIC_TILE_PX, MosaicTile};
+use odograph::mosaic::{MOSAIC_TILE_PX, MosaicTile};
 use rusqlite::{Connection, Result, params};
 use std::ops::Range;
 

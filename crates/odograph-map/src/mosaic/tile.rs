@@ -1,7 +1,7 @@
 //! Tiles as PNG: grayscale if all pixels are gray, without alpha if all are opaque.
 
 use odograph::error::{Error, Result};
-use odograph::mapping::MOSAIC_TILE_PX;
+use odograph::mosaic::MOSAIC_TILE_PX;
 use png::{BitDepth, ColorType};
 use std::borrow::Cow;
 use std::io::Cursor;

@@ -2,8 +2,8 @@ use super::*;
 use nalgebra::{Matrix4, Matrix6};
 use odograph::camera::Rig;
 use odograph::geometry::wrap_angle;
-use odograph::mapping::MapKeyframe;
-use odograph::mapping::places::Signature;
+use odograph::ground_map::MapKeyframe;
+use odograph::place_recognition::Signature;
 
 fn pose(number: u64) -> GroundPose {
     GroundPose {
@@ -24,7 +24,7 @@ fn edge(from: u64, to: u64) -> MapEdge {
         from: KeyframeId(from),
         to: KeyframeId(to),
         kind: if to < from { EdgeKind::Loop } else { EdgeKind::Odometry },
-        motion: plane_motion::seen_from(&a, &b),
+        motion: relative_pose::seen_from(&a, &b),
         covariance: half * half.transpose() + Matrix4::identity() * 1e-8,
     }
 }

@@ -5,10 +5,11 @@
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use odograph::camera::{Camera, Distortion};
 use odograph::geometry::GroundPose;
+use odograph::ground_map::{KeyframeImage, MapKeyframe};
 use odograph::image::{GrayImage, RgbImage};
-use odograph::mapping::places::{GroundFeature, Signature};
-use odograph::mapping::{EdgeKind, KeyframeId, KeyframeImage, MapEdge, MapKeyframe};
-use odograph::simulation::{Ground, Renderer, Texture};
+use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use odograph::place_recognition::{GroundFeature, Signature};
+use odograph_simulation::{Ground, Renderer, Texture};
 
 /// A small camera with lens distortion.
 pub fn camera() -> Camera {

@@ -3,7 +3,7 @@
 //! Nothing here opens a file: readers take text, writers return it. Readers accept any text without
 //! panicking, in time and memory proportional to its length, and report errors in one sentence.
 
-pub mod calibration_file;
+pub mod decimal;
 pub mod camera_file;
 pub mod rig_file;
 pub mod sensor_file;

@@ -13,8 +13,8 @@
 //! would otherwise be 0.
 
 use crate::camera::Rig;
+use crate::camera::{MeasuredRig, RigDeviations};
 use crate::error::{Error, Result};
-use crate::mounting::{MeasuredRig, RigDeviations};
 use std::fmt::Write;
 use toml::{Table, Value};
 

@@ -9,8 +9,10 @@
 //!
 //! Transforms are named `target_from_source`.
 
+mod placement;
 mod planar;
 
+pub use placement::Placement;
 pub use planar::{PlaneTransform, Se2, Sim2, WithCovariance, propagated};
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
@@ -40,7 +42,7 @@ impl Pixel {
 /// Euclidean length of the vector (`x`, `y`), bit-identical on every machine. `hypot` is not: C
 /// libraries round it differently, and no length here needs its protection against overflow and
 /// underflow.
-pub(crate) fn length(x: f64, y: f64) -> f64 {
+pub fn length(x: f64, y: f64) -> f64 {
     (x * x + y * y).sqrt()
 }
 

@@ -43,7 +43,7 @@ impl Default for KeyframeConfig {
 
 impl OdometryConfig {
     /// With what depends on the size of the image: blur, rolling shutters and what stands a little above the ground grow with it.
-    pub(super) fn for_camera(mut self, camera: &Camera) -> Self {
+    pub(crate) fn for_camera(mut self, camera: &Camera) -> Self {
         self.motion.inlier_px *= (camera.width() as f64 / 640.0).max(1.0);
         self
     }

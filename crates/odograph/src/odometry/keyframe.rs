@@ -9,7 +9,7 @@ use crate::fixed_pattern::ImageMask;
 use crate::flow::{Template, Warp};
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use crate::image::{GrayImage, Pyramid};
-use crate::mapping::KeyframeId;
+use crate::keyframe::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
 use crate::motion::{
     Axes, BEYOND_CHANCE, CoarseRegistration, Elevation, GroundFromRay, GroundPatch, GroundView, HIGHEST_KERB,

@@ -5,8 +5,8 @@ use super::keyframe::Keyframe;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::GrayImage;
-use crate::mapping::plane_motion::{motion_covariance, seen_from};
-use crate::mapping::{EdgeKind, KeyframeId, MapEdge};
+use crate::keyframe::relative_pose::{motion_covariance, seen_from};
+use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::global_image;
 use nalgebra::Matrix6;
 use std::sync::Arc;
@@ -119,7 +119,7 @@ impl Odometry {
         let (Some(from), Some(to)) = (present.id, old.id) else { return };
         // Where the old one is if the frame is where the present one has it.
         let frame_in_old = seen_from(by_old.0, &old.pose);
-        let moved = crate::mapping::plane_motion::laid_from(by_present.0, &frame_in_old, 1.0);
+        let moved = crate::keyframe::relative_pose::laid_from(by_present.0, &frame_in_old, 1.0);
         // Both measurements of the frame; a heading that is off swings the old one about the frame.
         let mut swing = Matrix6::identity();
         let (dx, dy) = (old.pose.x_m - by_old.0.x_m, old.pose.y_m - by_old.0.y_m);

@@ -7,7 +7,7 @@ use super::keyframe_event::Before;
 use super::last_pose::LastPose;
 use super::{Odometry, texture};
 use crate::image::Pyramid;
-use crate::mapping::EdgeKind;
+use crate::keyframe::EdgeKind;
 use crate::motion::Random;
 use crate::trajectory::{FrameEstimate, LossReason, TrackStatus};
 use nalgebra::Matrix6;

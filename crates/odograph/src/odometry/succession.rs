@@ -5,7 +5,7 @@ use super::keyframe_event::Before;
 use super::{Odometry, follow};
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
-use crate::mapping::{EdgeKind, KeyframeId};
+use crate::keyframe::{EdgeKind, KeyframeId};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
 use nalgebra::Matrix6;
 

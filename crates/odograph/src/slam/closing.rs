@@ -1,15 +1,15 @@
 //! Loop closing: compares a new keyframe with older ones and decides which matches to accept.
 
 use super::Mapper;
-use super::candidates::{self, Strength};
-use super::closure::{self, LoopClosure};
-use super::images::KeyframeStore;
-use super::recognition::recognise;
 use crate::error::Result;
 use crate::geometry::WithCovariance;
-use crate::mapping::plane_motion::{inverse, laid_from, similarity};
-use crate::mapping::{KeyframeId, MapEdge};
-use crate::odometry::matching::{Pictured, Sought};
+use crate::ground_map::KeyframeStore;
+use crate::keyframe::relative_pose::{inverse, laid_from, similarity};
+use crate::keyframe::{KeyframeId, MapEdge};
+use crate::loop_closure::candidates::{self, Strength};
+use crate::loop_closure::matching::{Pictured, Sought};
+use crate::loop_closure::recognition::recognise;
+use crate::loop_closure::{LoopClosure, verification};
 use nalgebra::{Matrix4, Vector4};
 
 /// Two matches confirm each other only on different ground: minimum distance, in widths of the
@@ -22,32 +22,6 @@ const MOST_PENDING: usize = 16;
 /// Maximum number of loop edges between two keyframes. All contain the noise of the same two
 /// images, so more add little, and the graph must not grow on repeated rounds.
 const MOST_SIGHTINGS: usize = 4;
-
-/// Exponential back-off for an expensive search: after every failure in a row twice as many
-/// opportunities are skipped.
-#[derive(Debug, Default)]
-pub(super) struct Patience {
-    failures: u32,
-    let_go_by: u32,
-}
-
-/// Maximum number of doublings of the skipped opportunities.
-const MOST_DOUBLINGS: u32 = 5;
-
-impl Patience {
-    /// Whether to search at this opportunity.
-    fn is_worth_it(&mut self) -> bool {
-        let rest = self.let_go_by.checked_sub(1);
-        self.let_go_by = rest.unwrap_or(0);
-        rest.is_none()
-    }
-
-    /// Records whether the search succeeded.
-    fn learn(&mut self, succeeded: bool) {
-        self.failures = if succeeded { 0 } else { (self.failures + 1).min(MOST_DOUBLINGS) };
-        self.let_go_by = (1 << self.failures) - 1;
-    }
-}
 
 impl Mapper {
     /// Compares a new keyframe with older ones: those nearby, and where the position is uncertain,
@@ -71,7 +45,7 @@ impl Mapper {
         for candidate in sure.take(self.config.comparisons) {
             let Some(mut pictured) = self.pictured(candidate.id, images)? else { continue };
             let closure =
-                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+                verification::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
             if let Some(closure) = closure {
                 return self.accept(closure, images);
             }
@@ -93,7 +67,7 @@ impl Mapper {
         for place in recognised.iter().take(self.config.comparisons) {
             let Some(pictured) = self.pictured(place.id, images)? else { continue };
             let closure =
-                closure::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
+                verification::look_recognised(&self.matcher, &sought, &pictured, place, new, &self.config);
             match closure {
                 Some(closure) if place.stands_alone() => return self.accept(closure, images),
                 Some(closure) => return self.support(closure, images),
@@ -107,7 +81,7 @@ impl Mapper {
             && let Some(mut pictured) = self.pictured(candidate.id, images)?
         {
             let closure =
-                closure::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
+                verification::look(&self.matcher, &mut sought, &mut pictured, candidate, new, &self.config);
             self.patience.learn(closure.is_some());
             if let Some(closure) = closure {
                 self.accept(closure, images)?;
@@ -165,7 +139,7 @@ impl Mapper {
         let (Some(back), Some(sighting), Some(on)) = (way(b.from, a.from), sighting, way(a.to, b.to)) else {
             return false;
         };
-        closure::agrees(b, &(back * sighting * on), view_m)
+        verification::agrees(b, &(back * sighting * on), view_m)
     }
 
     /// The heights (odometry frame) at which two keyframes measure.

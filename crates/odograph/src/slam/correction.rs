@@ -7,7 +7,8 @@
 use super::Mapper;
 use crate::geometry::pose_index::{HEIGHT, X, Y};
 use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
-use crate::mapping::{KeyframeId, MapKeyframe};
+use crate::ground_map::MapKeyframe;
+use crate::keyframe::KeyframeId;
 use crate::odometry::FrameReference;
 use crate::trajectory::{FrameEstimate, PoseEstimate};
 use nalgebra::Matrix6;

@@ -1,27 +1,26 @@
 //! The mapper inserts keyframes into the map, closes loops and optimises the pose graph.
 
-use super::SlamConfig;
-use super::closing::Patience;
-use super::closure::LoopClosure;
-use super::images::KeyframeStore;
+use super::backoff::Patience;
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::geometry::pose_index::{HEIGHT, ROLL};
 use crate::geometry::{GroundPose, propagated};
+use crate::ground_map::{GroundMap, KeyframeImage, KeyframeStore, MapKeyframe};
 use crate::image::RgbImage;
-use crate::mapping::graph::{Heights, PoseGraph};
-use crate::mapping::places::{PlaceIndex, PlacesConfig, Signature};
-use crate::mapping::{EdgeKind, GroundMap, KeyframeId, KeyframeImage, MapEdge, MapKeyframe};
+use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use crate::loop_closure::matching::Matcher;
+use crate::loop_closure::{LoopClosure, LoopClosureConfig};
 use crate::motion::MotionModel;
-use crate::odometry::matching::Matcher;
 use crate::odometry::{KeyframeEvent, NewKeyframe, OdometryConfig};
+use crate::place_recognition::{PlaceIndex, PlacesConfig, Signature};
+use crate::pose_graph::{Heights, PoseGraph};
 use nalgebra::Matrix6;
 use std::collections::BTreeMap;
 
 /// Builds the map of keyframes. The result depends only on the input.
 #[derive(Debug)]
 pub struct Mapper {
-    pub(super) config: SlamConfig,
+    pub(super) config: LoopClosureConfig,
     heights: Heights,
     pub(super) matcher: Matcher,
     pub(super) graph: PoseGraph,
@@ -59,7 +58,7 @@ const MISFIT: f64 = 9.0;
 
 impl Mapper {
     /// A mapper with an empty map.
-    pub fn new(camera: &Camera, rig: Rig, odometry: &OdometryConfig, config: SlamConfig) -> Self {
+    pub fn new(camera: &Camera, rig: Rig, odometry: &OdometryConfig, config: LoopClosureConfig) -> Self {
         let heights = match odometry.motion.model {
             MotionModel::Similarity | MotionModel::Free => Heights::Free,
             _ => Heights::Held,
@@ -83,7 +82,7 @@ impl Mapper {
             patience: Patience::default(),
             unsettled: 0,
             // A mean flow vector has no heading, so its loops cannot close.
-            config: SlamConfig {
+            config: LoopClosureConfig {
                 loops: config.loops && odometry.motion.model != MotionModel::Mean,
                 ..config
             },
@@ -97,7 +96,7 @@ impl Mapper {
     pub fn continuing(
         map: GroundMap,
         odometry: &OdometryConfig,
-        config: SlamConfig,
+        config: LoopClosureConfig,
         session: u32,
         first: KeyframeId,
     ) -> Self {

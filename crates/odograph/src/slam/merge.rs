@@ -1,9 +1,10 @@
 //! Operations on finished maps: merging two that overlap, and optimising one.
 
-use super::images::KeyframeStore;
-use super::{Mapper, SlamConfig};
+use super::Mapper;
 use crate::error::{Error, Result};
-use crate::mapping::{GroundMap, KeyframeId, KeyframeImages, MapEdge, MapKeyframe};
+use crate::ground_map::{GroundMap, KeyframeImages, KeyframeStore, MapKeyframe};
+use crate::keyframe::{KeyframeId, MapEdge};
+use crate::loop_closure::LoopClosureConfig;
 use crate::odometry::{NewKeyframe, OdometryConfig};
 use std::collections::BTreeSet;
 
@@ -75,7 +76,7 @@ pub fn optimize(map: &GroundMap, odometry: &OdometryConfig) -> GroundMap {
         ..map.clone()
     };
     let beyond = KeyframeId(map.keyframes.iter().map(|keyframe| keyframe.id.0 + 1).max().unwrap_or(0));
-    let config = SlamConfig::default();
+    let config = LoopClosureConfig::default();
     let mut mapper = Mapper::continuing(without_signatures, odometry, config, u32::MAX, beyond);
     mapper.finish();
     let mut straight = mapper.into_map();

@@ -6,91 +6,27 @@
 //! which changes when a loop closure corrects it. The map never feeds back into odometry: odometry
 //! gives the same poses with and without a map, and mapping may run behind it in its own thread.
 
-mod candidates;
-mod closing;
-mod closure;
-mod correction;
-mod fused;
-mod images;
-mod locate;
+mod backoff;
 mod mapper;
+mod closing;
+mod correction;
+mod fusion;
+mod localization;
 mod merge;
-mod recognition;
 
-pub use closure::LoopClosure;
 pub use correction::{Straightening, Stretches, map_frames};
-pub use images::{KeyframeStore, MemoryImages};
-pub use locate::Located;
+pub use localization::Located;
 pub use mapper::Mapper;
 pub use merge::{Merged, merge, optimize};
 
 use crate::camera::{Camera, Rig};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::geometry::GroundPose;
+use crate::ground_map::KeyframeStore;
 use crate::image::GrayImage;
+use crate::loop_closure::LoopClosureConfig;
 use crate::odometry::{FrameReference, Odometry, OdometryConfig};
 use crate::trajectory::FrameEstimate;
-use serde::{Deserialize, Serialize};
-
-/// When a loop closure is accepted.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SlamConfig {
-    /// Whether to search for loop closures.
-    pub loops: bool,
-    /// Maximum number of older keyframes that a new one is compared with.
-    pub comparisons: usize,
-    /// Minimum number of edges between two keyframes for a loop closure: with fewer, odometry has
-    /// them well enough.
-    pub least_edges: usize,
-    /// Minimum overlap of two keyframes, as a share of the new one's view.
-    pub least_overlap: f64,
-    /// Minimum share of the corners in the overlap that must be matched.
-    pub least_presence: f64,
-    /// Number of agreeing matches on different ground, 1 or 2, that joins parts of a map whose
-    /// relative pose is unknown or ambiguous. 1 is enough to localize a camera; a map that is kept
-    /// needs 2.
-    pub sightings: usize,
-}
-
-impl Default for SlamConfig {
-    fn default() -> Self {
-        Self {
-            loops: true,
-            comparisons: 2,
-            least_edges: 4,
-            least_overlap: 0.35,
-            least_presence: 0.5,
-            sightings: 2,
-        }
-    }
-}
-
-impl SlamConfig {
-    /// The same parameters if all are in range. Fails with the name and the value of one that is
-    /// not.
-    pub fn validated(self) -> Result<Self> {
-        for (name, share) in [("least_overlap", self.least_overlap), ("least_presence", self.least_presence)]
-        {
-            if !(0.1..=1.0).contains(&share) {
-                return Err(Error::usage(format!("slam.{name} is {share}; it must lie between 0.1 and 1")));
-            }
-        }
-        for (name, number, range) in [
-            ("comparisons", self.comparisons, 1..=1000),
-            ("least_edges", self.least_edges, 2..=1000),
-            ("sightings", self.sightings, 1..=2),
-        ] {
-            if !range.contains(&number) {
-                let (least, most) = range.into_inner();
-                return Err(Error::usage(format!(
-                    "slam.{name} is {number}; it must lie between {least} and {most}"
-                )));
-            }
-        }
-        Ok(self)
-    }
-}
 
 /// One frame in both frames of reference.
 #[derive(Debug, Clone)]
@@ -117,7 +53,7 @@ impl Slam {
         camera: Camera,
         rig: Rig,
         odometry: OdometryConfig,
-        config: SlamConfig,
+        config: LoopClosureConfig,
         images: Box<dyn KeyframeStore>,
     ) -> Result<Self> {
         let mapper = Mapper::new(&camera, rig, &odometry, config);

@@ -1,6 +1,7 @@
 use super::*;
-use crate::mapping::plane_motion::{laid_from, seen_from};
-use crate::mapping::{EdgeKind, GroundMap, KeyframeId, KeyframeImages, MapEdge};
+use crate::ground_map::{GroundMap, KeyframeImages, MemoryImages};
+use crate::keyframe::relative_pose::{laid_from, seen_from};
+use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use crate::motion::Random;
 use crate::odometry::{KeyframeEvent, NewKeyframe};
 use crate::simulation::{Ground, Renderer, Texture};
@@ -89,7 +90,7 @@ impl World {
     }
 
     fn mapper(&self) -> Mapper {
-        Mapper::new(&self.camera, Rig::level(HEIGHT_M), &config(), SlamConfig::default())
+        Mapper::new(&self.camera, Rig::level(HEIGHT_M), &config(), LoopClosureConfig::default())
     }
 }
 
@@ -179,7 +180,7 @@ fn a_second_drive_is_recognised_in_the_map_of_the_first() {
     world.drive(&mut first, &mut images, &along((0.0, 0.0), 0.0, 60).collect::<Vec<_>>());
     let map: GroundMap = first.into_map();
     let next = KeyframeId(map.keyframes.len() as u64);
-    let mut second = Mapper::continuing(map.clone(), &config(), SlamConfig::default(), 1, next);
+    let mut second = Mapper::continuing(map.clone(), &config(), LoopClosureConfig::default(), 1, next);
     let poses: Vec<_> = along((2.1, 0.15), -2.5, 40).collect();
     let driven = world.drive(&mut second, &mut images, &poses);
     assert!(second.is_recognised());
@@ -199,7 +200,7 @@ fn a_second_drive_is_recognised_in_the_map_of_the_first() {
     let mut alone_images = MemoryImages::default();
     world.drive(&mut alone, &mut alone_images, &poses);
     let other = alone.into_map();
-    let mut joined = Mapper::continuing(map.clone(), &config(), SlamConfig::default(), 1, next);
+    let mut joined = Mapper::continuing(map.clone(), &config(), LoopClosureConfig::default(), 1, next);
     let merged = merge(&mut joined, &mut images, &other, &mut alone_images).unwrap();
     assert_eq!(merged.keyframes, other.keyframes.len());
     assert!(merged.ties >= 2, "{merged:?}");
@@ -218,7 +219,7 @@ fn a_map_elsewhere_is_not_recognised() {
     world.drive(&mut first, &mut images, &along((0.0, 0.0), 0.0, 40).collect::<Vec<_>>());
     let map = first.into_map();
     let next = KeyframeId(map.keyframes.len() as u64);
-    let mut second = Mapper::continuing(map, &config(), SlamConfig::default(), 1, next);
+    let mut second = Mapper::continuing(map, &config(), LoopClosureConfig::default(), 1, next);
     world.drive(&mut second, &mut images, &along((20.0, 5.0), 1.0, 30).collect::<Vec<_>>());
     assert!(!second.is_recognised() && second.closures().is_empty());
 }
@@ -241,7 +242,8 @@ fn revisited(mapper: &mut Mapper, images: &mut MemoryImages, times: usize) -> us
 #[test]
 fn the_same_round_all_day_leaves_a_graph_that_does_not_grow_and_who_hurries_looks_for_nothing() {
     let world = World::new("asphalt");
-    let mut mapper = Mapper::new(&world.camera, Rig::level(HEIGHT_M), &config(), SlamConfig::default());
+    let mut mapper =
+        Mapper::new(&world.camera, Rig::level(HEIGHT_M), &config(), LoopClosureConfig::default());
     let mut images = MemoryImages::default();
     world.drive(&mut mapper, &mut images, &along((0.0, 0.0), 0.0, 14).collect::<Vec<_>>());
     assert!(mapper.map().keyframes.len() >= 2);
@@ -319,7 +321,8 @@ fn the_map_pose_follows_the_frame_as_it_comes() {
     let world = World::new("asphalt");
     let images = Box::new(MemoryImages::default());
     let rig = Rig::level(HEIGHT_M);
-    let mut slam = Slam::new(world.camera.clone(), rig, config(), SlamConfig::default(), images).unwrap();
+    let mut slam =
+        Slam::new(world.camera.clone(), rig, config(), LoopClosureConfig::default(), images).unwrap();
     for (number, pose) in along((0.0, 0.0), 0.0, 12).enumerate() {
         let frame = slam.process(world.image(pose, number as u64), number as f64 * FRAME_S).unwrap();
         assert_eq!(frame.map_pose, frame.odometry.estimate.map(|known| known.pose));

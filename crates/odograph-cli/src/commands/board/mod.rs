@@ -7,8 +7,8 @@ mod png;
 mod svg;
 
 use crate::{Outcome, console, files};
-use odograph::calibration::Board;
 use odograph::error::{Error, Result};
+use odograph_calibration::Board;
 use page::Page;
 use paper::Paper;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! Where everything is on the paper, in millimetres from its top left corner.
 
 use super::paper::Paper;
-use odograph::calibration::{Board, BoardKind, Drawing, Shape};
 use odograph::error::{Error, Result};
+use odograph_calibration::{Board, BoardKind, Drawing, Shape};
 
 /// A page: a board, a ruler and two lines of text.
 #[derive(Debug, Clone)]

@@ -7,14 +7,14 @@ use crate::commands::live::pipeline::{FAREWELL, PATIENCE, QUEUE, STATUS_EVERY, c
 use crate::commands::live::{CaptureArguments, Offer, Serving, open};
 use crate::commands::run::SourcePlan;
 use crate::{Outcome, interrupt};
-use odograph::calibration::selection::{Coverage, Guidance, SelectionConfig, ViewSelector};
-use odograph::calibration::{self, Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph::error::{Error, Result};
 use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
-use odograph::mapping::Mosaic;
+use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::TrackView;
+use odograph_calibration::selection::{Coverage, Guidance, SelectionConfig, ViewSelector};
+use odograph_calibration::{Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};
 use serde_json::json;
@@ -325,7 +325,7 @@ impl Trial {
         let (done, result) = mpsc::channel();
         thread::spawn(move || {
             // Nobody may be waiting any more.
-            let _ = done.send(calibration::calibrate(&board, &views, &config));
+            let _ = done.send(odograph_calibration::calibrate(&board, &views, &config));
         });
         self.running = Some(result);
     }

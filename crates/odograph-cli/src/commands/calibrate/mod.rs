@@ -10,9 +10,9 @@ mod summary;
 use super::live::{CaptureArguments, ServeArguments};
 use crate::{Outcome, console, files, interrupt};
 use input::Input;
-use odograph::calibration::selection::{Guidance, SelectionConfig, Sighting};
-use odograph::calibration::{Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict};
 use odograph::error::{Error, Result};
+use odograph_calibration::selection::{Guidance, SelectionConfig, Sighting};
+use odograph_calibration::{Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict};
 use odograph_video::SourceOptions;
 use output::Output;
 use search::Search;
@@ -225,7 +225,7 @@ fn conclude(
         .into_iter()
         .map(|sighting| (search.names[&sighting.number].clone(), sighting.view.clone()))
         .unzip();
-    let calibration = odograph::calibration::calibrate(&board, &views, &arguments.config())
+    let calibration = odograph_calibration::calibrate(&board, &views, &arguments.config())
         .map_err(|error| error.at(&description))?;
     let times = [searched, began.elapsed()];
     Ok(Calibrated { board, search, names, views, guidance, calibration, description, times })

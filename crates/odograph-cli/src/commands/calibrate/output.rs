@@ -4,7 +4,7 @@ use super::{Calibrated, summary};
 use crate::files;
 use crate::report::calibration::{CalibrationReport, ExpectedError, Residual, ShownView};
 use odograph::error::{Error, Result};
-use odograph::formats::calibration_file;
+use odograph_calibration::calibration_file;
 use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -4,9 +4,9 @@ use super::Calibrated;
 use super::output::Output;
 use super::search::Search;
 use crate::report::calibration::{lens_name, pixels_text};
-use odograph::calibration::{Board, BoardKind, Calibration, Verdict};
+use odograph::drawing::scale::label;
 use odograph::error::Error;
-use odograph::mapping::drawing::scale::label;
+use odograph_calibration::{Board, BoardKind, Calibration, Verdict};
 use std::fmt::Write;
 
 /// Why there is nothing to calibrate with, and what to do.

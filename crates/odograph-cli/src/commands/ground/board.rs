@@ -2,10 +2,10 @@
 
 use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
 use crate::interrupt;
-use odograph::calibration::{Board, BoardFinder, BoardView};
 use odograph::error::{Error, Result};
 use odograph::image::RgbImage;
-use odograph::mounting::{BoardMounting, FloorBoard, rig_from_boards};
+use odograph_calibration::{Board, BoardFinder, BoardView};
+use odograph_calibration::{BoardMounting, FloorBoard, rig_from_boards};
 
 /// More views than this tell no more.
 const MOST_VIEWS: usize = 100;

@@ -5,13 +5,11 @@ use crate::lengths::{self, Typed};
 use crate::{console, interrupt};
 use indicatif::ProgressStyle;
 use odograph::camera::{Camera, Rig};
+use odograph::camera::{CameraUncertainty, MeasuredRig, RigDeviations};
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
 use odograph::image::RgbImage;
-use odograph::mounting::{
-    CameraUncertainty, DrivenTilt, DrivingConfig, LensMeasurement, MeasuredRig, Revealed, RigDeviations,
-    TiltMeasurement,
-};
+use odograph::mounting::{DrivenTilt, DrivingConfig, LensMeasurement, Revealed, TiltMeasurement};
 use odograph::odometry::{Odometry, OdometryConfig};
 
 /// One pass over the recording.

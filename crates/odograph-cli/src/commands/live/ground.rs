@@ -5,7 +5,8 @@ use super::straight::Relaying;
 use crate::commands::run::views::Posed;
 use odograph::camera::Camera;
 use odograph::error::Result;
-use odograph::mapping::{KeyframeImage, KeyframeImages, Mosaic, MosaicSquare};
+use odograph::ground_map::{KeyframeImage, KeyframeImages};
+use odograph::mosaic::{Mosaic, MosaicSquare};
 use odograph_live::Ground;
 use odograph_live::ground::GroundState;
 use odograph_map::MapFile;
@@ -139,8 +140,9 @@ mod tests {
     use super::*;
     use odograph::camera::{Distortion, Rig};
     use odograph::geometry::GroundPose;
+    use odograph::ground_map::MapKeyframe;
     use odograph::image::GrayImage;
-    use odograph::mapping::{KeyframeId, MapKeyframe};
+    use odograph::keyframe::KeyframeId;
     use odograph_video::{Frame, Picture, SampleLayout};
 
     fn camera() -> Camera {

@@ -5,7 +5,7 @@ use crate::commands::run::views::{Posed, Views};
 use odograph::camera::Camera;
 use odograph::error::Error;
 use odograph::geometry::{PlaneTransform, Sim2};
-use odograph::mapping::Mosaic;
+use odograph::mosaic::Mosaic;
 use std::path::Path;
 use std::time::Instant;
 

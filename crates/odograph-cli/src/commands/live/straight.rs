@@ -6,7 +6,8 @@
 use super::ground::LiveGround;
 use crate::commands::run::mapping::Mapping;
 use odograph::geometry::{GroundPose, Sim2};
-use odograph::mapping::{EdgeKind, GroundMap, KeyframeId};
+use odograph::ground_map::GroundMap;
+use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph_live::Hub;
 use odograph_live::capture::{Newest, Taken};
 use serde_json::{Value, json};
@@ -108,7 +109,7 @@ pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
 mod tests {
     use super::*;
     use odograph::geometry::PlaneTransform;
-    use odograph::mapping::MapKeyframe;
+    use odograph::ground_map::MapKeyframe;
 
     #[test]
     fn a_correction_takes_its_keyframe_to_where_the_map_has_it_and_the_rest_with_it() {

@@ -2,7 +2,8 @@
 
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
-use odograph::mapping::{EdgeKind, GroundMap, KeyframeId};
+use odograph::ground_map::GroundMap;
+use odograph::keyframe::{EdgeKind, KeyframeId};
 use odograph_map::{MapFile, PathFrame};
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -3,9 +3,12 @@
 use super::{check_free, info::pieces, mosaic};
 use crate::{Outcome, console, files, interrupt};
 use odograph::error::{Error, Result};
-use odograph::mapping::{KeyframeId, KeyframeImage, KeyframeImages, MapEdge, MapKeyframe};
+use odograph::ground_map::KeyframeStore;
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::keyframe::{KeyframeId, MapEdge};
+use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::OdometryConfig;
-use odograph::slam::{self, KeyframeStore, Mapper, SlamConfig};
+use odograph::slam::{self, Mapper};
 use odograph_map::{KeyframeMove, MapClaim, MapFile, carried};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -150,7 +153,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     odometry.motion.model = arguments.motion.into();
     let beginning = file.next_keyframe()?;
     let last = map.keyframes.iter().map(|keyframe| keyframe.session).max().unwrap_or(0);
-    let mut mapper = Mapper::continuing(map, &odometry, SlamConfig::default(), last + 1, beginning);
+    let mut mapper = Mapper::continuing(map, &odometry, LoopClosureConfig::default(), last + 1, beginning);
     let pictures = MapFile::open_read_only(path)?;
     let mut store = Joined { file, other: pictures, beginning: beginning.0 };
     let merged = slam::merge(&mut mapper, &mut store, &added, &mut other)?;

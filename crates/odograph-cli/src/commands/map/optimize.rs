@@ -3,7 +3,8 @@
 use super::{check_free, mosaic};
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
-use odograph::mapping::{EdgeKind, GroundMap};
+use odograph::ground_map::GroundMap;
+use odograph::keyframe::EdgeKind;
 use odograph::odometry::OdometryConfig;
 use odograph::slam;
 use odograph_map::{MapClaim, MapFile};

@@ -15,7 +15,7 @@ use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
 use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
 use odograph::formats::camera_file;
 use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
-use odograph::mapping::Mosaic;
+use odograph::mosaic::Mosaic;
 use odograph::trajectory::{FrameSummary, StampedPose};
 use std::time::Instant;
 

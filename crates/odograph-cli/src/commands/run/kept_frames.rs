@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Matrix6};
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
-use odograph::mapping::KeyframeId;
+use odograph::keyframe::KeyframeId;
 use odograph::odometry::FrameReference;
 use odograph::trajectory::{
     FrameEstimate, LossReason, PlaneMeasurement, PoseEstimate, TrackStatus, Velocity,

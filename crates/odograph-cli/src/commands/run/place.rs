@@ -1,7 +1,7 @@
 //! Where a camera is in a map that was made before.
 
 use odograph::geometry::wrap_angle;
-use odograph::mapping::KeyframeId;
+use odograph::keyframe::KeyframeId;
 use odograph::slam::Mapper;
 use odograph::trajectory::FrameSummary;
 use serde::Serialize;

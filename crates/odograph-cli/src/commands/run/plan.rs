@@ -7,9 +7,9 @@ use crate::{files, lengths};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
+use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
 use odograph::odometry::{Odometry, OdometryConfig};
-use odograph::slam::SlamConfig;
 use odograph_map::MapFile;
 use odograph_video::{Source, SourceOptions};
 use serde::{Deserialize, Serialize};
@@ -37,7 +37,7 @@ pub struct RunPlan {
     pub budget: Option<Budget>,
     pub odometry: OdometryConfig,
     #[serde(default)]
-    pub slam: SlamConfig,
+    pub slam: LoopClosureConfig,
 }
 
 /// Which frames are taken from where.
@@ -148,7 +148,7 @@ impl RunPlan {
             sensors: arguments.sensors.clone(),
             budget,
             odometry,
-            slam: SlamConfig { loops: !arguments.no_loops, ..SlamConfig::default() },
+            slam: LoopClosureConfig { loops: !arguments.no_loops, ..LoopClosureConfig::default() },
         };
         // A mask that does not fit is told before all the work.
         plan.odometry()?;

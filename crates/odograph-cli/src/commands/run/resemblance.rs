@@ -1,9 +1,10 @@
 //! What a recording that was not recognised looks like in the map that it was looked for in.
 
 use odograph::geometry::wrap_angle;
-use odograph::mapping::places::{PlaceHypothesis, PlaceIndex, PlacesConfig};
-use odograph::mapping::plane_motion::laid_from;
-use odograph::mapping::{KeyframeId, MapKeyframe};
+use odograph::ground_map::MapKeyframe;
+use odograph::keyframe::KeyframeId;
+use odograph::keyframe::relative_pose::laid_from;
+use odograph::place_recognition::{PlaceHypothesis, PlaceIndex, PlacesConfig};
 use odograph::slam::Mapper;
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
-use odograph::simulation::Texture;
+use odograph_simulation::Texture;
 use std::io::Cursor;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::colorspace::ColorSpace;

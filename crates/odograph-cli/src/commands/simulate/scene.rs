@@ -6,7 +6,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
 use odograph::geometry::Pixel;
-use odograph::simulation::{
+use odograph_simulation::{
     Blackout, Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Lighting, MovingObject, Path,
     PathKind, Ramp, Relief, SensorErrors, Shadow, SimulatedSensors, SimulationConfig, Sway, Terrain, Texture,
     Tiling, Timing, Undulation, Vibration, Wander,

@@ -3,7 +3,9 @@
 
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
-use odograph::mapping::{EdgeKind, GroundMap, MapKeyframe, MapMosaic, Mosaic, MosaicSquare};
+use odograph::ground_map::{GroundMap, MapKeyframe};
+use odograph::keyframe::EdgeKind;
+use odograph::mosaic::{MapMosaic, Mosaic, MosaicSquare};
 use odograph_live::ground::GrowingTiles;
 use odograph_live::{Ground, GroundPicture, Mark, TrackRecord};
 use odograph_map::{MapFile, PathFrame};
@@ -171,4 +173,4 @@ fn lay(mut file: MapFile, tiles: &GrowingTiles, ended: &AtomicBool) -> Result<()
 }
 
 /// Both kinds of mosaic have squares of one size.
-const _: () = assert!(odograph::mapping::MOSAIC_TILE_PX == Mosaic::TILE_SIDE_PX);
+const _: () = assert!(odograph::mosaic::MOSAIC_TILE_PX == Mosaic::TILE_SIDE_PX);

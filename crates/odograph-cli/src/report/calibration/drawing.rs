@@ -2,9 +2,9 @@
 //! contain their own styles.
 
 use crate::report::parts::STYLE;
+use odograph::drawing::scale::{label, multiples, round_step};
+use odograph::drawing::svg::{coordinate, escape, text_width};
 use odograph::geometry::Pixel;
-use odograph::mapping::drawing::scale::{label, multiples, round_step};
-use odograph::mapping::drawing::svg::{coordinate, escape, text_width};
 use std::fmt::Write;
 
 /// Width of a drawing of the image, drawing units.

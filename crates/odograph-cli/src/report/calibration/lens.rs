@@ -2,9 +2,9 @@
 
 use super::drawing::{Drawing, ImageFrame};
 use odograph::camera::Camera;
+use odograph::drawing::scale::{label, round_step};
+use odograph::drawing::svg::coordinate;
 use odograph::geometry::{Pixel, Ray};
-use odograph::mapping::drawing::scale::{label, round_step};
-use odograph::mapping::drawing::svg::coordinate;
 use std::fmt::Write;
 
 /// A grid of straight lines as distorted by the lens, over the same grid through a pinhole camera.

@@ -5,12 +5,12 @@ use super::lens::{self, ExpectedError, pixels_text};
 use super::views::{self, ShownView};
 use crate::report::drawing_png;
 use crate::report::parts::{card, head, number, warnings};
-use odograph::calibration::selection::Guidance;
-use odograph::calibration::{Candidate, LensModel, Parameter, Verdict};
 use odograph::camera::Camera;
+use odograph::drawing::scale::label;
+use odograph::drawing::svg::escape;
 use odograph::error::Result;
-use odograph::mapping::drawing::scale::label;
-use odograph::mapping::drawing::svg::escape;
+use odograph_calibration::selection::Guidance;
+use odograph_calibration::{Candidate, LensModel, Parameter, Verdict};
 use std::fmt::Write;
 
 /// Width of the drawings as image files, pixels.

@@ -1,8 +1,8 @@
 use super::*;
-use odograph::calibration::selection::{Coverage, Direction, Guidance, Hint, Region};
-use odograph::calibration::{Candidate, LensModel, Parameter, Verdict};
 use odograph::camera::{Camera, Distortion};
 use odograph::geometry::Pixel;
+use odograph_calibration::selection::{Coverage, Direction, Guidance, Hint, Region};
+use odograph_calibration::{Candidate, LensModel, Parameter, Verdict};
 
 fn camera() -> Camera {
     let distortion = Distortion::from_opencv(&[-0.28, 0.07, 0.0002, -0.0003]).unwrap();

@@ -2,10 +2,10 @@
 
 use super::drawing::{Drawing, ImageFrame};
 use super::lens::pixels_text;
-use odograph::calibration::selection::Coverage;
+use odograph::drawing::scale::{label, multiples, round_step};
+use odograph::drawing::svg::{coordinate, escape, fitted};
 use odograph::geometry::Pixel;
-use odograph::mapping::drawing::scale::{label, multiples, round_step};
-use odograph::mapping::drawing::svg::{coordinate, escape, fitted};
+use odograph_calibration::selection::Coverage;
 use std::fmt::Write;
 
 /// A detected point and its reprojection error (detected minus projected), pixels.

@@ -3,7 +3,7 @@
 
 use super::camera_motion::{Node, Step};
 use super::fit::{Fit, Prior, Row, TimeOffset, fit, time_offset};
-use super::report::Reason;
+use super::rejection::Reason;
 use super::series::{Quantity, SensorRecord};
 use crate::numerics::{median, normal_sigma};
 use nalgebra::{Matrix4, Vector4};

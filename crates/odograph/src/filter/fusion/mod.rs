@@ -20,11 +20,13 @@ mod camera_motion;
 mod estimator;
 mod fit;
 mod reckoning;
+mod rejection;
 mod report;
 mod series;
 
 pub use fit::{MOST_OFFSET_S, TimeOffset};
-pub use report::{Reason, SensorKind, SensorParameter, SensorReport};
+pub use rejection::Reason;
+pub use report::{SensorKind, SensorParameter, SensorReport};
 pub use series::{Quantity, SensorRecord};
 
 use super::FilterConfig;

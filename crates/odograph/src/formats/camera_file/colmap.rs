@@ -1,9 +1,9 @@
 //! COLMAP's `cameras.txt`: one camera per line, `CAMERA_ID MODEL WIDTH HEIGHT PARAMS…`.
 
-use super::checked_camera;
-use super::writing::{number, refuse_double_sphere};
+use super::{checked_camera, refuse_double_sphere};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
+use crate::formats::decimal::decimal;
 
 /// COLMAP's pixel convention: (0, 0) is the outer corner of the top-left pixel, whose centre is
 /// (0.5, 0.5).
@@ -86,7 +86,7 @@ pub(super) fn write(camera: &Camera) -> Result<String> {
     };
     let mut parameters = vec![fx, fy, cx + PIXEL_CENTRE, cy + PIXEL_CENTRE];
     parameters.extend(coefficients);
-    let parameters: Vec<String> = parameters.into_iter().map(number).collect();
+    let parameters: Vec<String> = parameters.into_iter().map(decimal).collect();
     Ok(format!(
         "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n\
          # Number of cameras: 1\n1 {model} {} {} {}\n",

@@ -14,13 +14,13 @@ mod writing;
 mod yaml;
 
 pub use uncertainty::parse_uncertainty;
-pub(super) use writing::number;
 pub use writing::{CameraFormat, write_as};
 
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
+use crate::formats::decimal::decimals;
 use std::fmt::Write;
-use writing::{model_and_coefficients, numbers};
+use writing::model_and_coefficients;
 
 /// Reads a camera from a camera file in any of the formats of the [module](self).
 ///
@@ -67,7 +67,7 @@ fn write_matrix(text: &mut String, key: &str, rows: usize, data: &[f64]) {
     let _ = writeln!(
         text,
         "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {} ]",
-        numbers(data)
+        decimals(data)
     );
 }
 
@@ -80,6 +80,16 @@ fn checked_camera(
     distortion: Distortion,
 ) -> Result<Camera> {
     Camera::new(size, focal_px, principal_px, distortion).map_err(|error| error.at(place))
+}
+
+/// Fails for a double sphere lens; of these programs only Kalibr supports it.
+fn refuse_double_sphere(camera: &Camera, program: &str) -> Result<()> {
+    match camera.distortion() {
+        Distortion::DoubleSphere { .. } => Err(Error::usage(format!(
+            "{program} knows no double-sphere lens; write Kalibr's format, or calibrate with `--model fisheye`"
+        ))),
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! Covariance of a camera's calibration parameters in a camera file.
 
 use super::value::Value;
+use crate::camera::CameraUncertainty;
 use crate::error::{Error, Result};
-use crate::mounting::CameraUncertainty;
 use nalgebra::DMatrix;
 
 /// Reads the covariance that a calibration has written under `parameter_names` and

@@ -8,11 +8,11 @@
 
 use super::bundle::{self, HELD, Lens, Solved};
 use super::{DrivenTilt, TiltMeasurement};
+use crate::camera::uncertainty::parameter;
 use crate::camera::{Camera, Distortion, Rig};
 use crate::error::Result;
 use crate::geometry::Pixel;
-use crate::mounting::combination::{Combined, combine};
-use crate::mounting::uncertainty::parameter;
+use crate::numerics::{Combined, combine};
 use nalgebra::{DMatrix, DVector};
 
 /// The lens as a recording of driving tells it.

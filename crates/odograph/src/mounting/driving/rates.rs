@@ -1,7 +1,7 @@
 //! How fast the camera moved while its images were read out: derivatives of the poses by time.
 
 use crate::geometry::GroundPose;
-use crate::mapping::KeyframeId;
+use crate::keyframe::KeyframeId;
 use crate::trajectory::FrameEstimate;
 use nalgebra::Vector6;
 use std::collections::{HashMap, VecDeque};

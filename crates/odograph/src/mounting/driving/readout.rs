@@ -1,7 +1,7 @@
 //! The readout time of a rolling shutter, as a recording of driving tells it.
 
 use super::bundle::{READOUT, Solved};
-use crate::mounting::combination::Combined;
+use crate::numerics::Combined;
 
 /// The readout time of the image.
 #[derive(Debug, Clone, Copy, PartialEq)]

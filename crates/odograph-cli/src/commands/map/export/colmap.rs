@@ -9,7 +9,8 @@ use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file::{CameraFormat, write_as};
 use odograph::geometry::GroundPoint;
-use odograph::mapping::{GroundMap, KeyframeId, KeyframeImages, MapKeyframe};
+use odograph::ground_map::{GroundMap, KeyframeImages, MapKeyframe};
+use odograph::keyframe::KeyframeId;
 use odograph_map::MapFile;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -85,7 +86,7 @@ fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<Feature> {
     // A signature holds where things lie for a camera over the origin that is as high and tilted as
     // this one.
     let pose = &keyframe.pose;
-    let feature = |feature: &odograph::mapping::places::GroundFeature| {
+    let feature = |feature: &odograph::place_recognition::GroundFeature| {
         let [x, y] = feature.position_m.map(f64::from);
         let ground = pose.se2().apply(GroundPoint::new(x, y));
         let pixel = camera.pixel_from_ray(pose.ray_from_ground(ground)?)?;

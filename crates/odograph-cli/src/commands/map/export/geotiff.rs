@@ -5,7 +5,7 @@ use super::anchor::Anchor;
 use super::coarser;
 use crate::{files, interrupt};
 use odograph::error::{Error, Result};
-use odograph::mapping::MOSAIC_TILE_PX;
+use odograph::mosaic::MOSAIC_TILE_PX;
 use odograph_map::{MapFile, MosaicLayer};
 use std::ops::Range;
 use std::path::Path;

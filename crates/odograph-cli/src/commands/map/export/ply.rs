@@ -3,7 +3,7 @@
 
 use crate::{files, interrupt};
 use odograph::error::{Error, Result};
-use odograph::mapping::MOSAIC_TILE_PX;
+use odograph::mosaic::MOSAIC_TILE_PX;
 use odograph_map::{MapFile, MosaicLayer};
 use std::io::Write;
 use std::path::Path;

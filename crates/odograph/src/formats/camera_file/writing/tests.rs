@@ -1,5 +1,6 @@
 use super::super::{parse, write};
 use super::*;
+use crate::formats::decimal::decimal;
 use crate::geometry::Ray;
 
 fn camera(distortion: Distortion) -> Camera {
@@ -124,7 +125,7 @@ fn written_coefficients_agree_with_the_formulas_of_colmap_and_kalibr() {
 #[test]
 fn exponents_are_written_for_yaml_1_1_readers() {
     for (value, text) in [(1e-5, "1.0e-5"), (1.5e-7, "1.5e-7"), (-2e16, "-2.0e+16"), (3.0, "3.0")] {
-        assert_eq!(number(value), text);
+        assert_eq!(decimal(value), text);
         assert_eq!(text.parse::<f64>().unwrap(), value);
     }
     let camera = camera(FISHEYE);

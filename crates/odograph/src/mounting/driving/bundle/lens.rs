@@ -1,10 +1,10 @@
 //! A lens that bends otherwise than its calibration says.
 
 use super::HELD;
+use crate::camera::uncertainty::{parameter, varied};
 use crate::camera::{Camera, Distortion};
 use crate::geometry::Ray;
-use crate::mounting::combination::Part;
-use crate::mounting::uncertainty::{parameter, varied};
+use crate::numerics::Part;
 use nalgebra::Vector2;
 
 /// The lens while it is looked for: some of its radial coefficients, the strongest first.

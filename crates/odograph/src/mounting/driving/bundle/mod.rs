@@ -8,7 +8,7 @@ mod system;
 use super::Group;
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
-use crate::mounting::combination::{Part, inverse};
+use crate::numerics::{Part, inverse};
 pub use lens::Lens;
 use nalgebra::{SVector, Vector2};
 use pair::Work;

@@ -3,9 +3,9 @@
 use super::lens::{self, Lens};
 use super::{FEWEST_TRACKS, ROBUST_ROUNDS};
 use crate::camera::Camera;
+use crate::camera::PosedCamera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
 use crate::mounting::driving::Pair;
-use crate::mounting::reprojection::PosedCamera;
 use nalgebra::{Vector2, Vector6};
 
 /// The movement of the camera between two views: x, y (heights), turn (radians); then by how much the second is higher than the first

@@ -3,7 +3,7 @@
 use super::TILT;
 use super::pair::Work;
 use super::system::System;
-use crate::mounting::combination::{Part, inverse};
+use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix2, SVector, Vector2};
 
 /// By how much the second view of a pair may be higher and tilted against the first: a Gaussian whose variances the recording itself

@@ -5,7 +5,7 @@ use super::pair::{Movement, Work};
 use super::sway::Sway;
 use super::{HELD, READOUT, TILT};
 use crate::geometry::GroundPose;
-use crate::mounting::combination::{Part, inverse};
+use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
 
 /// Normal equations of one pair in units of its noise: what it has in common with the others first, its movement second.

@@ -1,0 +1,353 @@
+//! Extrinsic calibration: how the camera sits on its carrier, a [`odograph::camera::Rig`] with its
+//! uncertainty, from views of a board that lies on the floor.
+//!
+//! Signs and units are those of [`odograph::camera::Rig`].
+
+mod fit;
+mod outliers;
+
+use crate::{Board, BoardKind, BoardView};
+use fit::{Fit, fit};
+use nalgebra::{Matrix1, Matrix3, Vector1, Vector3};
+use odograph::camera::{Camera, CameraUncertainty, MeasuredRig, Rig, RigDeviations};
+use odograph::error::{Error, Result};
+use odograph::geometry::{GroundPoint, GroundPose, Pixel, wrap_angle};
+use odograph::numerics::{Combined, Part, combine, inverse};
+use std::f64::consts::TAU;
+
+/// A direction of a board as it is printed: x to the right, y down.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BoardDirection {
+    /// To the right of the print.
+    X,
+    /// To its left.
+    MinusX,
+    /// Down the print.
+    Y,
+    /// Up the print: the top edge.
+    MinusY,
+}
+
+/// How the board lies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FloorBoard {
+    /// Which board.
+    pub board: Board,
+    /// How far its printed side is above the floor, metres.
+    pub thickness_m: f64,
+    /// Which of its directions points along the carrier's forward; without one the mount yaw is not measured.
+    pub forward: Option<BoardDirection>,
+}
+
+/// What one view says by itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MountingView {
+    /// Where the camera is; x along the board's forward (up the print, where none is told), origin at the board's first point, height above
+    /// the floor. `None` where no pose fits.
+    pub pose: Option<GroundPose>,
+    /// One standard deviation of height (metres), roll and pitch (radians) by the noise of the points alone.
+    pub deviations: [f64; 3],
+    /// Root mean square distance of the points from where the pose puts them, pixels.
+    pub rms_px: f64,
+    /// Why it was left out, for people; `None` where it was used.
+    pub why_not: Option<String>,
+}
+
+/// A rig measured by board.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BoardMounting {
+    /// The rig with its deviations, those of the camera's parameters included where they were told.
+    pub measured: MeasuredRig,
+    /// Covariance of (height, roll, pitch), metres and radians.
+    pub covariance: Matrix3<f64>,
+    /// Every view, in the order given.
+    pub views: Vec<MountingView>,
+    /// Standard deviation of height, roll and pitch from view to view beyond the noise of their points: an uneven floor, a bent board, a
+    /// carrier that gives.
+    pub scatter: [f64; 3],
+    /// What a person should know about the result.
+    pub notes: Vec<String>,
+}
+
+/// A camera that looks further aside than this does not look at a floor.
+const LARGEST_TILT_DEG: f64 = 60.0;
+
+/// Fewer points than this leave no doubt about how well they fit.
+const FEWEST_POINTS: usize = 6;
+
+/// Mount yaws that scatter by more than this say that the board was laid in different directions.
+const ALIGNED_DEG: f64 = 2.0;
+
+/// A board that fits worse than this is bent, or not seen by this camera, pixels.
+const GOOD_FIT_PX: f64 = 1.0;
+
+/// The rig that agrees best with all views of the board; height, roll and pitch are the same in all of them.
+///
+/// Each view gives a pose by robust least squares on its points. They are brought together as measurements that scatter beyond their own
+/// noise; views that contradict the others are left out and say so. `uncertainty` is that of the camera's parameters, where it is known: it
+/// is the same error in every view and does not average out.
+///
+/// Fails where a view is not of the camera's image size, none of them shows the board lying on the floor, or no two of several views can be of
+/// one rig.
+pub fn rig_from_boards(
+    camera: &Camera,
+    uncertainty: Option<&CameraUncertainty>,
+    floor: &FloorBoard,
+    views: &[BoardView],
+) -> Result<BoardMounting> {
+    if !(floor.thickness_m.is_finite() && (0.0..1.0).contains(&floor.thickness_m)) {
+        return Err(Error::usage(format!(
+            "a board {} mm thick is not usable; give the height of its printed side above the floor, less than 1000 mm",
+            floor.thickness_m * 1e3
+        )));
+    }
+    let size = (camera.width(), camera.height());
+    if let Some((index, other)) = views.iter().enumerate().find(|(_, view)| view.size != size) {
+        return Err(Error::input(format!(
+            "picture {} is {}x{} but the camera is calibrated for {}x{}; calibrate at the size of the pictures",
+            index + 1,
+            other.size.0,
+            other.size.1,
+            size.0,
+            size.1
+        )));
+    }
+    let points: Vec<_> = views.iter().map(|view| floor.points(view)).collect();
+    let mut fits: Vec<_> = points.iter().map(|points| fitted(camera, points)).collect();
+    outliers::leave_out(&mut fits)?;
+    let used: Vec<(usize, Fit)> = fits
+        .iter()
+        .enumerate()
+        .filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone())))
+        .collect();
+    let Some(Together { around, combined, yaw }) = together(floor, used.iter().map(|(_, fit)| fit)) else {
+        let why = fits.iter().find_map(|fit| fit.as_ref().err());
+        return Err(Error::input(match why {
+            Some(left_out) if views.len() == 1 => format!("the rig cannot be measured: {}", left_out.why),
+            Some(left_out) => format!(
+                "none of the {} views shows the board lying on the floor; of the first, {}",
+                views.len(),
+                left_out.why
+            ),
+            None => "there is no view of the board".to_owned(),
+        }));
+    };
+    let mut covariance = combined.covariance;
+    let mut yaw_variance = yaw.map(|yaw| yaw.variance);
+    if let Some(uncertainty) = uncertainty {
+        let outcome = |camera: &Camera| {
+            let again: Option<Vec<Fit>> =
+                used.iter().map(|(index, before)| fit(camera, &points[*index], &before.pose)).collect();
+            let again = again?;
+            let Together { around, combined, yaw } = together(floor, again.iter())?;
+            let at = around + combined.offset;
+            Some([at[0], at[1], at[2], yaw.map_or(0.0, |yaw| yaw.rad)])
+        };
+        let carried = uncertainty.carried(camera, outcome).ok_or_else(|| {
+            Error::input("the camera's own uncertainty is so large that the board says nothing; calibrate the camera again")
+        })?;
+        covariance += carried.fixed_view::<3, 3>(0, 0);
+        yaw_variance = yaw_variance.map(|variance| variance + carried[(3, 3)]);
+    }
+    let at = around + combined.offset;
+    let notes = notes(floor, &used, yaw);
+    let yaw = yaw.filter(|yaw| yaw.scatter_rad < ALIGNED_DEG.to_radians());
+    let rig = Rig {
+        height_m: at[0] + floor.thickness_m,
+        roll_rad: at[1],
+        pitch_rad: at[2],
+        yaw_rad: yaw.map_or(0.0, |yaw| yaw.rad),
+    };
+    let yaw_deviation = yaw.and(yaw_variance).map(f64::sqrt);
+    Ok(BoardMounting {
+        measured: MeasuredRig {
+            rig: rig.validated().map_err(|error| Error::input(error.to_string()))?,
+            deviations: RigDeviations::of(&covariance, yaw_deviation),
+        },
+        covariance,
+        views: fits.into_iter().map(|fit| told(fit, floor.thickness_m)).collect(),
+        scatter: combined.scatter.map(f64::sqrt).into(),
+        notes,
+    })
+}
+
+/// A view that is not used, with its fit where there is one.
+#[derive(Debug, Clone)]
+struct LeftOut {
+    why: String,
+    fit: Option<Box<Fit>>,
+}
+
+/// What the used views say together.
+struct Together {
+    /// Height above the board, roll and pitch about which the views are brought together.
+    around: Vector3<f64>,
+    combined: Combined<3>,
+    yaw: Option<Yaw>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Yaw {
+    rad: f64,
+    variance: f64,
+    scatter_rad: f64,
+}
+
+fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a Fit> + Clone) -> Option<Together> {
+    let first = fits.clone().next()?;
+    let around = first.quantities();
+    let parts: Vec<Part<3>> = fits.clone().map(|fit| fit.part(&around)).collect::<Option<_>>()?;
+    let combined = combine(&parts)?;
+    let yaw = floor.forward.and_then(|_| {
+        let turn = TAU / ambiguity_turns(&floor.board) as f64;
+        let nearest = |to: f64, rad: f64| rad - turn * ((rad - to) / turn).round();
+        let first = nearest(0.0, wrap_angle(first.pose.heading_rad));
+        let part = |fit: &Fit| {
+            let information = 1.0 / fit.heading_variance()?;
+            let off = nearest(0.0, fit.pose.heading_rad - first);
+            Some(Part { information: Matrix1::new(information), slope: Vector1::new(information * off) })
+        };
+        let parts: Vec<Part<1>> = fits.map(part).collect::<Option<_>>()?;
+        let yaw = combine(&parts)?;
+        Some(Yaw {
+            rad: wrap_angle(first + yaw.offset[0]),
+            variance: yaw.covariance[0],
+            scatter_rad: yaw.scatter[0].sqrt(),
+        })
+    });
+    Some(Together { around, combined, yaw })
+}
+
+/// The pose of one view, or why it has none.
+fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Result<Fit, LeftOut> {
+    let refuse = |why: String, fit: Option<Fit>| Err(LeftOut { why, fit: fit.map(Box::new) });
+    if points.len() < FEWEST_POINTS {
+        return refuse(
+            format!(
+                "only {} points of the board are seen; at least {FEWEST_POINTS} are needed",
+                points.len()
+            ),
+            None,
+        );
+    }
+    let Some(start) = fit::start(camera, points) else {
+        return refuse("the points seen do not spread over the board".to_owned(), None);
+    };
+    if start.height_m <= 0.0 {
+        return refuse("the board is seen mirrored, as if from its back".to_owned(), None);
+    }
+    let Some(found) = fit(camera, points, &start) else {
+        return refuse("no pose of the camera puts the board where it is seen".to_owned(), None);
+    };
+    let tilt_deg = (found.pose.roll_rad.cos() * found.pose.pitch_rad.cos()).acos().to_degrees();
+    if tilt_deg > LARGEST_TILT_DEG {
+        let why = format!(
+            "the board stands upright before the camera (tilted by {tilt_deg:.0}°) instead of lying on the floor below it"
+        );
+        return refuse(why, Some(found));
+    }
+    Ok(found)
+}
+
+fn told(fit: std::result::Result<Fit, LeftOut>, thickness_m: f64) -> MountingView {
+    let (fit, why_not) = match fit {
+        Ok(fit) => (Some(fit), None),
+        Err(LeftOut { why, fit }) => (fit.map(|fit| *fit), Some(why)),
+    };
+    let raised = |pose: GroundPose| GroundPose { height_m: pose.height_m + thickness_m, ..pose };
+    MountingView {
+        deviations: fit.as_ref().and_then(Fit::deviations).unwrap_or([f64::INFINITY; 3]),
+        rms_px: fit.as_ref().map_or(f64::INFINITY, |fit| fit.rms_px),
+        pose: fit.map(|fit| raised(fit.pose)),
+        why_not,
+    }
+}
+
+fn notes(floor: &FloorBoard, used: &[(usize, Fit)], yaw: Option<Yaw>) -> Vec<String> {
+    let mut notes = Vec::new();
+    let worst = used.iter().max_by(|a, b| a.1.rms_px.total_cmp(&b.1.rms_px));
+    if let Some((index, worst)) = worst.filter(|(_, fit)| fit.rms_px > GOOD_FIT_PX) {
+        notes.push(format!(
+            "the board fits to only {:.1} px in view {}: it is bent, or the camera file is not that of this camera",
+            worst.rms_px,
+            index + 1
+        ));
+    }
+    let turns = ambiguity_turns(&floor.board);
+    match yaw {
+        Some(yaw) if yaw.scatter_rad >= ALIGNED_DEG.to_radians() => notes.push(format!(
+            "the board lay in directions that differ by {:.0}°, so the mount yaw is not measured; lay it along the carrier's forward \
+             in every view",
+            yaw.scatter_rad.to_degrees()
+        )),
+        Some(yaw) if turns > 1 => notes.push(format!(
+            "a {} looks the same after a turn of {}°: of the mount yaws that may be, {:.1}° is the one nearest to 0",
+            floor.board,
+            360 / turns,
+            yaw.rad.to_degrees()
+        )),
+        _ => {}
+    }
+    notes
+}
+
+/// How many of the four quarter turns of a board look alike: 1 for a board that can lie in one way only, 2 where half a turn cannot be
+/// told, 4 where no quarter turn can.
+pub fn ambiguity_turns(board: &Board) -> usize {
+    let (columns, rows) = (board.columns(), board.rows());
+    let square = columns == rows;
+    match board.kind() {
+        // A half turn exchanges the colours where one count is odd and the other even; so does a quarter turn of an odd square.
+        BoardKind::Chessboard if (columns + rows) % 2 == 1 => 1,
+        BoardKind::Chessboard if square && rows % 2 == 0 => 4,
+        BoardKind::Chessboard => 2,
+        BoardKind::Circles if square => 4,
+        BoardKind::Circles => 2,
+        BoardKind::AsymmetricCircles if rows % 2 == 0 => 2,
+        _ => 1,
+    }
+}
+
+impl FloorBoard {
+    /// The seen points with their places in a world whose z = 0 is the printed side and whose x is the board's forward.
+    fn points(&self, view: &BoardView) -> Vec<(GroundPoint, Pixel)> {
+        let all = self.board.points();
+        let place = |x: f64, y: f64| match self.forward.unwrap_or(BoardDirection::MinusY) {
+            // Seen from above, as the print is: left of x is up the print.
+            BoardDirection::X => GroundPoint::new(x, -y),
+            BoardDirection::MinusX => GroundPoint::new(-x, y),
+            BoardDirection::Y => GroundPoint::new(y, x),
+            BoardDirection::MinusY => GroundPoint::new(-y, -x),
+        };
+        let seen = |point: &crate::SeenPoint| {
+            all.get(point.index).map(|board| (place(board.x_m, board.y_m), point.pixel))
+        };
+        view.points.iter().filter_map(seen).collect()
+    }
+}
+
+impl Fit {
+    /// Height, roll and pitch.
+    fn quantities(&self) -> Vector3<f64> {
+        Vector3::new(self.pose.height_m, self.pose.roll_rad, self.pose.pitch_rad)
+    }
+
+    /// What it says about them, whatever the place and heading.
+    fn part(&self, around: &Vector3<f64>) -> Option<Part<3>> {
+        let covariance = inverse(&self.information)?.fixed_view::<3, 3>(3, 3).into_owned();
+        let information = inverse(&covariance)?;
+        Some(Part { information, slope: information * (self.quantities() - around) })
+    }
+
+    fn heading_variance(&self) -> Option<f64> {
+        Some(inverse(&self.information)?[(2, 2)])
+    }
+
+    fn deviations(&self) -> Option<[f64; 3]> {
+        let covariance = inverse(&self.information)?;
+        Some([3, 4, 5].map(|i| covariance[(i, i)].sqrt()))
+    }
+}
+
+#[cfg(test)]
+mod tests;

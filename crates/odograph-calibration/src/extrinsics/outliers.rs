@@ -1,0 +1,101 @@
+//! Views that contradict the others.
+
+use super::{Fit, LeftOut};
+use nalgebra::Matrix3;
+use odograph::error::{Error, Result};
+use odograph::numerics::{Part, combine, inverse};
+
+/// Squared distance of a view from the others, in their common deviations, beyond which it is left out: one in a million of three
+/// normal numbers.
+const CONTRADICTION: f64 = 30.7;
+
+/// Views of one rig over a real floor differ by this much at least: a part of the height, degrees.
+const LEAST_SCATTER: (f64, f64) = (1e-3, 0.05);
+
+/// Views of one rig that differ by more than this are not of one rig, whatever the floor: a part of the height, degrees.
+const SAME_RIG: (f64, f64) = (0.05, 3.0);
+
+/// Leaves out the views that do not belong to the largest set about one of them that can be of one rig; then those that contradict the rest
+/// by their own deviations. Fails, saying so, where no two of several views can be of one rig.
+pub fn leave_out(fits: &mut [std::result::Result<Fit, LeftOut>]) -> Result<()> {
+    let all: Vec<(usize, Fit)> = used(fits);
+    let near = |fit: &Fit| -> Vec<usize> {
+        all.iter().filter(|(_, other)| may_be_of_one_rig(fit, other)).map(|(index, _)| *index).collect()
+    };
+    // The first of the largest, so that the order of the views decides where nothing else does.
+    let largest = all.iter().map(|(_, fit)| near(fit)).reduce(|a, b| if b.len() > a.len() { b } else { a });
+    let Some(largest) = largest.filter(|_| all.len() > 1) else { return Ok(()) };
+    if largest.len() < 2 {
+        return Err(Error::input(format!(
+            "the {} views of the board contradict each other by more than {:.0}°; leave the camera fixed to its carrier and the board flat \
+             on the floor in all of them",
+            all.len(),
+            SAME_RIG.1
+        )));
+    }
+    for (index, fit) in all.iter().filter(|(index, _)| !largest.contains(index)) {
+        let why = "it is of another height or tilt than most views".to_owned();
+        fits[*index] = Err(LeftOut { why, fit: Some(Box::new(fit.clone())) });
+    }
+    leave_out_one_by_one(fits);
+    Ok(())
+}
+
+fn may_be_of_one_rig(a: &Fit, b: &Fit) -> bool {
+    let (a, b) = (a.quantities(), b.quantities());
+    (a[0] / b[0] - 1.0).abs() < SAME_RIG.0 && (a[1] - b[1]).hypot(a[2] - b[2]) < SAME_RIG.1.to_radians()
+}
+
+fn used(fits: &[std::result::Result<Fit, LeftOut>]) -> Vec<(usize, Fit)> {
+    let used = fits.iter().enumerate();
+    used.filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone()))).collect()
+}
+
+/// Leaves out, worst first, the views that contradict all others, as long as at least two others remain. Of two views that contradict each
+/// other nobody knows which is wrong.
+fn leave_out_one_by_one(fits: &mut [std::result::Result<Fit, LeftOut>]) {
+    loop {
+        let used = used(fits);
+        if used.len() < 3 {
+            return;
+        }
+        let worst = (0..used.len())
+            .filter_map(|left| Some((left, distance(&used, left)?)))
+            .max_by(|a, b| a.1.0.total_cmp(&b.1.0));
+        match worst {
+            Some((left, (distance, off_deg, off_part))) if distance > CONTRADICTION => {
+                let (index, fit) = &used[left];
+                let why = format!(
+                    "it contradicts the other views (tilt by {off_deg:.2}°, height by {:.2} %)",
+                    100.0 * off_part
+                );
+                fits[*index] = Err(LeftOut { why, fit: Some(Box::new(fit.clone())) });
+            }
+            _ => return,
+        }
+    }
+}
+
+/// How far a view is from what the others say together: squared, in deviations; then degrees of tilt and part of the height.
+fn distance(used: &[(usize, Fit)], left: usize) -> Option<(f64, f64, f64)> {
+    let fit = &used[left].1;
+    let around = fit.quantities();
+    let others: Vec<Part<3>> = used
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| *index != left)
+        .map(|(_, (_, other))| other.part(&around))
+        .collect::<Option<_>>()?;
+    let combined = combine(&others)?;
+    let own = inverse(&fit.part(&around)?.information)?;
+    let least = [LEAST_SCATTER.0 * around[0], LEAST_SCATTER.1.to_radians(), LEAST_SCATTER.1.to_radians()];
+    let scatter = combined.scatter;
+    let spread = Matrix3::from_fn(|i, j| if i == j { scatter[i].max(least[i] * least[i]) } else { 0.0 });
+    let information = (own + combined.covariance + spread).try_inverse()?;
+    let off = combined.offset;
+    Some((
+        (off.transpose() * information * off)[0],
+        off[1].hypot(off[2]).to_degrees(),
+        off[0].abs() / around[0],
+    ))
+}

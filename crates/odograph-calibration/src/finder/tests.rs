@@ -1,0 +1,136 @@
+//! Sub-pixel corners of rendered squares with exact ground truth.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a panic fails the test
+
+use super::subpixel;
+use odograph::geometry::Pixel;
+use odograph::image::GrayImage;
+
+/// A rendered plane with 6x6 samples per pixel, Gaussian blur and noise.
+pub(super) struct Scene<'a> {
+    pub size: (usize, usize),
+    /// Maps a pixel to square coordinates, with the corners at integers.
+    pub at: &'a dyn Fn(f64, f64) -> (f64, f64),
+    /// Gray level at square coordinates.
+    pub gray: &'a dyn Fn(f64, f64) -> f64,
+    pub blur_px: f64,
+    pub noise: f64,
+    pub seed: u64,
+}
+
+/// SplitMix64: the same noise on every platform.
+pub(super) struct Random(pub u64);
+
+impl Random {
+    pub fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Standard normal random number (Box–Muller).
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.unit()).cos()
+    }
+}
+
+impl Scene<'_> {
+    pub fn render(&self) -> GrayImage {
+        let (width, height) = self.size;
+        let mut plane = vec![0.0; width * height];
+        const SIDE: usize = 6;
+        for (i, value) in plane.iter_mut().enumerate() {
+            for j in 0..SIDE * SIDE {
+                let dx = ((j % SIDE) as f64 + 0.5) / SIDE as f64 - 0.5;
+                let dy = ((j / SIDE) as f64 + 0.5) / SIDE as f64 - 0.5;
+                let (x, y) = (self.at)((i % width) as f64 + dx, (i / width) as f64 + dy);
+                *value += (self.gray)(x, y) / (SIDE * SIDE) as f64;
+            }
+        }
+        if self.blur_px > 0.0 {
+            let radius = (4.0 * self.blur_px).ceil() as isize;
+            let kernel: Vec<f64> =
+                (-radius..=radius).map(|d| (-0.5 * (d as f64 / self.blur_px).powi(2)).exp()).collect();
+            let total: f64 = kernel.iter().sum();
+            for (along, across, length, count) in [(1, width, width, height), (width, 1, height, width)] {
+                for line in 0..count {
+                    let values: Vec<f64> = (0..length).map(|i| plane[line * across + i * along]).collect();
+                    for i in 0..length {
+                        plane[line * across + i * along] = (0..kernel.len())
+                            .map(|k| {
+                                let from = (i as isize + k as isize - radius).clamp(0, length as isize - 1);
+                                kernel[k] * values[from as usize] / total
+                            })
+                            .sum();
+                    }
+                }
+            }
+        }
+        let mut random = Random(self.seed);
+        let samples = plane
+            .iter()
+            .map(|value| (value + self.noise * random.normal()).round().clamp(0.0, 255.0) as u8)
+            .collect();
+        GrayImage::from_samples(width, height, samples).unwrap()
+    }
+}
+
+/// An infinite chessboard pattern.
+pub(super) fn squares(x: f64, y: f64) -> f64 {
+    if (x.floor() as i64 + y.floor() as i64) % 2 == 0 { 40.0 } else { 210.0 }
+}
+
+/// RMS error of the fit over the corners of rotated and foreshortened squares.
+#[test]
+fn corner_errors_are_small_under_blur_noise_and_illumination_gradients() {
+    for (blur_px, noise, light, limit_px) in
+        [(0.5, 0.0, 0.0, 0.012), (0.7, 2.0, 0.0, 0.02), (0.7, 2.0, 0.4, 0.02), (1.5, 2.0, 0.0, 0.03)]
+    {
+        let mut errors = Vec::new();
+        for turn in 0..6 {
+            let (sine, cosine) = (0.11 + 0.26 * f64::from(turn)).sin_cos();
+            let (long, short) = (24.0, 18.0);
+            let at = |x: f64, y: f64| {
+                let (x, y) = (x - 61.3, y - 58.6);
+                ((cosine * x + sine * y) / long, (cosine * y - sine * x) / short)
+            };
+            let gray = |x: f64, y: f64| squares(x, y) * (1.0 - light * (0.2 * x + 0.1 * y));
+            let image =
+                Scene { size: (120, 120), at: &at, gray: &gray, blur_px, noise, seed: 7 + turn as u64 }
+                    .render();
+            for (i, j) in (-1..=1).flat_map(|i| (-1..=1).map(move |j| (f64::from(i), f64::from(j)))) {
+                let truth = Pixel::new(
+                    61.3 + cosine * i * long - sine * j * short,
+                    58.6 + sine * i * long + cosine * j * short,
+                );
+                let start = Pixel::new(truth.x.round() + 1.0, truth.y.round() - 1.0);
+                let found = subpixel::fit(&image, start, 8.0).expect("a corner").pixel;
+                errors.push(found.distance(truth).powi(2));
+            }
+        }
+        let rms_px = (errors.iter().sum::<f64>() / errors.len() as f64).sqrt();
+        println!("blur {blur_px} noise {noise} light {light}: {rms_px:.4} px");
+        assert!(rms_px < limit_px, "blur {blur_px}, noise {noise}, light {light}: {rms_px} px");
+    }
+}
+
+#[test]
+fn no_corner_on_edges_uniform_areas_or_outside_the_image() {
+    let image = |gray: &dyn Fn(usize, usize) -> u8| {
+        GrayImage::from_samples(40, 40, (0..1600).map(|i| gray(i % 40, i / 40)).collect()).unwrap()
+    };
+    let plane = image(&|_, _| 90);
+    let edge = image(&|x, _| if x < 20 { 20 } else { 200 });
+    let bend = image(&|x, y| if x < 20 || y < 20 { 20 } else { 200 });
+    for (name, image) in [("plane", &plane), ("edge", &edge), ("bend", &bend)] {
+        assert_eq!(subpixel::fit(image, Pixel::new(20.0, 20.0), 8.0), None, "{name}");
+    }
+    for start in [(0.0, 0.0), (-5.0, 20.0), (39.9, 39.9), (f64::NAN, 3.0), (1e300, 3.0)] {
+        assert_eq!(subpixel::fit(&bend, Pixel::new(start.0, start.1), 8.0), None);
+    }
+    assert_eq!(subpixel::fit(&GrayImage::new(1, 1), Pixel::new(0.0, 0.0), 8.0), None);
+    assert_eq!(subpixel::fit(&bend, Pixel::new(20.0, 20.0), f64::NAN), None);
+}

@@ -1,0 +1,31 @@
+//! # odograph-calibration
+//!
+//! Camera calibration from views of a known board: a [`odograph::camera::Camera`] with its
+//! covariance, and how it is mounted over the floor.
+//!
+//! [`Board`] defines the positions of a board's points, in metres. A [`BoardFinder`] detects the
+//! board in an image and returns a [`BoardView`]: the indices of the detected points and their
+//! pixels. [`calibrate`] estimates the camera from many views and returns a [`Calibration`].
+//! [`board_pose`] estimates the pose of a board relative to a calibrated camera from one view.
+//! [`rig_from_boards`] estimates height and tilt of the camera from a board that lies on the floor, and
+//! [`calibration_file`] writes a calibration down.
+
+mod dictionary;
+mod board;
+mod drawing;
+mod finder;
+mod solver;
+pub mod selection;
+mod extrinsics;
+pub mod calibration_file;
+
+pub use board::{Board, BoardKind, BoardPoint, BoardView, Dictionary, SeenPoint};
+pub use drawing::{Drawing, Rectangle, Shape};
+pub use extrinsics::{
+    BoardDirection, BoardMounting, FloorBoard, MountingView, ambiguity_turns, rig_from_boards,
+};
+pub use finder::{BoardFinder, NotFound};
+pub use solver::{
+    BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, Candidate, LensModel, Parameter,
+    Verdict, board_pose, calibrate,
+};

@@ -1,0 +1,97 @@
+//! Selection of the lens model by expected ray error and cross-validation.
+
+use super::bundle::Sight;
+use super::config::LensModel;
+use super::fit::{Fit, HoldOut};
+use super::quality::{ErrorMap, covariance, disagreement_px};
+use super::result::Candidate;
+use odograph::camera::Camera;
+use odograph::geometry::Pixel;
+
+/// Relative differences of the mean square error below this value are insignificant.
+const LEAST_LOSS: f64 = 0.002;
+
+/// Factor from the excess mean square error of a model at the points to its assumed mean square ray
+/// error over the image. A misfit grows towards the image corners, where there are few points.
+const SURE_OVER_FITTING: f64 = 30.0;
+
+/// Half diagonal field of view from which a lens counts as very wide, radians: 60°.
+const VERY_WIDE_RAD: f64 = std::f64::consts::FRAC_PI_3;
+
+/// A fitted lens model with its cross-validation result and comparison figures.
+pub struct Tried {
+    pub fit: Fit,
+    pub hold_out: HoldOut,
+    pub candidate: Candidate,
+    pub camera: Camera,
+}
+
+impl Tried {
+    /// Cross-validates a fit; `None` if its parameters are not a valid camera.
+    pub fn new(fit: Fit, sights: &[Vec<Sight>], size: (usize, usize)) -> Option<Self> {
+        let hold_out = fit.hold_out(sights);
+        let camera = fit.state.lens.camera(size).ok()?;
+        let map = ErrorMap::new(&camera, &fit.state.lens, &fit.unknowns.lens, covariance(&fit, sights));
+        let candidate = Candidate {
+            model: fit.model,
+            hold_out_rms_px: hold_out.rms_px,
+            rms_px: fit.rms_px(sights),
+            expected_error_px: map.over_image_px(),
+        };
+        Some(Self { fit, hold_out, candidate, camera })
+    }
+}
+
+/// Index of the selected model: the one with the smallest expected ray error over the image.
+///
+/// Cross-validation finds the model that predicts held-out views best, but only where there were
+/// points. There, a superfluous coefficient does no harm, while in the image corners it may cost
+/// pixels. The mean square ray error of each model is therefore the sum of two terms: the variance
+/// from the covariance of its parameters, and a squared bias for a wrong lens model. The bias is
+/// the larger of two estimates:
+///
+/// * the disagreement of its rays with those of the best-predicting model, minus the variance of
+///   the latter;
+/// * the excess of its cross-validation error over that of the best-predicting model, minus one
+///   standard error of the paired differences between views (the one-standard-error rule of L.
+///   Breiman et al., "Classification and regression trees", 1984, section 3.4.3), times a factor.
+///
+/// The double sphere model, which few programs support, is only selected for very wide lenses.
+pub fn choose(tried: &[Tried]) -> Option<usize> {
+    let mean = |at: usize| {
+        let views = &tried[at].hold_out.views;
+        views.iter().sum::<f64>() / views.len().max(1) as f64
+    };
+    // Too few views for cross-validation: the simplest model whose RMS is within 10 % of the best.
+    let best = (0..tried.len()).min_by(|&a, &b| mean(a).total_cmp(&mean(b)))?;
+    if !mean(best).is_finite() {
+        let least = tried.iter().map(|one| one.candidate.rms_px).fold(f64::INFINITY, f64::min);
+        let near = |at: &usize| tried[*at].candidate.rms_px <= 1.1 * least;
+        return (0..tried.len()).filter(near).min_by_key(|&at| tried[at].fit.model.coefficients());
+    }
+    let error = |at: usize| tried[at].candidate.expected_error_px;
+    // Mean square ray error over the image: variance plus squared bias.
+    let total = |at: usize| {
+        let pairs = tried[at].hold_out.views.iter().zip(&tried[best].hold_out.views);
+        let differences: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+        let count = differences.len() as f64;
+        let lost = differences.iter().sum::<f64>() / count;
+        let variance = differences.iter().map(|d| (d - lost).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        let chance = (variance / count).sqrt().max(LEAST_LOSS * mean(best));
+        let apart_px = disagreement_px(&tried[best].camera, &tried[at].fit.state.lens);
+        let apart = if at == best { 0.0 } else { apart_px.powi(2) - error(best).powi(2) };
+        error(at).powi(2) + apart.max(SURE_OVER_FITTING * (lost - chance)).max(0.0)
+    };
+    let totals: Vec<f64> = (0..tried.len()).map(total).collect();
+    let very_wide = is_very_wide(&tried[best].camera);
+    let eligible = |at: &usize| very_wide || tried[*at].fit.model != LensModel::DoubleSphere;
+    (0..tried.len()).filter(eligible).min_by(|&a, &b| totals[a].total_cmp(&totals[b]))
+}
+
+/// Whether an image corner is more than [`VERY_WIDE_RAD`] from the optical axis, or has no ray.
+fn is_very_wide(camera: &Camera) -> bool {
+    let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
+    [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].into_iter().any(|(x, y)| {
+        camera.ray_from_pixel(Pixel::new(x, y)).is_none_or(|ray| ray.x.hypot(ray.y) > VERY_WIDE_RAD.tan())
+    })
+}

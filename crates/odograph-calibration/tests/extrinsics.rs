@@ -1,0 +1,63 @@
+//! The rig from rendered pictures of a board on the floor.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a test fails by panicking
+
+use nalgebra::Vector3;
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::geometry::GroundPose;
+use odograph::motion::Random;
+use odograph_calibration::{BoardDirection, BoardFinder, FloorBoard, rig_from_boards};
+use odograph_simulation::{BoardEffects, BoardScene};
+
+/// The rig of all views.
+const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4 };
+
+/// A pose of [`RIG`] with the board somewhere below it.
+fn pose(random: &mut Random) -> GroundPose {
+    let place = |random: &mut Random| (random.below(1000) as f64 / 1000.0 - 0.5) * 0.2;
+    GroundPose {
+        x_m: place(random) - 0.2,
+        y_m: place(random) - 0.28,
+        heading_rad: RIG.yaw_rad,
+        ..RIG.first_pose()
+    }
+}
+
+fn errors(rig: &Rig) -> Vector3<f64> {
+    Vector3::new(rig.height_m - RIG.height_m, rig.roll_rad - RIG.roll_rad, rig.pitch_rad - RIG.pitch_rad)
+}
+
+/// Pictures as a camera over a floor takes them: three, with the board moved between them, and the finder's points.
+#[test]
+fn rendered_pictures_give_what_is_asked() {
+    let distortion = Distortion::from_opencv(&[-0.2, 0.05, 0.0005, -0.0003]).unwrap();
+    let camera = Camera::new((640, 480), (520.0, 521.0), (322.0, 238.0), distortion).unwrap();
+    let board = "chessboard:12x9:35mm".parse().unwrap();
+    let floor = FloorBoard { board, thickness_m: 0.0, forward: Some(BoardDirection::X) };
+    let scene = BoardScene::new(&floor.board, &camera, 3);
+    let mut random = Random::new(11);
+    let mut views = Vec::new();
+    for seed in 0..3 {
+        // The board's own frame has its y axis down the print and z into the paper: a half turn about its x axis from ours.
+        let mut pose = pose(&mut random);
+        // Pictures in which the whole of the board is seen.
+        (pose.x_m, pose.y_m) = (0.125 + 0.2 * (pose.x_m + 0.2), -0.185 + 0.2 * (pose.y_m + 0.28));
+        let half_turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let world_from_board = nalgebra::Isometry3::from_parts(nalgebra::Translation3::identity(), half_turn);
+        let camera_from_board = pose.world_from_camera().inverse() * world_from_board;
+        let effects = BoardEffects { blur_px: 0.6, noise_gray: 2.0, seed, ..BoardEffects::default() };
+        let image = scene.render(&camera_from_board, &effects);
+        views.push(BoardFinder::new(&floor.board).find(&image).unwrap_or_else(|why| panic!("{why}")));
+    }
+    let found = rig_from_boards(&camera, None, &floor, &views).unwrap();
+    let off = errors(&found.measured.rig);
+    println!(
+        "height {:+.3} % tilt {:+.4}° {:+.4}° yaw {:+.4}°",
+        100.0 * off[0] / RIG.height_m,
+        off[1].to_degrees(),
+        off[2].to_degrees(),
+        (found.measured.rig.yaw_rad - RIG.yaw_rad).to_degrees()
+    );
+    assert!(off[0].abs() < 0.001 * RIG.height_m && off[1].hypot(off[2]) < 0.02f64.to_radians(), "{found:?}");
+    assert!((found.measured.rig.yaw_rad - RIG.yaw_rad).abs() < 0.02f64.to_radians());
+}

@@ -1,0 +1,147 @@
+//! How well a rig is known, and what the camera's own uncertainty adds.
+
+use super::{Camera, Distortion, Rig};
+use crate::error::{Error, Result};
+use nalgebra::{DMatrix, Matrix3};
+
+/// A rig as it was measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeasuredRig {
+    /// The rig.
+    pub rig: Rig,
+    /// One standard deviation of each of its numbers.
+    pub deviations: RigDeviations,
+}
+
+/// One standard deviation of each number of a [`Rig`]; `None` for what was given or is not known.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RigDeviations {
+    /// Of the height, metres.
+    pub height_m: Option<f64>,
+    /// Of the roll, radians.
+    pub roll_rad: Option<f64>,
+    /// Of the pitch, radians.
+    pub pitch_rad: Option<f64>,
+    /// Of the mount yaw, radians.
+    pub yaw_rad: Option<f64>,
+}
+
+impl RigDeviations {
+    /// From the covariance of (height, roll, pitch).
+    pub fn of(covariance: &Matrix3<f64>, yaw_rad: Option<f64>) -> Self {
+        let deviation = |i: usize| Some(covariance[(i, i)].sqrt());
+        Self { height_m: deviation(0), roll_rad: deviation(1), pitch_rad: deviation(2), yaw_rad }
+    }
+}
+
+/// The covariance of a camera's parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraUncertainty {
+    names: Vec<String>,
+    covariance: DMatrix<f64>,
+}
+
+impl CameraUncertainty {
+    /// From the parameters' names, in the order of the covariance's rows: `fx`, `fy` (or `f` for both), `cx`, `cy` in pixels and the
+    /// coefficients of the lens (`k1`, `p1`, …). Names that the camera does not have are left out.
+    ///
+    /// Fails where the covariance is not as large as there are names, or is none.
+    pub fn new(names: Vec<String>, covariance: DMatrix<f64>) -> Result<Self> {
+        let n = names.len();
+        let sound = covariance.shape() == (n, n)
+            && covariance.iter().all(|v| v.is_finite())
+            && (0..n).all(|i| covariance[(i, i)] >= 0.0);
+        if !sound {
+            return Err(Error::input(format!(
+                "the covariance of the {n} camera parameters is {}x{} or holds impossible numbers",
+                covariance.nrows(),
+                covariance.ncols()
+            )));
+        }
+        Ok(Self { names, covariance })
+    }
+
+    /// The covariance that this gives to `outcome`, some numbers worked out with a camera: first order, by central differences of one
+    /// standard deviation. `None` where an outcome is not there for a camera varied so.
+    pub fn carried<const N: usize>(
+        &self,
+        camera: &Camera,
+        outcome: impl Fn(&Camera) -> Option<[f64; N]>,
+    ) -> Option<nalgebra::SMatrix<f64, N, N>> {
+        let mut derivative = DMatrix::zeros(N, self.names.len());
+        for (column, name) in self.names.iter().enumerate() {
+            let step = self.covariance[(column, column)].sqrt();
+            if step == 0.0 {
+                continue;
+            }
+            let (Some(more), Some(less)) = (varied(camera, name, step), varied(camera, name, -step)) else {
+                continue;
+            };
+            let (more, less) = (outcome(&more)?, outcome(&less)?);
+            for row in 0..N {
+                derivative[(row, column)] = (more[row] - less[row]) / (2.0 * step);
+            }
+        }
+        let carried = &derivative * &self.covariance * derivative.transpose();
+        Some(nalgebra::SMatrix::from_fn(|i, j| carried[(i, j)]))
+    }
+}
+
+/// The camera with one parameter changed; `None` for a name that it does not have, or where no camera is left.
+pub fn varied(camera: &Camera, name: &str, by: f64) -> Option<Camera> {
+    let ((mut fx, mut fy), (mut cx, mut cy)) = (camera.focal_px(), camera.principal_px());
+    let mut distortion = *camera.distortion();
+    match name {
+        "fx" => fx += by,
+        "fy" => fy += by,
+        "f" => {
+            // Of square pixels only one focal length is estimated.
+            fy += by * fy / fx;
+            fx += by;
+        }
+        "cx" => cx += by,
+        "cy" => cy += by,
+        _ => *coefficient(&mut distortion, name)? += by,
+    }
+    Camera::new((camera.width(), camera.height()), (fx, fy), (cx, cy), distortion).ok()
+}
+
+/// A parameter of a camera by its name.
+pub fn parameter(camera: &Camera, name: &str) -> Option<f64> {
+    let ((fx, fy), (cx, cy)) = (camera.focal_px(), camera.principal_px());
+    match name {
+        "fx" | "f" => Some(fx),
+        "fy" => Some(fy),
+        "cx" => Some(cx),
+        "cy" => Some(cy),
+        _ => coefficient(&mut camera.distortion().clone(), name).copied(),
+    }
+}
+
+fn coefficient<'a>(distortion: &'a mut Distortion, name: &str) -> Option<&'a mut f64> {
+    match distortion {
+        Distortion::None => None,
+        Distortion::BrownConrady { k1, k2, p1, p2, k3, k4, k5, k6 } => {
+            let all = [
+                ("k1", k1),
+                ("k2", k2),
+                ("p1", p1),
+                ("p2", p2),
+                ("k3", k3),
+                ("k4", k4),
+                ("k5", k5),
+                ("k6", k6),
+            ];
+            all.into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
+        }
+        Distortion::DoubleSphere { xi, alpha } => match name {
+            "xi" => Some(xi),
+            "alpha" => Some(alpha),
+            _ => None,
+        },
+        Distortion::KannalaBrandt { k1, k2, k3, k4 } => {
+            let all = [("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4)];
+            all.into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
+        }
+    }
+}

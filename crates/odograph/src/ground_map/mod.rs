@@ -1,0 +1,57 @@
+//! The map of the ground: its keyframes, the edges between them and the images.
+//!
+//! Plain values, and the traits through which the images are loaded and stored. The map file
+//! implements these.
+
+mod images;
+
+pub use images::{KeyframeImage, KeyframeImages, KeyframeStore, MemoryImages};
+
+use crate::camera::{Camera, Rig};
+use crate::geometry::{GroundPose, Sim2};
+use crate::keyframe::{KeyframeId, MapEdge};
+use crate::place_recognition::Signature;
+use nalgebra::Matrix6;
+
+/// A frame whose image is part of the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MapKeyframe {
+    /// Its number.
+    pub id: KeyframeId,
+    /// The session it comes from, from 0.
+    pub session: u32,
+    /// Number of gaps before it in its session.
+    pub segment: usize,
+    /// Number of its frame in the source.
+    pub frame: u64,
+    /// Its time, seconds, from the source.
+    pub time_s: f64,
+    /// Pose in the odometry frame of its session, which never jumps.
+    pub odometry_pose: GroundPose,
+    /// Pose in the map frame, after loop closure.
+    pub pose: GroundPose,
+    /// Covariance of `pose`: (x, y, heading, height, roll, pitch), metres and radians.
+    pub covariance: Matrix6<f64>,
+    /// Appearance for place recognition.
+    pub signature: Signature,
+}
+
+impl MapKeyframe {
+    /// The transform of poses near it from the odometry frame to the map frame.
+    pub fn map_from_odometry(&self) -> Sim2 {
+        self.odometry_pose.similarity_to(&self.pose)
+    }
+}
+
+/// A map without its images: enough to localize in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroundMap {
+    /// The camera that every keyframe was taken with.
+    pub camera: Camera,
+    /// Its mount at the start of the first session.
+    pub rig: Rig,
+    /// The keyframes in order of their numbers; a thinned map lacks some numbers.
+    pub keyframes: Vec<MapKeyframe>,
+    /// The edges in order of their creation.
+    pub edges: Vec<MapEdge>,
+}

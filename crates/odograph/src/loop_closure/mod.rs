@@ -1,0 +1,76 @@
+//! Loop closure: whether a new keyframe shows ground that an older one shows, and from where.
+//!
+//! Candidates come from the pose graph ([`candidates`]) and from place recognition
+//! ([`recognition`]). The tracker of odometry finds the corners of one keyframe in the image of the
+//! other ([`matching`]), and [`verification`] decides which matches are accepted.
+
+pub(crate) mod matching;
+pub(crate) mod candidates;
+mod gate;
+pub(crate) mod recognition;
+pub(crate) mod verification;
+
+pub use verification::LoopClosure;
+
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// When a loop closure is accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LoopClosureConfig {
+    /// Whether to search for loop closures.
+    pub loops: bool,
+    /// Maximum number of older keyframes that a new one is compared with.
+    pub comparisons: usize,
+    /// Minimum number of edges between two keyframes for a loop closure: with fewer, odometry has
+    /// them well enough.
+    pub least_edges: usize,
+    /// Minimum overlap of two keyframes, as a share of the new one's view.
+    pub least_overlap: f64,
+    /// Minimum share of the corners in the overlap that must be matched.
+    pub least_presence: f64,
+    /// Number of agreeing matches on different ground, 1 or 2, that joins parts of a map whose
+    /// relative pose is unknown or ambiguous. 1 is enough to localize a camera; a map that is kept
+    /// needs 2.
+    pub sightings: usize,
+}
+
+impl Default for LoopClosureConfig {
+    fn default() -> Self {
+        Self {
+            loops: true,
+            comparisons: 2,
+            least_edges: 4,
+            least_overlap: 0.35,
+            least_presence: 0.5,
+            sightings: 2,
+        }
+    }
+}
+
+impl LoopClosureConfig {
+    /// The same parameters if all are in range. Fails with the name and the value of one that is
+    /// not.
+    pub fn validated(self) -> Result<Self> {
+        for (name, share) in [("least_overlap", self.least_overlap), ("least_presence", self.least_presence)]
+        {
+            if !(0.1..=1.0).contains(&share) {
+                return Err(Error::usage(format!("slam.{name} is {share}; it must lie between 0.1 and 1")));
+            }
+        }
+        for (name, number, range) in [
+            ("comparisons", self.comparisons, 1..=1000),
+            ("least_edges", self.least_edges, 2..=1000),
+            ("sightings", self.sightings, 1..=2),
+        ] {
+            if !range.contains(&number) {
+                let (least, most) = range.into_inner();
+                return Err(Error::usage(format!(
+                    "slam.{name} is {number}; it must lie between {least} and {most}"
+                )));
+            }
+        }
+        Ok(self)
+    }
+}

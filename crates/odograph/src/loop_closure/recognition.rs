@@ -1,0 +1,86 @@
+//! Loop closure candidates by appearance, where the predicted position is uncertain.
+
+use super::candidates::{Prior, Strength};
+use super::gate::{GATE, normalised_innovation_squared};
+use crate::geometry::{GroundPose, wrap_angle};
+use crate::keyframe::KeyframeId;
+use crate::keyframe::relative_pose::{inverse, laid_from};
+use crate::loop_closure::matching::Matcher;
+use crate::place_recognition::{PlaceHypothesis, PlaceIndex, Signature};
+use crate::pose_graph::{PoseGraph, Reach};
+use nalgebra::Vector4;
+
+/// A recognised place.
+#[derive(Debug, Clone)]
+pub struct Recognised {
+    pub id: KeyframeId,
+    /// Pose of the older keyframe in the new one's frame.
+    pub motion: Vector4<f64>,
+    /// Its predicted pose; `None` if nothing connects the two.
+    pub prior: Option<Prior>,
+}
+
+impl Recognised {
+    /// Whether a single match is enough to accept it.
+    pub fn stands_alone(&self) -> bool {
+        self.prior.as_ref().is_some_and(|prior| prior.strength != Strength::Weak)
+    }
+}
+
+/// The scale of a [`PlaceHypothesis`] is that of its metres: nothing is to be added for heights.
+const SAME_METRES: [f64; 2] = [1.0; 2];
+
+/// Number of places looked up.
+const MOST_PLACES: usize = 4;
+
+/// A second place with at least this share of the best score makes the result ambiguous.
+const RIVAL_SCORE: f64 = 0.6;
+
+/// The places that a new keyframe may show, best first: similar in appearance, not just behind it,
+/// and consistent with the graph. None if different places look alike and the graph does not
+/// decide. `reach` starts at the new keyframe; `None` if nothing connects it.
+pub fn recognise(
+    places: &PlaceIndex,
+    signature: &Signature,
+    graph: &PoseGraph,
+    mut reach: Option<&mut Reach<'_>>,
+    new: (KeyframeId, &GroundPose),
+    least_edges: usize,
+    matcher: &Matcher,
+) -> Vec<Recognised> {
+    let hypotheses = places.query(signature, MOST_PLACES + least_edges);
+    let view_m = matcher.view_m(new.1);
+    let mut found: Vec<(Recognised, &PlaceHypothesis)> = Vec::new();
+    for hypothesis in &hypotheses {
+        let there = reach.as_mut().and_then(|reach| reach.to(hypothesis.keyframe));
+        if hypothesis.keyframe == new.0 || there.as_ref().is_some_and(|one| one.edges < least_edges) {
+            continue;
+        }
+        let motion = inverse(&hypothesis.motion, SAME_METRES);
+        let prior = there.map(|one| Prior::new(one, matcher, new.1));
+        // An extrapolation across a gap is no constraint: the camera may have been moved anywhere
+        // meanwhile.
+        let possible = prior.as_ref().filter(|prior| !prior.reached.across_gap).is_none_or(|prior| {
+            normalised_innovation_squared(&motion, &prior.reached.covariance, &prior.reached.motion)
+                < 4.0 * GATE
+        });
+        if possible {
+            found.push((Recognised { id: hypothesis.keyframe, motion, prior }, hypothesis));
+        }
+    }
+    // All hypotheses must agree with the best on the new keyframe's pose, or score far less.
+    let place = |(recognised, hypothesis): &(Recognised, &PlaceHypothesis)| {
+        graph.pose(recognised.id).map(|pose| laid_from(&pose, &hypothesis.motion, 1.0))
+    };
+    let Some(best) = found.first() else { return Vec::new() };
+    let (Some(here), score) = (place(best), best.1.score) else { return Vec::new() };
+    let rival = found.iter().skip(1).filter(|other| !other.0.stands_alone()).any(|other| {
+        other.1.score >= RIVAL_SCORE * score
+            && place(other).is_some_and(|there| {
+                (here.x_m - there.x_m).hypot(here.y_m - there.y_m) > 0.25 * view_m
+                    || wrap_angle(here.heading_rad - there.heading_rad).abs() > 0.3
+            })
+    });
+    let keep = |one: &(Recognised, &PlaceHypothesis)| one.0.stands_alone() || (!rival && one.1.is_sure());
+    found.into_iter().filter(keep).map(|(recognised, _)| recognised).take(MOST_PLACES).collect()
+}

@@ -1,0 +1,161 @@
+//! Verification of loop closure candidates.
+//!
+//! A false loop closure distorts the whole map; a missed one costs little. So a match must have a
+//! high inlier ratio (forward–backward checked), must be consistent with the graph, and must be the
+//! only one that is.
+
+use super::LoopClosureConfig;
+use super::candidates::{Candidate, Prior, Strength};
+use super::gate::{GATE, normalised_innovation_squared};
+use super::recognition::Recognised;
+use crate::geometry::pose_index::{HEADING, X, Y};
+use crate::geometry::{Sim2, WithCovariance, wrap_angle};
+use crate::keyframe::relative_pose::position_sigma_m;
+use crate::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use crate::loop_closure::matching::{Matcher, Pictured, Sighting, Sought};
+use nalgebra::Vector4;
+
+/// A loop closure.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoopClosure {
+    /// The edge from the newer to the older keyframe.
+    pub edge: MapEdge,
+    /// Corners of the newer keyframe matched in the older one.
+    pub inliers: usize,
+    /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
+    pub presence: f64,
+    /// Distance between the measured and the predicted position before this loop closure, metres.
+    pub correction_m: f64,
+}
+
+/// Minimum number of matched corners.
+const LEAST_INLIERS: usize = 40;
+
+/// Gate for ambiguous matches on repetitive patterns.
+const RIVAL_GATE: f64 = 9.0 * GATE;
+
+/// Maximum error of a registration of whole images, pixels.
+const GUESS_OFF_PX: f64 = 8.0;
+
+/// A hypothesis with a smaller share of the best score is ignored.
+const RIVAL_SCORE: f64 = 0.6;
+
+/// Verifies a candidate. `None` if it is not in view, not consistent with its prior, or ambiguous.
+pub fn look(
+    matcher: &Matcher,
+    sought: &mut Sought,
+    pictured: &mut Pictured,
+    candidate: &Candidate,
+    new: KeyframeId,
+    config: &LoopClosureConfig,
+) -> Option<LoopClosure> {
+    let prior = &candidate.prior;
+    let expected = &prior.reached.motion;
+    let sighting = if prior.strength == Strength::Sure {
+        let off_px = 1.0 + 3.0 * prior.sigma_px;
+        matcher.find(sought, pictured, expected, off_px).filter(|found| is_clear(found, config))?
+    } else {
+        only_one(matcher, sought, pictured, prior, config)?
+    };
+    if misses(&sighting, prior) > GATE {
+        return None;
+    }
+    Some(closure(new, candidate.id, &sighting, sighting.motion - expected))
+}
+
+fn is_clear(found: &Sighting, config: &LoopClosureConfig) -> bool {
+    found.inliers >= LEAST_INLIERS && found.presence >= config.least_presence
+}
+
+/// Normalised innovation squared of a match.
+fn misses(sighting: &Sighting, prior: &Prior) -> f64 {
+    normalised_innovation_squared(
+        &sighting.motion,
+        &(prior.reached.covariance + sighting.covariance),
+        &prior.reached.motion,
+    )
+}
+
+/// The unique match that registering the whole images leads to; `None` if there is none or it is
+/// ambiguous.
+fn only_one(
+    matcher: &Matcher,
+    sought: &mut Sought,
+    pictured: &mut Pictured,
+    prior: &Prior,
+    config: &LoopClosureConfig,
+) -> Option<Sighting> {
+    let reached = &prior.reached;
+    let heading_off_rad = 0.1 + 3.0 * reached.covariance[(HEADING, HEADING)].sqrt();
+    let guesses = matcher.guess(sought, pictured, &reached.motion, heading_off_rad);
+    let best_score = guesses.first()?.score;
+    let mut found: Option<Sighting> = None;
+    for guess in guesses.iter().filter(|guess| guess.score >= RIVAL_SCORE * best_score) {
+        if normalised_innovation_squared(&guess.motion, &reached.covariance, &reached.motion) > RIVAL_GATE {
+            continue;
+        }
+        let Some(sighting) = matcher.find(sought, pictured, &guess.motion, GUESS_OFF_PX) else { continue };
+        if sighting.inliers < LEAST_INLIERS || sighting.presence < 0.7 * config.least_presence {
+            continue;
+        }
+        match &found {
+            Some(other) if elsewhere(other, &sighting) => return None, // the ground repeats
+            Some(_) => {}
+            None => found = Some(sighting),
+        }
+    }
+    found.filter(|found| is_clear(found, config))
+}
+
+/// Whether two matches are of different places: more than a centimetre, or 0.02 rad, apart.
+fn elsewhere(a: &Sighting, b: &Sighting) -> bool {
+    let off = a.motion - b.motion;
+    off[X].hypot(off[Y]) > 0.01 || wrap_angle(off[HEADING]).abs() > 0.02
+}
+
+/// Verifies a place recognised by its appearance. `None` if its corners are not matched, or it is
+/// not consistent with its prior.
+pub fn look_recognised(
+    matcher: &Matcher,
+    sought: &Sought,
+    pictured: &Pictured,
+    recognised: &Recognised,
+    new: KeyframeId,
+    config: &LoopClosureConfig,
+) -> Option<LoopClosure> {
+    let found = matcher.find(sought, pictured, &recognised.motion, GUESS_OFF_PX)?;
+    if !is_clear(&found, config) {
+        return None;
+    }
+    let prior = recognised.prior.as_ref();
+    // An extrapolation across a gap is no constraint.
+    if prior.is_some_and(|prior| !prior.reached.across_gap && misses(&found, prior) > GATE) {
+        return None;
+    }
+    let off = prior.map_or(Vector4::zeros(), |prior| found.motion - prior.reached.motion);
+    Some(closure(new, recognised.id, &found, off))
+}
+
+fn closure(new: KeyframeId, old: KeyframeId, found: &Sighting, off: Vector4<f64>) -> LoopClosure {
+    let (motion, covariance) = (found.motion, found.covariance);
+    LoopClosure {
+        edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },
+        inliers: found.inliers,
+        presence: found.presence,
+        correction_m: off[X].hypot(off[Y]),
+    }
+}
+
+/// Whether an edge is consistent with a path between its keyframes that is certain enough to tell
+/// places apart.
+pub fn agrees(edge: &MapEdge, way: &WithCovariance<Sim2, 4>, view_m: f64) -> bool {
+    position_sigma_m(&way.covariance) < AGREE_VIEWS * view_m
+        && normalised_innovation_squared(
+            &edge.motion,
+            &(way.covariance + edge.covariance),
+            &way.transform.to_vector(),
+        ) < GATE
+}
+
+/// Maximum standard deviation of such a path, as a share of the view.
+const AGREE_VIEWS: f64 = 0.1;

@@ -1,0 +1,206 @@
+//! The mosaic of a whole map: all keyframes at their final poses, patch by patch.
+//!
+//! What [`Mosaic`](super::Mosaic) has blended cannot be moved when a loop closure corrects the
+//! path. This builds the mosaic anew from a map and its images: patch by patch, so that memory does
+//! not grow with the map, each from all keyframes that show it. Gain compensation covers all
+//! keyframes ([`exposure`]); within a patch low frequencies are the mean of all views and high
+//! frequencies come from the best one ([`patch`]; P. J. Burt and E. H. Adelson, "A multiresolution
+//! spline with application to image mosaics", 1983, with two bands), so that seams show neither
+//! steps of brightness nor doubled patterns.
+
+mod exposure;
+mod images;
+mod patch;
+
+use super::footprint::{Footprint, View};
+use super::tiles::TILE;
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::geometry::GroundPose;
+use crate::ground_map::{GroundMap, KeyframeImages};
+use crate::keyframe::KeyframeId;
+use crate::numerics::median;
+use exposure::Gains;
+use images::Images;
+use patch::Patch;
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+/// Side of a tile of the mosaic, ground pixels.
+pub const MOSAIC_TILE_PX: usize = TILE as usize;
+/// Side of a patch, tiles: small enough that what is computed in it stays near, large enough that
+/// few images are needed twice.
+const PATCH: i64 = 4;
+/// No picture is wider than this, ground pixels: a mosaic that would be is made coarser.
+const WIDEST: f64 = (1u64 << 30) as f64;
+
+/// A square piece of the mosaic.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MosaicTile {
+    /// Its column: tile `c` has the ground from x = `c` to `c + 1` sides of a tile.
+    pub column: i64,
+    /// Its row: tile `r` has the ground from y = −`r` down to −(`r` + 1) sides of a tile.
+    pub row: i64,
+    /// Red, green, blue and opacity of [`MOSAIC_TILE_PX`]² pixels in row order; opacity is 255
+    /// where the ground was seen and 0 elsewhere.
+    pub rgba: Vec<u8>,
+}
+
+/// A keyframe that looks at the ground.
+#[derive(Debug, Clone)]
+struct Laid {
+    id: KeyframeId,
+    pose: GroundPose,
+    /// Side of the ground that a pixel in the middle of its image sees, metres.
+    sample_m: f64,
+    /// Least and greatest x and y of its footprint, metres.
+    bounds: [f64; 4],
+}
+
+/// The mosaic of a whole map: all keyframes at their final poses, patch by patch.
+#[derive(Debug)]
+pub struct MapMosaic {
+    camera: Camera,
+    resolution_m: f64,
+    keyframes: Vec<Laid>,
+    gains: Gains,
+    /// The remaining patches with the keyframes that may show them, in reverse order.
+    patches: Vec<((i64, i64), Vec<usize>)>,
+    tiles: (Range<i64>, Range<i64>),
+    images: Images,
+    patch: Patch,
+}
+
+impl MapMosaic {
+    /// Prepares the mosaic of a map, with the gain compensation of its keyframes. Every image is
+    /// loaded once. `ground_resolution_m` is the side of a ground pixel; by default what a pixel in
+    /// the middle of the median keyframe sees. It is not made finer than a quarter of that, and
+    /// coarser by halves if the picture would be wider than 2³⁰ pixels.
+    ///
+    /// `None` where no keyframe looks at the ground. Fails where an image cannot be loaded.
+    pub fn new(
+        map: &GroundMap,
+        images: &mut dyn KeyframeImages,
+        ground_resolution_m: Option<f64>,
+    ) -> Result<Option<Self>> {
+        let mut footprint = None;
+        let mut keyframes: Vec<Laid> = map
+            .keyframes
+            .iter()
+            .filter_map(|keyframe| {
+                let view = View::new(&map.camera, &keyframe.pose)?;
+                let (low, high) = Footprint::of(&mut footprint, &map.camera).bounds(&view)?;
+                Some(Laid {
+                    id: keyframe.id,
+                    pose: keyframe.pose,
+                    sample_m: view.centre_resolution_m(),
+                    bounds: [low.x_m, low.y_m, high.x_m, high.y_m],
+                })
+            })
+            .collect();
+        let Some(resolution_m) = resolution_m(&keyframes, ground_resolution_m) else {
+            return Ok(None);
+        };
+        // A keyframe from far above shows more ground than fits in memory, and more coarsely than
+        // the others.
+        let pixels = (map.camera.width() * map.camera.height()) as f64;
+        keyframes.retain(|laid| {
+            let [left, bottom, right, top] = laid.bounds;
+            (right - left) * (top - bottom) / (resolution_m * resolution_m) <= 64.0 * pixels + 1e6
+        });
+        let patches = patches(&keyframes, resolution_m);
+        let Some(tiles) = tiles(&keyframes, resolution_m) else {
+            return Ok(None);
+        };
+        let gains = Gains::settle(&map.camera, &keyframes, images)?;
+        Ok(Some(Self {
+            camera: map.camera.clone(),
+            resolution_m,
+            keyframes,
+            gains,
+            patches,
+            tiles,
+            images: Images::default(),
+            patch: Patch::default(),
+        }))
+    }
+
+    /// Side of a ground pixel, metres.
+    pub fn resolution_m(&self) -> f64 {
+        self.resolution_m
+    }
+
+    /// The columns and rows of tiles within which all tiles will be.
+    pub fn tiles(&self) -> (Range<i64>, Range<i64>) {
+        self.tiles.clone()
+    }
+
+    /// Number of remaining patches.
+    pub fn patches_left(&self) -> usize {
+        self.patches.len()
+    }
+
+    /// Blends the next patch and returns its tiles that show any ground; `None` at the end. Every
+    /// tile is returned once.
+    pub fn next_tiles(&mut self, images: &mut dyn KeyframeImages) -> Result<Option<Vec<MosaicTile>>> {
+        let Some(((row, column), keyframes)) = self.patches.pop() else {
+            return Ok(None);
+        };
+        self.patch.begin(column * PATCH, row * PATCH, self.resolution_m);
+        for &index in &keyframes {
+            let laid = &self.keyframes[index];
+            let Some(view) = View::new(&self.camera, &laid.pose) else { continue };
+            let image = self.images.get(laid.id, images)?;
+            self.patch.lay(image, &view, laid.bounds, self.gains.of(index), self.gains.darkening());
+        }
+        Ok(Some(self.patch.tiles()))
+    }
+}
+
+/// The resolution asked for, or that of the median keyframe, within bounds.
+fn resolution_m(keyframes: &[Laid], asked: Option<f64>) -> Option<f64> {
+    let mut samples: Vec<f64> = keyframes.iter().map(|laid| laid.sample_m).collect();
+    let median = median(&mut samples)?;
+    let asked = asked.filter(|asked| asked.is_finite() && *asked > 0.0);
+    let mut resolution_m = asked.map_or(median, |asked| asked.max(0.25 * median));
+    let farthest =
+        keyframes.iter().flat_map(|laid| laid.bounds).fold(0.0, |far: f64, side| far.max(side.abs()));
+    while 2.0 * farthest > WIDEST * resolution_m {
+        resolution_m *= 2.0;
+    }
+    Some(resolution_m)
+}
+
+/// The indices of the squares of `side_m` that overlap a range of metres.
+fn touched(from_m: f64, to_m: f64, side_m: f64) -> Range<i64> {
+    (from_m / side_m).floor() as i64..(to_m / side_m).floor() as i64 + 1
+}
+
+/// The patches that footprints overlap, row by row in alternating direction, so that neighbours
+/// share their images; reversed.
+fn patches(keyframes: &[Laid], resolution_m: f64) -> Vec<((i64, i64), Vec<usize>)> {
+    let side_m = (PATCH * TILE) as f64 * resolution_m;
+    let mut found: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
+    for (index, laid) in keyframes.iter().enumerate() {
+        let [left, bottom, right, top] = laid.bounds;
+        for row in touched(-top, -bottom, side_m) {
+            for column in touched(left, right, side_m) {
+                found.entry((row, column)).or_default().push(index);
+            }
+        }
+    }
+    let mut patches: Vec<_> = found.into_iter().collect();
+    patches.sort_by_key(|((row, column), _)| (*row, if row.rem_euclid(2) == 0 { *column } else { -*column }));
+    patches.reverse();
+    patches
+}
+
+fn tiles(keyframes: &[Laid], resolution_m: f64) -> Option<(Range<i64>, Range<i64>)> {
+    let side_m = TILE as f64 * resolution_m;
+    let one = |laid: &Laid| {
+        let [left, bottom, right, top] = laid.bounds;
+        (touched(left, right, side_m), touched(-top, -bottom, side_m))
+    };
+    let wide = |a: Range<i64>, b: Range<i64>| a.start.min(b.start)..a.end.max(b.end);
+    keyframes.iter().map(one).reduce(|a, b| (wide(a.0, b.0), wide(a.1, b.1)))
+}

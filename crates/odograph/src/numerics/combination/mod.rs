@@ -1,0 +1,149 @@
+//! Several measurements of the same quantities brought together, when they scatter by more than each one's own noise.
+
+use nalgebra::{SMatrix, SVector};
+use std::ops::AddAssign;
+
+/// What one measurement says about `N` quantities, as a quadratic about a common point: its information matrix, and that times the
+/// offset at which it would have them. A measurement may know nothing of some of them.
+#[derive(Debug, Clone, Copy)]
+pub struct Part<const N: usize> {
+    /// Information matrix.
+    pub information: SMatrix<f64, N, N>,
+    /// Information times the offset from the common point.
+    pub slope: SVector<f64, N>,
+}
+
+impl<const N: usize> Default for Part<N> {
+    /// Nothing is known.
+    fn default() -> Self {
+        Self { information: SMatrix::zeros(), slope: SVector::zeros() }
+    }
+}
+
+impl<const N: usize> AddAssign for Part<N> {
+    fn add_assign(&mut self, other: Self) {
+        self.information += other.information;
+        self.slope += other.slope;
+    }
+}
+
+impl<const N: usize> Part<N> {
+    /// What is left for the first `M` where the others are known to be at an offset from the common point.
+    pub fn with_known<const M: usize>(&self, offset: &SVector<f64, N>) -> Part<M> {
+        let mut left = Part::default();
+        for i in 0..M {
+            left.slope[i] = self.slope[i] - (M..N).map(|k| self.information[(i, k)] * offset[k]).sum::<f64>();
+            for k in 0..M {
+                left.information[(i, k)] = self.information[(i, k)];
+            }
+        }
+        left
+    }
+}
+
+/// What all say together.
+#[derive(Debug, Clone, Copy)]
+pub struct Combined<const N: usize> {
+    /// Offset from the common point.
+    pub offset: SVector<f64, N>,
+    /// Covariance of the offset.
+    pub covariance: SMatrix<f64, N, N>,
+    /// Variance of what differs from one measurement to the next beside their own noise.
+    pub scatter: SVector<f64, N>,
+}
+
+/// The random-effects mean (R. DerSimonian and N. Laird, "Meta-analysis in clinical trials", 1986): each measurement's true value scatters
+/// about the common one with a variance that is the same for all and estimated with it, by restricted maximum likelihood (D. Harville, 1977),
+/// here a diagonal one and by its multiplicative fixed point. Where the measurements agree within their noise it is the weighted mean.
+///
+/// `None` where all together do not determine every quantity.
+pub fn combine<const N: usize>(parts: &[Part<N>]) -> Option<Combined<N>> {
+    let mut scatter = SVector::<f64, N>::zeros();
+    let mut combined = mean(parts, &scatter)?;
+    if parts.len() < 2 {
+        return Some(combined);
+    }
+    // What they would scatter by if none had noise of its own: more than they can, so the search comes down to the answer.
+    for k in 0..N {
+        let (mut squares, mut weight) = (0.0, 0.0);
+        for part in parts {
+            let w = part.information[(k, k)];
+            if w > 0.0 {
+                let slope = part.slope[k] - (part.information * combined.offset)[k];
+                squares += slope * slope / w;
+                weight += w;
+            }
+        }
+        scatter[k] = if weight > 0.0 { squares / weight } else { 0.0 };
+    }
+    for _ in 0..ROUNDS {
+        combined = mean(parts, &scatter)?;
+        let (mut found, mut expected) = (SVector::<f64, N>::zeros(), SVector::<f64, N>::zeros());
+        for part in parts {
+            let (information, slope) = softened(part, &scatter)?;
+            let left = slope - information * combined.offset;
+            let spread = information - information * combined.covariance * information;
+            for k in 0..N {
+                found[k] += left[k] * left[k];
+                expected[k] += spread[(k, k)];
+            }
+        }
+        for k in 0..N {
+            scatter[k] *= if expected[k] > 0.0 { (found[k] / expected[k]).clamp(0.1, 10.0) } else { 0.0 };
+        }
+    }
+    combined = mean(parts, &scatter)?;
+    Some(Combined { scatter, ..combined })
+}
+
+/// The fixed point is reached to a few percent of the noise within this many steps.
+const ROUNDS: usize = 60;
+
+/// Information and slope of a measurement whose true value scatters: `(W⁻¹ + T)⁻¹` without W having an inverse.
+fn softened<const N: usize>(
+    part: &Part<N>,
+    scatter: &SVector<f64, N>,
+) -> Option<(SMatrix<f64, N, N>, SVector<f64, N>)> {
+    let mut soften = SMatrix::<f64, N, N>::identity();
+    for i in 0..N {
+        for k in 0..N {
+            soften[(i, k)] += part.information[(i, k)] * scatter[k];
+        }
+    }
+    let inverse = soften.try_inverse()?;
+    Some((inverse * part.information, inverse * part.slope))
+}
+
+fn mean<const N: usize>(parts: &[Part<N>], scatter: &SVector<f64, N>) -> Option<Combined<N>> {
+    let mut information = SMatrix::<f64, N, N>::zeros();
+    let mut slope = SVector::<f64, N>::zeros();
+    for part in parts {
+        let (w, s) = softened(part, scatter)?;
+        information += w;
+        slope += s;
+    }
+    let covariance = inverse(&information)?;
+    Some(Combined { offset: covariance * slope, covariance, scatter: *scatter })
+}
+
+/// The inverse of a symmetric positive definite matrix whose rows may have very different units; `None` where it has none.
+pub fn inverse<const N: usize>(information: &SMatrix<f64, N, N>) -> Option<SMatrix<f64, N, N>> {
+    let scale = SVector::<f64, N>::from_fn(|k, _| 1.0 / information[(k, k)].sqrt());
+    if scale.iter().any(|s| !s.is_finite()) {
+        return None;
+    }
+    let unit = SMatrix::<f64, N, N>::from_fn(|i, j| {
+        0.5 * (information[(i, j)] + information[(j, i)]) * scale[i] * scale[j]
+    });
+    let cholesky = unit.cholesky()?;
+    // Beyond this the rounding of the sums decides.
+    let least = (0..N).map(|k| cholesky.l_dirty()[(k, k)]).fold(f64::INFINITY, f64::min);
+    if least < 1e-7 {
+        return None;
+    }
+    let inverse = cholesky.inverse();
+    Some(SMatrix::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]))
+}
+
+#[cfg(test)]
+mod tests;
