@@ -62,8 +62,9 @@ pub struct DrivenTilt {
     /// How far the tracks had moved at the last pair of the present keyframe, pixels.
     moved_px: f64,
     rates: RateHistory,
-    /// Whether the ground looked uneven.
+    /// Whether the ground looks uneven, and what elevations leave of the tracks where it does.
     relief_seen: bool,
+    relief: MeanSquare,
     /// The readout time with which the odometry works, seconds.
     assumed_readout_s: f64,
     /// Pairs whose rates later frames tell.
@@ -177,9 +178,29 @@ const SHORTEST: f64 = 0.25;
 /// A tilt known worse than this is not a measurement: the level mount that people take without one is about as good, degrees.
 const USEFUL_DEG: f64 = 0.25;
 
-/// Tracks of flat ground scatter by less than this about a plane, pixels. Gravel of ±5 mm at a height of
-/// 0.75 m leaves 0.3.
-const FLAT_PX: f64 = 0.12;
+/// A plane explains tracks as well as elevations do if it leaves less than this multiple of what those
+/// leave. Over flat ground with an unknown lens it left 0.1 to 0.5 times as much, over rendered relief
+/// of all kinds 1.5 to 14 times.
+const AS_WELL: f64 = 1.3;
+
+/// A mean of squares.
+#[derive(Debug, Clone, Copy, Default)]
+struct MeanSquare {
+    sum: f64,
+    count: usize,
+}
+
+impl MeanSquare {
+    fn add(&mut self, value: f64) {
+        self.sum += value * value;
+        self.count += 1;
+    }
+
+    /// Its root; `None` of no values.
+    fn root(&self) -> Option<f64> {
+        (self.count > 0).then(|| (self.sum / self.count as f64).sqrt())
+    }
+}
 
 /// Fewer keyframes than this cannot tell how much they scatter.
 const FEWEST_KEYFRAMES: usize = 4;
@@ -195,6 +216,7 @@ impl DrivenTilt {
             moved_px: 0.0,
             rates: RateHistory::default(),
             relief_seen: false,
+            relief: MeanSquare::default(),
             assumed_readout_s: camera.readout_s().unwrap_or(0.0),
             pending: VecDeque::new(),
             path: Path::default(),
@@ -209,7 +231,7 @@ impl DrivenTilt {
     /// Takes the next frame: what [`Odometry::process`] gave, and its tracks.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
         let reference = odometry.reference().map(|reference| reference.keyframe);
-        self.relief_seen |= odometry.sees_relief();
+        self.relief_seen = odometry.sees_relief();
         self.take(frame, odometry.tracks(), reference);
     }
 
@@ -235,6 +257,9 @@ impl DrivenTilt {
             let index = self.groups.len() - 1;
             if let Some(group) = self.groups.last_mut() {
                 let pair = (index, group.pairs.len());
+                if self.relief_seen {
+                    self.relief.add(frame.residual_px);
+                }
                 self.pending.extend(reference.map(|keyframe| Pending { pair, keyframe, frame: count }));
                 group.pairs.push(Pair { tracks, exposure: None });
                 self.pairs += 1;
@@ -267,10 +292,10 @@ impl DrivenTilt {
         }
     }
 
-    /// Whether what was found explains the tracks: on ground that looked uneven a plane must leave no
-    /// more than their noise.
+    /// Whether a plane explains the tracks, with what was found, as well as elevations do where the ground
+    /// looked uneven.
     pub(super) fn explains(&self, found: &TiltMeasurement) -> bool {
-        !self.relief_seen || found.rms_px < FLAT_PX
+        self.relief.root().is_none_or(|relief_px| found.rms_px < AS_WELL * relief_px)
     }
 
     /// How many pairs of views there are so far.
