@@ -17,6 +17,7 @@ mod light_field;
 mod limits;
 mod loss;
 mod recovery;
+mod repeated;
 mod shutter;
 mod standing;
 mod succession;
@@ -72,6 +73,8 @@ pub struct Odometry {
     standing: Standing,
     /// So many frames before this one were lost.
     lost_frames: usize,
+    /// So many frames before this one were copies.
+    repeated: usize,
     frames: u64,
     /// Time of the first frame, seconds.
     first_time_s: Option<f64>,
@@ -126,6 +129,7 @@ impl Odometry {
             fixed,
             standing: Standing::default(),
             lost_frames: 0,
+            repeated: 0,
             frames: 0,
             first_time_s: None,
             keyframes: 0,
@@ -172,6 +176,13 @@ impl Odometry {
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
         self.check_readout(time_s)?;
+        if self.is_repeated(&image)
+            && let Some(frame) = self.repeat(time_s)
+        {
+            self.frames += 1;
+            return Ok(frame);
+        }
+        self.repeated = 0;
         self.reference = None;
         let since_last = self.look_for_what_is_fixed(&image);
         if let Some(keyframe) = &mut self.keyframe {
