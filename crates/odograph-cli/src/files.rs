@@ -1,40 +1,10 @@
-//! Files are written under a temporary name and then renamed, so that no half-written file is seen.
+//! Names of output files and folders; reading and writing is the library's.
+
+pub use odograph_session::files::*;
 
 use odograph::error::{Error, Result};
-use odograph::image::{GrayImage, RgbImage};
-use std::ffi::OsString;
 use std::fs;
-use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
-
-/// Writes a whole file under a temporary name and renames it. On failure nothing is left behind.
-pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    let beside = beside(path);
-    let written = fs::File::create(&beside)
-        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_data()))
-        .and_then(|()| fs::rename(&beside, path));
-    written.map_err(|error| {
-        let _ = fs::remove_file(&beside);
-        Error::output(format!("{} cannot be written: {error}", path.display()))
-    })
-}
-
-/// Writes a file that need not fit into memory: `fill` writes it under a temporary name, then it is
-/// renamed. On failure nothing is left behind.
-pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>) -> Result<()> {
-    let beside = beside(path);
-    let cannot =
-        |error: std::io::Error| Error::output(format!("{} cannot be written: {error}", path.display()));
-    let written = fs::File::create(&beside).map_err(cannot).and_then(|file| {
-        let mut output = BufWriter::with_capacity(1 << 20, file);
-        fill(&mut output)?;
-        output.flush().and_then(|()| output.get_ref().sync_data()).map_err(cannot)?;
-        fs::rename(&beside, path).map_err(cannot)
-    });
-    written.inspect_err(|_| {
-        let _ = fs::remove_file(&beside);
-    })
-}
 
 /// Makes the folder that a file is to be written into, where it is missing.
 pub fn make_folder_of(path: &Path) -> Result<()> {
@@ -59,111 +29,4 @@ pub fn free_beside(input: &str, suffix: &str) -> PathBuf {
     let numbered = (2..).map(|number| named(format!("-{number}")));
     let mut names = std::iter::once(named(String::new())).chain(numbered);
     names.find(|path| !path.exists()).unwrap_or_else(|| named(String::new()))
-}
-
-/// A text file a person made: at most 16 MiB of UTF-8.
-pub fn read_text(path: &Path) -> Result<String> {
-    read_text_within(path, MOST_TEXT)
-}
-
-/// A text file of at most `most` bytes of UTF-8.
-pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
-    let mut text = String::new();
-    fs::File::open(path)
-        .and_then(|file| file.take(most + 1).read_to_string(&mut text))
-        .map_err(|error| Error::input(format!("{} cannot be read: {error}", path.display())))?;
-    if text.len() as u64 > most {
-        return Err(Error::input(format!(
-            "{} is larger than {} MiB; it is not the file meant",
-            path.display(),
-            most >> 20
-        )));
-    }
-    Ok(text)
-}
-
-/// Greatest size of camera, rig and parameter files, bytes.
-const MOST_TEXT: u64 = 16 << 20;
-
-/// The temporary name under which `path` is written.
-pub fn beside(path: &Path) -> PathBuf {
-    let mut name: OsString = path.file_name().unwrap_or_default().to_owned();
-    name.push(".part");
-    path.with_file_name(name)
-}
-
-/// A gray image as the bytes of a PNG file.
-pub fn png_from_gray(image: &GrayImage) -> Result<Vec<u8>> {
-    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples(), None)
-}
-
-/// A gray image as the bytes of a PNG file with its print resolution.
-pub fn png_to_print(image: &GrayImage, pixels_per_metre: u32) -> Result<Vec<u8>> {
-    let unit = png::Unit::Meter;
-    let resolution = png::PixelDimensions { xppu: pixels_per_metre, yppu: pixels_per_metre, unit };
-    encode_png(image.width(), image.height(), png::ColorType::Grayscale, image.samples(), Some(resolution))
-}
-
-/// A colour image as the bytes of a PNG file.
-pub fn png_from_rgb(image: &RgbImage) -> Result<Vec<u8>> {
-    encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples(), None)
-}
-
-/// Interleaved red, green and blue in row order as the bytes of a PNG file.
-pub fn png_from_rgb_samples(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
-    encode_png(width, height, png::ColorType::Rgb, rgb, None)
-}
-
-/// A picture with opacity, interleaved red, green, blue and opacity in row order, as the bytes of a
-/// PNG file.
-pub fn png_from_rgba(width: usize, height: usize, rgba: &[u8]) -> Result<Vec<u8>> {
-    encode_png(width, height, png::ColorType::Rgba, rgba, None)
-}
-
-/// A picture with opacity that comes in bands of whole rows from top to bottom, as the bytes of a
-/// PNG file.
-pub fn png_from_rgba_bands(
-    width: usize,
-    height: usize,
-    bands: impl Iterator<Item = Vec<u8>>,
-) -> Result<Vec<u8>> {
-    let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
-        encoder.set_color(png::ColorType::Rgba);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_compression(png::Compression::Fast);
-        let mut writer = encoder.write_header()?;
-        let mut rows = writer.stream_writer_with_size(CHUNK_BYTES)?;
-        bands.into_iter().try_for_each(|band| rows.write_all(&band))?;
-        rows.finish()?;
-        writer.finish()?;
-        Ok(bytes)
-    };
-    encode().map_err(|error| Error::output(format!("a {width}x{height} PNG cannot be encoded: {error}")))
-}
-
-/// Bytes of a chunk of a PNG file that is written in several.
-const CHUNK_BYTES: usize = 1 << 18;
-
-fn encode_png(
-    width: usize,
-    height: usize,
-    color: png::ColorType,
-    samples: &[u8],
-    resolution: Option<png::PixelDimensions>,
-) -> Result<Vec<u8>> {
-    let encode = || -> std::result::Result<Vec<u8>, png::EncodingError> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
-        encoder.set_color(color);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_pixel_dims(resolution);
-        encoder.set_compression(png::Compression::Fast);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(samples)?;
-        writer.finish()?;
-        Ok(bytes)
-    };
-    encode().map_err(|error| Error::output(format!("a {width}x{height} PNG cannot be encoded: {error}")))
 }

@@ -1,19 +1,10 @@
 //! Lengths on the command line: a number of metres, or a number with its unit.
 
-use crate::{console, files};
-use odograph::camera::Rig;
-use odograph::error::Result as OdographResult;
-use odograph::formats::rig_file;
-use std::path::Path;
+use crate::console;
+use odograph_session::doubtful_unit;
 
 /// Units and how many metres they are; of two that end alike the longer comes first.
 const UNITS: [(&str, f64); 5] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("ft", 0.3048), ("in", 0.0254)];
-
-/// Cameras on vehicles are lower: above this a bare number is probably in another unit.
-const DOUBTFUL_HEIGHT_M: f64 = 10.0;
-
-/// Above this a bare number is probably in millimetres, below it in centimetres.
-const MILLIMETRES_FROM: f64 = 300.0;
 
 /// No camera looks at the ground from higher.
 const GREATEST_HEIGHT_M: f64 = 1e6;
@@ -59,8 +50,7 @@ impl Height {
     /// A question about a height that was probably meant in another unit.
     fn doubt(self) -> Option<String> {
         let Self { metres, has_unit } = self;
-        (is_doubtful(metres) && !has_unit).then(|| {
-            let (unit, name) = likely_unit(metres);
+        doubtful_unit(metres).filter(|_| !has_unit).map(|(unit, name)| {
             format!(
                 "--height {metres} is read as {metres} metres; if {name} are meant, write {metres}{unit} \
                  ({metres}m silences this)"
@@ -93,28 +83,6 @@ pub fn typed(text: &str) -> Result<Typed, String> {
     let last_digit_m = unit_m.abs() * 10_f64.powi(-i32::try_from(decimals).unwrap_or(i32::MAX));
     // Rounding is spread evenly over one unit of the last digit.
     Ok(Typed { metres, rounding_m: last_digit_m / 12_f64.sqrt() })
-}
-
-/// The rig in a file; a height that is probably in another unit is questioned unless `quiet`.
-pub fn read_rig(path: &Path, quiet: bool) -> OdographResult<Rig> {
-    let rig = rig_file::parse(&files::read_text(path)?).map_err(|error| error.at(path.display()))?;
-    if is_doubtful(rig.height_m) && !quiet {
-        let (metres, (_, name)) = (rig.height_m, likely_unit(rig.height_m));
-        console::warn(&format!(
-            "{}: height_m is {metres}, a camera {metres} metres above the ground; are {name} meant?",
-            path.display()
-        ));
-    }
-    Ok(rig)
-}
-
-fn is_doubtful(height_m: f64) -> bool {
-    height_m.is_finite() && height_m > DOUBTFUL_HEIGHT_M
-}
-
-/// The unit in which a bare number of this size was probably meant, short and in full.
-fn likely_unit(number: f64) -> (&'static str, &'static str) {
-    if number >= MILLIMETRES_FROM { ("mm", "millimetres") } else { ("cm", "centimetres") }
 }
 
 /// A length in metres, and whether its unit was written.

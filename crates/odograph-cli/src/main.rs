@@ -5,10 +5,11 @@ mod console;
 mod files;
 mod interrupt;
 mod lengths;
-mod report;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use odograph::error::{ErrorKind, Result};
+use odograph_report as report;
+use odograph_session::RunEnd;
 use std::process::ExitCode;
 
 /// One video camera in, a metric trajectory and map out.
@@ -75,6 +76,16 @@ pub enum Outcome {
     Interrupted,
     /// The calibration is not good enough to be used; the results have been written.
     NotToBeTrusted,
+}
+
+impl From<RunEnd> for Outcome {
+    fn from(end: RunEnd) -> Self {
+        match end {
+            RunEnd::Completed => Self::Done,
+            RunEnd::Interrupted => Self::Interrupted,
+            RunEnd::TrackingFailed => Self::TrackingFailed,
+        }
+    }
 }
 
 fn main() -> ExitCode {

@@ -1,5 +1,6 @@
 //! The error type shared by the whole workspace.
 
+use std::error::Error as Cause;
 use std::fmt;
 
 /// The category of an error; decides the exit code of the program.
@@ -18,11 +19,13 @@ pub enum ErrorKind {
 /// do.
 ///
 /// Opaque on purpose: code branches on [`Error::kind`], people read the [`Display`](fmt::Display)
-/// form.
+/// form, which is complete: what [`source`](Cause::source) gives stands in it already and is for
+/// programs.
 #[derive(Debug)]
 pub struct Error {
     kind: ErrorKind,
     message: String,
+    source: Option<Box<dyn Cause + Send + Sync>>,
 }
 
 /// A result whose error is the workspace's [`Error`].
@@ -31,7 +34,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// An error of the given kind with the given message.
     pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into() }
+        Self { kind, message: message.into(), source: None }
     }
 
     /// A [`ErrorKind::Usage`] error.
@@ -57,7 +60,14 @@ impl Error {
     /// The same error with its location prepended to the message: `camera.yaml: fx is NaN`.
     #[must_use]
     pub fn at(self, place: impl fmt::Display) -> Self {
-        Self { kind: self.kind, message: format!("{place}: {}", self.message) }
+        Self { message: format!("{place}: {}", self.message), ..self }
+    }
+
+    /// The same error with what caused it as its [`source`](Cause::source): so a program can tell a
+    /// full disk from a missing file.
+    #[must_use]
+    pub fn caused_by(self, source: impl Cause + Send + Sync + 'static) -> Self {
+        Self { source: Some(Box::new(source)), ..self }
     }
 }
 
@@ -67,4 +77,24 @@ impl fmt::Display for Error {
     }
 }
 
-impl std::error::Error for Error {}
+impl Cause for Error {
+    fn source(&self) -> Option<&(dyn Cause + 'static)> {
+        self.source.as_deref().map(|source| source as &(dyn Cause + 'static))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io;
+
+    #[test]
+    fn the_cause_of_an_error_can_be_asked_for_and_its_message_stays() {
+        let cause = io::Error::from(io::ErrorKind::NotFound);
+        let error = Error::input("camera.yaml cannot be read").caused_by(cause).at("drive");
+        assert_eq!(error.to_string(), "drive: camera.yaml cannot be read");
+        let cause = error.source().and_then(|cause| cause.downcast_ref::<io::Error>());
+        assert_eq!(cause.map(io::Error::kind), Some(io::ErrorKind::NotFound));
+        assert!(Error::usage("no camera is given").source().is_none());
+    }
+}

@@ -1,11 +1,13 @@
 //! `odograph demo`: the bundled drive, end to end.
 
 use super::evaluate::over_ground_m;
-use super::run::{self, OutputArguments, RunArguments};
+use super::run::{ConsoleObserver, tell};
 use crate::{Outcome, console, files};
 use odograph::error::{Error, Result};
 use odograph::evaluation::{self, Alignment, EvaluationOptions};
 use odograph::formats::trajectory_file;
+use odograph_report::HtmlReporter;
+use odograph_session::{RUN_FILES, RunBuilder};
 use std::path::{Path, PathBuf};
 
 const CLIP: &[u8] = include_bytes!("../../demo/drive.mp4");
@@ -46,7 +48,7 @@ pub struct DemoArguments {
 
 /// Fails where the folder has results, or other inputs under the demo's names.
 fn check_free(folder: &Path, force: bool) -> Result<()> {
-    let results = run::folder::FILES.iter().map(|name| folder.join(name)).filter(|path| path.exists());
+    let results = RUN_FILES.iter().map(|name| folder.join(name)).filter(|path| path.exists());
     let input = |(name, bytes): (&str, &[u8])| {
         let path = folder.join("input").join(name);
         (path.exists() && !std::fs::read(&path).is_ok_and(|there| there == bytes)).then_some(path)
@@ -109,21 +111,16 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
             quoted(&free(folder))
         ))?;
     }
-    let outcome = run::run(RunArguments {
-        source: clip.display().to_string(),
-        camera: Some(camera),
-        rig: Some(rig),
-        ..RunArguments::over(OutputArguments {
-            output: folder.clone(),
-            force: arguments.force,
-            map: None,
-            map_is_read_only: false,
-            least_frames: 2,
-            threads: arguments.threads,
-            quiet: arguments.quiet,
-            json: arguments.json,
-        })
-    })?;
+    let run = RunBuilder::new(clip.display().to_string())
+        .camera_file(camera)
+        .rig_file(rig)
+        .folder(folder)
+        .overwriting(arguments.force)
+        .reporter(HtmlReporter);
+    let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
+    let followed = run.run(&ConsoleObserver::new(arguments.quiet))?;
+    tell(&followed, arguments.quiet, arguments.json)?;
+    let outcome = Outcome::from(followed.end);
     if told && outcome != Outcome::Interrupted {
         compare(folder, &truth)?;
     }

@@ -1,15 +1,13 @@
 //! `odograph localize`: where a camera is in a map that was made before.
 
-use super::run::{
-    self, AlikePlace, OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, SensorPlan, SourcePlan,
-    Statistics, Verdict,
-};
-use crate::{Outcome, console, lengths};
+use super::run::{ConsoleObserver, Motion};
+use crate::{Outcome, console};
 use odograph::error::{Error, Result};
-use odograph::loop_closure::LoopClosureConfig;
-use odograph::motion::MotionModel;
-use odograph::odometry::OdometryConfig;
 use odograph_map::MapFile;
+use odograph_report::HtmlReporter;
+use odograph_session::{
+    AlikePlace, MapUse, PlaceInMap, RunBuilder, RunOutcome, SourcePlan, Statistics, Verdict,
+};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -41,7 +39,7 @@ pub struct LocalizeArguments {
     pub rig: Option<PathBuf>,
     /// What may change between frames.
     #[arg(help_heading = "Map", long, value_name = "MODEL", default_value = "auto")]
-    pub motion: run::Motion,
+    pub motion: Motion,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
@@ -79,65 +77,25 @@ Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when i
 
 /// Runs the command.
 pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
-    let map = MapFile::open_read_only(&arguments.map)?;
-    let (camera, mounted) = (map.camera().clone(), *map.rig());
-    drop(map);
-    let rig = match &arguments.rig {
-        Some(path) => lengths::read_rig(path, arguments.quiet)?,
-        None => mounted,
-    };
-    let read_only = !arguments.extend;
-    let nowhere = tempfile::tempdir()
-        .map_err(|error| Error::output(format!("there is no folder for temporary files: {error}")))?;
-    let output = OutputArguments {
-        output: arguments.output.clone().unwrap_or_else(|| nowhere.path().to_owned()),
-        force: arguments.force,
-        map: Some(arguments.map.clone()),
-        map_is_read_only: read_only,
-        least_frames: 1,
-        threads: arguments.threads,
-        quiet: arguments.quiet,
-        json: arguments.json,
-    };
-    let folder = OutputFolder::new(&output)?;
-    let source_plan = SourcePlan {
-        path: arguments.source.clone(),
+    // A map that cannot be read is told before anything is made for the results.
+    drop(MapFile::open_read_only(&arguments.map)?);
+    let source = SourcePlan {
         timestamps: arguments.timestamps.clone(),
         fps: arguments.fps,
-        start_s: None,
-        end_s: None,
-        every: 1,
         max_frames: arguments.max_frames,
+        ..SourcePlan::new(&arguments.source)
     };
-    let source = source_plan.open()?;
-    let (width, height) = (source.info().width, source.info().height);
-    if (camera.width(), camera.height()) != (width, height) {
-        return Err(Error::input(format!(
-            "the frames of {} are {width}x{height} but the map was made with a camera of {}x{}; only pictures of that camera can \
-             be found in it",
-            arguments.source,
-            camera.width(),
-            camera.height(),
-        )));
-    }
-    let mut odometry = OdometryConfig::default();
-    odometry.motion.model = MotionModel::from(arguments.motion);
-    let plan = RunPlan {
-        mask: None,
-        odograph: env!("CARGO_PKG_VERSION").to_owned(),
-        reference: None,
-        source: source_plan,
-        camera,
-        rig,
-        sensors: SensorPlan::default(),
-        odometry,
-        budget: None,
-        // A read-only look-up cannot corrupt the map, so a single certain sighting is enough.
-        slam: LoopClosureConfig { sightings: if read_only { 1 } else { 2 }, ..LoopClosureConfig::default() },
-    };
-    let report = run::follow(&plan, source, folder, &output)?;
+    let run = RunBuilder::localizing(source, &arguments.map)
+        .motion(arguments.motion.into())
+        .overwriting(arguments.force)
+        .reporter(HtmlReporter);
+    let run = if arguments.extend { run.map(MapUse::Continue(arguments.map.clone())) } else { run };
+    let run = arguments.rig.iter().fold(run, RunBuilder::rig_file);
+    let run = arguments.output.iter().fold(run, RunBuilder::folder);
+    let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
+    let report = run.run(&ConsoleObserver::new(arguments.quiet))?;
     tell(&arguments, &report)?;
-    Ok(match (report.place, report.outcome()) {
+    Ok(match (report.place, Outcome::from(report.end)) {
         (_, Outcome::Interrupted) => Outcome::Interrupted,
         (Some(_), outcome) => outcome,
         (None, _) => Outcome::TrackingFailed,
@@ -158,7 +116,7 @@ struct Told<'a> {
     statistics: &'a Statistics,
 }
 
-fn tell(arguments: &LocalizeArguments, report: &RunReport) -> Result<()> {
+fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
     let sessions = MapFile::open_read_only(&arguments.map)?.sessions()?;
     let source = |place: &PlaceInMap| {
         let session = sessions.iter().find(|session| session.id == place.session)?;

@@ -3,9 +3,7 @@
 
 use super::search::{Gathering, look};
 use super::{CalibrateArguments, Calibrated, LEAST_VIEWS, Source, conclude, input::Look, output::Output};
-use crate::commands::live::pipeline::{FAREWELL, PATIENCE, QUEUE, STATUS_EVERY, capture};
-use crate::commands::live::{CaptureArguments, Offer, Serving, open};
-use crate::commands::run::SourcePlan;
+use crate::commands::live::{Offer, Serving};
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
 use odograph::geometry::Pixel;
@@ -17,6 +15,10 @@ use odograph_calibration::selection::{Coverage, Guidance, SelectionConfig, ViewS
 use odograph_calibration::{Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};
+use odograph_session::SourcePlan;
+use odograph_session::live::{
+    FAREWELL, FRAMES_WAITING, LiveInput, PATIENCE, STATUS_EVERY, capture, open_live_input,
+};
 use serde_json::json;
 use std::path::Path;
 use std::sync::{Arc, Mutex, mpsc};
@@ -65,12 +67,13 @@ pub fn calibrate(
         calibration: true,
     };
     let no_ground = Mutex::new(Mosaic::new(Default::default()));
-    let serving = Serving::start(&arguments.serve, introduction, no_ground, offer(output))?;
+    let hub = Arc::new(Hub::new(introduction, Arc::new(no_ground)));
+    let serving = Serving::start(&arguments.serve, hub, offer(output))?;
     if !arguments.quiet {
         serving.tell_where("");
     }
     let started = Instant::now();
-    let queue = Arc::new(Newest::new(opened.policy, QUEUE));
+    let queue = Arc::new(Newest::new(opened.policy, FRAMES_WAITING));
     let ended = capture(opened.source, Arc::clone(&queue));
     let gathering = Gathering::new(&board, selection, info.description.clone());
     let mut showing = Showing {
@@ -124,19 +127,16 @@ pub fn calibrate(
     Ok(outcome)
 }
 
-fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<open::Opened> {
+fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {
     let path = arguments.sources.first().cloned().unwrap_or_default();
-    let CaptureArguments { fps, .. } = arguments.capture;
     let plan = SourcePlan {
-        path,
-        timestamps: None,
-        fps,
+        fps: arguments.capture.fps,
         start_s: arguments.start,
         end_s: arguments.end,
         every: arguments.every,
-        max_frames: None,
+        ..SourcePlan::new(path)
     };
-    open::open(&plan, &arguments.capture, || None, watch)
+    open_live_input(&plan, &arguments.capture.options(), || None, watch)
 }
 
 /// The camera file, and the report where it lies below the same folder.

@@ -3,7 +3,7 @@
 
 use super::input::{Input, Look};
 use crate::interrupt;
-use crate::report::calibration::Found;
+use crate::report::calibration::BoardDetections;
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::error::{Error, Result};
 use odograph_calibration::selection::{SelectionConfig, Sighting, ViewSelector, blur_px};
@@ -14,7 +14,7 @@ use std::thread;
 
 /// What a search has found.
 pub struct Search {
-    pub found: Found,
+    pub found: BoardDetections,
     pub selector: ViewSelector,
     /// The sightings in pictures, while there are few enough of them that all can be used.
     pub pictures: Vec<Sighting>,
@@ -157,7 +157,7 @@ impl Gathering {
     pub fn new(board: &Board, selection: SelectionConfig, kind: String) -> Self {
         Self {
             search: Search {
-                found: Found::default(),
+                found: BoardDetections::default(),
                 selector: ViewSelector::new(board, selection),
                 pictures: Vec::new(),
                 names: BTreeMap::new(),

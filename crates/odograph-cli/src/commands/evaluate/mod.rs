@@ -1,19 +1,17 @@
 //! `odograph evaluate`: how far an estimated trajectory is from the truth.
 
 mod figures;
-pub mod plot;
 mod table;
 
 use crate::{Outcome, files, lengths};
 use clap::ValueEnum;
 use odograph::error::{Error, Result};
 use odograph::evaluation::{Alignment, Delta, Evaluation, EvaluationOptions, evaluate as measure};
-use odograph::formats::trajectory_file::{
-    Trajectory, TrajectoryFormat, guess_format, parse_kitti, parse_times, parse_tum,
-};
+use odograph::formats::trajectory_file::{Trajectory, TrajectoryFormat, parse_times};
 use odograph::trajectory::StampedPose;
-use std::fs::File;
-use std::io::{ErrorKind, Read, Write};
+use odograph_report::evaluation_plot;
+use odograph_session::{read_trajectory, read_trajectory_text};
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -102,6 +100,15 @@ enum Format {
     Kitti,
 }
 
+impl From<Format> for TrajectoryFormat {
+    fn from(format: Format) -> Self {
+        match format {
+            Format::Tum => Self::Tum,
+            Format::Kitti => Self::Kitti,
+        }
+    }
+}
+
 #[derive(Clone, Copy)]
 struct DeltaArgument(Delta);
 
@@ -125,11 +132,14 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
         check_plot(path, arguments.force)?;
     }
     let times_s = match &arguments.times {
-        Some(path) => Some(parse_times(&read_text(path)?).map_err(|error| error.at(path.display()))?),
+        Some(path) => {
+            Some(parse_times(&read_trajectory_text(path)?).map_err(|error| error.at(path.display()))?)
+        }
         None => None,
     };
-    let estimate = read_trajectory(&arguments.estimate, arguments.format, times_s.as_deref())?;
-    let truth = read_trajectory(&arguments.truth, arguments.format, times_s.as_deref())?;
+    let format = arguments.format.map(TrajectoryFormat::from);
+    let estimate = read_trajectory(&arguments.estimate, format, times_s.as_deref())?;
+    let truth = read_trajectory(&arguments.truth, format, times_s.as_deref())?;
     if !(estimate.timed && truth.timed) && estimate.trajectory.poses.len() != truth.trajectory.poses.len() {
         return Err(Error::input(format!(
             "{} has {} poses and {} has {}; without times only files of the same length can be compared (give --times)",
@@ -163,7 +173,7 @@ pub fn evaluate(arguments: EvaluateArguments) -> Result<Outcome> {
     }
     if let Some(path) = &arguments.plot {
         let title = format!("{} against {}", name(&arguments.estimate), name(&arguments.truth));
-        files::write(path, plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;
+        files::write(path, evaluation_plot::svg(&title, &evaluation, &truth.trajectory).as_bytes())?;
     }
     // The ground of KITTI's poses is not x and y.
     let over_ground_m =
@@ -212,49 +222,4 @@ fn check_plot(path: &Path, force: bool) -> Result<()> {
         return Err(Error::usage(format!("{} exists; give --force to overwrite it", path.display())));
     }
     Ok(())
-}
-
-/// A trajectory, and whether its times are seconds rather than numbers of poses.
-struct Loaded {
-    trajectory: Trajectory,
-    timed: bool,
-}
-
-/// A trajectory of whichever form it has.
-pub fn trajectory_in(path: &Path) -> Result<Trajectory> {
-    read_trajectory(path, None, None).map(|read| read.trajectory)
-}
-
-fn read_trajectory(path: &Path, format: Option<Format>, times_s: Option<&[f64]>) -> Result<Loaded> {
-    let text = read_text(path)?;
-    let parse = || {
-        let format = match format {
-            Some(Format::Tum) => TrajectoryFormat::Tum,
-            Some(Format::Kitti) => TrajectoryFormat::Kitti,
-            None => guess_format(&text)?,
-        };
-        Ok(match format {
-            TrajectoryFormat::Tum => Loaded { trajectory: parse_tum(&text)?, timed: true },
-            TrajectoryFormat::Kitti => {
-                Loaded { trajectory: parse_kitti(&text, times_s)?, timed: times_s.is_some() }
-            }
-        })
-    };
-    parse().map_err(|error: Error| error.at(path.display()))
-}
-
-/// No trajectory of text is larger: a day at a thousand poses a second is 10 GB, an hour at 100 is
-/// 40 MB.
-const MAX_BYTES: u64 = 1 << 30;
-
-fn read_text(path: &Path) -> Result<String> {
-    let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
-        .map_err(|error| Error::input(format!("{} cannot be read: {error}", path.display())))?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(Error::input(format!("{} is larger than 1 GiB; is it a trajectory?", path.display())));
-    }
-    String::from_utf8(bytes)
-        .map_err(|_| Error::input(format!("{} is not a text file; a trajectory is text", path.display())))
 }

@@ -1,7 +1,8 @@
 //! Roll and pitch, and with a known distance the height, from a recording of driving.
 
 use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
-use crate::lengths::{self, Typed};
+use crate::commands::run::ConsoleObserver;
+use crate::lengths::Typed;
 use crate::{console, interrupt};
 use indicatif::ProgressStyle;
 use odograph::camera::{Camera, Rig};
@@ -11,6 +12,7 @@ use odograph::geometry::GroundPose;
 use odograph::image::RgbImage;
 use odograph::mounting::{DrivenTilt, DrivingConfig, LensMeasurement, Revealed, TiltMeasurement};
 use odograph::odometry::{Odometry, OdometryConfig};
+use odograph_session::read_rig;
 
 /// One pass over the recording.
 struct Pass {
@@ -60,7 +62,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
         }
     };
     let begin = match &arguments.rig {
-        Some(path) => lengths::read_rig(path, arguments.quiet)?,
+        Some(path) => read_rig(path, &ConsoleObserver::new(arguments.quiet))?,
         None => Rig::level(1.0),
     };
     let mut rig = Rig { height_m: given_m, ..begin }.validated()?;

@@ -2,30 +2,22 @@
 //! a page in the browser.
 
 mod address;
-mod ground;
-mod latency;
-mod laying;
-mod mcap;
-pub(super) mod open;
+mod capture_arguments;
 mod outputs;
-pub(super) mod pipeline;
-mod recorder;
 mod serving;
-mod straight;
 
-use super::run::{self, FieldOfView, Motion, OutputArguments, RunArguments, RunPlan};
-use crate::lengths::{self, Height};
-use crate::{Outcome, files, interrupt};
-use mcap::McapLog;
+use super::run::{ConsoleObserver, MountedCamera, tell};
+use crate::{Outcome, interrupt};
+pub use capture_arguments::CaptureArguments;
 use odograph::error::Result;
-use odograph::formats::camera_file;
-use odograph_live::capture::{Watch, without_credentials};
-use odograph_live::{Introduction, Phase};
-pub use open::CaptureArguments;
+use odograph_live::Phase;
+use odograph_report::HtmlReporter;
+use odograph_session::live::{LiveOptions, folder_name_now};
+use odograph_session::{RunBuilder, SourcePlan};
 use outputs::Outputs;
-use recorder::Recorder;
 pub use serving::{Offer, ServeArguments, Serving};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Follow a camera as it moves, with a page in the browser.
 ///
@@ -43,32 +35,8 @@ pub struct LiveArguments {
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
-    ///
-    /// The camera is taken to look straight down; a tilt is found in the recording.
-    #[arg(help_heading = "Camera", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
-    pub height: Option<Height>,
-    /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
-    #[arg(help_heading = "Camera", long, value_name = "FILE")]
-    pub rig: Option<PathBuf>,
-    /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
-    ///
-    /// Stands in for a camera file; height and tilt are then taken as steady.
-    #[arg(help_heading = "Camera", long, value_name = "WxH", value_parser = run::field_of_view, conflicts_with = "camera")]
-    pub field_of_view: Option<FieldOfView>,
-    /// Readout time of the image in milliseconds, first row to last; 0 is a global shutter.
-    ///
-    /// [default: the camera file's readout_time_s; otherwise it is learned]
-    #[arg(help_heading = "Camera", long, value_name = "MS", value_parser = run::readout_ms, allow_negative_numbers = true)]
-    pub readout_ms: Option<f64>,
-    /// Picture of what is not ground (black), of the size of the frames.
-    ///
-    /// Bumper, wheel, own shadow. What is found while running is ignored as well.
-    #[arg(help_heading = "Camera", long, value_name = "PICTURE")]
-    pub mask: Option<PathBuf>,
-    /// What may change between frames.
-    #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
-    pub motion: Motion,
+    #[command(flatten)]
+    pub mounted: MountedCamera,
     #[command(flatten)]
     pub capture: CaptureArguments,
     #[command(flatten)]
@@ -113,94 +81,34 @@ pub enum Print {
 }
 
 impl LiveArguments {
-    /// The arguments of a run over the same source into the same folder.
-    fn as_run(&self) -> RunArguments {
-        let output = self.output.clone().unwrap_or_else(|| PathBuf::from(recorder::folder_name_now()));
-        RunArguments {
-            source: self.source.clone(),
-            camera: self.camera.clone(),
-            height: self.height,
-            rig: self.rig.clone(),
-            field_of_view: self.field_of_view,
-            readout_ms: self.readout_ms,
-            mask: self.mask.clone(),
-            motion: self.motion,
-            fps: self.capture.fps,
-            ..RunArguments::over(OutputArguments {
-                output,
-                force: self.force,
-                threads: None,
-                map: None,
-                map_is_read_only: false,
-                least_frames: 2,
-                quiet: self.quiet,
-                json: self.json,
-            })
-        }
+    /// The run that they ask for.
+    fn builder(&self) -> RunBuilder {
+        let folder = self.output.clone().unwrap_or_else(|| PathBuf::from(folder_name_now()));
+        let source = SourcePlan { fps: self.capture.fps, ..SourcePlan::new(&self.source) };
+        let run = RunBuilder::over(source).folder(folder).overwriting(self.force).reporter(HtmlReporter);
+        self.mounted.of_run(run, self.camera.as_ref())
     }
-}
-
-/// The size of the pictures for which a camera was calibrated, pixels.
-fn calibrated_size(camera: &Path) -> Option<(u32, u32)> {
-    let camera = camera_file::parse(&files::read_text(camera).ok()?, None).ok()?;
-    Some((camera.width() as u32, camera.height() as u32))
 }
 
 /// Runs the command.
 pub fn live(arguments: LiveArguments) -> Result<Outcome> {
-    let run_arguments = arguments.as_run();
-    let outputs = Outputs::new(&arguments)?;
-    arguments.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, arguments.force))?;
-    let folder = run::folder::OutputFolder::new(&run_arguments.output)?;
-    let watch = Watch::default();
-    let (mut plan, source) = RunPlan::over(&run_arguments, |plan| {
-        // A calibration holds for one size only: that is the one to ask a camera for.
-        let calibrated = || calibrated_size(arguments.camera.as_deref()?);
-        let source = open::open(plan, &arguments.capture, calibrated, &watch)?;
-        let size = (source.source.info().width, source.source.info().height);
-        Ok((source, size))
-    })?;
-    plan.take_lens_of(run_arguments.output.map.as_deref())?;
-    // What is written and shown is for others to read.
-    plan.source.path = without_credentials(&plan.source.path);
-    let info = source.source.info().clone();
-    let name = arguments.source.trim_end_matches(['/', '\\']);
-    let introduction = Introduction {
-        title: match name.rsplit(['/', '\\']).next() {
-            Some("-") => "standard input".to_owned(),
-            last => last.unwrap_or(name).to_owned(),
-        },
-        source: info.description.clone(),
-        width: info.width,
-        height: info.height,
-        height_m: plan.rig.height_m,
-        live: true,
-        calibration: false,
+    let mut outputs = Outputs::new(&arguments)?;
+    arguments.mounted.question(arguments.quiet);
+    let observer = ConsoleObserver::without_progress(arguments.quiet);
+    let options = LiveOptions {
+        capture: arguments.capture.options(),
+        shown: arguments.serve.serve.is_some(),
+        mcap: arguments.mcap.clone(),
     };
-    let laying = ground::LiveGround::new(plan.camera.clone(), folder.path(), arguments.serve.serve.is_some());
-    let serving =
-        Serving::start(&arguments.serve, introduction, laying.clone(), Offer::of_run(folder.path()))?;
+    let run = arguments.builder().open_live(&options, &observer)?;
+    let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
     if !arguments.quiet {
         serving.tell_where("");
     }
-    let mapping = run::mapping::Mapping::new(&plan, &folder, &run_arguments.output)?;
-    let recorder = Recorder::new(folder, &plan)?;
-    let log = McapLog::new(&arguments, &info.description, source.policy)?;
-    let result = pipeline::follow(
-        &plan,
-        source,
-        &watch,
-        &laying,
-        serving.hub(),
-        &run_arguments.output,
-        mapping,
-        recorder,
-        outputs,
-        log.as_ref(),
-    );
+    let result = run.follow(Some(&mut outputs), &observer);
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
-    let report = match result {
-        Ok(report) => report,
+    let outcome = match result {
+        Ok(outcome) => outcome,
         Err(error) => {
             // The page still shows what there was, and why it ended.
             if !interrupt::asked() {
@@ -210,10 +118,10 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         }
     };
     if arguments.print.is_none() {
-        report.tell(&run_arguments.output)?;
+        tell(&outcome, arguments.quiet, arguments.json)?;
     }
     if !interrupt::asked() {
         serving.linger(arguments.quiet);
     }
-    Ok(report.outcome())
+    Ok(outcome.end.into())
 }

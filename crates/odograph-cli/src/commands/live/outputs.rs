@@ -5,6 +5,7 @@ use crate::console;
 use odograph::error::{Error, Result};
 use odograph::trajectory::FrameEstimate;
 use odograph_live::stream::{Datagrams, json_line};
+use odograph_session::live::PoseSink;
 
 /// Where poses go beside the folder and the page.
 pub struct Outputs {
@@ -20,9 +21,10 @@ impl Outputs {
         });
         Ok(Self { print: arguments.print == Some(Print::Poses), datagrams: datagrams.transpose()? })
     }
+}
 
-    /// Tells a frame.
-    pub fn tell(&mut self, frame: &FrameEstimate, latency_ms: f64) -> Result<()> {
+impl PoseSink for Outputs {
+    fn take(&mut self, frame: &FrameEstimate, latency_ms: f64) -> Result<()> {
         if !self.print && self.datagrams.is_none() {
             return Ok(());
         }

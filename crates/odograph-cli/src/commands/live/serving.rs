@@ -1,11 +1,11 @@
 //! The page of a run: begins, tells how it goes, and stays as long as somebody looks.
 
 use super::address;
-use crate::commands::run::folder::FILES;
 use crate::{console, interrupt};
 use odograph::error::{Error, Result};
 use odograph_live::server::new_token;
-use odograph_live::{Ground, Hub, Introduction, Phase, Server, ServerOptions};
+use odograph_live::{Hub, Phase, Server, ServerOptions};
+use odograph_session::RUN_FILES;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -38,7 +38,7 @@ pub struct Offer {
 impl Offer {
     /// Everything that a run writes into its folder.
     pub fn of_run(folder: &Path) -> Self {
-        let files = FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect();
+        let files = RUN_FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect();
         Self { folder: folder.to_owned(), files }
     }
 }
@@ -53,14 +53,8 @@ pub struct Serving {
 }
 
 impl Serving {
-    /// Begins to show a run.
-    pub fn start(
-        arguments: &ServeArguments,
-        introduction: Introduction,
-        ground: impl Ground + 'static,
-        offer: Offer,
-    ) -> Result<Self> {
-        let hub = Arc::new(Hub::new(introduction, Arc::new(ground)));
+    /// Begins to show what is in a hub.
+    pub fn start(arguments: &ServeArguments, hub: Arc<Hub>, offer: Offer) -> Result<Self> {
         let Some(address) = arguments.serve else {
             return Ok(Self { hub, server: None });
         };

@@ -1,10 +1,10 @@
 //! Many recordings in one call: each gets a folder of its own and the result that it would have
 //! alone; as many run at a time as there are cores.
 
-use super::folder::OutputFolder;
-use super::{OutputArguments, RunArguments, RunPlan, RunReport, Statistics, follow};
+use super::{ConsoleObserver, RunArguments};
 use crate::{Outcome, console, interrupt};
 use odograph::error::{Error, ErrorKind, Result};
+use odograph_session::{RunEnd, RunOutcome, Statistics};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::num::NonZero;
@@ -55,7 +55,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
     }
     let one_alone = [
         ("--timestamps", arguments.timestamps.is_some()),
-        ("--gyro, --heading, --wheel or --range", !arguments.sensors.is_empty()),
+        ("--gyro, --heading, --wheel or --range", !arguments.sensors.files().is_empty()),
         ("--reference", arguments.reference.is_some()),
     ];
     if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {
@@ -101,20 +101,20 @@ fn named(sources: Vec<String>) -> Vec<Recording> {
 
 /// How one of them ended.
 enum End {
-    Followed(Box<RunReport>),
+    Followed(Box<RunOutcome>),
     Failed(Error),
     /// The program was asked to end before its turn.
     NotBegun,
 }
 
 /// Runs all recordings and prints how each ended. A failure does not stop the others.
-pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome> {
+pub fn run(recordings: &[Recording], arguments: &RunArguments, folder: &Path) -> Result<Outcome> {
     let cores = arguments
         .output
         .threads
         .map_or_else(|| thread::available_parallelism().map_or(1, NonZero::get), usize::from);
     let workers = cores.min(recordings.len());
-    let share = u16::try_from(cores / workers).unwrap_or(u16::MAX);
+    let share = cores / workers;
     // The longest first, so that no core works alone at the end; the results do not depend on the
     // order.
     let mut order: Vec<usize> = (0..recordings.len()).collect();
@@ -128,7 +128,7 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome
                 break;
             }
             let recording = &recordings[index];
-            let end = match one(recording, arguments, share) {
+            let end = match one(recording, arguments, folder, share) {
                 Ok(report) => End::Followed(Box::new(report)),
                 Err(error) => End::Failed(error),
             };
@@ -142,26 +142,14 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments) -> Result<Outcome
     };
     thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
     let ends: Vec<End> = ends.into_iter().map(|end| end.into_inner().unwrap_or(End::NotBegun)).collect();
-    tell(recordings, &ends, arguments)?;
+    tell(recordings, &ends, arguments, folder)?;
     worst(&ends)
 }
 
 /// Runs one recording as it would run alone, but silently.
-fn one(recording: &Recording, arguments: &RunArguments, threads: u16) -> Result<RunReport> {
-    let output = OutputArguments {
-        output: arguments.output.output.join(&recording.name),
-        threads: Some(threads.max(1)),
-        quiet: true,
-        json: false,
-        ..arguments.output.clone()
-    };
-    let alone =
-        RunArguments { source: recording.source.clone(), more: Vec::new(), output, ..arguments.clone() };
-    let run = || {
-        let folder = OutputFolder::new(&alone.output)?;
-        let (plan, source) = RunPlan::new(&alone)?;
-        follow(&plan, source, folder, &alone.output)
-    };
+fn one(recording: &Recording, arguments: &RunArguments, folder: &Path, threads: usize) -> Result<RunOutcome> {
+    let alone = arguments.builder(&recording.source, &folder.join(&recording.name))?.threads(threads);
+    let run = || alone.run(&ConsoleObserver::new(true));
     catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
         Err(Error::input("following it ended unexpectedly; please report this recording"))
     })
@@ -176,8 +164,7 @@ struct Told<'a> {
     statistics: Option<&'a Statistics>,
 }
 
-fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments) -> Result<()> {
-    let results = &arguments.output.output;
+fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments, results: &Path) -> Result<()> {
     if arguments.output.json {
         let told: Vec<Told<'_>> = recordings
             .iter()
@@ -207,7 +194,7 @@ fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments) -> Res
     for (recording, end) in recordings.iter().zip(ends) {
         let told = match end {
             End::Followed(report) => {
-                let RunReport { statistics, warnings, .. } = report.as_ref();
+                let RunOutcome { statistics, warnings, .. } = report.as_ref();
                 warnings
                     .iter()
                     .for_each(|warning| console::warn(&format!("{}: {warning}", recording.source)));
@@ -246,7 +233,7 @@ fn worst(ends: &[End]) -> Result<Outcome> {
     if interrupt::asked() {
         return Ok(Outcome::Interrupted);
     }
-    let done = |end: &End| matches!(end, End::Followed(report) if report.outcome() == Outcome::Done);
+    let done = |end: &End| matches!(end, End::Followed(report) if report.end == RunEnd::Completed);
     Ok(if ends.iter().all(done) { Outcome::Done } else { Outcome::TrackingFailed })
 }
 

@@ -1,42 +1,20 @@
 //! `odograph run`: a recording goes in, a folder with a trajectory and a map comes out.
 
-mod budget;
-mod camera_watch;
-mod finish;
-pub(super) mod kept_frames;
-pub(super) mod folder;
-pub(super) mod found;
+mod console_observer;
 mod many;
-mod map;
-mod mask;
-pub(super) mod mapping;
-pub(super) mod pipeline;
-mod place;
-mod plan;
-mod plan_paths;
-mod reference;
-mod resemblance;
+mod mounted_camera;
 mod sensors;
-pub(super) mod statistics;
-mod tilt;
-pub(super) mod timings;
-pub(super) mod views;
+mod tell;
 
-use crate::lengths::{self, Height};
 use crate::{Outcome, console, files};
-use camera_watch::CameraWatch;
-pub(super) use finish::finish;
-pub use folder::OutputFolder;
-use odograph::error::Result;
-use odograph::motion::MotionModel;
-use pipeline::{Ended, Tracked};
-pub use place::PlaceInMap;
-pub use plan::{RunPlan, SourcePlan};
-pub use resemblance::{AlikePlace, Resemblance, Verdict};
-pub use sensors::SensorPlan;
-pub use statistics::Statistics;
+pub use console_observer::ConsoleObserver;
+pub use mounted_camera::{Motion, MountedCamera};
+use odograph::error::{Error, Result};
+use odograph_report::HtmlReporter;
+use odograph_session::{MapUse, RunBuilder, SourcePlan};
+pub use sensors::SensorArguments;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+pub use tell::tell;
 
 /// Follow a recording: trajectory, map, mosaic of the ground, report.
 #[derive(Debug, Clone, clap::Args)]
@@ -57,32 +35,8 @@ pub struct RunArguments {
     /// Not needed to continue a map, which has the camera and how it sits.
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
-    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
-    ///
-    /// The camera is taken to look straight down; a tilt is found in the recording.
-    #[arg(help_heading = "Camera", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
-    pub height: Option<Height>,
-    /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
-    #[arg(help_heading = "Camera", long, value_name = "FILE")]
-    pub rig: Option<PathBuf>,
-    /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
-    ///
-    /// Stands in for a camera file; height and tilt are then taken as steady.
-    #[arg(help_heading = "Camera", long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
-    pub field_of_view: Option<FieldOfView>,
-    /// Readout time of the image in milliseconds, first row to last; 0 is a global shutter.
-    ///
-    /// [default: the camera file's readout_time_s; otherwise it is learned]
-    #[arg(help_heading = "Camera", long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true)]
-    pub readout_ms: Option<f64>,
-    /// Picture of what is not ground (black), of the size of the frames.
-    ///
-    /// Bumper, wheel, own shadow. What is found while running is ignored as well.
-    #[arg(help_heading = "Camera", long, value_name = "PICTURE")]
-    pub mask: Option<PathBuf>,
-    /// What may change between frames.
-    #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
-    pub motion: Motion,
+    #[command(flatten)]
+    pub mounted: MountedCamera,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
@@ -107,7 +61,7 @@ pub struct RunArguments {
     #[arg(help_heading = "Estimation", long, value_name = "MS", allow_negative_numbers = true)]
     pub budget_ms: Option<f64>,
     #[command(flatten)]
-    pub sensors: SensorPlan,
+    pub sensors: SensorArguments,
     /// Do not look for ground that was seen before: the path is what odometry alone has.
     #[arg(help_heading = "Estimation", long)]
     pub no_loops: bool,
@@ -130,9 +84,6 @@ pub struct RunArguments {
 /// Where results go and how much is said, alike for every command that tracks.
 #[derive(Debug, Clone, clap::Args)]
 pub struct OutputArguments {
-    /// Folder for the results.
-    #[arg(skip)]
-    pub output: PathBuf,
     /// Overwrite results that are already there.
     #[arg(help_heading = "Results", long)]
     pub force: bool,
@@ -141,12 +92,6 @@ pub struct OutputArguments {
     /// [default: a new map.gpkg in the folder]
     #[arg(help_heading = "Results", long, value_name = "FILE")]
     pub map: Option<PathBuf>,
-    /// The map is looked into, not written: a command that only asks where the camera is.
-    #[arg(skip)]
-    pub map_is_read_only: bool,
-    /// Fewer frames than this are no recording.
-    #[arg(skip = 2_usize)]
-    pub least_frames: usize,
     /// Threads to use; the results are the same for any number. [default: as many as help]
     #[arg(help_heading = "Results", long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
@@ -171,116 +116,101 @@ Examples:
 Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement could not be measured in most of the \
 recording, 130 when interrupted by Ctrl-C (what there is has been written in both cases).";
 
-/// A field of view on the ground: width and height in metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldOfView(pub f64, pub f64);
-
-pub(super) fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
-    let sides = text
-        .split_once(['x', 'X', '×'])
-        .and_then(|(w, h)| Some((lengths::metres(w).ok()?, lengths::metres(h).ok()?)));
-    match sides {
-        Some((w, h)) if [w, h].iter().all(|v: &f64| v.is_finite() && *v > 0.0) => Ok(FieldOfView(w, h)),
-        _ => Err("give width and height, as 1.20x0.90 (metres) or 120cmx90cm".to_owned()),
-    }
-}
-
-/// The motion models by their names on the command line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Motion {
-    /// x, y and heading; height and tilt as far as the recording shows that they change.
-    Auto,
-    /// The paper's mean vector: x and y only, for comparison.
-    Mean,
-    /// Fixed height and tilt.
-    Rigid,
-    /// The height changes too.
-    Similarity,
-    /// Height and tilt change too: held by hand, or flying.
-    Free,
-}
-
-impl From<Motion> for MotionModel {
-    fn from(motion: Motion) -> Self {
-        match motion {
-            Motion::Auto => Self::Auto,
-            Motion::Mean => Self::Mean,
-            Motion::Rigid => Self::Rigid,
-            Motion::Similarity => Self::Similarity,
-            Motion::Free => Self::Free,
-        }
-    }
-}
-
-/// A readout time as it is typed, milliseconds.
-pub fn readout_ms(text: &str) -> std::result::Result<f64, String> {
-    let most_ms = 1e3 * odograph::camera::Camera::LONGEST_READOUT_S;
-    match text.parse::<f64>() {
-        Ok(milliseconds) if (0.0..=most_ms).contains(&milliseconds) => Ok(milliseconds),
-        Ok(_) => Err(format!("a readout time lies between 0 (a global shutter) and {most_ms} ms")),
-        Err(_) => Err("a readout time is a number of milliseconds, such as 20".to_owned()),
-    }
-}
-
 impl RunArguments {
-    /// A run of nothing in particular that writes to `output`; fields are set from there.
-    pub fn over(output: OutputArguments) -> Self {
-        Self {
-            source: String::new(),
-            more: Vec::new(),
-            camera: None,
-            height: None,
-            rig: None,
-            field_of_view: None,
-            readout_ms: None,
-            mask: None,
-            motion: Motion::Auto,
-            timestamps: None,
-            fps: None,
-            start: None,
-            end: None,
-            every: 1,
-            max_frames: None,
-            budget_ms: None,
-            sensors: SensorPlan::default(),
-            no_loops: false,
-            reference: None,
-            folder: Some(output.output.clone()),
-            output,
-        }
+    /// The run that they ask for, over `source` into `folder`.
+    fn builder(&self, source: &str, folder: &Path) -> Result<RunBuilder> {
+        let run = if source.ends_with(".toml") {
+            self.check_repeated(source)?;
+            RunBuilder::repeating(source)
+        } else {
+            self.fresh(source)
+        };
+        let run = run.folder(folder).overwriting(self.output.force).reporter(HtmlReporter);
+        let run = match &self.output.map {
+            Some(map) => run.map(MapUse::Continue(map.clone())),
+            None => run,
+        };
+        Ok(match self.output.threads {
+            Some(threads) => run.threads(usize::from(threads)),
+            None => run,
+        })
     }
-}
 
-impl OutputArguments {
-    /// Number of threads: three by default, for decoding, tracking and mapping.
-    pub fn threads(&self) -> usize {
-        self.threads.map_or(3, usize::from)
+    /// The run over a recording.
+    fn fresh(&self, source: &str) -> RunBuilder {
+        let source = SourcePlan {
+            timestamps: self.timestamps.clone(),
+            fps: self.fps,
+            start_s: self.start,
+            end_s: self.end,
+            every: self.every,
+            max_frames: self.max_frames,
+            ..SourcePlan::new(source)
+        };
+        let run = RunBuilder::over(source).sensors(self.sensors.files());
+        let run = self.mounted.of_run(run, self.camera.as_ref());
+        let run = self.budget_ms.iter().fold(run, |run, budget_ms| run.budget_ms(*budget_ms));
+        let run = self.reference.iter().fold(run, RunBuilder::reference);
+        if self.no_loops { run.without_loops() } else { run }
+    }
+
+    /// Fails where an option says what the `run.toml` of an earlier run says already.
+    fn check_repeated(&self, run_toml: &str) -> Result<()> {
+        let given = [
+            ("--camera", self.camera.is_some()),
+            ("--field-of-view", self.mounted.field_of_view.is_some()),
+            ("--rig", self.mounted.rig.is_some()),
+            ("--height", self.mounted.height.is_some()),
+            ("--mask", self.mounted.mask.is_some()),
+            ("--motion", self.mounted.motion != Motion::Auto),
+            ("--timestamps", self.timestamps.is_some()),
+            ("--fps", self.fps.is_some()),
+            ("--start", self.start.is_some()),
+            ("--end", self.end.is_some()),
+            ("--every", self.every != 1),
+            ("--max-frames", self.max_frames.is_some()),
+            ("--budget-ms", self.budget_ms.is_some()),
+            ("--gyro", self.sensors.gyro.is_some()),
+            ("--heading", self.sensors.heading.is_some()),
+            ("--wheel", self.sensors.wheel.is_some()),
+            ("--range", self.sensors.range.is_some()),
+            ("--no-loops", self.no_loops),
+            ("--reference", self.reference.is_some()),
+        ];
+        match given.iter().find(|(_, given)| *given) {
+            Some((option, _)) => Err(Error::usage(format!(
+                "{run_toml} already says everything about the run; leave {option} away, or change the file"
+            ))),
+            None => Ok(()),
+        }
     }
 }
 
 /// Runs the command.
-pub fn run(mut arguments: RunArguments) -> Result<Outcome> {
+pub fn run(arguments: RunArguments) -> Result<Outcome> {
     let recordings = many::recordings(&arguments)?;
-    let chosen = arguments.folder.take();
-    let is_told = chosen.is_none() && !arguments.output.quiet;
-    arguments.output.output =
-        chosen.unwrap_or_else(|| default_folder(&arguments.source, recordings.is_some()));
+    let folder = match &arguments.folder {
+        Some(folder) => folder.clone(),
+        None => default_folder(&arguments.source, recordings.is_some()),
+    };
+    let quiet = arguments.output.quiet;
     let tell_folder = || {
-        if is_told {
-            let folder = arguments.output.output.display();
-            console::note(&format!("the results go to {folder} (-o chooses)"));
+        if arguments.folder.is_none() && !quiet {
+            console::note(&format!("the results go to {} (-o chooses)", folder.display()));
         }
     };
     if let Some(recordings) = recordings {
         tell_folder();
-        return many::run(&recordings, &arguments);
+        return many::run(&recordings, &arguments, &folder);
     }
-    let folder = OutputFolder::new(&arguments.output)?;
-    let (plan, source) = RunPlan::new(&arguments)?;
+    let builder = arguments.builder(&arguments.source, &folder)?;
+    arguments.mounted.question(quiet);
+    let observer = ConsoleObserver::new(quiet);
+    let run = builder.open(&observer)?;
     tell_folder();
-    let report = follow(&plan, source, folder, &arguments.output)?;
-    report.tell(&arguments.output)?;
-    Ok(report.outcome())
+    let outcome = run.follow(&observer)?;
+    tell(&outcome, quiet, arguments.output.json)?;
+    Ok(outcome.end.into())
 }
 
 /// The folder of a run over a source for which none is named: one that is not there yet.
@@ -294,101 +224,5 @@ fn default_folder(source: &str, many: bool) -> PathBuf {
         _ if many && !path.is_dir() => files::free_beside(&path.with_file_name("runs").to_string_lossy(), ""),
         _ if path.is_dir() || source.ends_with(".toml") => files::free_beside(source, "-run"),
         _ => files::free_beside(source, ""),
-    }
-}
-
-/// What a run gave.
-pub struct RunReport {
-    pub statistics: Statistics,
-    pub warnings: Vec<String>,
-    pub folder: PathBuf,
-    /// Where the camera was last in the map that was continued; `None` where none was, or nothing
-    /// of it was recognised.
-    pub place: Option<PlaceInMap>,
-    /// What it looks like there, where the map was only looked into and nothing of it recognised.
-    pub resemblance: Option<Resemblance>,
-}
-
-/// Follows a source by a plan and writes everything into the folder. What ends the recording early
-/// is an error only after all that was computed has been written.
-pub fn follow(
-    plan: &RunPlan,
-    source: odograph_video::Source,
-    mut folder: OutputFolder,
-    arguments: &OutputArguments,
-) -> Result<RunReport> {
-    let started = Instant::now();
-    let sensors = plan.sensors.read()?;
-    // What cannot be read is told before all the work.
-    reference::read(plan)?;
-    let description = source.info().description.clone();
-    let mut plan = plan.clone();
-    let tracked = track(&mut plan, source, &mut folder, arguments)?;
-    finish(&plan, &description, tracked, &sensors, &mut folder, arguments, started)
-}
-
-/// Tracks the whole source. Starts again with a corrected plan if mount or lens are found to differ
-/// from it.
-fn track(
-    plan: &mut RunPlan,
-    mut source: odograph_video::Source,
-    folder: &mut OutputFolder,
-    arguments: &OutputArguments,
-) -> Result<Tracked> {
-    plan.take_lens_of(arguments.map.as_deref())?;
-    let mut watch = CameraWatch::new(plan);
-    watch.look_first(plan, arguments)?;
-    loop {
-        match pipeline::track(plan, source, folder, arguments, watch.watch(plan))? {
-            Ended::Tracked(tracked) => {
-                return Ok(Tracked { mount: watch.mount(), lens: watch.lens(), ..*tracked });
-            }
-            Ended::IsAnother(found) => {
-                watch.take(*found, plan);
-                folder.begin_again()?;
-                source = plan.source.open()?;
-            }
-        }
-    }
-}
-
-impl RunReport {
-    /// How the run ended.
-    pub fn outcome(&self) -> Outcome {
-        if self.statistics.interruption().is_some() {
-            return Outcome::Interrupted;
-        }
-        // With less than half of the frames posed the path is not the recording's path.
-        if 2 * self.statistics.frames_with_pose < self.statistics.frames {
-            Outcome::TrackingFailed
-        } else {
-            Outcome::Done
-        }
-    }
-
-    /// Tells the result and where to look.
-    pub fn tell(&self, arguments: &OutputArguments) -> Result<()> {
-        if arguments.json {
-            console::print(&format!("{}\n", self.statistics.json()?))?;
-        } else if !arguments.quiet {
-            let page = self.folder.join("report.html");
-            console::print(&format!("{}Look at {}\n", self.statistics.summary(), page.display()))?;
-        }
-        if !arguments.quiet {
-            for warning in &self.warnings {
-                console::warn(warning);
-            }
-        }
-        if let Some(interruption) = self.statistics.interruption().filter(|_| !arguments.quiet) {
-            console::warn(&format!("{interruption}; what there is up to there has been written"));
-        }
-        if self.outcome() == Outcome::TrackingFailed && !arguments.quiet {
-            console::error(&format!(
-                "the movement could not be measured in {} of {} frames; the report says where and why",
-                self.statistics.frames - self.statistics.frames_with_pose,
-                self.statistics.frames
-            ));
-        }
-        Ok(())
     }
 }

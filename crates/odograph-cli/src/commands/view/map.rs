@@ -3,13 +3,13 @@
 
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
-use odograph::ground_map::{GroundMap, MapKeyframe};
-use odograph::keyframe::EdgeKind;
+use odograph::ground_map::MapKeyframe;
 use odograph::mosaic::{MapMosaic, Mosaic, MosaicSquare};
 use odograph_live::ground::GrowingTiles;
 use odograph_live::{Ground, GroundPicture, Mark, TrackRecord};
 use odograph_map::{MapFile, PathFrame};
-use serde_json::{Value, json};
+use odograph_session::live::map_graph;
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -71,7 +71,7 @@ impl MapView {
         }
         let camera = &map.camera;
         Ok(Self {
-            graph: graph(&map),
+            graph: map_graph(&map),
             records,
             sessions,
             source: sources.join(", "),
@@ -121,17 +121,6 @@ fn records_of(
         TrackRecord { values }
     };
     frames.iter().enumerate().map(record).collect()
-}
-
-/// Where the keyframes are, and between which of them ground was seen again; metres.
-pub fn graph(map: &GroundMap) -> Value {
-    let thousandths = |metres: f64| (1e3 * metres).round() / 1e3;
-    let place = |pose: &GroundPose| [thousandths(pose.x_m), thousandths(pose.y_m)];
-    let keyframes: Vec<[f64; 2]> = map.keyframes.iter().map(|keyframe| place(&keyframe.pose)).collect();
-    let at = |id| map.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok();
-    let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
-    let loops: Vec<[usize; 2]> = loops.filter_map(|edge| Some([at(edge.from)?, at(edge.to)?])).collect();
-    json!({ "keyframes": keyframes, "loops": loops })
 }
 
 /// The mosaic that the map has; where it has none it is laid while it is looked at.

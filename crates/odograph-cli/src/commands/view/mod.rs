@@ -3,12 +3,12 @@
 pub(super) mod map;
 
 use super::live::{Offer, ServeArguments, Serving};
-use super::run::RunPlan;
 use crate::{Outcome, files};
 use odograph::error::{Error, Result};
 use odograph::geometry::Placement;
 use odograph::mosaic::Mosaic;
-use odograph_live::{Ground, GroundPicture, Introduction, Mark, Phase, Status, TrackRecord};
+use odograph_live::{Ground, GroundPicture, Hub, Introduction, Mark, Phase, Status, TrackRecord};
+use odograph_session::RunPlan;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -78,7 +78,8 @@ fn serve_run(folder: &Path, serve: &ServeArguments) -> Result<Serving> {
         Some(picture) => Box::new(picture),
         None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
     };
-    let serving = Serving::start(serve, introduction, ground, Offer::of_run(folder))?;
+    let hub = Arc::new(Hub::new(introduction, Arc::from(ground)));
+    let serving = Serving::start(serve, hub, Offer::of_run(folder))?;
     show(&serving, &records, marks(folder, &records));
     Ok(serving)
 }
@@ -98,7 +99,8 @@ fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Re
     let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let offer = Offer { folder: folder.to_owned(), files: vec![name] };
-    let serving = Serving::start(serve, introduction, ground, offer)?;
+    let hub = Arc::new(Hub::new(introduction, Arc::from(ground)));
+    let serving = Serving::start(serve, hub, offer)?;
     serving.hub().tell("map", &view.graph);
     show(&serving, &view.records, view.sessions);
     Ok(serving)

@@ -1,0 +1,111 @@
+//! The camera, its mount and how it may move, alike for recordings and live runs.
+
+use crate::lengths::{self, Height};
+use odograph::motion::MotionModel;
+use odograph_session::RunBuilder;
+use std::path::PathBuf;
+
+/// Camera, mount and motion, but for the camera file.
+#[derive(Debug, Clone, clap::Args)]
+pub struct MountedCamera {
+    /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
+    ///
+    /// The camera is taken to look straight down; a tilt is found in the recording.
+    #[arg(help_heading = "Camera", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
+    pub height: Option<Height>,
+    /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
+    #[arg(help_heading = "Camera", long, value_name = "FILE")]
+    pub rig: Option<PathBuf>,
+    /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
+    ///
+    /// Stands in for a camera file; height and tilt are then taken as steady.
+    #[arg(help_heading = "Camera", long, value_name = "WxH", value_parser = field_of_view, conflicts_with = "camera")]
+    pub field_of_view: Option<FieldOfView>,
+    /// Readout time of the image in milliseconds, first row to last; 0 is a global shutter.
+    ///
+    /// [default: the camera file's readout_time_s; otherwise it is learned]
+    #[arg(help_heading = "Camera", long, value_name = "MS", value_parser = readout_ms, allow_negative_numbers = true)]
+    pub readout_ms: Option<f64>,
+    /// Picture of what is not ground (black), of the size of the frames.
+    ///
+    /// Bumper, wheel, own shadow. What is found while running is ignored as well.
+    #[arg(help_heading = "Camera", long, value_name = "PICTURE")]
+    pub mask: Option<PathBuf>,
+    /// What may change between frames.
+    #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
+    pub motion: Motion,
+}
+
+impl MountedCamera {
+    /// Tells a run all of it, with the camera file.
+    pub fn of_run(&self, run: RunBuilder, camera: Option<&PathBuf>) -> RunBuilder {
+        let run = run.motion(self.motion.into());
+        let run = camera.into_iter().fold(run, RunBuilder::camera_file);
+        let run = match self.field_of_view {
+            Some(FieldOfView(width_m, height_m)) => run.field_of_view_m(width_m, height_m),
+            None => run,
+        };
+        let run = self.height.iter().fold(run, |run, height| run.height_m(height.metres));
+        let run = self.rig.iter().fold(run, RunBuilder::rig_file);
+        let run = self.readout_ms.iter().fold(run, |run, readout_ms| run.readout_s(1e-3 * readout_ms));
+        self.mask.iter().fold(run, RunBuilder::mask)
+    }
+
+    /// Asks about a height that was probably meant in another unit.
+    pub fn question(&self, quiet: bool) {
+        if let Some(height) = self.height.filter(|_| !quiet) {
+            height.question();
+        }
+    }
+}
+
+/// A field of view on the ground: width and height in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FieldOfView(f64, f64);
+
+fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
+    let sides = text
+        .split_once(['x', 'X', '×'])
+        .and_then(|(w, h)| Some((lengths::metres(w).ok()?, lengths::metres(h).ok()?)));
+    match sides {
+        Some((w, h)) if [w, h].iter().all(|v: &f64| v.is_finite() && *v > 0.0) => Ok(FieldOfView(w, h)),
+        _ => Err("give width and height, as 1.20x0.90 (metres) or 120cmx90cm".to_owned()),
+    }
+}
+
+/// The motion models by their names on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Motion {
+    /// x, y and heading; height and tilt as far as the recording shows that they change.
+    Auto,
+    /// The paper's mean vector: x and y only, for comparison.
+    Mean,
+    /// Fixed height and tilt.
+    Rigid,
+    /// The height changes too.
+    Similarity,
+    /// Height and tilt change too: held by hand, or flying.
+    Free,
+}
+
+impl From<Motion> for MotionModel {
+    fn from(motion: Motion) -> Self {
+        match motion {
+            Motion::Auto => Self::Auto,
+            Motion::Mean => Self::Mean,
+            Motion::Rigid => Self::Rigid,
+            Motion::Similarity => Self::Similarity,
+            Motion::Free => Self::Free,
+        }
+    }
+}
+
+/// A readout time as it is typed, milliseconds.
+fn readout_ms(text: &str) -> std::result::Result<f64, String> {
+    let most_ms = 1e3 * odograph::camera::Camera::LONGEST_READOUT_S;
+    match text.parse::<f64>() {
+        Ok(milliseconds) if (0.0..=most_ms).contains(&milliseconds) => Ok(milliseconds),
+        Ok(_) => Err(format!("a readout time lies between 0 (a global shutter) and {most_ms} ms")),
+        Err(_) => Err("a readout time is a number of milliseconds, such as 20".to_owned()),
+    }
+}

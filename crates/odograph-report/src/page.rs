@@ -1,0 +1,324 @@
+//! The report page of a run: self-contained and deterministic.
+
+use super::charts::over_time;
+use super::evaluation_plot;
+use super::figures::{Figures, in_words, sigmas, weakest};
+use super::parts::{card, head, number, warnings};
+use odograph::camera::Distortion;
+use odograph::drawing::MapDrawing;
+use odograph::drawing::scale::{duration_text, length_text};
+use odograph::drawing::svg::{data_uri, escape};
+use odograph::filter::fusion::SensorReport;
+use odograph::trajectory::FrameSummary;
+use odograph_session::{ComparedReference, ReportInput};
+use std::fmt::Write;
+
+/// Maximum number of rows in the table of losses; further ones are only counted.
+const MOST_ROWS: usize = 100;
+
+/// The report as one HTML file without external references.
+pub fn html(input: &ReportInput<'_>) -> String {
+    let figures = Figures::new(input.frames);
+    let mut page = head(input.title, input.source, "");
+    let interrupted = input.interruption.map_or(String::new(), |interruption| {
+        format!("<b>The run was {interruption}</b>; nothing after that is known. ")
+    });
+    let _ = writeln!(page, "<p class=\"lead\">{interrupted}{}</p>", lead(&figures));
+    warnings(input.warnings, &mut page);
+    cards(&figures, &mut page);
+    ground(input, &mut page);
+    beside(input.reference, &mut page);
+    over_time(input.frames, &figures, &mut page);
+    doubts(input.frames, &figures, &mut page);
+    sensors(input.sensors, &mut page);
+    parameters(input, &mut page);
+    let _ = write!(
+        page,
+        "<footer>Made by odograph {}. Lengths are in metres over ground; x is forward and y is left at the start, headings count \
+         counter-clockwise. Times count from the first frame.</footer>\n</main>\n</body>\n</html>\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    page
+}
+
+/// Summary of the run in one or two sentences.
+fn lead(figures: &Figures) -> String {
+    if figures.with_pose == 0 {
+        return "The movement could not be measured in any frame. What stood in the way is told below."
+            .into();
+    }
+    let way = format!(
+        "The camera travelled <b>{}</b> in {}.",
+        distance_text(figures.distance_m),
+        duration_text(figures.duration_s)
+    );
+    let kept = match figures.lost.len() {
+        0 => "Its movement was measured in every frame.".into(),
+        1 => format!(
+            "Its movement was lost once, for {}; nothing is drawn there.",
+            duration_text(figures.lost_s())
+        ),
+        n => format!(
+            "Its movement was lost {n} times, for {} altogether; nothing is drawn there.",
+            duration_text(figures.lost_s())
+        ),
+    };
+    format!("{way} {kept}")
+}
+
+/// The length of the path, to the centimetre as the program prints it.
+fn distance_text(distance_m: f64) -> String {
+    if (1.0..10_000.0).contains(&distance_m) { format!("{distance_m:.2} m") } else { length_text(distance_m) }
+}
+
+fn cards(figures: &Figures, page: &mut String) {
+    page.push_str("<div class=\"cards\">\n");
+    card(
+        "Distance",
+        &distance_text(figures.distance_m),
+        "Length of the measured path; lost stretches do not count.",
+        page,
+    );
+    card("Duration", &duration_text(figures.duration_s), "From the first followed frame to the last.", page);
+    let share = 100.0 * figures.with_pose as f64 / figures.frames.max(1) as f64;
+    // Rounded down, so that 100 % appears only if all frames have a pose.
+    card(
+        "Frames with a pose",
+        &format!("{:.1} %", (10.0 * share).floor() / 10.0),
+        &format!("{} of {} frames.", figures.with_pose, figures.frames),
+        page,
+    );
+    let times = match figures.lost.len() {
+        0 => "never".into(),
+        1 => "once".into(),
+        n => format!("{n} times"),
+    };
+    let lost = match figures.lost.len() {
+        0 => "Every frame that was followed has a pose.".into(),
+        _ => format!("{} altogether without a pose.", duration_text(figures.lost_s())),
+    };
+    card("Lost", &times, &lost, page);
+    if let Some(speed) = figures.mean_speed_m_s {
+        card(
+            "Mean speed",
+            &format!("{}/s", length_text(speed)),
+            "Distance divided by the time it was followed.",
+            page,
+        );
+    }
+    if let (Some(last), Some(away_m)) = (&figures.last, figures.start_to_end_m()) {
+        card(
+            "End position",
+            &position_text(last.x_m, last.y_m),
+            &format!(
+                "x forward, y left of the start; the heading there is {}°.",
+                number(last.heading_rad.to_degrees(), 1)
+            ),
+            page,
+        );
+        let share = match figures.distance_m {
+            d if d > 0.0 => format!(", {:.1} % of the distance", 100.0 * away_m / d),
+            _ => String::new(),
+        };
+        card(
+            "From start to end",
+            &length_text(away_m),
+            &format!(
+                "Straight from the first position to the last{share}. For a round trip that is the whole error."
+            ),
+            page,
+        );
+        let (position_m, heading_rad) = sigmas(last);
+        card(
+            "Uncertainty at the end",
+            &format!("± {}", length_text(2.0 * position_m)),
+            &format!(
+                "And ± {}° of heading: two standard deviations since the start or the last loss, if camera and height are right.",
+                number(2.0 * heading_rad.to_degrees(), 2)
+            ),
+            page,
+        );
+    }
+    page.push_str("</div>\n");
+}
+
+/// Formats a position as `x, y unit`, to the millimetre or three digits.
+fn position_text(x_m: f64, y_m: f64) -> String {
+    let (unit, size_m, decimals) = match x_m.abs().max(y_m.abs()) {
+        far if far >= 10_000.0 => ("km", 1000.0, 3),
+        far if far >= 100.0 => ("m", 1.0, 2),
+        far if far >= 0.1 => ("m", 1.0, 3),
+        _ => ("mm", 0.001, 1),
+    };
+    format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
+}
+
+fn ground(input: &ReportInput<'_>, page: &mut String) {
+    let narrow = MapDrawing { width: 460.0, ..MapDrawing::default() }.svg(input.frames);
+    let _ = writeln!(
+        page,
+        "<h2>The map</h2>\n<figure><figcaption><span>The path seen from above, coloured from blue at the start to orange at \
+         the end. Darts point where the top of the image points.</span></figcaption>\n\
+         <div class=\"wide\">{}</div><div class=\"narrow\">{narrow}</div></figure>",
+        input.map_svg
+    );
+    if let Some(mosaic) = &input.mosaic {
+        let _ = writeln!(
+            page,
+            "<h2>The ground</h2>\n<figure><figcaption><span>The frames laid on the ground where they were taken. A pixel of \
+             {} is {} wide; its world file says where it lies.</span></figcaption>\n\
+             <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground\" src=\"{}\"></figure>",
+            escape(mosaic.file_name),
+            length_text(mosaic.placement.metres_per_pixel),
+            mosaic.width_px,
+            mosaic.height_px,
+            data_uri("image/png", mosaic.png)
+        );
+    }
+}
+
+fn beside(reference: Option<&ComparedReference>, page: &mut String) {
+    let Some(reference) = reference else { return };
+    let evaluation = &reference.evaluation;
+    let errors = &evaluation.absolute.translation;
+    let scale = evaluation.scale.map_or(String::new(), |scale| {
+        format!(" Its lengths were multiplied by {scale:.5}; 1 is a scale that agrees.")
+    });
+    let _ = writeln!(
+        page,
+        "<h2>Beside {}</h2>\n<figure><figcaption><span>{} frames have a time in it, over {} of its way. Laid onto it by a turn, a shift and a scale, the path of \
+         the run is <b>{}</b> off (root mean square; median {}, at most {}).{scale}</span></figcaption>\n{}</figure>",
+        escape(&reference.name),
+        evaluation.pairs.len(),
+        length_text(evaluation.truth_length_m),
+        length_text(errors.rmse),
+        length_text(errors.median),
+        length_text(errors.max),
+        evaluation_plot::from_above(evaluation, &reference.reference)
+    );
+}
+
+fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
+    page.push_str("<h2>Where it was unsure</h2>\n");
+    if figures.lost.is_empty() {
+        page.push_str("<p>It was never lost.</p>\n");
+    } else {
+        page.push_str(
+            "<div class=\"box scroll\"><table><tr><th>Lost</th><th>for</th><th>because</th></tr>\n",
+        );
+        for stretch in figures.lost.iter().take(MOST_ROWS) {
+            let reasons: Vec<&str> = stretch.reasons.iter().map(|&reason| in_words(reason)).collect();
+            let _ = writeln!(
+                page,
+                "<tr><td class=\"time\">{:.2} – {:.2} s</td><td>{}, {} {}</td><td>{}</td></tr>",
+                stretch.from_s,
+                stretch.to_s,
+                duration_text(stretch.to_s - stretch.from_s),
+                stretch.frames,
+                if stretch.frames == 1 { "frame" } else { "frames" },
+                reasons.join("; then ")
+            );
+        }
+        page.push_str("</table></div>\n");
+        if figures.lost.len() > MOST_ROWS {
+            let _ = writeln!(page, "<p>And {} stretches more.</p>", figures.lost.len() - MOST_ROWS);
+        }
+    }
+    let weak = weakest(frames, 6);
+    if weak.is_empty() {
+        return;
+    }
+    let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
+    page.push_str(
+        "<p>These measured frames had the fewest corners that agree with the movement:</p>\n<div class=\"box scroll\"><table class=\"figures\">\
+         <tr><th class=\"number\">Frame</th><th class=\"number\">at</th><th class=\"number\">agreeing</th>\
+         <th class=\"number\">of corners</th><th class=\"number\">residual</th></tr>\n",
+    );
+    for frame in weak {
+        let _ = writeln!(
+            page,
+            "<tr><td class=\"number\">{}</td><td class=\"number\">{:.2} s</td><td class=\"number\">{}</td>\
+             <td class=\"number\">{}</td><td class=\"number\">{:.2} px</td></tr>",
+            frame.frame,
+            frame.time_s - start_s,
+            frame.inliers,
+            frame.tracks,
+            frame.residual_px
+        );
+    }
+    page.push_str("</table></div>\n");
+}
+
+/// Results of the other sensors; empty if there are none.
+fn sensors(sensors: &[SensorReport], page: &mut String) {
+    if sensors.is_empty() {
+        return;
+    }
+    page.push_str(
+        "<h2>Other sensors</h2>\n<div class=\"box scroll\"><table>\n<tr><th>Sensor</th><th>used</th><th>clock ahead by</th>\
+         <th>found</th></tr>\n",
+    );
+    for report in sensors {
+        let used = report.rejected.map_or("yes".into(), |reason| format!("no: {reason}"));
+        let clock = match report.offset {
+            Some(offset) if offset.sigma_s.is_finite() => {
+                format!("{} ± {} ms", number(1e3 * offset.offset_s, 1), number(2e3 * offset.sigma_s, 1))
+            }
+            Some(_) => "the movement does not tell".into(),
+            None => String::new(),
+        };
+        let found: Vec<String> = report
+            .parameters
+            .iter()
+            .map(|found| {
+                format!("{} {} ± {}", found.name, number(found.value, 4), number(2.0 * found.sigma, 4))
+            })
+            .collect();
+        let _ = writeln!(
+            page,
+            "<tr><td>{}</td><td>{}</td><td>{clock}</td><td>{}</td></tr>",
+            report.sensor,
+            escape(&used),
+            escape(&found.join(", "))
+        );
+    }
+    page.push_str("</table></div>\n");
+}
+
+fn parameters(input: &ReportInput<'_>, page: &mut String) {
+    let (camera, rig) = (input.camera, input.rig);
+    let (fx, fy) = camera.focal_px();
+    let (cx, cy) = camera.principal_px();
+    let lens = match camera.distortion() {
+        Distortion::None => "none (a pinhole)".into(),
+        other => {
+            let name = match other {
+                Distortion::KannalaBrandt { .. } => "Kannala–Brandt fisheye",
+                Distortion::DoubleSphere { .. } => "double sphere",
+                _ => "Brown–Conrady",
+            };
+            let values: Vec<String> =
+                other.coefficients().iter().map(|c| format!("{c}").replace('-', "−")).collect();
+            format!("{name}: {}", values.join(", "))
+        }
+    };
+    let degrees = |angle_rad: f64| format!("{}°", number(angle_rad.to_degrees(), 2));
+    let rows = [
+        ("Image", format!("{} × {} pixels", camera.width(), camera.height())),
+        ("Focal length", format!("{fx:.2}, {fy:.2} px")),
+        ("Principal point", format!("{cx:.2}, {cy:.2} px")),
+        ("Lens distortion", lens),
+        ("Height above the ground", length_text(rig.height_m)),
+        ("Roll, pitch, mount yaw", [rig.roll_rad, rig.pitch_rad, rig.yaw_rad].map(degrees).join(", ")),
+    ];
+    page.push_str("<h2>What it was told</h2>\n<div class=\"box scroll\"><table>\n");
+    for (name, value) in rows {
+        let _ = writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
+    }
+    let _ = writeln!(
+        page,
+        "</table></div>\n<p>All parameters as used; with this file the run can be repeated:</p>\n\
+         <div class=\"box\"><pre>{}</pre></div>",
+        escape(input.run_toml)
+    );
+}

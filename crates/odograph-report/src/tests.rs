@@ -1,0 +1,285 @@
+use super::*;
+use odograph::camera::{Camera, Distortion, Rig};
+use odograph::drawing::{Backdrop, MapDrawing};
+use odograph::geometry::{GroundPoint, GroundPose, Pixel, Ray};
+use odograph::image::RgbImage;
+use odograph::mosaic::{Mosaic, MosaicOptions};
+use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus};
+use odograph_session::ReportMosaic;
+use std::f64::consts::TAU;
+
+fn camera() -> Camera {
+    let distortion = Distortion::from_opencv(&[-0.28, 0.07, 0.0002, -0.0003]).unwrap();
+    Camera::new((320, 240), (260.0, 262.0), (158.0, 121.0), distortion).unwrap()
+}
+
+/// A figure eight with an interval of lost frames, at 30 frames per second.
+fn figure_eight(count: u64) -> Vec<FrameSummary> {
+    let lost = count / 2..count / 2 + count / 12;
+    (0..count)
+        .map(|k| {
+            let (s, rate) = (k as f64 / count as f64, TAU / count as f64 * 30.0);
+            let a = TAU * s * 0.97;
+            let (vx, vy) = (1.6 * a.cos() * rate, 1.8 * (2.0 * a).cos() * rate);
+            let tracked = !lost.contains(&k);
+            let place = PlaceSummary {
+                x_m: 1.6 * a.sin(),
+                y_m: 0.9 * (2.0 * a).sin(),
+                heading_rad: vy.atan2(vx),
+                height_m: 0.5,
+                speed_m_s: vx.hypot(vy),
+                position_covariance: [(0.02 * s).powi(2), 0.0, (0.035 * s).powi(2)],
+                heading_variance: (0.004 * s).powi(2),
+            };
+            FrameSummary {
+                frame: k,
+                time_s: 1000.0 + k as f64 / 30.0,
+                place: tracked.then_some(place),
+                residual_px: if tracked { 0.12 + 0.05 * (9.0 * a).sin() } else { 0.0 },
+                tracks: if tracked { 240 - (40.0 * (3.0 * a).sin()) as u32 } else { 7 },
+                inliers: if tracked { 210 - (60.0 * (3.0 * a).sin().abs()) as u32 } else { 0 },
+                segment: u32::from(k >= lost.end),
+                status: if tracked {
+                    TrackStatus::Tracked
+                } else {
+                    TrackStatus::Lost { reason: LossReason::Bare }
+                },
+            }
+        })
+        .collect()
+}
+
+/// A floor of coloured tiles with joints.
+fn floor(point: GroundPoint) -> [f64; 3] {
+    let (u, v) = (point.x_m / 0.2, point.y_m / 0.2);
+    let near_joint = |t: f64| (t - t.round()).abs() < 0.03;
+    if near_joint(u) || near_joint(v) {
+        return [95.0, 90.0, 85.0];
+    }
+    let tile = ((u.floor() * 12.9898 + v.floor() * 78.233).sin() * 43758.5453).rem_euclid(1.0);
+    let grain = 14.0 * ((point.x_m * 160.0).sin() * (point.y_m * 190.0 + 3.0 * tile).sin());
+    [165.0 + 60.0 * tile + grain, 150.0 + 50.0 * tile + grain, 128.0 + 40.0 * tile + grain]
+}
+
+fn mosaic_of(frames: &[FrameSummary], camera: &Camera) -> Mosaic {
+    let rays: Vec<Ray> = (0..320 * 240)
+        .map(|k| camera.ray_from_pixel(Pixel::new((k % 320) as f64, (k / 320) as f64)).unwrap())
+        .collect();
+    let mut mosaic = Mosaic::new(MosaicOptions::default());
+    for at in frames.iter().filter_map(|frame| frame.place) {
+        let (x_m, y_m, heading_rad) = (at.x_m, at.y_m, at.heading_rad);
+        let pose = GroundPose { x_m, y_m, heading_rad, ..GroundPose::level(at.height_m) };
+        if mosaic.wants(camera, &pose) {
+            let colour =
+                |ray: &Ray| floor(pose.ground_from_ray(*ray).unwrap()).map(|c| c.clamp(0.0, 255.0) as u8);
+            let image = RgbImage::from_samples(320, 240, rays.iter().flat_map(colour).collect()).unwrap();
+            mosaic.add(&image, camera, &pose);
+        }
+    }
+    mosaic
+}
+
+fn report(frames: &[FrameSummary], title: &str, warnings: &[String]) -> String {
+    let map = MapDrawing { title, ..MapDrawing::default() }.svg(frames);
+    html(&ReportInput {
+        interruption: None,
+        title,
+        source: "drive.mp4, 320 × 240 pixels",
+        frames,
+        camera: &camera(),
+        rig: &Rig::level(0.5),
+        map_svg: &map,
+        mosaic: None,
+        run_toml: "height_m = 0.5\nmodel = \"rigid\"\n",
+        warnings,
+        sensors: &[],
+        reference: None,
+    })
+}
+
+/// Asserts that all elements are closed in order, and that the page has no external references.
+fn assert_sound(page: &str) {
+    const VOID: [&str; 4] = ["meta", "img", "br", "!doctype"];
+    let mut open = vec![];
+    let body = page.split("</style>").nth(1).unwrap();
+    for tag in body.split('<').skip(1) {
+        let tag = tag.split('>').next().unwrap();
+        let name = tag.split_whitespace().next().unwrap();
+        if let Some(name) = tag.strip_prefix('/') {
+            if open.last() == Some(&name) {
+                open.pop();
+            } else {
+                assert!(matches!(name, "head" | "html" | "style"), "{name} closes, {open:?} are open");
+            }
+        } else if !tag.ends_with('/') && !VOID.contains(&name) {
+            open.push(name);
+        }
+    }
+    assert!(open.is_empty(), "{open:?}");
+    for outside in ["href=\"http", "src=\"http", "url(http", "<script", "@import", "NaN", ">inf"] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+}
+
+#[test]
+fn the_map_is_rendered_with_its_labels() {
+    let frames = figure_eight(600);
+    let svg = MapDrawing { title: "drive", ..MapDrawing::default() }.svg(&frames);
+    let png = drawing_png(&svg, 1600).unwrap();
+    let mut reader = png::Decoder::new(std::io::Cursor::new(&png)).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut pixels).unwrap();
+    assert_eq!(info.width, 1600);
+    let dark = |rows: std::ops::Range<usize>| {
+        pixels[rows.start * 4800..rows.end * 4800]
+            .chunks_exact(3)
+            .filter(|p| p.iter().all(|&c| c < 90))
+            .count()
+    };
+    assert!(dark(30..70) > 200, "the title is set in the program's own typeface");
+    assert_eq!(png, drawing_png(&svg, 1600).unwrap(), "the same bytes twice");
+    assert!(drawing_png("no drawing", 1600).is_err());
+}
+
+#[test]
+fn the_report_describes_the_run() {
+    let frames = figure_eight(600);
+    let page = report(&frames, "drive", &[]);
+    assert_sound(&page);
+    assert!(page.contains("Its movement was lost once, for 1.67 s"));
+    assert!(page.contains("too little texture") && page.contains("550 of 600 frames"));
+    assert_eq!(page, report(&frames, "drive", &[]), "the same bytes twice");
+}
+
+#[test]
+fn names_are_escaped_in_the_page() {
+    let page = report(&figure_eight(60), "<script>alert('x')</script>.mp4", &["a <b> & \"c\"".into()]);
+    assert_sound(&page);
+    assert!(page.contains("&lt;script&gt;") && page.contains("a &lt;b&gt; &amp; &quot;c&quot;"));
+}
+
+#[test]
+fn empty_and_wholly_lost_runs_have_a_report() {
+    let mut frames = figure_eight(60);
+    for frame in &mut frames {
+        frame.status = TrackStatus::Lost { reason: LossReason::Jump };
+        frame.place = None;
+    }
+    for frames in [&[][..], &frames[..1], &frames[..]] {
+        let page = report(frames, "drive", &[]);
+        assert_sound(&page);
+        assert!(page.contains("could not be measured in any frame"));
+    }
+    assert_sound(&report(&figure_eight(60)[..1], "one pose", &[]));
+}
+
+#[test]
+fn the_report_of_an_hour_is_small() {
+    let page = report(&figure_eight(108_000), "an hour", &[]);
+    assert!(page.len() < 3_000_000, "{} bytes", page.len());
+}
+
+/// Trajectories that are hard to draw well.
+fn odd_paths() -> Vec<(&'static str, Vec<FrameSummary>)> {
+    let along = |count: u64, pose: &dyn Fn(f64) -> (f64, f64, f64)| -> Vec<FrameSummary> {
+        let mut frames = figure_eight(count);
+        for (k, frame) in frames.iter_mut().enumerate() {
+            if let Some(place) = &mut frame.place {
+                (place.x_m, place.y_m, place.heading_rad) = pose(k as f64 / count as f64);
+            }
+        }
+        frames
+    };
+    let mut lost_at_the_end = along(300, &|s| (300.0 * s, 4000.0 * s, 1.5));
+    for frame in &mut lost_at_the_end[250..] {
+        frame.status = TrackStatus::Lost { reason: LossReason::Jump };
+        frame.place = None;
+    }
+    vec![
+        ("none", vec![]),
+        ("straight", along(600, &|s| (10.0 * s, 0.01 * (9.0 * s).sin(), 0.0))),
+        ("kilometres", lost_at_the_end),
+        ("pivot", along(600, &|s| (0.4 - 0.4 * (TAU * s).cos(), -0.4 * (TAU * s).sin(), -TAU * s))),
+        ("still", along(100, &|s| (2e-5 * (40.0 * s).sin(), 2e-5 * (70.0 * s).cos(), 0.0))),
+        (
+            "lanes",
+            along(3000, &|s| {
+                let (lane, t) = ((8.0 * s).floor(), (8.0 * s).fract());
+                let back = lane % 2.0 > 0.5;
+                (if back { 5.0 - 5.0 * t } else { 5.0 * t }, 0.4 * lane, if back { TAU / 2.0 } else { 0.0 })
+            }),
+        ),
+    ]
+}
+
+/// Writes all outputs for inspection into the folder named by `ODOGRAPH_LOOK`; skipped if it is not
+/// set.
+#[test]
+fn a_look() {
+    let Some(folder) = std::env::var_os("ODOGRAPH_LOOK").map(std::path::PathBuf::from) else {
+        println!("skipped: look: ODOGRAPH_LOOK names no folder");
+        return;
+    };
+    let (frames, camera) = (figure_eight(900), camera());
+    let mosaic = mosaic_of(&frames, &camera);
+    let whole = mosaic.picture().unwrap();
+    let small = mosaic.picture_within(1600).unwrap();
+    let png = odograph_session::files::png_from_rgba(small.width, small.height, &small.rgba).unwrap();
+    let backdrop = Backdrop {
+        png: &png,
+        width_px: small.width,
+        height_px: small.height,
+        placement: small.placement,
+        opacity: 0.6,
+    };
+    let plain = MapDrawing { title: "figure-eight.mp4", ..MapDrawing::default() };
+    let backed = MapDrawing { backdrop: Some(backdrop), ..plain };
+    for (name, drawing) in [
+        ("map", plain),
+        ("map-backed", backed),
+        ("map-narrow", MapDrawing { width: 460.0, title: "", ..plain }),
+    ] {
+        let svg = drawing.svg(&frames);
+        odograph_session::files::write(&folder.join(format!("{name}.svg")), svg.as_bytes()).unwrap();
+        let width = if name == "map-narrow" { 700 } else { MAP_WIDTH_PX };
+        odograph_session::files::write(
+            &folder.join(format!("{name}.png")),
+            &drawing_png(&svg, width).unwrap(),
+        )
+        .unwrap();
+    }
+    for (name, path) in odd_paths() {
+        let svg =
+            MapDrawing { title: &format!("{name} {}", "of a very long name".repeat(8)), ..plain }.svg(&path);
+        odograph_session::files::write(
+            &folder.join(format!("map-{name}.png")),
+            &drawing_png(&svg, 1000).unwrap(),
+        )
+        .unwrap();
+    }
+    let png_whole = odograph_session::files::png_from_rgba(whole.width, whole.height, &whole.rgba).unwrap();
+    odograph_session::files::write(&folder.join("mosaic.png"), &png_whole).unwrap();
+    odograph_session::files::write(&folder.join("mosaic.pgw"), whole.placement.world_file().as_bytes())
+        .unwrap();
+    let page = html(&ReportInput {
+        interruption: None,
+        title: "figure-eight.mp4",
+        source: "A rendered floor of tiles, 320 × 240 pixels, 900 frames at 30 a second",
+        frames: &frames,
+        camera: &camera,
+        rig: &Rig::level(0.5),
+        map_svg: &plain.svg(&frames),
+        mosaic: Some(ReportMosaic {
+            png: &png,
+            width_px: small.width,
+            height_px: small.height,
+            placement: whole.placement,
+            file_name: "mosaic.png",
+        }),
+        run_toml: "height_m = 0.5\nmodel = \"rigid\"\nseed = 1\n",
+        warnings: &["the video ends in the middle of a frame; 900 of about 905 frames were read".into()],
+        sensors: &[],
+        reference: None,
+    });
+    odograph_session::files::write(&folder.join("report.html"), page.as_bytes()).unwrap();
+}

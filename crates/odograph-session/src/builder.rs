@@ -1,0 +1,233 @@
+//! What is to be run.
+
+use crate::output::{MapUse, Output};
+use crate::plan::SourcePlan;
+use crate::report::RunReporter;
+use crate::sensors::SensorFiles;
+use odograph::camera::{Camera, Rig};
+use odograph::motion::MotionModel;
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Where the camera comes from, as a builder is told it.
+#[derive(Debug, Clone)]
+pub(crate) enum CameraChoice {
+    File(PathBuf),
+    Known(Box<Camera>),
+    /// Width and height of the ground in the image, metres.
+    FieldOfView(f64, f64),
+    /// That of the map, which must be there.
+    OfMap,
+}
+
+/// How the camera is mounted, as a builder is told it.
+#[derive(Debug, Clone)]
+pub(crate) enum MountChoice {
+    File(PathBuf),
+    Known(Rig),
+}
+
+/// What is to be run: source, camera, mount, sensors, map and outputs.
+///
+/// A camera and its height over the ground are needed, unless a map that is continued has them; all
+/// else has a default. Nothing is read or opened before [`RunBuilder::open`] or [`RunBuilder::run`].
+#[derive(Clone)]
+pub struct RunBuilder {
+    pub(crate) source: SourcePlan,
+    /// Whether the source is the `run.toml` of an earlier run.
+    pub(crate) repeats: bool,
+    pub(crate) camera: Option<CameraChoice>,
+    pub(crate) mount: Option<MountChoice>,
+    pub(crate) readout_s: Option<f64>,
+    pub(crate) mask: Option<PathBuf>,
+    pub(crate) motion: MotionModel,
+    pub(crate) sensors: SensorFiles,
+    pub(crate) budget_ms: Option<f64>,
+    pub(crate) loops: bool,
+    pub(crate) reference: Option<PathBuf>,
+    pub(crate) output: Output,
+    pub(crate) reporter: Option<Arc<dyn RunReporter>>,
+}
+
+impl fmt::Debug for RunBuilder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RunBuilder")
+            .field("source", &self.source)
+            .field("camera", &self.camera)
+            .field("mount", &self.mount)
+            .field("output", &self.output)
+            .finish_non_exhaustive()
+    }
+}
+
+impl RunBuilder {
+    /// A run over a video, a folder of pictures, a stream's address, or `-` for Y4M on standard
+    /// input.
+    pub fn new(source: impl Into<String>) -> Self {
+        Self::over(SourcePlan::new(source))
+    }
+
+    /// A run over a part of a source.
+    pub fn over(source: SourcePlan) -> Self {
+        Self {
+            source,
+            repeats: false,
+            camera: None,
+            mount: None,
+            readout_s: None,
+            mask: None,
+            motion: MotionModel::Auto,
+            sensors: SensorFiles::default(),
+            budget_ms: None,
+            loops: true,
+            reference: None,
+            output: Output::default(),
+            reporter: None,
+        }
+    }
+
+    /// A run that repeats an earlier one by its `run.toml`, which says everything but where to
+    /// write.
+    pub fn repeating(run_toml: impl Into<String>) -> Self {
+        Self { repeats: true, ..Self::new(run_toml) }
+    }
+
+    /// A run that finds out where a picture or a recording was taken in a map. Camera and mount are
+    /// those of the map, which stays as it is.
+    pub fn localizing(source: SourcePlan, map: impl Into<PathBuf>) -> Self {
+        let output = Output { map: MapUse::LookInto(map.into()), least_frames: 1, ..Output::default() };
+        Self { camera: Some(CameraChoice::OfMap), output, ..Self::over(source) }
+    }
+
+    /// The camera is that of a file: OpenCV YAML, ROS `camera_info`, Kalibr, EuRoC or COLMAP.
+    #[must_use]
+    pub fn camera_file(mut self, path: impl Into<PathBuf>) -> Self {
+        self.camera = Some(CameraChoice::File(path.into()));
+        self
+    }
+
+    /// The camera is this one.
+    #[must_use]
+    pub fn camera(mut self, camera: Camera) -> Self {
+        self.camera = Some(CameraChoice::Known(Box::new(camera)));
+        self
+    }
+
+    /// Instead of a camera: width and height of the ground in the image, metres. Height and tilt
+    /// are then taken as steady.
+    #[must_use]
+    pub fn field_of_view_m(mut self, width_m: f64, height_m: f64) -> Self {
+        self.camera = Some(CameraChoice::FieldOfView(width_m, height_m));
+        self
+    }
+
+    /// The camera is this high above the ground, metres, and looks straight down. A tilt is found
+    /// in the recording.
+    #[must_use]
+    pub fn height_m(self, height_m: f64) -> Self {
+        self.rig(Rig::level(height_m))
+    }
+
+    /// The camera is mounted like this.
+    #[must_use]
+    pub fn rig(mut self, rig: Rig) -> Self {
+        self.mount = Some(MountChoice::Known(rig));
+        self
+    }
+
+    /// The camera is mounted as a rig file says (TOML: `height_m`, `roll_deg`, `pitch_deg`,
+    /// `yaw_deg`).
+    #[must_use]
+    pub fn rig_file(mut self, path: impl Into<PathBuf>) -> Self {
+        self.mount = Some(MountChoice::File(path.into()));
+        self
+    }
+
+    /// Readout time of the image, first row to last, seconds; 0 is a global shutter. The default is
+    /// the camera file's; where that has none it is learned.
+    #[must_use]
+    pub fn readout_s(mut self, readout_s: f64) -> Self {
+        self.readout_s = Some(readout_s);
+        self
+    }
+
+    /// A picture of what is not ground (black), of the size of the frames.
+    #[must_use]
+    pub fn mask(mut self, path: impl Into<PathBuf>) -> Self {
+        self.mask = Some(path.into());
+        self
+    }
+
+    /// What may change between frames; [`MotionModel::Auto`] by default.
+    #[must_use]
+    pub fn motion(mut self, model: MotionModel) -> Self {
+        self.motion = model;
+        self
+    }
+
+    /// Sensors beside the camera.
+    #[must_use]
+    pub fn sensors(mut self, files: SensorFiles) -> Self {
+        self.sensors = files;
+        self
+    }
+
+    /// Time that a frame may take, milliseconds: fewer corners are tracked if needed. Measures the
+    /// machine once, when the run is opened.
+    #[must_use]
+    pub fn budget_ms(mut self, frame_ms: f64) -> Self {
+        self.budget_ms = Some(frame_ms);
+        self
+    }
+
+    /// The path is what odometry alone has: ground that was seen before is not looked for.
+    #[must_use]
+    pub fn without_loops(mut self) -> Self {
+        self.loops = false;
+        self
+    }
+
+    /// A path from elsewhere (TUM), for the report to show beside that of the run.
+    #[must_use]
+    pub fn reference(mut self, path: impl Into<PathBuf>) -> Self {
+        self.reference = Some(path.into());
+        self
+    }
+
+    /// The folder for the results. By default they are written into a temporary one, which is
+    /// removed at the end.
+    #[must_use]
+    pub fn folder(mut self, path: impl Into<PathBuf>) -> Self {
+        self.output.folder = Some(path.into());
+        self
+    }
+
+    /// Results that are already in the folder are overwritten.
+    #[must_use]
+    pub fn overwriting(mut self, overwrites: bool) -> Self {
+        self.output.force = overwrites;
+        self
+    }
+
+    /// What the run does with a map; by default it makes a new one in its folder.
+    #[must_use]
+    pub fn map(mut self, map: MapUse) -> Self {
+        self.output.map = map;
+        self
+    }
+
+    /// Threads to use; the results are the same for any number. As many as help by default.
+    #[must_use]
+    pub fn threads(mut self, threads: usize) -> Self {
+        self.output.threads = Some(threads.max(1));
+        self
+    }
+
+    /// Who makes `map.png` and `report.html`; without one they are not written.
+    #[must_use]
+    pub fn reporter(mut self, reporter: impl RunReporter + 'static) -> Self {
+        self.reporter = Some(Arc::new(reporter));
+        self
+    }
+}

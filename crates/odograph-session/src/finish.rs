@@ -1,0 +1,410 @@
+//! The end of a run: what was tracked is improved by what came after it, written, and drawn. The
+//! trajectories come first: they are what cannot be had again without the recording. Whatever else
+//! fails is told in the end, when all the rest is there.
+
+use crate::budget::Budget;
+use crate::folder::OutputFolder;
+use crate::found::{FoundLens, FoundReadout};
+use crate::kept_frames::KeptFrames;
+use crate::observer::Observer;
+use crate::outcome::{RunEnd, RunOutcome};
+use crate::output::Output;
+use crate::pipeline::Tracked;
+use crate::place::PlaceInMap;
+use crate::plan::RunPlan;
+use crate::report::RunReporter;
+use crate::resemblance::Resemblance;
+use crate::statistics::{
+    BudgetStatistics, LoopStatistics, SensorStatistics, StageTime, Statistics, interruption,
+    peak_memory_bytes,
+};
+use crate::{files, pictures, reference, tilt};
+use odograph::error::{Error, Result};
+use odograph::filter::fusion::{Reckoned, SensorReport, Sensors};
+use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
+use odograph::formats::camera_file;
+use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
+use odograph::mosaic::Mosaic;
+use odograph::trajectory::{FrameSummary, StampedPose, TrackStatus, distance_m};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// What finishing a run needs beside what was tracked.
+pub struct Ending<'a> {
+    /// What the recording is, in words.
+    pub description: &'a str,
+    pub sensors: &'a Sensors,
+    pub output: &'a Output,
+    pub reporter: Option<&'a dyn RunReporter>,
+    pub observer: &'a dyn Observer,
+    /// When the run began.
+    pub started: Instant,
+}
+
+/// Improves what was tracked and writes everything into the folder.
+pub fn finish(
+    plan: &RunPlan,
+    mut tracked: Tracked,
+    folder: &mut OutputFolder,
+    ending: &Ending<'_>,
+) -> Result<RunOutcome> {
+    enough(plan, &mut tracked, ending.output)?;
+    let mut run = Finishing { failure: ended_early(&mut tracked), plan, tracked, folder, ending };
+    run.tell_camera()?;
+    let mut improved = run.improve(ending.sensors)?;
+    run.write_paths(&mut improved)?;
+    let frames = improved.summaries(&mut run.tracked)?;
+    let Improved { mut laid, sensors, loops, .. } = improved;
+    run.draw(laid.as_mut(), &frames, &sensors)?;
+    run.end(frames, &sensors, loops)
+}
+
+/// The camera file with the lens as it was found, where not as told.
+const FOUND_CAMERA: &str = "camera-found.yaml";
+
+/// What was ignored because it does not move with the ground.
+const MASK: &str = "mask.png";
+
+/// A run that is being finished.
+struct Finishing<'a> {
+    plan: &'a RunPlan,
+    /// Its frames are those in the odometry frame.
+    tracked: Tracked,
+    folder: &'a mut OutputFolder,
+    ending: &'a Ending<'a>,
+    /// What ended the recording early, or the first thing that could not be made.
+    failure: Option<Error>,
+}
+
+/// The frames after sensor fusion and loop closure.
+struct Improved {
+    /// The final frames; `None` if they equal the odometry's.
+    laid: Option<KeptFrames>,
+    /// Frames without a measured pose, as dead-reckoned from the sensors.
+    reckoned: Reckoned,
+    sensors: Vec<SensorReport>,
+    loops: LoopStatistics,
+}
+
+impl Improved {
+    /// What is shown of them.
+    fn summaries(&mut self, tracked: &mut Tracked) -> Result<Vec<FrameSummary>> {
+        let frames = self.laid.as_mut().unwrap_or(&mut tracked.frames);
+        let mut summaries = Vec::with_capacity(frames.count());
+        frames.each(|frame, _| {
+            summaries.push(frame.into());
+            Ok(())
+        })?;
+        Ok(summaries)
+    }
+}
+
+/// Fails if there are too few frames for a movement.
+fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &Output) -> Result<()> {
+    if tracked.frames.count() >= output.least_frames || tracked.interrupted {
+        return Ok(());
+    }
+    let too_few = if tracked.frames.count() == 0 { "no frame" } else { "only one frame" };
+    Err(tracked.failure.take().unwrap_or_else(|| {
+        Error::input(format!(
+            "{} has {too_few} in the chosen range; a movement needs at least two",
+            plan.source.path
+        ))
+    }))
+}
+
+/// What ended the recording or its map early, with a warning of each.
+fn ended_early(tracked: &mut Tracked) -> Option<Error> {
+    let recording = tracked.failure.take();
+    tracked.warnings.extend(recording.as_ref().map(|error| format!("the recording ended early: {error}")));
+    let map = tracked.unmapped.take();
+    tracked.warnings.extend(map.as_ref().map(|error| format!("the map ended early: {error}")));
+    recording.or(map)
+}
+
+impl Finishing<'_> {
+    fn warn(&mut self, warning: impl IntoIterator<Item = String>) {
+        self.tracked.warnings.extend(warning);
+    }
+
+    /// Something beside the trajectories could not be made: the run goes on, and fails in the end.
+    fn fail(&mut self, what: &str, error: Error) {
+        self.warn([format!("{what}: {error}")]);
+        self.failure.get_or_insert(error);
+    }
+
+    /// Warns where mount, lens or readout time were found to differ from the plan.
+    fn tell_camera(&mut self) -> Result<()> {
+        let told = match &self.tracked.mount {
+            Some(found) => Some(found.sentence()),
+            None => tilt::untold(&mut self.tracked.frames, &self.plan.rig, self.plan.odometry.motion.model)?,
+        };
+        self.warn(told);
+        let bends = self.tracked.lens.as_ref().map(FoundLens::sentence);
+        self.warn(bends);
+        let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
+        self.warn(reads);
+        Ok(())
+    }
+
+    /// Fuses other sensors first; loop closures then correct the fused path.
+    fn improve(&mut self, sensors: &Sensors) -> Result<Improved> {
+        let tracked = &mut self.tracked;
+        let (mut fused, mut reckoned, mut reports) = (None, Reckoned::default(), Vec::new());
+        if *sensors != Sensors::default() {
+            // Sensor fusion needs the whole recording at once; only then is all of it in memory.
+            let (raw, mut references) = tracked.frames.all()?;
+            let fusion = fusion::fuse(&raw, sensors);
+            if fusion.moved {
+                tracked.mapping.take_over(&raw, &fusion.frames, &mut references);
+                let mut kept = KeptFrames::new(self.folder.path());
+                fusion.frames.into_iter().zip(references).for_each(|(f, reference)| kept.push(f, reference));
+                fused = Some(kept);
+            }
+            (reckoned, reports) = (fusion.reckoned, fusion.reports);
+        }
+        let frames = fused.as_mut().unwrap_or(&mut tracked.frames);
+        let straight = tracked.mapping.straighten(frames, !reckoned.is_empty(), self.folder.path())?;
+        let reckoned = reckoned.laid(&straight.moves);
+        let loops = tracked.mapping.statistics(&straight);
+        tracked.warnings.extend(tracked.mapping.warning());
+        tracked.warnings.extend(self.plan.sensors.warnings(&reports));
+        Ok(Improved { laid: straight.frames.or(fused), reckoned, sensors: reports, loops })
+    }
+
+    /// The trajectories, the map's keyframes, and the paths that are made of the frames.
+    fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
+        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let text = self.plan.text_in(self.folder.path())?;
+        self.folder.write_trajectories(frames, &text)?;
+        let camera = camera_file::write(&self.plan.camera);
+        // The camera file of an earlier run may be the one that this run was given: that stays.
+        let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
+        match self.tracked.lens {
+            Some(_) => self.folder.write(FOUND_CAMERA, camera.as_bytes())?,
+            None if stays => {}
+            None => self.folder.remove(FOUND_CAMERA)?,
+        }
+        if self.tracked.fixed.share > 0.0 {
+            self.folder.write(MASK, &files::png_from_gray(&self.tracked.fixed.picture)?)?;
+        } else {
+            self.folder.remove(MASK)?;
+        }
+        self.folder.write_tum("odometry.tum", |put| {
+            self.tracked
+                .frames
+                .each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
+        })?;
+        // The map comes after the trajectories, because it may not fit on the disk; what follows is
+        // written even then.
+        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        if let Err(error) = self.tracked.mapping.save(frames) {
+            self.fail("the map is not where the trajectories are", error);
+        }
+        self.write_smoothed(improved)
+    }
+
+    /// Computes the smoothed path and the carrier's path in memory, from few numbers a frame, and
+    /// writes them frame by frame.
+    fn write_smoothed(&mut self, improved: &mut Improved) -> Result<()> {
+        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let mut smoother = Smoother::for_frames(frames.count());
+        frames.each(|frame, _| {
+            smoother.push(frame);
+            Ok(())
+        })?;
+        let path = smoother.smoothed(&self.plan.odometry.filter);
+        let mut smoothed = Smoothed { frames, path: &path, reckoned: &improved.reckoned };
+        self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
+            smoothed.each(|frame| put(&smoothed_line(frame)))
+        })?;
+        let mut carrier = Carrier::for_frames(smoothed.frames.count());
+        self.folder.write_tum("trajectory-smoothed.tum", |put| {
+            let mut before_s = f64::NEG_INFINITY;
+            smoothed.each(|frame| {
+                carrier.push(frame);
+                // Of frames at the same moment the first counts.
+                let later = frame.time_s > before_s;
+                before_s = before_s.max(frame.time_s);
+                if later { put(&frame.stamped()) } else { Ok(()) }
+            })
+        })?;
+        drop(path);
+        let mut carrier = carrier.path(&self.plan.rig);
+        self.folder.write_tum("carrier.tum", |put| carrier.try_for_each(|pose| put(&pose)))
+    }
+
+    /// The mosaic, the map and the page.
+    fn draw(
+        &mut self,
+        laid: Option<&mut KeptFrames>,
+        frames: &[FrameSummary],
+        sensors: &[SensorReport],
+    ) -> Result<()> {
+        let Ending { description, reporter, observer, .. } = *self.ending;
+        let threads = self.ending.output.threads();
+        let tracked = &mut self.tracked;
+        let laid = laid.unwrap_or(&mut tracked.frames);
+        let laid = tracked.views.lay(&self.plan.camera, laid, &mut tracked.mapping, threads);
+        let mosaic = laid.unwrap_or_else(|error| {
+            self.fail("there is no picture of the ground", error);
+            Mosaic::new(Default::default())
+        });
+        let compared = match (&self.plan.reference, reference::read(self.plan)?) {
+            (Some(path), Some(read)) => reference::compared(path, read, self.folder.path())
+                .map_err(|error| self.warn([format!("the path cannot be compared: {error}")]))
+                .ok(),
+            _ => None,
+        };
+        let loops = self.tracked.mapping.loops();
+        let tracked = &mut self.tracked;
+        let shown = pictures::Shown {
+            description,
+            frames,
+            loops: &loops,
+            mosaic: &mosaic,
+            sensors,
+            reference: compared.as_ref(),
+        };
+        let drawn = pictures::write(
+            self.plan,
+            &shown,
+            &mut tracked.mapping,
+            self.folder,
+            reporter,
+            threads,
+            observer,
+        )?;
+        tracked.warnings.extend(match &drawn.ground {
+            Ok(warning) => warning.clone(),
+            Err(error) => Some(format!("the map has no new picture of the ground: {error}")),
+        });
+        let interruption = (tracked.interrupted && tracked.live.is_none())
+            .then(|| interruption(frames.len() as u64, tracked.announced));
+        pictures::write_page(
+            self.plan,
+            &shown,
+            &drawn,
+            &tracked.warnings,
+            interruption.as_deref(),
+            self.folder,
+            reporter,
+        )?;
+        if let Err(error) = drawn.ground {
+            self.failure.get_or_insert(error);
+        }
+        Ok(())
+    }
+
+    /// Closes the map and writes the statistics, last of all.
+    fn end(
+        mut self,
+        frames: Vec<FrameSummary>,
+        sensors: &[SensorReport],
+        loops: LoopStatistics,
+    ) -> Result<RunOutcome> {
+        let map = self.tracked.mapping.written().map(Path::to_owned);
+        let closed = self.tracked.mapping.close();
+        let mapper = self.tracked.mapping.mapper();
+        let place = PlaceInMap::last(&frames, mapper);
+        let looked_for = self.ending.output.map.is_read_only() && place.is_none();
+        let statistics = statistics_of(
+            &self.tracked,
+            &frames,
+            self.plan.budget,
+            sensors,
+            loops,
+            self.ending.started.elapsed(),
+        );
+        self.folder.finish(&statistics)?;
+        match self.failure.or(closed.err()) {
+            Some(error) => Err(error),
+            None => Ok(RunOutcome {
+                end: RunEnd::of(&statistics),
+                statistics,
+                trajectory: frames,
+                resemblance: looked_for.then(|| Resemblance::of(mapper)).flatten(),
+                place,
+                warnings: self.tracked.warnings,
+                folder: self.folder.path().to_owned(),
+                written: self.folder.take_written().into_iter().chain(map).collect(),
+            }),
+        }
+    }
+}
+
+/// The statistics of a run that took `elapsed`, from its final frames and its sensors.
+fn statistics_of(
+    tracked: &Tracked,
+    frames: &[FrameSummary],
+    budget: Option<Budget>,
+    sensors: &[SensorReport],
+    loops: LoopStatistics,
+    elapsed: Duration,
+) -> Statistics {
+    let posed = |i: usize| frames[i].place.is_some();
+    let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
+    let duration_s = match (frames.first(), frames.last()) {
+        (Some(first), Some(last)) => last.time_s - first.time_s,
+        _ => 0.0,
+    };
+    let rate = |s: f64| if s > 0.0 { frames.len() as f64 / s } else { 0.0 };
+    Statistics {
+        frames: frames.len() as u64,
+        frames_with_pose: frames.iter().filter(|f| f.status == TrackStatus::Tracked).count() as u64,
+        duration_s,
+        distance_m: distance_m(frames),
+        fps: rate(elapsed.as_secs_f64()),
+        fps_without_decoding: rate(
+            (tracked.times.track.sum() + tracked.times.map.sum() + tracked.mapping.times().sum())
+                .as_secs_f64(),
+        ),
+        stages: BTreeMap::from([
+            ("decode", StageTime::of(&tracked.times.decode)),
+            ("track", StageTime::of(&tracked.times.track)),
+            ("map", StageTime::of(&tracked.times.map)),
+        ]),
+        keyframes: tracked.keyframes,
+        losses: losses as u64,
+        loops,
+        peak_memory_bytes: peak_memory_bytes(),
+        budget: budget.map(|budget| BudgetStatistics::new(budget, &tracked.times.track)),
+        mount: tracked.mount,
+        lens: tracked.lens.clone(),
+        readout: tracked.readout,
+        fixed_in_image: tracked.fixed.clone(),
+        interrupted: tracked.interrupted,
+        frames_announced: tracked.announced.filter(|_| tracked.interrupted),
+        live: tracked.live,
+        sensors: sensors.iter().map(SensorStatistics::new).collect(),
+    }
+}
+
+/// A smoothed path with what the sensors tell of its gaps, along the frames that it was made of.
+struct Smoothed<'a> {
+    frames: &'a mut KeptFrames,
+    path: &'a SmoothedPath,
+    reckoned: &'a Reckoned,
+}
+
+impl Smoothed<'_> {
+    /// Visits every frame of the path. Fails if frames cannot be read back, or if `take` fails.
+    fn each(&mut self, mut take: impl FnMut(&SmoothedFrame) -> Result<()>) -> Result<()> {
+        let (mut walk, mut merge) = (self.path.walk(), self.reckoned.merge());
+        let mut taken = Ok(());
+        let mut take = |frame: SmoothedFrame, taken: &mut Result<()>| {
+            if taken.is_ok() {
+                *taken = take(&frame);
+            }
+        };
+        self.frames.each(|frame, _| {
+            walk.next(frame, &mut |smoothed| {
+                merge.next(smoothed, &mut |smoothed| take(smoothed, &mut taken));
+            });
+            std::mem::replace(&mut taken, Ok(()))
+        })?;
+        merge.end(&mut |smoothed| take(smoothed, &mut taken));
+        taken
+    }
+}

@@ -1,0 +1,273 @@
+//! The output folder: nothing is overwritten unasked, nothing is half written, and what was
+//! computed is on disk if the program is killed.
+
+use crate::files;
+use crate::kept_frames::KeptFrames;
+use crate::output::{MapUse, Output};
+use crate::statistics::Statistics;
+use odograph::error::{Error, Result};
+use odograph::formats::trajectory_file::{self, FRAMES_HEADER, TUM_HEADER, frame_line, tum_line};
+use odograph::trajectory::{FrameEstimate, StampedPose};
+use odograph_map::{MapClaim, MapFile};
+use std::fs::{self, File};
+use std::io::{Seek, Write};
+use std::path::{Path, PathBuf};
+
+/// Every file that a run writes.
+pub const RUN_FILES: [&str; 16] = [
+    "odometry.tum",
+    "map.gpkg",
+    "trajectory.tum",
+    "trajectory.csv",
+    "trajectory-smoothed.tum",
+    "trajectory-smoothed.csv",
+    "carrier.tum",
+    "map.svg",
+    "map.png",
+    "mosaic.png",
+    "mosaic.pgw",
+    "report.html",
+    "run.toml",
+    "camera-found.yaml",
+    "mask.png",
+    "stats.json",
+];
+
+/// The folder of a run while it is being filled.
+#[derive(Debug)]
+pub struct OutputFolder {
+    path: PathBuf,
+    /// The incremental trajectory; replaced by `trajectory.csv` at the end.
+    growing: File,
+    pending: Vec<FrameEstimate>,
+    /// Whether the header and some frames are on disk.
+    started: bool,
+    /// Whether a map of an earlier run is there.
+    had_map: bool,
+    /// Folders that were made for this run, the innermost first.
+    made: Vec<PathBuf>,
+    /// On the folder's own map, which keeps other runs out of the folder, and on the one that is
+    /// continued.
+    claims: Vec<MapClaim>,
+    /// The files that were written, in order.
+    written: Vec<PathBuf>,
+}
+
+impl Drop for OutputFolder {
+    /// A run that ended without a frame on disk leaves nothing behind.
+    fn drop(&mut self) {
+        if !self.started {
+            let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
+            if !self.had_map {
+                let _ = self.claims[0].remove_map();
+            }
+            self.claims.clear();
+            remove_folders(&self.made);
+        }
+    }
+}
+
+/// Removes folders where they are empty, the innermost first.
+fn remove_folders(folders: &[PathBuf]) {
+    for folder in folders {
+        let _ = fs::remove_dir(folder);
+    }
+}
+
+/// Frames are put on disk in groups of so many: a second of video.
+const GROUP: usize = 30;
+
+impl OutputFolder {
+    /// Makes the folder ready, and claims the map that is to be written. Fails where results are
+    /// already there that may not be replaced, where another program writes there, or where nothing
+    /// can be written.
+    pub fn new(path: &Path, output: &Output) -> Result<Self> {
+        let force = output.force;
+        if path.exists() && !path.is_dir() {
+            return Err(Error::usage(format!("{} is a file; the results need a folder", path.display())));
+        }
+        let own_map = path.join("map.gpkg");
+        let is_there =
+            |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
+        if let Some(there) =
+            RUN_FILES.iter().map(|name| path.join(name)).find(|file| is_there(file) && !force)
+        {
+            return Err(Error::usage(format!(
+                "{} is already there; choose another folder, or --force to overwrite it",
+                there.display()
+            )));
+        }
+        let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
+        let made: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
+        let undone = |error| {
+            remove_folders(&made);
+            error
+        };
+        fs::create_dir_all(path).map_err(|error| {
+            undone(Error::output(format!("{} cannot be made: {error}", path.display())).caused_by(error))
+        })?;
+        let claims = claims(&own_map, &output.map).map_err(&undone)?;
+        let growing_path = files::beside(&path.join("trajectory.csv"));
+        let growing = File::create(&growing_path)
+            .map_err(|error| undone(files::cannot_be_written(&growing_path, error)))?;
+        let had_map = MapFile::is_there(&own_map);
+        Ok(Self {
+            path: path.to_owned(),
+            growing,
+            pending: Vec::new(),
+            started: false,
+            had_map,
+            made,
+            claims,
+            written: Vec::new(),
+        })
+    }
+
+    /// The claim on a map that this run writes, where it has one.
+    pub fn claim_on(&self, map: &Path) -> Option<&MapClaim> {
+        self.claims.iter().find(|claim| claim.is_on(map))
+    }
+
+    /// Discards what was recorded, because the run starts again.
+    pub fn begin_again(&mut self) -> Result<()> {
+        self.growing
+            .set_len(0)
+            .and_then(|()| self.growing.rewind())
+            .map_err(|error| files::cannot_be_written(&self.path.join("trajectory.csv"), error))?;
+        self.pending.clear();
+        self.started = false;
+        Ok(())
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Takes a frame; at least once a second of video what was computed goes to disk.
+    pub fn record(&mut self, frame: &FrameEstimate) -> Result<()> {
+        self.pending.push(frame.clone());
+        if self.pending.len() >= GROUP { self.flush() } else { Ok(()) }
+    }
+
+    /// Puts on disk what was recorded.
+    pub fn flush(&mut self) -> Result<()> {
+        if self.pending.is_empty() {
+            return Ok(());
+        }
+        let text = trajectory_file::csv_from_frames(&self.pending);
+        // The header stands once.
+        let body = if self.started { text.split_once('\n').map_or("", |(_, body)| body) } else { &text };
+        self.pending.clear();
+        self.growing
+            .write_all(body.as_bytes())
+            .map_err(|error| files::cannot_be_written(&self.path.join("trajectory.csv"), error))?;
+        self.started = true;
+        Ok(())
+    }
+
+    /// Removes a file of an earlier run that this run does not write.
+    pub fn remove(&mut self, name: &str) -> Result<()> {
+        let path = self.path.join(name);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(Error::output(format!("{} cannot be removed: {error}", path.display())).caused_by(error))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether a file of an earlier run has these bytes.
+    pub fn holds(&self, name: &str, bytes: &[u8]) -> bool {
+        fs::read(self.path.join(name)).is_ok_and(|there| there == bytes)
+    }
+
+    /// Writes one file.
+    pub fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        let path = self.path.join(name);
+        files::write(&path, bytes)?;
+        self.is_written(path);
+        Ok(())
+    }
+
+    /// Takes note of a file that was written.
+    fn is_written(&mut self, path: PathBuf) {
+        if !self.written.contains(&path) {
+            self.written.push(path);
+        }
+    }
+
+    /// Returns the files that were written, in order.
+    pub fn take_written(&mut self) -> Vec<PathBuf> {
+        std::mem::take(&mut self.written)
+    }
+
+    /// Writes a file that begins with `header` line by line, as `fill` puts them.
+    pub fn write_lines(
+        &mut self,
+        name: &str,
+        header: &str,
+        fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
+    ) -> Result<()> {
+        let path = self.path.join(name);
+        write_lines(&path, header, fill)?;
+        self.is_written(path);
+        Ok(())
+    }
+
+    /// Writes a trajectory as TUM text pose by pose, as `fill` puts them.
+    pub fn write_tum(
+        &mut self,
+        name: &str,
+        fill: impl FnOnce(&mut dyn FnMut(&StampedPose) -> Result<()>) -> Result<()>,
+    ) -> Result<()> {
+        self.write_lines(name, TUM_HEADER, |put| fill(&mut |pose| put(&tum_line(pose))))
+    }
+
+    /// Writes the trajectories and the parameters: what cannot be had again without the recording
+    /// comes before any picture. Takes away what was only there in case of a crash.
+    pub fn write_trajectories(&mut self, frames: &mut KeptFrames, run_toml: &str) -> Result<()> {
+        // Written under a third name: on a full disk the incremental record must stay, with as much
+        // of its last second as fits.
+        let _ = self.flush();
+        let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
+        write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(frame))))?;
+        fs::rename(&whole, &path).map_err(|error| files::cannot_be_written(&path, error))?;
+        let _ = fs::remove_file(files::beside(&path));
+        self.is_written(path);
+        self.started = true;
+        self.write_tum("trajectory.tum", |put| {
+            frames.each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
+        })?;
+        self.write("run.toml", run_toml.as_bytes())
+    }
+
+    /// Writes the statistics, last of all: where they are, everything is.
+    pub fn finish(&mut self, statistics: &Statistics) -> Result<()> {
+        self.write("stats.json", (statistics.json()? + "\n").as_bytes())
+    }
+}
+
+fn claims(own_map: &Path, map: &MapUse) -> Result<Vec<MapClaim>> {
+    let mut claims = vec![MapClaim::on(own_map)?];
+    if let Some(map) = map.path().filter(|_| !map.is_read_only())
+        && !claims[0].is_on(map)
+    {
+        claims.push(MapClaim::on(map)?);
+    }
+    Ok(claims)
+}
+
+fn write_lines(
+    path: &Path,
+    header: &str,
+    fill: impl FnOnce(&mut dyn FnMut(&str) -> Result<()>) -> Result<()>,
+) -> Result<()> {
+    files::write_with(path, |output| {
+        let mut put = |line: &str| {
+            output.write_all(line.as_bytes()).map_err(|error| files::cannot_be_written(path, error))
+        };
+        put(header)?;
+        fill(&mut put)
+    })
+}

@@ -1,0 +1,241 @@
+//! The mosaic while it grows under the page's eyes.
+
+use super::laying::{Kept, Laying};
+use crate::views::Posed;
+use odograph::camera::Camera;
+use odograph::error::Result;
+use odograph::geometry::{GroundPose, Sim2};
+use odograph::ground_map::{KeyframeImage, KeyframeImages};
+use odograph::keyframe::KeyframeId;
+use odograph::mosaic::{Mosaic, MosaicSquare};
+use odograph_live::Ground;
+use odograph_live::ground::GroundState;
+use odograph_map::MapFile;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The ground of a live run: laid by one thread, looked at by those of the page, and laid anew by a
+/// third.
+#[derive(Clone)]
+pub struct LiveGround {
+    camera: Camera,
+    shown: bool,
+    state: Arc<Mutex<State>>,
+}
+
+struct State {
+    mosaic: Stage,
+    /// How often all was laid anew; the revisions of each time begin beyond those of the time
+    /// before.
+    generation: u64,
+    /// Squares of the time before that have no ground any more.
+    bare: BTreeSet<MosaicSquare>,
+}
+
+enum Stage {
+    Growing(Box<Laying>),
+    /// Neither, for a moment.
+    Away,
+    Finished(Box<Mosaic>),
+}
+
+/// A ground to be laid anew.
+pub struct Relaying {
+    /// The file with the keyframes' images.
+    pub file: PathBuf,
+    pub keyframes: Vec<(KeyframeId, GroundPose)>,
+    /// Of the newest keyframe: frames that come are laid under it from now on.
+    pub correction: Sim2,
+}
+
+/// Revisions of one generation: more than frames are laid in a run.
+const REVISIONS: u64 = 1 << 40;
+
+impl State {
+    fn mosaic(&self) -> Option<&Mosaic> {
+        match &self.mosaic {
+            Stage::Growing(laying) => Some(laying.mosaic()),
+            Stage::Away => None,
+            Stage::Finished(mosaic) => Some(mosaic),
+        }
+    }
+}
+
+impl LiveGround {
+    /// Of a run that writes into `folder`. Where nobody can look (`shown` is false) nothing is laid
+    /// before the end.
+    pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
+        let laying = Laying::new(camera.clone(), folder, shown);
+        let state = State { mosaic: Stage::Growing(Box::new(laying)), generation: 0, bare: BTreeSet::new() };
+        Self { camera, shown, state: Arc::new(Mutex::new(state)) }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether somebody can look.
+    pub fn is_shown(&self) -> bool {
+        self.shown
+    }
+
+    /// Lays a frame where it shows something new.
+    pub fn lay(&self, posed: Posed) {
+        if let Stage::Growing(laying) = &mut self.state().mosaic {
+            laying.next(posed);
+        }
+    }
+
+    /// Lays everything anew from the keyframes in the map file, and what comes where the newest of
+    /// them is. Meanwhile the old ground is there.
+    pub fn lay_again(&self, relaying: &Relaying) -> Result<()> {
+        let mut file = MapFile::open_read_only(&relaying.file)?;
+        let mut fresh = Mosaic::new(Default::default());
+        for (id, pose) in &relaying.keyframes {
+            let KeyframeImage { gray, color } = file.load(*id)?;
+            match &color {
+                Some(color) => fresh.add(color, &self.camera, pose),
+                None => fresh.add(&gray, &self.camera, pose),
+            };
+        }
+        let there: BTreeSet<MosaicSquare> = fresh.changed_since(0).collect();
+        let state = &mut *self.state();
+        let Stage::Growing(laying) = &mut state.mosaic else { return Ok(()) };
+        state.bare.extend(laying.mosaic().changed_since(0));
+        state.bare.retain(|square| !there.contains(square));
+        laying.go_on(fresh, relaying.correction);
+        state.generation += 1;
+        Ok(())
+    }
+
+    /// Ends the laying: nothing grows any more, and those who look see the ground as it is. `None`
+    /// where it has ended before.
+    pub fn finish(&self) -> Option<Kept> {
+        let mut state = self.state();
+        let Stage::Growing(laying) = std::mem::replace(&mut state.mosaic, Stage::Away) else { return None };
+        let (mosaic, kept) = laying.finished();
+        state.mosaic = Stage::Finished(Box::new(mosaic));
+        Some(kept)
+    }
+}
+
+impl Ground for LiveGround {
+    fn state(&self) -> Option<GroundState> {
+        let state = Self::state(self);
+        let mosaic = state.mosaic()?;
+        let revision = state.generation * REVISIONS + mosaic.revision().min(REVISIONS - 1);
+        Some(GroundState { metres_per_pixel: mosaic.resolution_m()?, revision })
+    }
+
+    fn changed_since(&self, revision: u64) -> Vec<MosaicSquare> {
+        let state = Self::state(self);
+        let Some(mosaic) = state.mosaic() else { return Vec::new() };
+        if revision / REVISIONS == state.generation {
+            return mosaic.changed_since(revision % REVISIONS).collect();
+        }
+        // Who asks for a square without ground is told that there is none.
+        mosaic.changed_since(0).chain(state.bare.iter().copied()).collect()
+    }
+
+    fn tile_rgba(&self, tile: MosaicSquare) -> Option<Vec<u8>> {
+        Self::state(self).mosaic()?.tile_rgba(tile)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)] // a test fails by panicking
+
+    use super::*;
+    use odograph::camera::{Distortion, Rig};
+    use odograph::geometry::GroundPose;
+    use odograph::ground_map::MapKeyframe;
+    use odograph::image::GrayImage;
+    use odograph::keyframe::KeyframeId;
+    use odograph_video::{Frame, Picture, SampleLayout};
+
+    fn camera() -> Camera {
+        Camera::new((64, 48), (50.0, 50.0), (31.5, 23.5), Distortion::from_opencv(&[0.0; 4]).unwrap())
+            .unwrap()
+    }
+
+    fn at(x_m: f64) -> GroundPose {
+        GroundPose { x_m, ..GroundPose::level(1.0) }
+    }
+
+    fn posed(number: u64, shade: u8, pose: GroundPose) -> Posed {
+        let picture =
+            Picture::from_samples(SampleLayout::Gray, 64, 48, 64, &[shade; 64 * 48], false).unwrap();
+        Posed { frame: Frame::new(number, number as f64, picture), pose, segment: 0, is_keyframe: false }
+    }
+
+    /// The shade of the ground at x on the x axis.
+    fn shade(ground: &LiveGround, x_m: f64) -> Option<u8> {
+        let metres_per_pixel = Ground::state(ground)?.metres_per_pixel;
+        let column = (x_m / metres_per_pixel).floor() as i64;
+        let side = Mosaic::TILE_SIDE_PX as i64;
+        let rgba = ground.tile_rgba(MosaicSquare { column: column.div_euclid(side), row: 0 })?;
+        let pixel = 4 * (column.rem_euclid(side) + 2 * side) as usize;
+        (rgba[pixel + 3] > 0).then_some(rgba[pixel])
+    }
+
+    #[test]
+    fn where_nobody_can_look_nothing_is_laid() {
+        let folder = tempfile::tempdir().unwrap();
+        let laid = |shown| {
+            let ground = LiveGround::new(camera(), folder.path(), shown);
+            ground.lay(posed(0, 50, at(0.0)));
+            ground.lay(posed(1, 90, at(30.0)));
+            assert!(ground.finish().unwrap().failure.is_none());
+            Ground::state(&ground).is_some()
+        };
+        assert!(laid(true));
+        assert!(!laid(false));
+    }
+
+    #[test]
+    fn after_a_loop_the_ground_lies_where_the_map_has_it_and_so_does_what_comes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.gpkg");
+        let camera = camera();
+        let mut file = MapFile::create(&path, &camera, &Rig::level(1.0)).unwrap();
+        let session = file.begin_session("drive").unwrap();
+        let keyframe = |id: u64, pose| MapKeyframe {
+            id: KeyframeId(id),
+            session,
+            segment: 0,
+            frame: id,
+            time_s: id as f64,
+            odometry_pose: at(30.0 * id as f64),
+            pose,
+            covariance: nalgebra::Matrix6::identity() * 1e-6,
+            signature: Default::default(),
+        };
+        let (first, second) = (keyframe(0, at(0.0)), keyframe(1, at(15.0)));
+        for (keyframe, shade) in [(&first, 50), (&second, 90)] {
+            let gray = GrayImage::from_samples(64, 48, vec![shade; 64 * 48]).unwrap();
+            file.add_keyframe(keyframe, &KeyframeImage { gray, color: None }, &[]).unwrap();
+        }
+        let ground = LiveGround::new(camera, folder.path(), true);
+        ground.lay(posed(0, 50, at(0.0)));
+        ground.lay(posed(1, 90, at(30.0)));
+        let before = Ground::state(&ground).unwrap().revision;
+        assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), None, Some(90)]);
+        let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
+        let correction = second.map_from_odometry();
+        ground.lay_again(&Relaying { file: path, keyframes, correction }).unwrap();
+        // Who looked before hears of every square, of those too that are bare now.
+        let changed = ground.changed_since(before);
+        let (there, bare): (Vec<_>, Vec<_>) =
+            changed.into_iter().partition(|tile| ground.tile_rgba(*tile).is_some());
+        assert!(!there.is_empty() && !bare.is_empty(), "{there:?} {bare:?}");
+        assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), Some(90), None]);
+        // What odometry has fifteen metres too far is laid where it is.
+        let revision = Ground::state(&ground).unwrap().revision;
+        ground.lay(posed(2, 130, at(40.0)));
+        assert_eq!([25.1, 40.1].map(|x_m| shade(&ground, x_m)), [Some(130), None]);
+        let new = ground.changed_since(revision);
+        assert!(!new.is_empty() && new.iter().all(|tile| ground.tile_rgba(*tile).is_some()), "{new:?}");
+    }
+}

@@ -1,0 +1,17 @@
+//! A map as the page draws it.
+
+use odograph::geometry::GroundPose;
+use odograph::ground_map::GroundMap;
+use odograph::keyframe::EdgeKind;
+use serde_json::{Value, json};
+
+/// Where the keyframes are, and between which of them ground was seen again; metres.
+pub fn map_graph(map: &GroundMap) -> Value {
+    let thousandths = |metres: f64| (1e3 * metres).round() / 1e3;
+    let place = |pose: &GroundPose| [thousandths(pose.x_m), thousandths(pose.y_m)];
+    let keyframes: Vec<[f64; 2]> = map.keyframes.iter().map(|keyframe| place(&keyframe.pose)).collect();
+    let at = |id| map.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok();
+    let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop);
+    let loops: Vec<[usize; 2]> = loops.filter_map(|edge| Some([at(edge.from)?, at(edge.to)?])).collect();
+    json!({ "keyframes": keyframes, "loops": loops })
+}

@@ -1,0 +1,222 @@
+//! Runs over cameras, streams, and recordings at their own pace: frames are tracked as they come.
+//!
+//! Only tracking is waited for: map, mosaic, page and files get what they can carry. What there is
+//! to see is in a [`Hub`], which a [`Server`](odograph_live::Server) shows in browsers; poses go to
+//! a [`PoseSink`] as soon as they are known. At its end a live run writes the same folder as a run
+//! over a recording.
+//!
+//! ```no_run
+//! use odograph::error::Result;
+//! use odograph::trajectory::FrameEstimate;
+//! use odograph_session::RunBuilder;
+//! use odograph_session::live::{LiveOptions, PoseSink};
+//!
+//! struct Robot;
+//!
+//! impl PoseSink for Robot {
+//!     fn take(&mut self, frame: &FrameEstimate, _latency_ms: f64) -> Result<()> {
+//!         if let Some(known) = &frame.estimate {
+//!             println!("{:.3} {:.3}", known.pose.x_m, known.pose.y_m);
+//!         }
+//!         Ok(())
+//!     }
+//! }
+//!
+//! let run = RunBuilder::new("/dev/video0").camera_file("camera.yaml").height_m(1.20);
+//! run.open_live(&LiveOptions::default(), &())?.follow(Some(&mut Robot), &())?;
+//! # Ok::<(), odograph::error::Error>(())
+//! ```
+
+mod capturing;
+mod ground;
+mod latency;
+mod laying;
+mod map_graph;
+mod mcap;
+mod pipeline;
+mod recorder;
+mod sinks;
+mod source;
+mod straight;
+
+pub use capturing::{FAREWELL, FRAMES_WAITING, Farewell, PATIENCE, STATUS_EVERY, capture};
+pub use map_graph::map_graph;
+pub use recorder::folder_name_now;
+pub use sinks::PoseSink;
+pub use source::{CaptureOptions, LiveInput, open_live_input};
+
+use crate::builder::CameraChoice;
+use crate::builder::RunBuilder;
+use crate::files;
+use crate::finish::Ending;
+use crate::folder::OutputFolder;
+use crate::mapping::Mapping;
+use crate::observer::Observer;
+use crate::outcome::RunOutcome;
+use crate::output::Output;
+use crate::plan::RunPlan;
+use crate::report::RunReporter;
+use ground::LiveGround;
+use mcap::McapLog;
+use odograph::error::Result;
+use odograph::filter::fusion::Sensors;
+use odograph::formats::camera_file;
+use odograph_live::capture::{Watch, without_credentials};
+use odograph_live::{Hub, Introduction};
+use odograph_video::SourceInfo;
+use recorder::Recorder;
+use sinks::LiveSinks;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+use tempfile::TempDir;
+
+/// What a live run needs beside what every run does.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LiveOptions {
+    /// How frames are had.
+    pub capture: CaptureOptions,
+    /// Whether somebody can look at the [`Hub`]: path and mosaic are then kept up to date in it.
+    pub shown: bool,
+    /// An MCAP file to write poses, pictures and path into.
+    pub mcap: Option<PathBuf>,
+}
+
+impl RunBuilder {
+    /// Makes everything ready for a run that follows its source as frames come.
+    ///
+    /// # Errors
+    /// As [`RunBuilder::open`]; besides, if the MCAP file is there already and may not be
+    /// overwritten.
+    pub fn open_live(&self, options: &LiveOptions, observer: &dyn Observer) -> Result<LiveRun> {
+        options.mcap.as_deref().map_or(Ok(()), |path| McapLog::check(path, self.output.force))?;
+        let (path, temporary) = self.output.place()?;
+        let folder = OutputFolder::new(&path, &self.output)?;
+        let watch = Watch::default();
+        let (mut plan, input) = self.plan_over(observer, |plan| {
+            // A calibration holds for one size only: that is the one to ask a camera for.
+            let input = open_live_input(plan, &options.capture, || calibrated_size(self), &watch)?;
+            let size = (input.source.info().width, input.source.info().height);
+            Ok((input, size))
+        })?;
+        plan.take_lens_of(self.output.map.path())?;
+        let name = plan.source.path.trim_end_matches(['/', '\\']);
+        let title = match name.rsplit(['/', '\\']).next() {
+            Some("-") => "standard input".to_owned(),
+            last => last.unwrap_or(name).to_owned(),
+        };
+        // What is written and shown is for others to read.
+        plan.source.path = without_credentials(&plan.source.path);
+        let info = input.source.info().clone();
+        let introduction = Introduction {
+            title,
+            source: info.description.clone(),
+            width: info.width,
+            height: info.height,
+            height_m: plan.rig.height_m,
+            live: true,
+            calibration: false,
+        };
+        let ground = LiveGround::new(plan.camera.clone(), folder.path(), options.shown);
+        let hub = Arc::new(Hub::new(introduction, Arc::new(ground.clone())));
+        Ok(LiveRun {
+            plan,
+            info,
+            input,
+            watch,
+            folder,
+            ground,
+            hub,
+            mcap: options.mcap.clone(),
+            output: self.output.clone(),
+            reporter: self.reporter.clone(),
+            temporary,
+        })
+    }
+}
+
+/// The size of the pictures for which the camera was calibrated, pixels.
+fn calibrated_size(builder: &RunBuilder) -> Option<(u32, u32)> {
+    let (width, height) = match builder.camera.as_ref()? {
+        CameraChoice::File(path) => {
+            let camera = camera_file::parse(&files::read_text(path).ok()?, None).ok()?;
+            (camera.width(), camera.height())
+        }
+        CameraChoice::Known(camera) => (camera.width(), camera.height()),
+        CameraChoice::FieldOfView(..) | CameraChoice::OfMap => return None,
+    };
+    Some((width as u32, height as u32))
+}
+
+/// A live run that is ready to begin. Dropped before that it leaves nothing behind.
+pub struct LiveRun {
+    plan: RunPlan,
+    info: SourceInfo,
+    input: LiveInput,
+    watch: Watch,
+    folder: OutputFolder,
+    ground: LiveGround,
+    hub: Arc<Hub>,
+    mcap: Option<PathBuf>,
+    output: Output,
+    reporter: Option<Arc<dyn RunReporter>>,
+    /// Last, so that the folder is removed after all else is closed.
+    temporary: Option<TempDir>,
+}
+
+impl fmt::Debug for LiveRun {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("LiveRun")
+            .field("plan", &self.plan)
+            .field("folder", &self.folder)
+            .finish_non_exhaustive()
+    }
+}
+
+impl LiveRun {
+    /// Everything that decides what is computed.
+    pub fn plan(&self) -> &RunPlan {
+        &self.plan
+    }
+
+    /// What the source is.
+    pub fn source(&self) -> &SourceInfo {
+        &self.info
+    }
+
+    /// What there is to see, for a [`Server`](odograph_live::Server); it can also ask the run to
+    /// end.
+    pub fn hub(&self) -> &Arc<Hub> {
+        &self.hub
+    }
+
+    /// Where the results will be.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Follows the source until it ends, or until the observer or the hub asks to stop; then writes
+    /// everything into the folder.
+    ///
+    /// # Errors
+    /// As [`Run::follow`](crate::Run::follow).
+    pub fn follow(self, poses: Option<&mut dyn PoseSink>, observer: &dyn Observer) -> Result<RunOutcome> {
+        // Removed after all else is closed: what is declared first is dropped last.
+        let _temporary = self.temporary;
+        let Self { plan, info, input, watch, folder, ground, hub, mcap, output, reporter, .. } = self;
+        let mapping = Mapping::new(&plan, &folder, &output.map)?;
+        let recorder = Recorder::new(folder, &plan)?;
+        let log = mcap.map(|path| McapLog::new(&path, &info.description, input.policy)).transpose()?;
+        let ending = Ending {
+            description: &info.description,
+            sensors: &Sensors::default(),
+            output: &output,
+            reporter: reporter.as_deref(),
+            observer,
+            started: Instant::now(),
+        };
+        let sinks = LiveSinks { poses, log: log.as_ref() };
+        pipeline::follow(&plan, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
+    }
+}

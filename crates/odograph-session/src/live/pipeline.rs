@@ -1,0 +1,351 @@
+//! Capture | track | map and show, side by side. Only tracking is waited for; everything else gets
+//! what it can carry.
+
+use super::capturing::{FAREWELL, FRAMES_WAITING, PATIENCE, STATUS_EVERY, capture};
+use super::ground::{LiveGround, Relaying};
+use super::latency::Latencies;
+use super::laying;
+use super::mcap::McapLog;
+use super::recorder::Recorder;
+use super::sinks::{LiveSinks, PoseSink};
+use super::source::LiveInput;
+use super::straight::{self, Straightening};
+use crate::finish::{Ending, finish};
+use crate::found::{FixedInImage, FoundReadout};
+use crate::kept_frames::KeptFrames;
+use crate::mapping::Mapping;
+use crate::observer::Observer;
+use crate::outcome::RunOutcome;
+use crate::pipeline::{StageTimes, Tracked, is_made, number_as_source};
+use crate::plan::RunPlan;
+use crate::statistics::LiveStatistics;
+use crate::views::Posed;
+use odograph::error::{Error, Result};
+use odograph::image::GrayImage;
+use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
+use odograph::trajectory::FrameEstimate;
+use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
+use odograph_live::foxglove::Picture;
+use odograph_live::{Hub, Phase, Status, TrackRecord, View};
+use odograph_video::Frame;
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Frames that wait to be laid on the ground.
+const LAYING_QUEUE: usize = 4;
+/// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is
+/// waited for.
+const MAPPING_QUEUE: usize = 32;
+/// With so many waiting, the map of a camera takes keyframes without looking for loops, until none
+/// waits any more: in that it is faster than keyframes can come.
+const BEHIND: usize = 8;
+
+/// Follows a source until it ends or the run is asked to end, then writes everything.
+pub fn follow(
+    plan: &RunPlan,
+    opened: LiveInput,
+    watch: &Watch,
+    ground: &LiveGround,
+    hub: &Arc<Hub>,
+    mapping: Mapping,
+    recorder: Recorder,
+    sinks: LiveSinks<'_, '_>,
+    ending: &Ending<'_>,
+) -> Result<RunOutcome> {
+    let LiveSinks { poses, log } = sinks;
+    let mut odometry = plan.odometry()?;
+    odometry.tell_keyframes();
+    let mut following = Following {
+        odometry,
+        frames: KeptFrames::new(recorder.path()),
+        times: StageTimes::default(),
+        latencies: Latencies::default(),
+        distance_m: 0.0,
+        recorder,
+        poses,
+        observer: ending.observer,
+        log,
+        hub,
+        shown: ground.is_shown(),
+        watch,
+        queue: Arc::new(Newest::new(opened.policy, FRAMES_WAITING)),
+        policy: opened.policy,
+        not_laid: 0,
+        not_compared: 0,
+        unmapped: None,
+        status_told: None,
+    };
+    let ended = capture(opened.source, Arc::clone(&following.queue));
+    let mut mapping = mapping;
+    ending.observer.tracking_begins(None);
+    let outcome = following.run(ground, &mut mapping);
+    ending.observer.tracking_ends();
+    watch.end();
+    following.queue.close();
+    let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
+    following.tell_status(Phase::Saving);
+    let Some(laying::Kept { views, failure: not_kept, times }) = ground.finish() else {
+        return Err(Error::usage("a live run ends once"));
+    };
+    following.times.map = times;
+    let live = following.statistics();
+    let tracked = Tracked {
+        readout: FoundReadout::of(&plan.camera, &following.odometry),
+        keyframes: following.odometry.keyframes(),
+        fixed: FixedInImage::of(&following.odometry),
+        frames: following.frames,
+        views,
+        mapping,
+        warnings: farewell.warnings.into_iter().chain(log.into_iter().flat_map(McapLog::warnings)).collect(),
+        times: following.times,
+        interrupted: ending.observer.is_stop_asked() || hub.stop_asked(),
+        announced: None,
+        live: Some(live),
+        failure: outcome.err().or(farewell.failure).or(not_kept),
+        unmapped: following.unmapped,
+        mount: None,
+        lens: None,
+    };
+    let mut folder = following.recorder.into_folder();
+    finish(plan, tracked, &mut folder, ending)
+}
+
+/// Closes the queues of the threads beside however tracking ends, so that they end too.
+struct Closing<'a>(&'a Beside, Option<&'a McapLog>);
+
+impl Drop for Closing<'_> {
+    fn drop(&mut self) {
+        self.0.laying.close();
+        self.0.mapping.close();
+        self.0.views.close();
+        self.1.inspect(|log| log.close());
+    }
+}
+
+/// What happened to the keyframes with a frame, and the frame, whose colours the map keeps.
+struct Happened {
+    events: Vec<KeyframeEvent>,
+    /// Where it became a keyframe.
+    frame: Option<Frame>,
+}
+
+/// The queues to the threads beside tracking.
+struct Beside {
+    laying: Newest<Posed>,
+    mapping: Newest<Happened>,
+    views: Newest<Sight>,
+    relaying: Newest<Relaying>,
+}
+
+/// A picture to be shown.
+struct Sight {
+    record: usize,
+    gray: GrayImage,
+    tracks: Vec<TrackView>,
+}
+
+/// The middle of the pipeline.
+struct Following<'a, 'p> {
+    odometry: Odometry,
+    frames: KeptFrames,
+    times: StageTimes,
+    latencies: Latencies,
+    distance_m: f64,
+    recorder: Recorder,
+    poses: Option<&'a mut (dyn PoseSink + 'p)>,
+    observer: &'a dyn Observer,
+    log: Option<&'a McapLog>,
+    hub: &'a Hub,
+    /// Whether somebody can look.
+    shown: bool,
+    watch: &'a Watch,
+    queue: Arc<Newest<(Captured, Duration)>>,
+    policy: Policy,
+    not_laid: u64,
+    not_compared: u64,
+    unmapped: Option<Error>,
+    status_told: Option<Instant>,
+}
+
+impl Following<'_, '_> {
+    /// Tracks until the end. What was measured stays, whatever ends it.
+    fn run(&mut self, ground: &LiveGround, mapping: &mut Mapping) -> Result<()> {
+        let beside = Beside {
+            laying: Newest::new(self.policy, LAYING_QUEUE),
+            mapping: Newest::new(Policy::Wait, MAPPING_QUEUE),
+            views: Newest::new(Policy::NewestWins, 1),
+            relaying: Newest::new(Policy::NewestWins, 1),
+        };
+        let (beside, hub, log, policy) = (&beside, self.hub, self.log, self.policy);
+        let outcome = thread::scope(|scope| {
+            if let Some(log) = log {
+                scope.spawn(|| log.write_all());
+            }
+            scope.spawn(move || each(&beside.laying, |posed| ground.lay(posed)));
+            scope.spawn(move || {
+                each(&beside.views, |sight: Sight| {
+                    if let Some(view) = View::new(sight.record, &sight.gray, &sight.tracks) {
+                        hub.show_view(view);
+                    }
+                });
+            });
+            scope.spawn(move || straight::relay(&beside.relaying, ground));
+            let mapper = scope.spawn(move || {
+                let (mut failure, mut not_compared) = (None, 0);
+                let mut straightening = Straightening::new(hub, &beside.relaying);
+                let mut hurried = false;
+                each(&beside.mapping, |happened: Happened| {
+                    let waiting = beside.mapping.waiting();
+                    hurried = policy == Policy::NewestWins && (waiting >= BEHIND || hurried && waiting > 0);
+                    let made = |event: &&KeyframeEvent| matches!(event, KeyframeEvent::Made(_));
+                    not_compared +=
+                        if hurried { happened.events.iter().filter(made).count() as u64 } else { 0 };
+                    mapping.hurry(hurried);
+                    // A map that cannot be written (the disk is full) ends; tracking does not.
+                    if failure.is_none() {
+                        failure = mapping.take(happened.events, happened.frame.as_ref()).err();
+                        if ground.is_shown() {
+                            straightening.look(mapping);
+                        }
+                    }
+                });
+                beside.relaying.close();
+                (failure, not_compared)
+            });
+            let outcome = {
+                let _ending = Closing(beside, log);
+                self.track_all(beside)
+            };
+            let ended = mapper.join();
+            (self.unmapped, self.not_compared) =
+                ended.unwrap_or_else(|_| (Some(Error::output("the map ended unexpectedly")), 0));
+            outcome
+        });
+        self.not_laid = beside.laying.counts().1;
+        outcome
+    }
+
+    fn track_all(&mut self, beside: &Beside) -> Result<()> {
+        while !self.observer.is_stop_asked() && !self.hub.stop_asked() {
+            match self.queue.take(PATIENCE) {
+                Taken::Item((captured, decoding)) => self.track(captured, decoding, beside)?,
+                Taken::Nothing => {}
+                Taken::End => break,
+            }
+            if self.status_told.is_none_or(|told| told.elapsed() >= STATUS_EVERY) {
+                self.recorder.mark(self.hub.marks_from(self.recorder.marks()));
+                self.tell_status(if self.watch.waiting().is_some() {
+                    Phase::Waiting
+                } else {
+                    Phase::Running
+                });
+            }
+        }
+        self.recorder.mark(self.hub.marks_from(self.recorder.marks()));
+        Ok(())
+    }
+
+    fn track(&mut self, captured: Captured, decoding: Duration, beside: &Beside) -> Result<()> {
+        let Captured { frame, at } = captured;
+        let begun = Instant::now();
+        let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
+        let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        let mut events = self.odometry.take_keyframe_events();
+        let latency_ms = self.latencies.add(at.elapsed());
+        self.times.decode.push(decoding);
+        self.times.track.push(begun.elapsed());
+        if let Some(poses) = &mut self.poses {
+            poses.take(&estimate, latency_ms)?;
+        }
+        self.observer.frame(&estimate);
+        self.recorder.record(&estimate);
+        if let Some(log) = self.log {
+            let tracks = || self.odometry.tracks().to_vec();
+            log.give(&estimate, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
+        }
+        let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
+        let reference = self.odometry.reference();
+        let keyframe = reference.map(|reference| reference.keyframe.0);
+        // A robot that nobody looks at need not remember its way.
+        if self.shown {
+            let record =
+                TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
+            let record = self.hub.add_record(&record);
+            if self.hub.viewers() > 0 {
+                let tracks = self.odometry.tracks().to_vec();
+                beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
+            }
+        }
+        self.distance_m += self.step_m(&estimate);
+        let pose = estimate.estimate.as_ref().map(|known| known.pose);
+        let segment = estimate.segment;
+        self.frames.push(estimate, reference);
+        number_as_source(&mut events, |index| self.frames.number_in_source(index));
+        let is_keyframe = is_made(&events, frame.number);
+        if !events.is_empty() {
+            beside.mapping.give(Happened { events, frame: is_keyframe.then(|| frame.clone()) });
+        }
+        if let Some(pose) = pose {
+            beside.laying.give(Posed { frame, pose, segment, is_keyframe });
+        }
+        Ok(())
+    }
+
+    /// How far the camera went since the frame before, where both are known and connected, metres.
+    fn step_m(&self, next: &FrameEstimate) -> f64 {
+        let before = self.frames.last().filter(|before| before.segment == next.segment);
+        match (before.and_then(|before| before.estimate.as_ref()), &next.estimate) {
+            (Some(a), Some(b)) => (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m),
+            _ => 0.0,
+        }
+    }
+
+    fn tell_status(&mut self, phase: Phase) {
+        self.status_told = Some(Instant::now());
+        let (fps, latency_median_ms, latency_p99_ms) = self.latencies.recent();
+        let (captured, dropped) = self.queue.counts();
+        self.hub.set_status(Status {
+            phase,
+            message: self
+                .watch
+                .waiting()
+                .or_else(|| self.recorder.message())
+                .or_else(|| self.log.and_then(McapLog::message)),
+            captured,
+            dropped,
+            fps,
+            latency_median_ms,
+            latency_p99_ms,
+            keyframes: self.odometry.keyframes(),
+            distance_m: self.distance_m,
+            recording: self.recorder.is_recording(),
+        });
+    }
+
+    fn statistics(&self) -> LiveStatistics {
+        let (frames_captured, frames_dropped) = self.queue.counts();
+        let [latency_median_ms, latency_p99_ms, latency_most_ms] = self.latencies.overall();
+        LiveStatistics {
+            frames_captured,
+            frames_dropped,
+            frames_not_laid: self.not_laid,
+            keyframes_not_compared: self.not_compared,
+            reconnects: self.watch.reconnects(),
+            latency_median_ms,
+            latency_p99_ms,
+            latency_most_ms,
+        }
+    }
+}
+
+/// Takes everything from a queue until its end.
+fn each<T>(queue: &Newest<T>, mut take: impl FnMut(T)) {
+    loop {
+        match queue.take(Duration::from_secs(1)) {
+            Taken::Item(item) => take(item),
+            Taken::Nothing => {}
+            Taken::End => return,
+        }
+    }
+}

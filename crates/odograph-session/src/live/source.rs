@@ -1,0 +1,116 @@
+//! What a source's name means, and whether it waits for us.
+
+use crate::plan::SourcePlan;
+use odograph::error::{Error, Result};
+use odograph_live::capture::camera::{ModeWish, PixelFormat};
+use odograph_live::capture::{
+    HttpMjpeg, LiveSource, NetworkStream, Policy, RawFormat, RawFrames, Recording, Watch,
+};
+use std::path::Path;
+use std::time::Duration;
+
+/// How frames are had from a source that gives them as they come.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct CaptureOptions {
+    /// A recording is played at so many times its own pace, and frames that come too fast are
+    /// dropped. Without this every frame is taken, as fast as possible. Of frames on standard input
+    /// the newest win.
+    pub realtime: Option<f64>,
+    /// Frame rate asked of a camera.
+    pub fps: Option<f64>,
+    /// Image size asked of a camera, pixels; the calibrated one by default.
+    pub size_px: Option<(u32, u32)>,
+    /// Pixel format asked of a camera.
+    pub format: Option<PixelFormat>,
+    /// A camera's exposure is left to itself; otherwise it is held once it has settled.
+    pub auto_exposure: bool,
+    /// Standard input has bare frames of this form.
+    pub raw: Option<RawFormat>,
+    /// How long to wait for a network camera to come back; a minute by default.
+    pub patience: Option<Duration>,
+}
+
+/// A network camera may be away so long.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A source and what happens to frames that come too fast.
+pub struct LiveInput {
+    /// Frames as they come.
+    pub source: Box<dyn LiveSource>,
+    /// What happens to frames that come too fast.
+    pub policy: Policy,
+}
+
+/// Opens a source by its name. Of a camera, pictures of the size `calibrated` are wanted where
+/// nothing else is wished.
+///
+/// # Errors
+/// If the source cannot be opened, or an option does not fit it.
+pub fn open_live_input(
+    plan: &SourcePlan,
+    options: &CaptureOptions,
+    calibrated: impl FnOnce() -> Option<(u32, u32)>,
+    watch: &Watch,
+) -> Result<LiveInput> {
+    let name = plan.path.as_str();
+    if options.raw.is_some() && name != "-" {
+        return Err(Error::usage("--raw says how the frames on standard input look; give - as the source"));
+    }
+    let never_late = |source: Box<dyn LiveSource>| LiveInput { source, policy: Policy::NewestWins };
+    if name.starts_with("https://") {
+        return Err(Error::usage(format!(
+            "{name}: encrypted streams are not read here; most cameras give http:// too"
+        )));
+    }
+    if name.starts_with("http://") {
+        let patience = options.patience.unwrap_or(PATIENCE);
+        return Ok(never_late(Box::new(HttpMjpeg::open(name, patience, watch.clone())?)));
+    }
+    if name.starts_with("/dev/video") {
+        return device(Path::new(name), options, calibrated, watch).map(never_late);
+    }
+    if let Some(format) = options.raw {
+        return Ok(never_late(Box::new(RawFrames::new(std::io::stdin(), format, watch.clone()))));
+    }
+    if odograph_video::is_stream(name) {
+        let patience = options.patience.unwrap_or(PATIENCE);
+        let again = plan.clone();
+        let stream = NetworkStream::open(name, Box::new(move || again.open()), patience, watch.clone())?;
+        return Ok(never_late(Box::new(stream)));
+    }
+    let streams = name == "-";
+    // A pipe has a pace of its own already; what it has is what there is now.
+    let speed = options.realtime.filter(|_| !streams);
+    let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };
+    Ok(LiveInput { source: Box::new(Recording::new(plan.open()?, speed, watch.clone())), policy })
+}
+
+#[cfg(target_os = "linux")]
+fn device(
+    path: &Path,
+    options: &CaptureOptions,
+    calibrated: impl FnOnce() -> Option<(u32, u32)>,
+    watch: &Watch,
+) -> Result<Box<dyn LiveSource>> {
+    let wish = ModeWish {
+        format: options.format,
+        size: options.size_px.or_else(calibrated),
+        frames_per_second: options.fps,
+    };
+    let hold_exposure = !options.auto_exposure;
+    let camera = odograph_live::capture::camera::Camera::open(path, &wish, hold_exposure, watch.clone())?;
+    Ok(Box::new(camera))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn device(
+    path: &Path,
+    _: &CaptureOptions,
+    _: impl FnOnce() -> Option<(u32, u32)>,
+    _: &Watch,
+) -> Result<Box<dyn LiveSource>> {
+    Err(Error::usage(format!(
+        "{}: cameras at this machine are read on Linux only; give an http:// address",
+        path.display()
+    )))
+}

@@ -1,0 +1,139 @@
+//! The path and the ground on the page where loops have put them.
+//!
+//! Odometry's own path never jumps: what is printed, sent and recorded stays as it was measured.
+//! The page shows the map frame instead, in which a loop moves what lies behind.
+
+use super::ground::{LiveGround, Relaying};
+use super::map_graph::map_graph;
+use crate::mapping::Mapping;
+use odograph::geometry::Sim2;
+use odograph::ground_map::GroundMap;
+use odograph::keyframe::EdgeKind;
+use odograph_live::Hub;
+use odograph_live::capture::{Newest, Taken};
+use serde_json::{Value, json};
+use std::time::{Duration, Instant};
+
+/// A correction as the page takes it: scale times cosine and sine of the turn in millionths, the
+/// translation in tenths of a millimetre.
+fn numbers(correction: &Sim2) -> [f64; 4] {
+    let rounded = |value: f64, steps: f64| (value * steps).round() / steps;
+    let (cos, sin) = correction.rotate(1.0, 0.0);
+    [rounded(cos, 1e6), rounded(sin, 1e6), rounded(correction.x_m, 1e4), rounded(correction.y_m, 1e4)]
+}
+
+/// Between two tellings at least, for each thousand keyframes besides.
+const TOLD_EVERY: Duration = Duration::from_secs(1);
+/// Laying anew takes at most so much of a core: after it nine times as long nothing is laid anew.
+const REST: u32 = 9;
+
+/// Who watches the map for loops.
+pub struct Straightening<'a> {
+    hub: &'a Hub,
+    relaying: &'a Newest<Relaying>,
+    loops: usize,
+    told: Option<Instant>,
+}
+
+impl<'a> Straightening<'a> {
+    pub fn new(hub: &'a Hub, relaying: &'a Newest<Relaying>) -> Self {
+        Self { hub, relaying, loops: 0, told: None }
+    }
+
+    /// Looks whether ground was seen again since the last time, and tells where everything lies
+    /// now.
+    pub fn look(&mut self, mapping: &Mapping) {
+        let mapper = mapping.mapper();
+        let map = mapper.map();
+        let interval = TOLD_EVERY * (1 + map.keyframes.len() as u32 / 1000);
+        if !mapper.is_straightened() || self.told.is_some_and(|told| told.elapsed() < interval) {
+            return;
+        }
+        let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
+        if loops == self.loops {
+            return;
+        }
+        (self.loops, self.told) = (loops, Some(Instant::now()));
+        self.hub.tell("map", &told(map, mapper.session()));
+        let own = map.keyframes.iter().filter(|keyframe| keyframe.session == mapper.session());
+        let Some(newest) = own.clone().next_back() else { return };
+        self.relaying.give(Relaying {
+            file: mapping.path().to_owned(),
+            keyframes: own.map(|keyframe| (keyframe.id, keyframe.pose)).collect(),
+            correction: newest.map_from_odometry(),
+        });
+    }
+}
+
+/// Keyframes and loops, and what takes the frames of each keyframe of a session from the odometry
+/// frame to the map.
+fn told(map: &GroundMap, session: u32) -> Value {
+    let mut value = map_graph(map);
+    let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session);
+    value["corrections"] =
+        json!(own.flat_map(|keyframe| numbers(&keyframe.map_from_odometry())).collect::<Vec<_>>());
+    value
+}
+
+/// Lays the ground anew whenever that is asked for, but for its rests, until nothing more is asked
+/// for.
+pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
+    let (mut waiting, mut rest_until) = (None, Instant::now());
+    loop {
+        match queue.take(Duration::from_millis(200)) {
+            Taken::Item(relaying) => waiting = Some(relaying),
+            Taken::Nothing => {}
+            Taken::End => return,
+        }
+        if Instant::now() >= rest_until
+            && let Some(relaying) = waiting.take()
+        {
+            let begun = Instant::now();
+            // Where the file cannot be read the ground stays where it lies.
+            let _ = ground.lay_again(&relaying);
+            rest_until = Instant::now() + REST * begun.elapsed();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use odograph::geometry::{GroundPose, PlaneTransform};
+    use odograph::ground_map::MapKeyframe;
+    use odograph::keyframe::KeyframeId;
+
+    #[test]
+    fn a_correction_takes_its_keyframe_to_where_the_map_has_it_and_the_rest_with_it() {
+        let odometry_pose = GroundPose { x_m: 3.0, y_m: -1.0, heading_rad: 0.4, ..GroundPose::level(1.2) };
+        let pose = GroundPose { x_m: 2.9, y_m: -1.3, heading_rad: 0.9, ..GroundPose::level(1.26) };
+        let keyframe = MapKeyframe {
+            id: KeyframeId(0),
+            session: 0,
+            segment: 0,
+            frame: 0,
+            time_s: 0.0,
+            odometry_pose,
+            pose,
+            covariance: nalgebra::Matrix6::zeros(),
+            signature: Default::default(),
+        };
+        let correction = keyframe.map_from_odometry();
+        let near = |a: &GroundPose, b: &GroundPose| {
+            let differences =
+                [a.x_m - b.x_m, a.y_m - b.y_m, a.heading_rad - b.heading_rad, a.height_m - b.height_m];
+            differences.iter().all(|difference| difference.abs() < 1e-12)
+        };
+        assert!(near(&correction.apply_to_pose(&odometry_pose), &pose));
+        // A frame a metre ahead of it stays ahead of it, by a metre in the map's scale.
+        let (sin, cos) = 0.4_f64.sin_cos();
+        let ahead = GroundPose { x_m: 3.0 + cos, y_m: -1.0 + sin, ..odometry_pose };
+        let moved = correction.apply_to_pose(&ahead);
+        let (sin, cos) = 0.9_f64.sin_cos();
+        assert!(
+            near(&moved, &GroundPose { x_m: 2.9 + 1.05 * cos, y_m: -1.3 + 1.05 * sin, ..pose }),
+            "{moved:?}"
+        );
+        assert_eq!(Sim2::IDENTITY.apply_to_pose(&ahead), ahead);
+    }
+}

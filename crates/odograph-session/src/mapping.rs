@@ -1,0 +1,389 @@
+//! The map of a run: grows in its file while the run goes on, and pulls the path straight at the
+//! end.
+
+use crate::folder::OutputFolder;
+use crate::kept_frames::KeptFrames;
+use crate::observer::Observer;
+use crate::output::MapUse;
+use crate::plan::RunPlan;
+use crate::statistics::{LoopStatistics, StageTime};
+use crate::timings::Timings;
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::geometry::{GroundPoint, GroundPose};
+use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
+use odograph::ground_map::{KeyframeStore, MemoryImages};
+use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
+use odograph::mosaic::Mosaic;
+use odograph::numerics::median;
+use odograph::odometry::{FrameReference, KeyframeEvent};
+use odograph::slam::{Mapper, Stretches};
+use odograph::trajectory::FrameEstimate;
+use odograph_map::{MapClaim, MapFile, PathFrame};
+use odograph_video::Frame;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// The mapper of a run, and the file that it writes.
+pub struct Mapping {
+    mapper: Mapper,
+    file: GrowingFile,
+    times: Timings,
+}
+
+/// Ground pixel of the mosaic of a continued map, in footprints of a pixel in the middle of an
+/// image.
+const COARSER: f64 = 2.0;
+
+/// A map with more than so many times the keyframes of this run is not laid anew.
+const MOST_OLD: usize = 4;
+
+impl Mapping {
+    /// Opens the map to be continued, or begins a new one. Fails where the file is not a map of
+    /// this camera.
+    pub fn new(plan: &RunPlan, folder: &OutputFolder, map: &MapUse) -> Result<Self> {
+        let path = map.path().map_or_else(|| folder.path().join("map.gpkg"), Path::to_owned);
+        let continued = map.path().is_some() && MapFile::is_there(&path);
+        let claim = match (map.is_read_only(), folder.claim_on(&path)) {
+            (true, _) => None,
+            (false, Some(claim)) => Some(claim.clone()),
+            (false, None) => Some(MapClaim::on(&path)?),
+        };
+        // What the map keeps is what a global shutter would have seen.
+        let global = plan.camera.clone().with_readout_s(None)?;
+        let mut file = GrowingFile {
+            file: None,
+            replaces: map.path().is_none(),
+            claim,
+            path,
+            camera: global.clone(),
+            rig: plan.rig,
+            source: plan.source.path.clone(),
+            session: 0,
+            kept: map.is_read_only().then(MemoryImages::default),
+        };
+        let mapper = if continued {
+            let mut there = match &file.claim {
+                None => MapFile::open_read_only(&file.path)?,
+                Some(claim) => MapFile::open_claimed(claim.clone())?,
+            };
+            if *there.camera() != global {
+                return Err(Error::input(format!(
+                    "{} was made with another camera than this run's; give the camera file that it was made with, or \
+                     begin a new map",
+                    file.path.display()
+                )));
+            }
+            let old = there.map()?;
+            let first = there.next_keyframe()?;
+            file.session = if map.is_read_only() {
+                there.sessions()?.iter().map(|session| session.id + 1).max().unwrap_or(0)
+            } else {
+                there.begin_session(&plan.source.path)?
+            };
+            file.file = Some(there);
+            Mapper::continuing(old, &plan.odometry, plan.slam, file.session, first)
+        } else {
+            Mapper::new(&global, plan.rig, &plan.odometry, plan.slam)
+        };
+        Ok(Self { mapper, file, times: Timings::default() })
+    }
+
+    /// Takes what happened to the keyframes with a frame.
+    pub fn take(&mut self, events: Vec<KeyframeEvent>, frame: Option<&Frame>) -> Result<()> {
+        for event in events {
+            let color = match &event {
+                KeyframeEvent::Made(new) => frame
+                    .filter(|frame| frame.number == new.frame && frame.has_color())
+                    .map(|frame| frame.rgb()),
+                KeyframeEvent::Revisited(_) => None,
+            };
+            let started = Instant::now();
+            self.mapper.take(event, color, &mut self.file)?;
+            self.times.push(started.elapsed());
+        }
+        Ok(())
+    }
+
+    /// Whether keyframes are taken without looking for loops, until there is time again.
+    #[cfg_attr(not(feature = "live"), allow(dead_code))]
+    pub fn hurry(&mut self, hurried: bool) {
+        self.mapper.hurry(hurried);
+    }
+
+    /// What has been made of the keyframes so far.
+    pub fn mapper(&self) -> &Mapper {
+        &self.mapper
+    }
+
+    /// Where the map file is, or will be.
+    #[cfg_attr(not(feature = "live"), allow(dead_code))]
+    pub fn path(&self) -> &Path {
+        &self.file.path
+    }
+
+    /// How long each keyframe took.
+    pub fn times(&self) -> &Timings {
+        &self.times
+    }
+
+    /// Takes over the path as fused with other sensors: the frames before and after, and their
+    /// references, which are moved along.
+    pub fn take_over(
+        &mut self,
+        raw: &[FrameEstimate],
+        fused: &[FrameEstimate],
+        references: &mut [Option<FrameReference>],
+    ) {
+        self.mapper.take_over(raw, fused, references);
+    }
+
+    /// Ends the map, and lays the frames where it has them; with how each moves where `moves` are
+    /// asked for. Of the output nothing is written. Fails where the frames cannot be read back.
+    pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
+        self.mapper.finish();
+        let kept = self.mapper.is_straightened().then(|| KeptFrames::new(folder));
+        let mut straight = Straight { frames: kept, ..Straight::default() };
+        let mut stretches = Stretches::default();
+        if straight.frames.is_some() {
+            frames.each(|frame, reference| {
+                stretches.push(frame, reference);
+                Ok(())
+            })?;
+        }
+        let mut straightening = stretches.straightening(&self.mapper);
+        frames.each(|before, _| {
+            let after = straightening.next(before.clone());
+            straight.count(before, &after, moves);
+            if let Some(kept) = &mut straight.frames {
+                kept.push(after, None);
+            }
+            Ok(())
+        })?;
+        Ok(straight)
+    }
+
+    /// Puts into the file where the keyframes lie in the end, and the path of the run.
+    pub fn save(&mut self, frames: &mut KeptFrames) -> Result<()> {
+        self.file.set_poses(&self.mapper.map().keyframes)?;
+        self.write_path(frames)
+    }
+
+    /// A sentence where the run could not be tied to the map that it continues; whoever only looks
+    /// into a map asked that, and is told otherwise.
+    pub fn warning(&self) -> Option<String> {
+        (self.file.kept.is_none() && !self.mapper.is_recognised()).then(|| {
+            format!(
+                "nothing of {} was recognised: the path is in a frame of its own, which begins at its first frame",
+                self.file.path.display()
+            )
+        })
+    }
+
+    /// What the loops did to the frames.
+    pub fn statistics(&self, straight: &Straight) -> LoopStatistics {
+        let closed = self.mapper.closures().len();
+        let session = self.mapper.session();
+        let map = self.mapper.map();
+        let own = |id: KeyframeId| map.keyframes.iter().any(|k| k.id == id && k.session == session);
+        let loops = map.edges.iter().filter(|e| e.kind == EdgeKind::Loop && own(e.from)).count();
+        let (ahead, left) = self.mapper.turn_per_m();
+        LoopStatistics {
+            closed: closed as u64,
+            revisited: loops.saturating_sub(closed) as u64,
+            correction_rms_m: (straight.squares_m2 / straight.posed.max(1) as f64).sqrt(),
+            correction_most_m: straight.most_m,
+            turn_per_m: [ahead, left],
+            keyframe: StageTime::of(&self.times),
+        }
+    }
+
+    /// The keyframes of this run, each with the number of its frame.
+    pub fn own_keyframes(&self) -> impl Iterator<Item = (KeyframeId, u64)> {
+        let session = self.mapper.session();
+        let own = self.mapper.map().keyframes.iter().filter(move |keyframe| keyframe.session == session);
+        own.map(|keyframe| (keyframe.id, keyframe.frame))
+    }
+
+    /// The image of a keyframe. Fails where it cannot be read back.
+    pub fn image(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        self.file.load(keyframe)
+    }
+
+    /// The places that were recognised: where the camera was, and where it had been.
+    pub fn loops(&self) -> Vec<[GroundPoint; 2]> {
+        let map = self.mapper.map();
+        let place = |id: KeyframeId| {
+            let at = map.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok()?;
+            let pose = map.keyframes[at].pose;
+            Some(GroundPoint::new(pose.x_m, pose.y_m))
+        };
+        let closures = self.mapper.closures().iter();
+        closures.filter_map(|closure| Some([place(closure.edge.from)?, place(closure.edge.to)?])).collect()
+    }
+
+    fn write_path(&mut self, frames: &mut KeptFrames) -> Result<()> {
+        let writable = self.file.kept.is_none();
+        let Some(file) = self.file.file.as_mut().filter(|_| writable) else { return Ok(()) };
+        file.set_path_from(self.file.session, |put| {
+            frames.each(|frame, _| match &frame.estimate {
+                Some(known) => put(&PathFrame {
+                    frame: frame.frame,
+                    segment: frame.segment,
+                    time_s: frame.time_s,
+                    pose: known.pose,
+                }),
+                None => Ok(()),
+            })
+        })
+    }
+
+    /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the
+    /// camera sees it. Where all ground is this run's, that is its `mosaic`, which is laid already.
+    /// Gives a sentence where the file has no picture of all of its ground: because the run was
+    /// interrupted, or because most of a map that was continued is ground of earlier runs, which is
+    /// not to be laid again for every short one.
+    pub fn lay_ground(&mut self, mosaic: &Mosaic, observer: &dyn Observer) -> Result<Option<String>> {
+        let map = self.mapper.map();
+        let session = self.mapper.session();
+        let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session).count();
+        let mut heights_m: Vec<f64> = map.keyframes.iter().map(|keyframe| keyframe.pose.height_m).collect();
+        let height_m = median(&mut heights_m).unwrap_or(map.rig.height_m);
+        let coarse_m = COARSER * height_m / map.camera.focal_px().0;
+        let (short, alone) = (map.keyframes.len() > MOST_OLD * own, map.keyframes.len() == own);
+        let writable = self.file.kept.is_none();
+        let Some(file) = self.file.file.as_mut().filter(|_| writable && own > 0) else { return Ok(None) };
+        let before = file.mosaic()?;
+        if alone && before.is_none() && file.set_mosaic(&mosaic.coarser())? {
+            return Ok(None);
+        }
+        let laid = !short && {
+            let resolution_m = before.as_ref().map_or(coarse_m, |layer| layer.resolution_m);
+            file.lay_mosaic(Some(resolution_m), &mut |_| !observer.is_stop_asked())?
+        };
+        let path = self.file.path.display();
+        Ok((!laid).then(|| match before {
+            Some(_) => format!(
+                "the picture of the ground in {path} is that of before this run; odograph map mosaic {path} lays it anew"
+            ),
+            None => format!("{path} has no picture of the ground; odograph map mosaic {path} lays it"),
+        }))
+    }
+
+    /// Takes away the new map file of a run that is begun again.
+    pub fn discard(self) -> Result<()> {
+        let GrowingFile { file, claim, .. } = self.file;
+        match file {
+            Some(file) => file.close().and_then(|()| claim.map_or(Ok(()), |claim| claim.remove_map())),
+            None => Ok(()),
+        }
+    }
+
+    /// The map file, where this run has put something into it.
+    pub fn written(&self) -> Option<&Path> {
+        (self.file.file.is_some() && self.file.kept.is_none()).then_some(self.file.path.as_path())
+    }
+
+    /// Closes the file. Removes the map of an earlier run that this one replaces if no ground was
+    /// seen.
+    pub fn close(&mut self) -> Result<()> {
+        match (self.file.file.take(), &self.file.claim) {
+            (Some(file), _) => file.close(),
+            (None, Some(claim)) if self.file.replaces => claim.remove_map(),
+            (None, _) => Ok(()),
+        }
+    }
+}
+
+/// Frames as the map has them.
+#[derive(Default)]
+pub struct Straight {
+    /// `None` where they are what they were.
+    pub frames: Option<KeptFrames>,
+    /// The times of the frames with a pose, each with that pose before and after, where that was
+    /// asked for.
+    pub moves: Vec<(f64, GroundPose, GroundPose)>,
+    /// How far the poses moved: squares and the most, metres.
+    squares_m2: f64,
+    most_m: f64,
+    posed: usize,
+}
+
+impl Straight {
+    fn count(&mut self, before: &FrameEstimate, after: &FrameEstimate, moves: bool) {
+        let (Some(a), Some(b)) = (&before.estimate, &after.estimate) else { return };
+        let moved_m = (a.pose.x_m - b.pose.x_m).hypot(a.pose.y_m - b.pose.y_m);
+        self.squares_m2 += moved_m * moved_m;
+        self.most_m = self.most_m.max(moved_m);
+        self.posed += 1;
+        if moves {
+            self.moves.push((before.time_s, a.pose, b.pose));
+        }
+    }
+}
+
+/// A map file that is made with its first keyframe: a run that shows nothing leaves none.
+struct GrowingFile {
+    file: Option<MapFile>,
+    /// Whether a map of an earlier run may be in its place: that it may be overwritten was asked
+    /// for when the folder was made ready.
+    replaces: bool,
+    /// `None` where the file is not to be written.
+    claim: Option<MapClaim>,
+    path: PathBuf,
+    camera: Camera,
+    rig: Rig,
+    source: String,
+    session: u32,
+    /// The new keyframes, where the file is not to be written.
+    kept: Option<MemoryImages>,
+}
+
+impl GrowingFile {
+    fn open(&mut self) -> Result<&mut MapFile> {
+        if let (None, Some(claim)) = (&self.file, &self.claim) {
+            if self.replaces {
+                claim.remove_map()?;
+            }
+            let mut file = MapFile::create_claimed(claim.clone(), &self.camera, &self.rig)?;
+            self.session = file.begin_session(&self.source)?;
+            self.file = Some(file);
+        }
+        match &mut self.file {
+            Some(file) => Ok(file),
+            None => Err(Error::output("the map file is not open")),
+        }
+    }
+
+    fn set_poses(&mut self, keyframes: &[MapKeyframe]) -> Result<()> {
+        let Some(file) = self.file.as_mut().filter(|_| self.kept.is_none()) else { return Ok(()) };
+        let poses: Vec<_> =
+            keyframes.iter().map(|keyframe| (keyframe.id, keyframe.pose, keyframe.covariance)).collect();
+        file.set_poses(&poses)
+    }
+}
+
+impl KeyframeImages for GrowingFile {
+    fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
+        if let Some(image) = self.kept.as_mut().and_then(|kept| kept.load(keyframe).ok()) {
+            return Ok(image);
+        }
+        self.open()?.load(keyframe)
+    }
+}
+
+impl KeyframeStore for GrowingFile {
+    fn keep(&mut self, keyframe: &MapKeyframe, image: KeyframeImage, ties: &[MapEdge]) -> Result<()> {
+        match &mut self.kept {
+            Some(kept) => kept.keep(keyframe, image, ties),
+            None => self.open()?.add_keyframe(keyframe, &image, ties),
+        }
+    }
+
+    fn tie(&mut self, edge: &MapEdge) -> Result<()> {
+        match &mut self.kept {
+            Some(_) => Ok(()),
+            None => self.open()?.add_edges(std::slice::from_ref(edge)),
+        }
+    }
+}

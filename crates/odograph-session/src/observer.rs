@@ -1,0 +1,38 @@
+//! What a run tells while it goes on, and how it is asked to end.
+
+use odograph::trajectory::FrameEstimate;
+
+/// Watches a run. Every method has an empty default: `()` is an observer that wants to know
+/// nothing.
+///
+/// Methods are called from the run's own threads and should return soon. Nothing that an observer
+/// does changes what is written, except a request to stop.
+pub trait Observer: Sync {
+    /// Tracking begins; `frames` is the number of frames to come, where the source knows it. Called
+    /// again if the recording is tracked anew because camera or mount turned out to be different.
+    fn tracking_begins(&self, frames: Option<u64>) {
+        let _ = frames;
+    }
+
+    /// A frame was tracked: its estimate in the odometry frame, before loops and other sensors.
+    fn frame(&self, estimate: &FrameEstimate) {
+        let _ = estimate;
+    }
+
+    /// Tracking has ended; improving, drawing and writing follow.
+    fn tracking_ends(&self) {}
+
+    /// Something about the input that a person should check before waiting for the result, as a
+    /// sentence. Warnings about the result are in the outcome instead.
+    fn warn(&self, sentence: &str) {
+        let _ = sentence;
+    }
+
+    /// Whether the run is asked to end early. Asked before every frame; what there is is then
+    /// written, and the run ends as [`RunEnd::Interrupted`](crate::RunEnd::Interrupted).
+    fn is_stop_asked(&self) -> bool {
+        false
+    }
+}
+
+impl Observer for () {}

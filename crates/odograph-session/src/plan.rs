@@ -1,0 +1,166 @@
+//! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
+
+use crate::budget::Budget;
+use crate::sensors::SensorFiles;
+use crate::{files, mask};
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::loop_closure::LoopClosureConfig;
+use odograph::odometry::{Odometry, OdometryConfig};
+use odograph_map::MapFile;
+use odograph_video::{Source, SourceOptions};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What is run: the source, the camera over it, and every parameter of the pipeline.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunPlan {
+    /// The version of the program that made the plan.
+    pub odograph: String,
+    /// A path to be seen beside that of the run; it changes nothing of the run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<PathBuf>,
+    /// Which frames are taken from where.
+    pub source: SourcePlan,
+    /// The camera.
+    pub camera: Camera,
+    /// How it is mounted over the ground.
+    pub rig: Rig,
+    /// A picture of what is not ground.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask: Option<PathBuf>,
+    #[serde(default, skip_serializing_if = "SensorFiles::is_empty")]
+    /// The other sensors.
+    pub sensors: SensorFiles,
+    /// The budget that the parameters were chosen for, where there was one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
+    /// The parameters of odometry.
+    pub odometry: OdometryConfig,
+    /// The parameters of the map.
+    #[serde(default)]
+    pub slam: LoopClosureConfig,
+}
+
+/// Which frames are taken from where.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourcePlan {
+    /// A file, a folder of pictures, an address, or `-` for Y4M on standard input.
+    pub path: String,
+    /// A file with the times of the frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub timestamps: Option<PathBuf>,
+    /// Frames a second, where the source does not say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fps: Option<f64>,
+    /// The first frame is taken so many seconds after the source's first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_s: Option<f64>,
+    /// The last frame is taken at most so many seconds after the source's first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_s: Option<f64>,
+    /// Every n-th frame is taken.
+    pub every: u64,
+    /// At most so many frames are taken.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_frames: Option<u64>,
+}
+
+impl SourcePlan {
+    /// Every frame of a source.
+    pub fn new(path: impl Into<String>) -> Self {
+        Self {
+            path: path.into(),
+            timestamps: None,
+            fps: None,
+            start_s: None,
+            end_s: None,
+            every: 1,
+            max_frames: None,
+        }
+    }
+
+    /// Opens the source.
+    ///
+    /// # Errors
+    /// If it cannot be read, or the plan does not fit it.
+    pub fn open(&self) -> Result<Source> {
+        let options = SourceOptions {
+            timestamps: self.timestamps.clone(),
+            fps: self.fps,
+            start_s: self.start_s,
+            end_s: self.end_s,
+            every: self.every,
+            max_frames: self.max_frames,
+            color: true,
+        };
+        odograph_video::open(&self.path, &options)
+    }
+}
+
+const HEADER: &str =
+    "# Every parameter of this run. Repeat it with:  odograph run run.toml -o another-folder\n\n";
+
+impl RunPlan {
+    /// The odometry that tracks the recording.
+    ///
+    /// # Errors
+    /// If a parameter is out of range, or the mask cannot be read or does not fit.
+    pub fn odometry(&self) -> Result<Odometry> {
+        let odometry = Odometry::new(self.camera.clone(), self.rig, self.odometry)?;
+        match &self.mask {
+            Some(path) => odometry.with_mask(&mask::read(path)?).map_err(|error| error.at(path.display())),
+            None => Ok(odometry),
+        }
+    }
+
+    /// Reads the `run.toml` of an earlier run; paths in it are brought into the working directory.
+    ///
+    /// # Errors
+    /// If the file cannot be read, is not a `run.toml`, or has values out of range.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = files::read_text(path)?;
+        let plan: Self = toml::from_str(&text).map_err(|error| {
+            let why = error.message().replace('\n', ", ");
+            Error::input(format!("{} is not the run.toml of a run: {why}", path.display())).caused_by(error)
+        })?;
+        // The file is at fault, not who gave it.
+        let at_fault = |error: Error| Error::input(format!("{}: {error}", path.display())).caused_by(error);
+        plan.rig.validated().map_err(at_fault)?;
+        plan.odometry.validated().map_err(at_fault)?;
+        plan.slam.validated().map_err(at_fault)?;
+        Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
+    }
+
+    /// Takes the camera of a map that is continued where it is the plan's with a lens that an
+    /// earlier run has found. A run that finds a lens leaves the focal length as it is, to the bit,
+    /// and no two calibrations agree in that.
+    pub(crate) fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
+        let Some(map) = map.filter(|map| MapFile::is_there(map)) else { return Ok(()) };
+        let found = MapFile::open_read_only(map)?.camera().clone();
+        let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
+        if key(&found) == key(&self.camera) {
+            self.camera = found.with_readout_s(self.camera.readout_s())?;
+        }
+        Ok(())
+    }
+
+    /// The plan as the text of a `run.toml` in this folder.
+    pub(crate) fn text_in(&self, folder: &Path) -> Result<String> {
+        self.seen_from(folder).text()
+    }
+
+    /// The plan as the text of a `run.toml`, with paths as they were typed: for the report, which
+    /// is the same wherever it lies.
+    ///
+    /// # Errors
+    /// If TOML cannot express a value.
+    pub fn text(&self) -> Result<String> {
+        let body = toml::to_string(self).map_err(|error| {
+            Error::output(format!("the parameters cannot be written as TOML: {error}")).caused_by(error)
+        })?;
+        Ok(format!("{HEADER}{body}"))
+    }
+}

@@ -1,0 +1,124 @@
+//! The files that a plan names, in `run.toml` as seen from that file's folder: so it can be
+//! repeated from any working directory, and moved together with its recording.
+
+use crate::plan::RunPlan;
+use std::path::{Component, Path, PathBuf};
+
+impl RunPlan {
+    /// The plan as it stands in a file in `folder`.
+    pub(crate) fn seen_from(&self, folder: &Path) -> Self {
+        let mut plan = self.clone();
+        plan.each_path(|path| relative(path, folder));
+        plan
+    }
+
+    /// A plan that was read from a file in `folder`, as seen from the working directory.
+    pub(crate) fn brought_from(mut self, folder: &Path) -> Self {
+        self.each_path(|path| {
+            let joined = folder.join(path);
+            // A file of an earlier version has paths as they were typed.
+            joined.exists().then(|| shortened(&joined))
+        });
+        self
+    }
+
+    /// Changes every path to a file for which `change` has another; a source that is no file stays.
+    fn each_path(&mut self, change: impl Fn(&Path) -> Option<PathBuf>) {
+        let source = &mut self.source.path;
+        if let Some(other) = change(Path::new(source.as_str()))
+            && let Some(text) = other.to_str()
+        {
+            let slash = if source.ends_with('/') { "/" } else { "" };
+            *source = format!("{text}{slash}");
+        }
+        let sensors = &mut self.sensors;
+        let files = [
+            &mut self.reference,
+            &mut self.mask,
+            &mut self.source.timestamps,
+            &mut sensors.gyro,
+            &mut sensors.heading,
+            &mut sensors.wheel,
+            &mut sensors.range,
+        ];
+        for path in files.into_iter().flatten() {
+            if let Some(other) = change(path) {
+                *path = other;
+            }
+        }
+    }
+}
+
+/// A path as seen from a folder; `None` where it is whole already, where nothing is there (a
+/// stream's address, standard input), and where no way leads from one to the other.
+fn relative(path: &Path, folder: &Path) -> Option<PathBuf> {
+    if path.is_absolute() || !path.exists() {
+        return None;
+    }
+    let (to, from) = (whole(path)?, folder.canonicalize().ok()?);
+    let shared = to.components().zip(from.components()).take_while(|(a, b)| a == b).count();
+    let is_name = |component: &Component<'_>| matches!(component, Component::Normal(_));
+    let up = from.components().skip(shared);
+    let down = to.components().skip(shared);
+    if !up.clone().chain(down.clone()).all(|component| is_name(&component)) {
+        return None;
+    }
+    Some(up.map(|_| Component::ParentDir).chain(down).collect())
+}
+
+/// A path from the root, its own name kept where that is a link.
+fn whole(path: &Path) -> Option<PathBuf> {
+    match path.file_name() {
+        Some(name) => {
+            let folder =
+                path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            Some(folder.canonicalize().ok()?.join(name))
+        }
+        None => path.canonicalize().ok(),
+    }
+}
+
+/// A path without the detours `name/..` in it, where it leads to the same place.
+fn shortened(path: &Path) -> PathBuf {
+    let mut short = PathBuf::new();
+    for component in path.components() {
+        let goes_back = component == Component::ParentDir
+            && short.components().next_back().is_some_and(|last| matches!(last, Component::Normal(_)));
+        if goes_back {
+            short.pop();
+        } else {
+            short.push(component);
+        }
+    }
+    let same = matches!((whole(&short), whole(path)), (Some(a), Some(b)) if a == b);
+    if same { short } else { path.to_owned() }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)] // in a test, what cannot be is a failure of the test
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn paths_lead_from_the_folder_to_the_file() {
+        let place = tempfile::tempdir().unwrap();
+        let at = |name: &str| place.path().join(name);
+        fs::create_dir_all(at("a/b")).unwrap();
+        fs::create_dir_all(at("c")).unwrap();
+        fs::write(at("c/drive.mp4"), "").unwrap();
+        let there = at("a/b").join("../../c/drive.mp4");
+        assert_eq!(shortened(&there), at("c/drive.mp4"));
+        assert_eq!(relative(&there, &at("a/b")), None, "whole paths stay");
+        assert_eq!(relative(Path::new("no such file"), &at("a/b")), None);
+        // Tests run in the crate's folder.
+        let here = std::env::current_dir().unwrap();
+        assert_eq!(
+            relative(Path::new("Cargo.toml"), &here.join("src/live")),
+            Some("../../Cargo.toml".into())
+        );
+        assert_eq!(relative(Path::new("./src/"), &here), Some("src".into()));
+        assert_eq!(shortened(Path::new("src/../Cargo.toml")), Path::new("Cargo.toml"));
+        assert_eq!(shortened(Path::new("../odograph-session/src")), Path::new("../odograph-session/src"));
+    }
+}

@@ -1,0 +1,139 @@
+//! From what a builder is told to the plan of a run: reads the files that it names.
+
+use crate::builder::{CameraChoice, MountChoice, RunBuilder};
+use crate::observer::Observer;
+use crate::plan::{RunPlan, SourcePlan};
+use crate::rig::read_rig;
+use crate::{budget, files};
+use odograph::camera::{Camera, Rig};
+use odograph::error::{Error, Result};
+use odograph::formats::camera_file;
+use odograph::loop_closure::LoopClosureConfig;
+use odograph::motion::MotionModel;
+use odograph::odometry::OdometryConfig;
+use odograph_map::MapFile;
+use std::path::Path;
+
+impl RunBuilder {
+    /// The plan over a source that `open` opens; it also returns the size in pixels.
+    pub(crate) fn plan_over<S>(
+        &self,
+        observer: &dyn Observer,
+        open: impl FnOnce(&SourcePlan) -> Result<(S, (usize, usize))>,
+    ) -> Result<(RunPlan, S)> {
+        // A camera or map that cannot be read is told before a source that may take long to open.
+        let told = ToldCamera::by(self)?;
+        let rig = told.rig(self, observer)?;
+        let (source, size) = open(&self.source)?;
+        let by_field = matches!(told, ToldCamera::Field(_));
+        let of_map = matches!(self.camera, Some(CameraChoice::OfMap));
+        let camera = told.camera(size, rig.height_m)?;
+        let camera = match self.readout_s {
+            Some(seconds) => camera.with_readout_s(Some(seconds))?,
+            None => camera,
+        };
+        if (camera.width(), camera.height()) != size {
+            let (frames, calibrated) =
+                (format!("{}x{}", size.0, size.1), format!("{}x{}", camera.width(), camera.height()));
+            let path = &self.source.path;
+            return Err(Error::input(if of_map {
+                format!(
+                    "the frames of {path} are {frames} but the map was made with a camera of {calibrated}; only pictures of that camera can \
+                     be found in it"
+                )
+            } else {
+                format!(
+                    "the frames of {path} are {frames} but the camera is calibrated for {calibrated}; calibrate at the recording's size"
+                )
+            }));
+        }
+        let mut odometry = OdometryConfig::default();
+        odometry.motion.model = match self.motion {
+            // A tape measure does not give the lens distortion, and unmodelled distortion looks
+            // like changing height and tilt.
+            MotionModel::Auto if by_field => MotionModel::Rigid,
+            model => model,
+        };
+        let budget = match self.budget_ms {
+            Some(frame_ms) => Some(budget::fit(&mut odometry, size, frame_ms)?),
+            None => None,
+        };
+        let mut slam = LoopClosureConfig { loops: self.loops, ..LoopClosureConfig::default() };
+        if self.output.map.is_read_only() {
+            // A read-only look-up cannot corrupt the map, so a single certain sighting is enough.
+            slam.sightings = 1;
+        }
+        let plan = RunPlan {
+            odograph: env!("CARGO_PKG_VERSION").to_owned(),
+            reference: self.reference.clone(),
+            source: self.source.clone(),
+            camera,
+            rig,
+            mask: self.mask.clone(),
+            sensors: self.sensors.clone(),
+            budget,
+            odometry,
+            slam,
+        };
+        // A mask that does not fit is told before all the work.
+        plan.odometry()?;
+        Ok((plan, source))
+    }
+}
+
+/// Where the camera is told, with what had to be read for it.
+enum ToldCamera<'a> {
+    /// The file and what is in it.
+    File(&'a Path, String),
+    Known(&'a Camera),
+    /// Width and height of the ground that it sees, metres.
+    Field((f64, f64)),
+    /// That of the map that is continued.
+    Map(Box<MapFile>),
+}
+
+impl<'a> ToldCamera<'a> {
+    fn by(builder: &'a RunBuilder) -> Result<Self> {
+        let map = builder.output.map.path();
+        let there = map.filter(|map| MapFile::is_there(map));
+        match (&builder.camera, there) {
+            (Some(CameraChoice::OfMap), _) => {
+                let map = map.ok_or_else(|| Error::usage("there is no map to take the camera from"))?;
+                Ok(Self::Map(Box::new(MapFile::open_read_only(map)?)))
+            }
+            (Some(CameraChoice::File(file)), _) => Ok(Self::File(file, files::read_text(file)?)),
+            (Some(CameraChoice::Known(camera)), _) => Ok(Self::Known(camera)),
+            (Some(CameraChoice::FieldOfView(width_m, height_m)), _) => Ok(Self::Field((*width_m, *height_m))),
+            (None, Some(map)) => Ok(Self::Map(Box::new(MapFile::open_read_only(map)?))),
+            (None, None) => Err(Error::usage(
+                "no camera is given; give --camera FILE (and --height LENGTH), or --field-of-view WIDTHxHEIGHT in metres \
+                 as measured on the ground",
+            )),
+        }
+    }
+
+    fn rig(&self, builder: &RunBuilder, observer: &dyn Observer) -> Result<Rig> {
+        match (&builder.mount, self) {
+            (Some(MountChoice::File(path)), _) => read_rig(path, observer),
+            (Some(MountChoice::Known(rig)), _) => rig.validated(),
+            // The field of view already gives the scale; any height gives the same path.
+            (None, Self::Field(_)) => Ok(Rig::level(1.0)),
+            (None, Self::Map(map)) => Ok(*map.rig()),
+            (None, Self::File(..) | Self::Known(_)) => Err(Error::usage(
+                "the height of the camera above the ground is missing; give --height LENGTH, such as 90cm, or --rig FILE",
+            )),
+        }
+    }
+
+    /// The camera of images of this size, pixels.
+    fn camera(self, size: (usize, usize), height_m: f64) -> Result<Camera> {
+        match self {
+            Self::File(path, text) => {
+                camera_file::parse(&text, Some(size)).map_err(|error| error.at(path.display()))
+            }
+            Self::Known(camera) => Ok(camera.clone()),
+            Self::Field(field) => Camera::from_field_of_view(size, field, height_m),
+            Self::Map(map) => Ok(map.camera().clone()),
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! What the report of a run shows, and who makes it.
+
+use crate::reference::ComparedReference;
+use odograph::camera::{Camera, Rig};
+use odograph::error::Result;
+use odograph::filter::fusion::SensorReport;
+use odograph::geometry::Placement;
+use odograph::trajectory::FrameSummary;
+
+/// Makes what a person looks at after a run: `map.png` and `report.html`.
+///
+/// A run without one writes neither. The crate `odograph-report` has the one that the program uses;
+/// it needs a text and drawing stack that whoever only wants poses should not have to build.
+pub trait RunReporter: Send + Sync {
+    /// The drawing of the map, an SVG document, as the bytes of a PNG file.
+    ///
+    /// # Errors
+    /// If it cannot be drawn.
+    fn map_png(&self, svg: &str) -> Result<Vec<u8>>;
+
+    /// The report as one HTML file.
+    fn page(&self, contents: &ReportInput<'_>) -> String;
+}
+
+/// Contents of the report of a run.
+#[derive(Debug, Clone, Copy)]
+pub struct ReportInput<'a> {
+    /// Name of the run, e.g. that of the recording; any text.
+    pub title: &'a str,
+    /// Description of the source: file, size, frame rate; any text.
+    pub source: &'a str,
+    /// All frames of the run, in order of time.
+    pub frames: &'a [FrameSummary],
+    /// How far an interrupted run got, e.g. "interrupted after 3 of 5 frames"; `None` if it is
+    /// complete.
+    pub interruption: Option<&'a str>,
+    /// The camera that was used.
+    pub camera: &'a Camera,
+    /// The initial mount of the camera over the ground.
+    pub rig: &'a Rig,
+    /// The map, drawn by [`MapDrawing::svg`](odograph::drawing::MapDrawing::svg).
+    pub map_svg: &'a str,
+    /// The orthophoto mosaic of the ground, if there is one.
+    pub mosaic: Option<ReportMosaic<'a>>,
+    /// All parameters used, in the format of `run.toml`.
+    pub run_toml: &'a str,
+    /// Warnings about the input; sentences.
+    pub warnings: &'a [String],
+    /// Results of the sensors other than the camera.
+    pub sensors: &'a [SensorReport],
+    /// The comparison with a reference trajectory, if one was given.
+    pub reference: Option<&'a ComparedReference>,
+}
+
+/// The mosaic as displayed in the report.
+#[derive(Debug, Clone, Copy)]
+pub struct ReportMosaic<'a> {
+    /// The bytes of a PNG file, downscaled to what a page needs.
+    pub png: &'a [u8],
+    /// Width of the PNG, pixels.
+    pub width_px: usize,
+    /// Height of the PNG, pixels.
+    pub height_px: usize,
+    /// Georeference of the full-resolution mosaic.
+    pub placement: Placement,
+    /// File name of the full-resolution mosaic.
+    pub file_name: &'a str,
+}

@@ -1,0 +1,146 @@
+//! A run over a recording: opened, followed, finished.
+
+use crate::builder::RunBuilder;
+use crate::camera_watch::CameraWatch;
+use crate::finish::{Ending, finish};
+use crate::folder::OutputFolder;
+use crate::observer::Observer;
+use crate::outcome::RunOutcome;
+use crate::output::Output;
+use crate::pipeline::{self, Ended, Tracked};
+use crate::plan::RunPlan;
+use crate::reference;
+use crate::report::RunReporter;
+use odograph::error::Result;
+use odograph_video::{Source, SourceInfo};
+use std::fmt;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+use tempfile::TempDir;
+
+impl RunBuilder {
+    /// Makes everything ready: reads what the options name, opens the source, makes the folder and
+    /// claims the map that is to be written.
+    ///
+    /// # Errors
+    /// If an option contradicts another, if something cannot be read, if results are there already
+    /// that may not be overwritten, or if another program writes there.
+    pub fn open(&self, observer: &dyn Observer) -> Result<Run> {
+        let (path, temporary) = self.output.place()?;
+        let folder = OutputFolder::new(&path, &self.output)?;
+        let (plan, source) = if self.repeats {
+            let plan = RunPlan::read(Path::new(&self.source.path))?;
+            let source = plan.source.open()?;
+            (plan, source)
+        } else {
+            self.plan_over(observer, |plan| {
+                let source = plan.open()?;
+                let size = (source.info().width, source.info().height);
+                Ok((source, size))
+            })?
+        };
+        Ok(Run {
+            plan,
+            source,
+            folder,
+            output: self.output.clone(),
+            reporter: self.reporter.clone(),
+            temporary,
+        })
+    }
+
+    /// Opens the run and follows its source to the end: [`RunBuilder::open`], then [`Run::follow`].
+    ///
+    /// # Errors
+    /// What both fail with.
+    pub fn run(&self, observer: &dyn Observer) -> Result<RunOutcome> {
+        self.open(observer)?.follow(observer)
+    }
+}
+
+/// A run that is ready to begin. Dropped before that it leaves nothing behind.
+pub struct Run {
+    plan: RunPlan,
+    source: Source,
+    folder: OutputFolder,
+    output: Output,
+    reporter: Option<Arc<dyn RunReporter>>,
+    /// Last, so that the folder is removed after all else is closed.
+    temporary: Option<TempDir>,
+}
+
+impl fmt::Debug for Run {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Run").field("plan", &self.plan).field("folder", &self.folder).finish_non_exhaustive()
+    }
+}
+
+impl Run {
+    /// Everything that decides what is computed.
+    pub fn plan(&self) -> &RunPlan {
+        &self.plan
+    }
+
+    /// What the source is.
+    pub fn source(&self) -> &SourceInfo {
+        self.source.info()
+    }
+
+    /// Where the results will be.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Follows the source to its end and writes everything into the folder.
+    ///
+    /// # Errors
+    /// If the source has no frame, or results cannot be written. What ends the recording early, such
+    /// as a damaged file, is an error only after all that was computed has been written.
+    pub fn follow(self, observer: &dyn Observer) -> Result<RunOutcome> {
+        // Removed after all else is closed: what is declared first is dropped last.
+        let _temporary = self.temporary;
+        let Self { mut plan, source, mut folder, output, reporter, .. } = self;
+        let started = Instant::now();
+        let sensors = plan.sensors.read()?;
+        // What cannot be read is told before all the work.
+        reference::read(&plan)?;
+        let description = source.info().description.clone();
+        let tracked = track(&mut plan, source, &mut folder, &output, observer)?;
+        let ending = Ending {
+            description: &description,
+            sensors: &sensors,
+            output: &output,
+            reporter: reporter.as_deref(),
+            observer,
+            started,
+        };
+        finish(&plan, tracked, &mut folder, &ending)
+    }
+}
+
+/// Tracks the whole source. Starts again with a corrected plan if mount or lens are found to differ
+/// from it.
+fn track(
+    plan: &mut RunPlan,
+    mut source: Source,
+    folder: &mut OutputFolder,
+    output: &Output,
+    observer: &dyn Observer,
+) -> Result<Tracked> {
+    plan.take_lens_of(output.map.path())?;
+    let mut watch = CameraWatch::new(plan);
+    watch.look_first(plan, &output.map, observer)?;
+    loop {
+        match pipeline::track(plan, source, folder, output, watch.watch(plan), observer)? {
+            Ended::Tracked(tracked) => {
+                return Ok(Tracked { mount: watch.mount(), lens: watch.lens(), ..*tracked });
+            }
+            Ended::IsAnother(found) => {
+                watch.take(*found, plan);
+                folder.begin_again()?;
+                source = plan.source.open()?;
+            }
+        }
+    }
+}

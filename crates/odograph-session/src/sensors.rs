@@ -1,0 +1,68 @@
+//! The sensors beside the camera: their files, and what is reported of them.
+
+use crate::files;
+use odograph::error::Result;
+use odograph::filter::fusion::{SensorKind, SensorRecord, SensorReport, Sensors};
+use odograph::formats::sensor_file;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The files of the sensors, CSV as `docs/sensors.md` describes them.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SensorFiles {
+    /// Gyroscope: time_s and rate_rad_s, or x_rad_s, y_rad_s and z_rad_s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gyro: Option<PathBuf>,
+    /// Compass: time_s and heading_rad (counter-clockwise) or bearing_deg (clockwise).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heading: Option<PathBuf>,
+    /// Wheel: time_s and speed_m_s or distance_m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wheel: Option<PathBuf>,
+    /// Range finder: time_s and height_m, or distance_m along the optical axis.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range: Option<PathBuf>,
+}
+
+/// Days of a gyroscope at a hundred readings a second, bytes.
+const MOST_BYTES: u64 = 256 << 20;
+
+impl SensorFiles {
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Reads the files there are.
+    pub(crate) fn read(&self) -> Result<Sensors> {
+        let read = |path: &Option<PathBuf>, sensor: SensorKind| -> Result<Option<SensorRecord>> {
+            let Some(path) = path else { return Ok(None) };
+            let text = files::read_text_within(path, MOST_BYTES)?;
+            let record = sensor_file::parse(&text, sensor).map_err(|error| error.at(path.display()))?;
+            Ok(Some(record))
+        };
+        Ok(Sensors {
+            gyro: read(&self.gyro, SensorKind::Gyro)?,
+            heading: read(&self.heading, SensorKind::Heading)?,
+            wheel: read(&self.wheel, SensorKind::Wheel)?,
+            range: read(&self.range, SensorKind::Range)?,
+        })
+    }
+
+    /// A sentence for each sensor that is not used.
+    pub(crate) fn warnings(&self, reports: &[SensorReport]) -> Vec<String> {
+        let file = |sensor| match sensor {
+            SensorKind::Gyro => &self.gyro,
+            SensorKind::Heading => &self.heading,
+            SensorKind::Wheel => &self.wheel,
+            SensorKind::Range => &self.range,
+        };
+        let told = |report: &SensorReport| {
+            let path = file(report.sensor).as_ref()?;
+            let reason = report.rejected?;
+            Some(format!("the {} {} is not used: {reason}", report.sensor, path.display()))
+        };
+        reports.iter().filter_map(told).collect()
+    }
+}

@@ -1,0 +1,65 @@
+//! Trajectory files of either form, as people have them.
+
+use odograph::error::{Error, Result};
+use odograph::formats::trajectory_file::{
+    Trajectory, TrajectoryFormat, guess_format, parse_kitti, parse_tum,
+};
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// A trajectory, and whether its times are seconds rather than numbers of poses.
+#[derive(Debug)]
+pub struct LoadedTrajectory {
+    /// The poses with their times.
+    pub trajectory: Trajectory,
+    /// Whether the times are seconds.
+    pub timed: bool,
+}
+
+/// A trajectory in TUM's or KITTI's form; where `format` is `None` the number of columns says
+/// which. KITTI's files have no times of their own: `times_s` gives them, seconds.
+///
+/// # Errors
+/// If the file cannot be read, or is no trajectory.
+pub fn read_trajectory(
+    path: &Path,
+    format: Option<TrajectoryFormat>,
+    times_s: Option<&[f64]>,
+) -> Result<LoadedTrajectory> {
+    let text = read_trajectory_text(path)?;
+    let parse = || {
+        let format = match format {
+            Some(format) => format,
+            None => guess_format(&text)?,
+        };
+        Ok(match format {
+            TrajectoryFormat::Tum => LoadedTrajectory { trajectory: parse_tum(&text)?, timed: true },
+            TrajectoryFormat::Kitti => {
+                LoadedTrajectory { trajectory: parse_kitti(&text, times_s)?, timed: times_s.is_some() }
+            }
+        })
+    };
+    parse().map_err(|error: Error| error.at(path.display()))
+}
+
+/// No trajectory of text is larger: a day at a thousand poses a second is 10 GB, an hour at 100 is
+/// 40 MB.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// The text of a trajectory file, or of a file with its times.
+///
+/// # Errors
+/// If the file cannot be read, is larger than a gigabyte, or is not text.
+pub fn read_trajectory_text(path: &Path) -> Result<String> {
+    let mut bytes = Vec::new();
+    File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(|error| {
+        Error::input(format!("{} cannot be read: {error}", path.display())).caused_by(error)
+    })?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(Error::input(format!("{} is larger than 1 GiB; is it a trajectory?", path.display())));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        Error::input(format!("{} is not a text file; a trajectory is text", path.display())).caused_by(error)
+    })
+}

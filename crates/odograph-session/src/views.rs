@@ -1,0 +1,170 @@
+//! Of which frames the mosaic is made.
+//!
+//! The keyframes show nearly all of the ground and are in the map anyway; besides them a few frames
+//! are kept that show what no keyframe does. So a frame costs a look at what is covered, and the
+//! mosaic is laid once, at the end, where loops and other sensors say that the frames are.
+
+use crate::kept_frames::KeptFrames;
+use crate::mapping::Mapping;
+use odograph::camera::Camera;
+use odograph::error::Result;
+use odograph::geometry::GroundPose;
+use odograph::ground_map::KeyframeImage;
+use odograph::mosaic::{Coverage, Mosaic};
+use odograph_map::FrameImages;
+use odograph_video::Frame;
+use std::panic::resume_unwind;
+use std::path::Path;
+use std::sync::mpsc;
+use std::thread;
+
+/// A frame with its pose in the odometry frame.
+#[derive(Clone)]
+pub struct Posed {
+    pub frame: Frame,
+    pub pose: GroundPose,
+    pub segment: usize,
+    /// Whether it became a keyframe: then the map has its image.
+    pub is_keyframe: bool,
+}
+
+/// A frame waits for the next keyframe where so much of it is new, and is kept where so much of it
+/// still is new then: on a bend that is the strip along its outer side that no keyframe reaches.
+const WAITS_WHERE_NEW: f64 = 0.08;
+const KEPT_WHERE_NEW: f64 = 0.01;
+/// Frames that wait for a keyframe; more of them than this means that none is coming.
+const MOST_WAITING: usize = 8;
+
+/// The frames of which the mosaic will be made.
+pub struct Views {
+    covered: Coverage,
+    waiting: Vec<Posed>,
+    waiting_covers: Coverage,
+    /// The frame before, where it neither waits nor is a keyframe.
+    before: Option<Posed>,
+    images: FrameImages,
+}
+
+impl Views {
+    /// Of a run that writes into `folder`.
+    pub fn new(camera: &Camera, folder: &Path) -> Self {
+        Self {
+            covered: Coverage::new(camera),
+            waiting: Vec::new(),
+            waiting_covers: Coverage::new(camera),
+            before: None,
+            images: FrameImages::new(folder, (camera.width(), camera.height())),
+        }
+    }
+
+    /// Takes the next frame that has a pose. Fails where one cannot be kept.
+    pub fn next(&mut self, posed: Posed) -> Result<()> {
+        if self.segment().is_some_and(|segment| segment != posed.segment) {
+            self.end_stretch()?;
+        }
+        if posed.is_keyframe {
+            self.covered.add(&posed.pose);
+            self.before = None;
+            return self.keep_waiting();
+        }
+        if self.covered.share_new(Some(&self.waiting_covers), &posed.pose) < WAITS_WHERE_NEW {
+            self.before = Some(posed);
+            return Ok(());
+        }
+        self.waiting_covers.add(&posed.pose);
+        self.waiting.push(posed);
+        self.before = None;
+        if self.waiting.len() > MOST_WAITING { self.keep_waiting() } else { Ok(()) }
+    }
+
+    /// Lays the keyframes and the frames kept, where `frames` now has them: one is decoded while
+    /// another is laid where there are `threads` for both.
+    pub fn lay(
+        &mut self,
+        camera: &Camera,
+        frames: &mut KeptFrames,
+        mapping: &mut Mapping,
+        threads: usize,
+    ) -> Result<Mosaic> {
+        self.end_stretch()?;
+        let mut views: Vec<_> = mapping.own_keyframes().map(|(id, frame)| (frame, Some(id))).collect();
+        views.extend(self.images.frames().map(|frame| (frame, None)));
+        views.sort_unstable_by_key(|(frame, _)| *frame);
+        let (mut posed, mut wanted) = (Vec::with_capacity(views.len()), views.into_iter().peekable());
+        frames.each(|frame, _| {
+            while let Some((number, keyframe)) = wanted.next_if(|(number, _)| *number <= frame.frame) {
+                let known = frame.estimate.as_ref().filter(|_| number == frame.frame);
+                posed.extend(known.map(|known| (number, keyframe, known.pose)));
+            }
+            Ok(())
+        })?;
+        let images = &mut self.images;
+        let mut loaded = posed.into_iter().map(move |(number, keyframe, pose)| {
+            let image = keyframe.map_or_else(|| images.load(number), |id| mapping.image(id));
+            image.map(|image| (image, pose))
+        });
+        let mut mosaic = Mosaic::new(Default::default());
+        let mut lay = |(KeyframeImage { gray, color }, pose): (KeyframeImage, GroundPose)| {
+            match color {
+                Some(color) => mosaic.add(&color, camera, &pose),
+                None => mosaic.add(&gray, camera, &pose),
+            };
+        };
+        if threads < 2 {
+            loaded.try_for_each(|view| view.map(&mut lay))?;
+            return Ok(mosaic);
+        }
+        thread::scope(|scope| {
+            let (load, decoded) = mpsc::sync_channel(1);
+            let loading = scope.spawn(move || {
+                loaded.try_for_each(|view| {
+                    let _ = load.send(view?); // fails only where laying has ended in a panic
+                    Ok(())
+                })
+            });
+            decoded.iter().for_each(lay);
+            loading.join().unwrap_or_else(|panic| resume_unwind(panic))
+        })?;
+        Ok(mosaic)
+    }
+
+    /// The stretch that the last frame belongs to.
+    fn segment(&self) -> Option<usize> {
+        self.before.as_ref().or(self.waiting.last()).map(|posed| posed.segment)
+    }
+
+    /// Keeps what waits and the last frame, as far as they show what nothing else does.
+    fn end_stretch(&mut self) -> Result<()> {
+        self.keep_waiting()?;
+        match self.before.take() {
+            Some(before) => self.keep(&before),
+            None => Ok(()),
+        }
+    }
+
+    fn keep_waiting(&mut self) -> Result<()> {
+        self.waiting_covers.clear();
+        let mut waiting = std::mem::take(&mut self.waiting);
+        // The one that shows most comes first: the others may then show nothing new any more.
+        while !waiting.is_empty() {
+            let share_new = |posed: &Posed| self.covered.share_new(None, &posed.pose);
+            waiting.retain(|posed| share_new(posed) >= KEPT_WHERE_NEW);
+            let most =
+                (0..waiting.len()).max_by(|&a, &b| share_new(&waiting[a]).total_cmp(&share_new(&waiting[b])));
+            if let Some(most) = most {
+                let posed = waiting.remove(most);
+                self.keep(&posed)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn keep(&mut self, posed: &Posed) -> Result<()> {
+        if self.covered.share_new(None, &posed.pose) < KEPT_WHERE_NEW {
+            return Ok(());
+        }
+        self.covered.add(&posed.pose);
+        let color = posed.frame.has_color().then(|| posed.frame.rgb());
+        self.images.keep(posed.frame.number, &KeyframeImage { gray: posed.frame.gray.clone(), color })
+    }
+}

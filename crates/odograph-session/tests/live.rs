@@ -1,0 +1,69 @@
+//! Live runs as a program that uses the library has them.
+
+#![cfg(feature = "live")]
+#![allow(clippy::unwrap_used)] // a test fails by panicking
+
+mod clip;
+
+use odograph::error::{Error, Result};
+use odograph::trajectory::FrameEstimate;
+use odograph_session::RunEnd;
+use odograph_session::live::{LiveOptions, PoseSink};
+use std::fs;
+
+/// Keeps the numbers of the frames, and fails at one of them.
+#[derive(Default)]
+struct Numbers {
+    frames: Vec<u64>,
+    fails_at: Option<u64>,
+}
+
+impl PoseSink for Numbers {
+    fn take(&mut self, frame: &FrameEstimate, latency_ms: f64) -> Result<()> {
+        assert!(latency_ms >= 0.0);
+        self.frames.push(frame.frame);
+        match self.fails_at == Some(frame.frame) {
+            true => Err(Error::output("the robot is away")),
+            false => Ok(()),
+        }
+    }
+}
+
+/// The first frames of the clip, which is not a live source's to choose: a hub ends the run.
+#[test]
+fn poses_reach_a_sink_as_they_come_and_a_hub_can_end_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = clip::run(30).folder(folder.path()).open_live(&LiveOptions::default(), &()).unwrap();
+    assert_eq!(run.hub().introduction().title, "drive.mp4");
+    run.hub().ask_to_stop();
+    let mut sink = Numbers::default();
+    let error = run.follow(Some(&mut sink), &());
+    // Asked to stop before the first frame, it has none.
+    assert!(sink.frames.is_empty());
+    assert!(error.is_ok_and(|outcome| outcome.trajectory.is_empty()));
+}
+
+#[test]
+fn a_live_run_over_a_recording_gives_the_odometry_of_a_run() {
+    let place = tempfile::tempdir().unwrap();
+    let (recorded, live) = (place.path().join("recorded"), place.path().join("live"));
+    clip::run(30).folder(&recorded).run(&()).unwrap();
+    let mut sink = Numbers::default();
+    let run = clip::run(30).folder(&live).open_live(&LiveOptions::default(), &()).unwrap();
+    let outcome = run.follow(Some(&mut sink), &()).unwrap();
+    assert_eq!(outcome.end, RunEnd::Completed);
+    assert_eq!(sink.frames, (0..30).collect::<Vec<u64>>());
+    let odometry = |folder: &std::path::Path| fs::read(folder.join("odometry.tum")).unwrap();
+    assert_eq!(odometry(&recorded), odometry(&live));
+}
+
+#[test]
+fn a_sink_that_fails_ends_the_run_with_its_results_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = Numbers { fails_at: Some(12), ..Numbers::default() };
+    let run = clip::run(30).folder(folder.path()).open_live(&LiveOptions::default(), &()).unwrap();
+    let error = run.follow(Some(&mut sink), &()).unwrap_err();
+    assert_eq!(error.to_string(), "the robot is away");
+    assert_eq!(sink.frames.last(), Some(&12));
+    assert!(folder.path().join("trajectory.tum").exists());
+}

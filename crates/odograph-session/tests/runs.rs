@@ -1,0 +1,162 @@
+//! Runs as a program that uses the library has them.
+
+#![allow(clippy::unwrap_used)] // a test fails by panicking
+
+mod clip;
+
+use odograph::error::{ErrorKind, Result};
+use odograph::formats::trajectory_file::parse_tum;
+use odograph::trajectory::FrameEstimate;
+use odograph_session::{MapUse, Observer, ReportInput, RunBuilder, RunEnd, RunReporter, SourcePlan};
+use std::error::Error;
+use std::fs;
+use std::io;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Notes what it hears, and asks to stop after some frames.
+#[derive(Default)]
+struct Listening {
+    heard: Mutex<Vec<String>>,
+    frames: AtomicU64,
+    stops_after: Option<u64>,
+}
+
+impl Observer for Listening {
+    fn tracking_begins(&self, frames: Option<u64>) {
+        self.heard.lock().unwrap().push(format!("begins {}", frames.is_some()));
+    }
+
+    fn frame(&self, _: &FrameEstimate) {
+        self.frames.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn tracking_ends(&self) {
+        self.heard.lock().unwrap().push("ends".to_owned());
+    }
+
+    fn warn(&self, sentence: &str) {
+        self.heard.lock().unwrap().push(sentence.to_owned());
+    }
+
+    fn is_stop_asked(&self) -> bool {
+        self.stops_after.is_some_and(|stops_after| self.frames.load(Ordering::Relaxed) >= stops_after)
+    }
+}
+
+/// Writes how many frames it was shown.
+struct Counting;
+
+impl RunReporter for Counting {
+    fn map_png(&self, svg: &str) -> Result<Vec<u8>> {
+        Ok(svg[..4].as_bytes().to_vec())
+    }
+
+    fn page(&self, contents: &ReportInput<'_>) -> String {
+        format!("{} frames of {}", contents.frames.len(), contents.title)
+    }
+}
+
+#[test]
+fn a_run_returns_what_it_writes_and_tells_how_it_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let observer = Listening::default();
+    let outcome = clip::run(40).folder(folder.path()).run(&observer).unwrap();
+    assert_eq!(outcome.end, RunEnd::Completed);
+    assert_eq!((outcome.trajectory.len(), outcome.statistics.frames), (40, 40));
+    assert_eq!(observer.frames.into_inner(), 40);
+    assert_eq!(observer.heard.into_inner().unwrap(), ["begins true", "ends"]);
+    let text = fs::read_to_string(folder.path().join("trajectory.tum")).unwrap();
+    let poses = parse_tum(&text).unwrap().poses;
+    let places: Vec<_> = outcome.trajectory.iter().filter_map(|frame| frame.place).collect();
+    assert_eq!(poses.len(), places.len());
+    for (pose, place) in poses.iter().zip(&places) {
+        let written = pose.world_from_camera.translation;
+        assert!((written.x - place.x_m).hypot(written.y - place.y_m) < 1e-5);
+    }
+    // Everything that is there was named, and nothing else.
+    let mut there: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().path()).collect();
+    let mut written = outcome.written;
+    there.sort();
+    written.sort();
+    assert_eq!(there, written);
+    assert!(!written.contains(&folder.path().join("report.html")));
+}
+
+#[test]
+fn a_run_that_is_asked_to_stop_has_written_what_there_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let observer = Listening { stops_after: Some(10), ..Listening::default() };
+    let outcome = clip::run(200).threads(1).folder(folder.path()).run(&observer).unwrap();
+    assert_eq!(outcome.end, RunEnd::Interrupted);
+    assert_eq!(outcome.trajectory.len(), 10);
+    assert!(folder.path().join("stats.json").exists());
+}
+
+#[test]
+fn a_reporter_makes_the_page_and_its_files_go_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = clip::run(5).folder(folder.path());
+    run.clone().reporter(Counting).run(&()).unwrap();
+    let text = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(text("report.html"), "5 frames of drive.mp4");
+    assert_eq!(text("map.png"), "<svg");
+    assert_eq!(run.run(&()).unwrap_err().kind(), ErrorKind::Usage);
+    // Those of an earlier run would show another path.
+    run.overwriting(true).run(&()).unwrap();
+    assert!(!folder.path().join("report.html").exists() && !folder.path().join("map.png").exists());
+}
+
+#[test]
+fn a_run_repeated_by_its_run_toml_writes_the_same_trajectory() {
+    let place = tempfile::tempdir().unwrap();
+    let (first, second) = (place.path().join("first"), place.path().join("second"));
+    clip::run(40).folder(&first).run(&()).unwrap();
+    let run_toml = first.join("run.toml").display().to_string();
+    RunBuilder::repeating(run_toml).folder(&second).threads(1).run(&()).unwrap();
+    for name in ["trajectory.csv", "odometry.tum", "run.toml", "map.svg"] {
+        assert_eq!(fs::read(first.join(name)).unwrap(), fs::read(second.join(name)).unwrap(), "{name}");
+    }
+}
+
+#[test]
+fn a_picture_is_found_in_a_map_that_stays_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    clip::run(40).folder(folder.path()).run(&()).unwrap();
+    let map = folder.path().join("map.gpkg");
+    let before = fs::read(&map).unwrap();
+    let outcome = RunBuilder::localizing(clip::source(1), &map).run(&()).unwrap();
+    let place = outcome.place.unwrap();
+    assert!(place.x_m.hypot(place.y_m) < 0.01, "{place:?}");
+    assert_eq!(fs::read(&map).unwrap(), before);
+    // Without a folder the results were in a temporary one.
+    assert!(!outcome.folder.exists());
+    let continued = clip::run(40).map(MapUse::Continue(map.clone())).run(&()).unwrap();
+    assert!(continued.place.is_some());
+    assert_eq!(continued.written.last(), Some(&map));
+}
+
+#[test]
+fn errors_say_what_to_do_and_have_their_cause() {
+    let error = RunBuilder::over(clip::source(5)).run(&()).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Usage);
+    assert!(error.source().is_none());
+    let error = clip::run(5).camera_file("no such file.yaml").run(&()).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    let cause = error.source().and_then(|cause| cause.downcast_ref::<io::Error>()).unwrap();
+    assert_eq!(cause.kind(), io::ErrorKind::NotFound);
+    let source = SourcePlan::new("no such recording.mp4");
+    let missing = RunBuilder::over(source).height_m(1.0).field_of_view_m(1.0, 0.75).run(&()).unwrap_err();
+    assert!(missing.to_string().contains("no such recording.mp4"), "{missing}");
+}
+
+#[test]
+fn a_doubtful_height_in_a_rig_file_is_questioned() {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = folder.path().join("rig.toml");
+    fs::write(&rig, "height_m = 90\n").unwrap();
+    let observer = Listening::default();
+    drop(clip::run(5).rig_file(&rig).open(&observer).unwrap());
+    let heard = observer.heard.into_inner().unwrap();
+    assert!(heard.len() == 1 && heard[0].contains("are centimetres meant?"), "{heard:?}");
+}
