@@ -7,7 +7,7 @@
 //!   camera position; x is the upward direction of the first image, y points to the left. Heading
 //!   is positive counter-clockwise seen from above.
 //!
-//! Transforms are named `target_from_source`.
+//! Transforms are named `target_from_source`. All conventions are in `docs/math/frames.md`.
 
 mod placement;
 mod planar;
