@@ -41,7 +41,7 @@ pub fn note(sentence: &str) {
     to_person("note", sentence);
 }
 
-/// A line on standard error. Where it cannot be written, nobody can be told.
+/// Writes a line to standard error. A failure to write is ignored.
 fn to_person(kind: &str, sentence: &str) {
     let _ = writeln!(io::stderr(), "{kind}: {}", harmless(sentence));
 }

@@ -60,7 +60,8 @@ fn command() -> clap::Command {
         }
         groups.push('\n');
     }
-    groups.push_str("`odograph COMMAND -h` tells a command's options in a line each, --help in full.");
+    groups
+        .push_str("`odograph COMMAND -h` lists a command's options on one line each, --help explains them.");
     command.help_template("{about}\n\n{usage-heading} {usage}{after-help}\n\n{options}\n").after_help(groups)
 }
 

@@ -61,10 +61,10 @@ pub struct GroundArguments {
     /// Frames a second, where the source does not say.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     fps: Option<f64>,
-    /// Begin so many seconds after the first frame.
+    /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
-    /// End so many seconds after the first frame.
+    /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
     /// Take every n-th frame.
@@ -99,7 +99,8 @@ struct Measured {
 }
 
 /// Told where the camera file has no covariance.
-const CAMERA_UNKNOWN: &str = "the camera file does not say how well the camera is known, so the deviations do not include what is wrong with it";
+const CAMERA_UNKNOWN: &str = "the camera file has no uncertainty, so the deviations do not include errors \
+     of the calibration";
 
 /// Runs the command.
 pub fn ground(arguments: GroundArguments) -> Result<Outcome> {

@@ -30,7 +30,7 @@ pub struct LocalizeArguments {
     /// The map.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub map: PathBuf,
-    /// Let the map grow by what the recording shows. Without this it is only looked into.
+    /// Extend the map by what the recording shows. Without this it is only read into.
     #[arg(help_heading = "Map", long)]
     pub extend: bool,
     /// Look into the map only; that is so without it, too.
@@ -48,10 +48,10 @@ pub struct LocalizeArguments {
     /// Frames a second, where the source does not say.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Take at most so many frames.
+    /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]
     pub max_frames: Option<u64>,
-    /// Folder for all the files of a run. [default: only the place is told]
+    /// Folder for all the files of a run. [default: only the place is printed]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
     /// Overwrite results that are already there.
@@ -75,7 +75,7 @@ Examples:
   odograph localize tuesday.mp4 --map hall.gpkg --extend -o tuesday/
 
 Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when it was not recognised \
-(the message says whether the ground was never mapped, or that this cannot be told, and why).";
+(the message says whether the ground was never mapped, or why that is unknown).";
 
 /// Runs the command.
 pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
@@ -195,7 +195,7 @@ fn tell(arguments: &LocalizeArguments, report: &RunReport) -> Result<()> {
     Ok(())
 }
 
-/// Why nothing was found, in a sentence.
+/// Why nothing was found.
 fn not_found(source: &str, map: &Path, verdict: Verdict, alike: usize) -> String {
     let map = map.display();
     match verdict {
@@ -234,7 +234,7 @@ fn alike_line(place: &AlikePlace) -> String {
     )
 }
 
-/// A number with so many decimals, without the sign of a rounded zero.
+/// A number with this many decimals, without the sign of a rounded zero.
 fn rounded(number: f64, decimals: usize) -> String {
     let text = format!("{number:.decimals$}");
     match text.strip_prefix('-') {

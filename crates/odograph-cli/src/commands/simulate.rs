@@ -71,7 +71,7 @@ pub struct SimulateArguments {
     /// [default distance: 3 cm] Both take units: 8mm:3cm.
     #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_mm_cm, help_heading = "Ground and way")]
     relief: Option<scene::Pair>,
-    /// Slow ups and downs by so many centimetres, and their wavelength, metres
+    /// Undulation by this many centimetres, and its wavelength, metres
     ///
     /// [default wavelength: 2 m] Both take units: 5cm:2m.
     #[arg(long, value_name = "CM[:WAVELENGTH_M]", value_parser = scene::parse_cm_m, help_heading = "Ground and way")]
@@ -103,7 +103,7 @@ pub struct SimulateArguments {
     /// Otherwise it keeps its height and stays upright.
     #[arg(long, help_heading = "Ground and way")]
     ride: bool,
-    /// Grass in the wind: pixels of swing to either side, and the share of the ground
+    /// Grass in the wind: amplitude in pixels, and the share of the ground that moves
     ///
     /// [default share: 0.3]
     #[arg(long, value_name = "PX[:SHARE]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
@@ -120,7 +120,7 @@ pub struct SimulateArguments {
     /// Camera file; without it a camera of 65° with mild barrel distortion
     #[arg(long, value_name = "FILE", help_heading = "Camera")]
     camera: Option<PathBuf>,
-    /// Image size in pixels, where no camera file tells it
+    /// Image size in pixels, without a camera file
     #[arg(long, value_name = "WxH", value_parser = scene::parse_size, help_heading = "Camera")]
     size: Option<(usize, usize)>,
     /// Height of the camera above the ground, metres
@@ -211,10 +211,10 @@ pub struct SimulateArguments {
     /// Things cross the view every four seconds, with this speed over ground, metres per second
     #[arg(long, value_name = "M/S", num_args = 0..=1, default_missing_value = "0.5", help_heading = "Effects")]
     object: Option<f64>,
-    /// The height wanders by so many percent to either side
+    /// The height varies by this many percent to either side
     #[arg(long, value_name = "PERCENT", help_heading = "Effects")]
     height_change: Option<f64>,
-    /// Roll and pitch wander by so many degrees to either side
+    /// Roll and pitch vary by this many degrees to either side
     #[arg(long, value_name = "DEGREES", help_heading = "Effects")]
     tilt_change: Option<f64>,
     /// The light drifts by this share to either side, and flickers by a quarter of it
@@ -237,10 +237,10 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     readout_ms: f64,
-    /// Write the readout time into camera.yaml; otherwise nobody is told
+    /// Write the readout time into camera.yaml; otherwise it is not stated
     #[arg(long, help_heading = "Effects")]
     tell_readout: bool,
-    /// The focal length changes by so many percent to either side, in a time of seconds
+    /// The focal length varies by this many percent to either side, with a period in seconds
     ///
     /// [default time: 5 s]
     #[arg(long, value_name = "PERCENT[:SECONDS]", value_parser = scene::parse_pair, help_heading = "Effects")]

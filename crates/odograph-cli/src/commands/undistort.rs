@@ -43,16 +43,16 @@ pub struct UndistortArguments {
     /// Frames a second, where the source does not say.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     fps: Option<f64>,
-    /// Begin so many seconds after the first frame.
+    /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
-    /// End so many seconds after the first frame.
+    /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
     /// Take every n-th frame.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
-    /// Take at most so many frames.
+    /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]
     max_frames: Option<u64>,
     /// Overwrite results that are already there.
@@ -139,7 +139,7 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     if !arguments.quiet {
         tell(&folder, &correction, &corrected)?;
     }
-    // What ended the recording early is told after all before it has been written.
+    // The error that ended the recording is reported after everything before it has been written.
     corrected.failure.map_or(Ok(Outcome::Done), Err)
 }
 

@@ -372,7 +372,7 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
         items.push((20.0 + wide(words), mark + &text(20.0, words)));
     }
     if shown.gaps {
-        let words = "lost: the way is not known";
+        let words = "lost: path unknown";
         let mut mark = format!(
             "<path class=\"gap\" stroke=\"{MUTED}\" stroke-width=\"1.6\" stroke-dasharray=\"2 6\" stroke-linecap=\"round\" d=\"M12 0h24\"/>"
         );

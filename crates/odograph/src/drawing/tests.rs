@@ -90,7 +90,7 @@ fn a_gap_is_dashed_and_never_part_of_the_solid_path() {
     frames
         .extend((60..100).map(|k| FrameSummary { segment: 1, ..tracked(k, 0.2 * k as f64, 5.0, 0.0, 0.0) }));
     let svg = drawn(&frames);
-    assert!(svg.contains("stroke-dasharray") && svg.contains("lost: the way is not known"));
+    assert!(svg.contains("stroke-dasharray") && svg.contains("lost: path unknown"));
     for line in svg.lines().filter(|line| line.contains("stroke-width=\"3.2\"")) {
         let d = line.split("d=\"M").nth(1).unwrap().trim_end_matches("\"/>").replace('L', " ");
         let ys: Vec<f64> = d.split_whitespace().skip(1).step_by(2).filter_map(|v| v.parse().ok()).collect();

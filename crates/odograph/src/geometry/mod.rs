@@ -112,8 +112,9 @@ pub struct GroundPose {
     pub pitch_rad: f64,
 }
 
-/// Where each number stands in the vector and the covariance of a [`GroundPose`]. Those of an [`Se2`]
-/// are the first three; a [`Sim2`] has the logarithm of its scale in the place of the height.
+/// Where each number stands in the vector and the covariance of a [`GroundPose`]. Those of an
+/// [`Se2`] are the first three; a [`Sim2`] has the logarithm of its scale in the place of the
+/// height.
 pub mod pose_index {
     /// World x, metres.
     pub const X: usize = 0;

@@ -5,8 +5,8 @@ mod combination;
 
 pub use combination::{Combined, Part, combine, inverse};
 
-/// The median, or `None` of no values. Of an even count it is the **greater of the middle two**, so it
-/// is always one of the values; [`f64::total_cmp`] orders them. The order of `values` is lost.
+/// The median, or `None` of no values. Of an even count it is the **greater of the middle two**, so
+/// it is always one of the values; [`f64::total_cmp`] orders them. The order of `values` is lost.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
@@ -30,8 +30,8 @@ pub fn robust_variance<const N: usize>(squares: &mut [f64]) -> Option<f64> {
     Some(median(squares)? / of_chi_square)
 }
 
-/// A robust loss of residuals in standard deviations, with the number of them up to which a residual
-/// counts (nearly) in full.
+/// A robust loss of residuals in standard deviations, with the number of them up to which a
+/// residual counts (nearly) in full.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
     /// Quadratic, then linear (P. Huber, "Robust estimation of a location parameter", 1964).
@@ -61,8 +61,8 @@ impl Loss {
         }
     }
 
-    /// The weight of a residual in iteratively reweighted least squares, 0 to 1: the derivative of the
-    /// loss by the square.
+    /// The weight of a residual in iteratively reweighted least squares, 0 to 1: the derivative of
+    /// the loss by the square.
     pub fn weight_of_square(self, square: f64) -> f64 {
         match self {
             Self::Huber(limit) if square > limit * limit => limit / square.sqrt(),

@@ -32,7 +32,7 @@ const NAMED: [(&str, f64, f64); 9] = [
 const SIDES_MM: std::ops::RangeInclusive<f64> = 40.0..=5000.0;
 
 impl Paper {
-    /// What a board is laid on when nothing is asked for, the smallest first: nobody's printer
+    /// Paper of a board if none is given, the smallest first: no common printer
     /// holds A5 by default.
     pub fn usual() -> impl Iterator<Item = Self> {
         NAMED.iter().filter(|(name, ..)| ["A4", "A3", "A2", "A1", "A0"].contains(name)).map(Self::named)

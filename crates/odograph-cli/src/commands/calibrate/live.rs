@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 
 /// What is missing is found out so often: it costs about as much as a frame.
 const GUIDED_EVERY: Duration = Duration::from_millis(300);
-/// A trial that was not good is repeated after so many new views.
+/// Number of new views after which a trial that was not good is repeated.
 const VIEWS_UNTIL_NEXT_TRIAL: usize = 4;
 
 /// Whether arguments were given that only `--live` has a use for.

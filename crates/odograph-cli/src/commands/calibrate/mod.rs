@@ -67,13 +67,13 @@ pub struct CalibrateArguments {
     /// Look at every n-th frame only.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
-    /// Begin so many seconds after the first frame.
+    /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
-    /// End so many seconds after the first frame.
+    /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
-    /// Calibrate with at most so many views: the ones that tell most.
+    /// Calibrate with at most this many views: the most informative ones.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(3..=500))]
     max_views: u16,
     /// Overwrite results that are already there.
@@ -105,7 +105,7 @@ files have been written and say why).";
 /// The lens models by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Model {
-    /// The one that foretells new views best.
+    /// The one that predicts new views best.
     Auto,
     /// No distortion.
     Pinhole,

@@ -58,7 +58,7 @@ impl Output {
         };
         let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let made = folder.ancestors().take_while(missing).map(Path::to_owned).collect();
-        // That it cannot be made is told before minutes of work and not after.
+        // Fail before minutes of work, not after.
         fs::create_dir_all(folder)
             .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
         Ok(Self { camera_file: camera_file.to_owned(), report, made })

@@ -195,7 +195,7 @@ impl Gathering {
                 let time_s = looked.time_s.filter(|_| !(self.photographs && looked.picture));
                 let sighting = Sighting { number, time_s, view, blur_px };
                 search.names.insert(number, looked.name);
-                // One more than can be used tells that there are too many.
+                // One more than can be used, to detect that there are too many.
                 if looked.picture && search.pictures.len() <= self.most_views {
                     search.pictures.push(sighting.clone());
                 }

@@ -1,4 +1,4 @@
-//! What is said on the terminal: the verdict first, then what to look at and what to do next.
+//! The summary on the terminal: the verdict first, then where to look and what to do next.
 
 use super::Calibrated;
 use super::output::Output;
@@ -85,7 +85,7 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
     let camera = output.camera_file().display();
     match calibration.verdict {
         Verdict::DoItAgain => {
-            let _ = writeln!(text, "{camera} has been written all the same");
+            let _ = writeln!(text, "{camera} has been written nevertheless");
         }
         _ => {
             let _ = writeln!(

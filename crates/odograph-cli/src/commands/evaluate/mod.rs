@@ -22,7 +22,7 @@ use std::str::FromStr;
 /// Tells absolute and relative errors, and the drift over each metre.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Definitions are those of evo, so that figures can be put side by side; docs/evaluation.md tells them."
+    after_help = "The definitions are those of evo, so that figures can be compared; see docs/evaluation.md."
 )]
 pub struct EvaluateArguments {
     /// The trajectory to judge (TUM or KITTI)
@@ -35,7 +35,7 @@ pub struct EvaluateArguments {
     /// Do not compare poses further apart in time than this
     #[arg(long, value_name = "SECONDS", default_value_t = EvaluationOptions::default().max_time_difference_s)]
     max_time_difference: f64,
-    /// Form of both files [default: told by the count of columns]
+    /// Format of both files [default: recognised by the number of columns]
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// Times of the poses of KITTI files, a number of seconds a line

@@ -316,7 +316,7 @@ fn gaps(pairs: &[PosePair]) -> impl Iterator<Item = usize> {
         .map(|(i, _)| i + 1)
 }
 
-/// More points than this cannot be told apart on paper.
+/// More points than this cannot be distinguished on paper.
 const MOST_POINTS: usize = 4000;
 
 /// Evenly taken points with the first and the last.

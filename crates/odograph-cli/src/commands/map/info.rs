@@ -24,7 +24,7 @@ pub struct InfoArguments {
     check: bool,
 }
 
-/// What is told.
+/// The facts about a map.
 #[derive(Debug, Serialize)]
 struct MapInfo {
     file: String,
@@ -207,7 +207,7 @@ fn described(info: &MapInfo, checked: bool) -> String {
                 mosaic.levels
             );
         }
-        None => text.push_str("mosaic     none; odograph map mosaic lays it\n"),
+        None => text.push_str("mosaic     none; odograph map mosaic renders it\n"),
     }
     for session in &info.sessions {
         let _ = writeln!(

@@ -81,7 +81,7 @@ fn check_different(maps: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// Makes the joined map; gives what is to be told of it.
+/// Makes the joined map; returns the summary to print.
 fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArguments) -> Result<String> {
     MapFile::open_read_only(first)?.copy_to(path)?;
     let mut file = MapFile::open(path)?;
@@ -110,7 +110,7 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
     let map = file.map()?;
     told += &match pieces(&map) {
         1 => String::new(),
-        pieces => format!("{pieces} pieces that nothing ties to each other: where they lie is not known\n"),
+        pieces => format!("{pieces} pieces without a connection: their relative position is not known\n"),
     };
     if finest_m.is_some() {
         mosaic::laid(&mut file, finest_m, arguments.quiet)?;
@@ -160,8 +160,8 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     if merged.ties == 0 {
         let earlier = if arguments.maps.len() > 2 { "the maps before it" } else { "the other" };
         return Err(Error::input(format!(
-            "no ground of {} was recognised in {earlier}, so it is not known how they lie to each other; a drive over ground of both, \
-             made with run --map, ties them",
+            "no ground of {} was recognised in {earlier}, so their relative position is not known; a \
+             drive over ground of both, with run --map, connects them",
             path.display()
         )));
     }

@@ -67,8 +67,9 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
 /// That the mosaic was laid with wider pixels than were asked for, and why.
 fn coarser(asked_m: f64, laid_m: f64) -> String {
     format!(
-        "--resolution {asked_m} is finer than this map bears: the mosaic was laid with pixels of {:.2} mm, as a quarter of what a pixel of its images sees \
-         is the finest that shows anything, and no mosaic is more than 2^30 pixels wide",
+        "--resolution {asked_m} is finer than this map allows: the mosaic has pixels of {:.2} mm, because \
+         its images show nothing finer than a quarter of their pixels, and no mosaic is more than 2^30 \
+         pixels wide",
         1e3 * laid_m
     )
 }
@@ -91,12 +92,12 @@ pub fn laid(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Resul
             "interrupted; the map has the mosaic that it had".to_owned()
         } else if let Some(metres) = resolution_m {
             format!(
-                "{}: no keyframe shows ground enough for a pixel of {metres} m; give a finer --resolution",
+                "{}: no keyframe shows enough ground for a pixel of {metres} m; give a finer --resolution",
                 file.path().display()
             )
         } else {
             format!(
-                "{} has no keyframe that looks at the ground; there is no mosaic to lay",
+                "{} has no keyframe that shows the ground; there is no mosaic to render",
                 file.path().display()
             )
         })

@@ -79,7 +79,7 @@ fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {
     if !arguments.quiet {
         let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
         console::print(&match loops {
-            0 => "no loops: there is nothing that could disagree, and nothing was moved\n".to_owned(),
+            0 => "no loops: nothing to optimise, and nothing was moved\n".to_owned(),
             _ => format!(
                 "{} keyframes, {} edges, {loops} of them loops; moved by up to {:.2} mm\n",
                 map.keyframes.len(),

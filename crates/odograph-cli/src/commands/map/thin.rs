@@ -87,8 +87,8 @@ fn thin_to_size(file: &mut MapFile, most: u64) -> Result<f64> {
         let rest = size - images.min(size);
         if keyframes == 0 || rest >= most {
             return Err(Error::input(format!(
-                "{}: even without a picture the map has {rest} bytes (paths, mosaic and what places are recognised by); allow it more than {most}, or lay a \
-                 coarser mosaic first",
+                "{}: even without images the map has {rest} bytes (paths, mosaic and signatures); allow \
+                 more than {most}, or render a coarser mosaic first",
                 file.path().display()
             )));
         }

@@ -99,7 +99,7 @@ impl Output {
     /// frames is a whole one.
     pub fn write(&self, simulation: &Simulation, parameters: &Parameters) -> Result<()> {
         let parameters = toml::to_string(parameters)
-            .map_err(|error| Error::output(format!("the parameters cannot be told as TOML: {error}")))?;
+            .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
         let written = match self.format {
             FormatName::Png => self.write_pictures(simulation),
             FormatName::Y4m => self.write_y4m(simulation),

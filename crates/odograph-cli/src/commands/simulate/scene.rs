@@ -56,7 +56,7 @@ pub struct VibrationOption(Vibration);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair(f64, Option<f64>);
 
-/// Builds the scene that the options describe, and tells it back as parameters.
+/// Builds the scene that the options describe, and returns it as parameters.
 pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig, Parameters)> {
     let camera = camera(arguments)?;
     let rig = Rig {

@@ -22,7 +22,7 @@ pub struct Output {
     /// Whether the folder was made for this.
     made: bool,
     frames: Frames,
-    /// The frames' names and times, as `frames.txt` will tell them.
+    /// The frames' names and times, for `frames.txt`.
     list: String,
     times_s: Vec<f64>,
     whole: bool,

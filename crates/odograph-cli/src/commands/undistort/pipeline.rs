@@ -25,7 +25,7 @@ pub struct Corrected {
 }
 
 /// Corrects every frame of the source and hands it to the output. Fails where a frame cannot be
-/// corrected or written; a source that ends early is told in the result.
+/// corrected or written; a source that ends early is reported in the result.
 pub fn correct(
     mut source: Source,
     correction: &ImageCorrection,

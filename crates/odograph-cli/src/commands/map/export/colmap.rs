@@ -17,7 +17,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-/// Descriptors of the same point differ in at most so many of their 256 bits.
+/// Largest Hamming distance, of 256 bits, between descriptors of the same point.
 const MOST_BITS: u32 = 48;
 /// The same point is seen at most so far apart, pixels at the middle of the image.
 const FARTHEST_PX: f64 = 4.0;

@@ -17,7 +17,7 @@ use tiff::tags::Tag;
 /// Red, green, blue and opacity.
 const CHANNELS: usize = 4;
 
-/// A picture has at most so many tiles, most of which may show nothing: each is 16 bytes in its
+/// Largest number of tiles of a picture, most of which may be empty: each is 16 bytes in its
 /// directory.
 const MOST_TILES: u64 = 1 << 22;
 

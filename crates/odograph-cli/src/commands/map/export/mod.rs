@@ -161,7 +161,7 @@ pub fn write_picture(
 ) -> Result<String> {
     let layer = file.mosaic()?.ok_or_else(|| {
         Error::input(format!(
-            "{} has no mosaic yet; odograph map mosaic {} lays it",
+            "{} has no mosaic yet; odograph map mosaic {} renders it",
             file.path().display(),
             file.path().display()
         ))
@@ -172,13 +172,13 @@ pub fn write_picture(
     }
 }
 
-/// What is told where a picture had to be coarser than the mosaic; nothing where it is not.
+/// The note if a picture is coarser than the mosaic; otherwise empty.
 fn coarser(layer: &MosaicLayer, level: u32) -> String {
     if level >= layer.finest {
         return String::new();
     }
     format!(
-        " (the mosaic has pixels of {:.2} mm: its ground lies too far apart for a picture that fine)",
+        " (the mosaic has pixels of {:.2} mm: its ground is too far apart for a picture that fine)",
         1000.0 * layer.resolution_m
     )
 }

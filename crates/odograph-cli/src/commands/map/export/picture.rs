@@ -6,7 +6,7 @@ use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
 use std::path::Path;
 
-/// No side is longer: more is shown by no viewer, and a strip of so many pixels fits into memory.
+/// Longest side: no viewer shows more, and a strip of that width fits into memory.
 const LONGEST_SIDE_PX: u64 = 60_000;
 /// No picture has more pixels.
 const MOST_PIXELS: u64 = 1_000_000_000;

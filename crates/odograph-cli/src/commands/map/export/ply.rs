@@ -11,13 +11,13 @@ use std::path::Path;
 /// The colour of the points that are cameras.
 const CAMERA: [u8; 3] = [255, 0, 0];
 
-/// Writes at most so many points of ground, one for each keyframe besides, and says what was
+/// Writes at most this many points of ground, and one for each keyframe, and reports what was
 /// written.
 pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> {
     let keyframes = file.map()?.keyframes;
     let layer = file.mosaic()?;
     let level = layer.as_ref().map(|layer| chosen(file, layer, most_points)).transpose()?;
-    // Where even the coarsest level has too many, every so many of its points.
+    // If even the coarsest level has too many points, every n-th of them.
     let every = level.map_or(1, |(_, points)| points.div_ceil(most_points as u64).max(1));
     let ground = level.map_or(0, |(_, points)| points.div_ceil(every));
     if ground == 0 && keyframes.is_empty() {
