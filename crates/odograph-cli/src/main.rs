@@ -39,7 +39,7 @@ enum Command {
     Completions(commands::completions::CompletionsArguments),
 }
 
-/// The commands as the first help shows them: grouped by what a person wants to do.
+/// The commands as the first help shows them: grouped by purpose.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Follow a camera", &["demo", "run", "live", "view"]),
     ("Use maps", &["localize", "map"]),

@@ -1,4 +1,4 @@
-//! `odograph localize`: where a camera is in a map that was made before.
+//! `odograph localize`: finds a camera in an existing map.
 
 use super::run::{
     self, AlikePlace, OutputArguments, OutputFolder, PlaceInMap, RunPlan, RunReport, SensorPlan, SourcePlan,
@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 /// Find where a picture or a recording was taken in a map.
 ///
 /// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known
-/// of where it is. Tells where it was last, in the frame of the map, with one standard deviation.
-/// Where it is not certain, the places that it may be are listed with their odds. The map file is
+/// of where it is. Prints its last position in the frame of the map, with one standard deviation.
+/// If that is not certain, the possible places are listed with their probabilities. The map file is
 /// only read, unless --extend is given.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
@@ -30,13 +30,13 @@ pub struct LocalizeArguments {
     /// The map.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub map: PathBuf,
-    /// Extend the map by what the recording shows. Without this it is only read into.
+    /// Extend the map by what the recording shows. Without this it is only read.
     #[arg(help_heading = "Map", long)]
     pub extend: bool,
-    /// Look into the map only; that is so without it, too.
+    /// Only read the map; this is the default.
     #[arg(long, hide = true, conflicts_with = "extend")]
     pub read_only: bool,
-    /// Rig file (TOML), where the camera is not mounted as it was when the map was begun.
+    /// Rig file (TOML), if the camera is mounted differently from when the map was created.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
     /// What may change between frames.
@@ -45,7 +45,7 @@ pub struct LocalizeArguments {
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
+    /// Frame rate, if the source does not state it.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Take at most this many frames.
@@ -148,12 +148,12 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
 #[derive(Serialize)]
 struct Told<'a> {
     recognised: bool,
-    /// `found`, or why nothing was.
+    /// `found`, or the reason why not.
     verdict: &'static str,
     place: Option<PlaceInMap>,
-    /// What the session of the nearest keyframe was run over.
+    /// The source of the nearest keyframe's session.
     session_source: Option<String>,
-    /// Where it may be, where that is not certain; most probable first.
+    /// The possible places if none is certain; the most probable first.
     alike: &'a [AlikePlace],
     statistics: &'a Statistics,
 }

@@ -1,4 +1,4 @@
-//! `odograph simulate`: a recording over rendered ground, with its exact truth.
+//! `odograph simulate`: renders a recording with exact ground truth.
 
 mod avi;
 mod output;
@@ -15,7 +15,7 @@ use output::Output;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Render a recording over a floor, with its exact truth
+/// Render a recording over a floor, with exact ground truth
 ///
 /// Writes the frames, the truth, the camera file and the rig file.
 ///
@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 pub struct SimulateArguments {
     /// Folder to write to
     ///
-    /// [default: simulation, with a number where that is there already]
+    /// [default: simulation, with a number if that exists]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
     /// Ground: asphalt, carpet, tiles, bricks, grass, concrete, bare, or a photograph
@@ -110,7 +110,7 @@ pub struct SimulateArguments {
     sway: Option<scene::Pair>,
     /// Record this many seconds instead of to the end of the path
     ///
-    /// Before and after the path the camera stands.
+    /// Before and after the path the camera stands still.
     #[arg(long, value_name = "SECONDS", help_heading = "Ground and way")]
     duration: Option<f64>,
     /// Be at full speed in the first and the last frame instead of starting and ending at rest
@@ -188,7 +188,7 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     blur: f64,
-    /// How much darker the corners of the image are, 0 to 1
+    /// Vignetting: darkening of the image corners, 0 to 1
     #[arg(
         long,
         value_name = "SHARE",
@@ -197,7 +197,7 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     vignetting: f64,
-    /// Shaking in millimetres, degrees and hertz
+    /// Vibration in millimetres, degrees and hertz
     ///
     /// [default: 0.1 degrees for each millimetre, and 8 Hz]
     #[arg(long, value_name = "MM[:DEG[:HZ]]", value_parser = scene::parse_vibration, help_heading = "Effects")]
@@ -248,12 +248,12 @@ pub struct SimulateArguments {
     /// A bumper covers this share of the image from its bottom edge and stands still in it
     #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.15", help_heading = "Effects")]
     bumper: Option<f64>,
-    /// So many dark specks lie on the lens
+    /// Number of dark specks on the lens
     #[arg(long, value_name = "COUNT", num_args = 0..=1, default_missing_value = "6", help_heading = "Effects")]
     dirt: Option<u32>,
     /// The carrier's own lamp gives this share of the light, 0 to 1
     ///
-    /// It makes a bright spot with a highlight, and dark around it.
+    /// A bright spot with a highlight, and darkness around it.
     #[arg(long, value_name = "STRENGTH", num_args = 0..=1, default_missing_value = "0.7", help_heading = "Effects")]
     lamp: Option<f64>,
     /// Share of frames that are missing
@@ -276,7 +276,7 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     jitter: f64,
-    /// Decides everything that is random
+    /// Seed of the random numbers
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64), help_heading = "Effects")]
     seed: u64,
 
@@ -305,7 +305,7 @@ pub struct SimulateArguments {
     threads: Option<std::num::NonZeroUsize>,
 }
 
-/// The shapes of paths by the names people call them by.
+/// The shapes of paths by name.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum PathName {
@@ -339,7 +339,7 @@ enum TilingName {
     Scatter,
 }
 
-/// What the frames are written as.
+/// Format of the frames.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum FormatName {

@@ -1,4 +1,4 @@
-//! `odograph undistort`: a recording without what the lens has bent.
+//! `odograph undistort`: removes the lens distortion from a recording.
 
 mod output;
 mod pipeline;
@@ -28,19 +28,19 @@ pub struct UndistortArguments {
     /// [default: beside the source, with its name: clip-undistorted/ for clip.mp4]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
-    /// How much of what the lens sees is kept.
+    /// How much of the lens's field of view is kept.
     #[arg(help_heading = "Camera", long, value_name = "WHICH", default_value = "same")]
     field_of_view_kept: Kept,
     /// png: a folder of pictures; y4m: uncompressed video.
     #[arg(help_heading = "Results", long, value_name = "FORMAT", default_value = "png")]
     format: Format,
-    /// Gray frames, also where the source has colour.
+    /// Gray frames, even if the source has colour.
     #[arg(help_heading = "Results", long)]
     gray: bool,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
+    /// Frame rate, if the source does not state it.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     fps: Option<f64>,
     /// Begin this many seconds after the first frame.
@@ -80,7 +80,7 @@ enum Kept {
     Same,
     /// As much as fits without an empty pixel.
     Valid,
-    /// Everything; what the lens does not see is black.
+    /// Everything; unseen pixels are black.
     All,
 }
 
@@ -94,7 +94,7 @@ impl From<Kept> for FieldOfViewKept {
     }
 }
 
-/// What the frames are written as.
+/// Format of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
     Png,

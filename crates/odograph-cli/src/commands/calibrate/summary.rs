@@ -101,7 +101,7 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
 /// Pixels per tangent on the axis across the image, and their standard deviation: what people mean
 /// by the focal length.
 ///
-/// The double sphere's own focal length is `1 + ξ` times as large, and hardly known by itself (V.
+/// The double sphere's own focal length is `1 + ξ` times as large, and poorly determined alone (V.
 /// Usenko et al., 2018, section 3.5).
 pub fn focal_px(calibration: &Calibration) -> (f64, f64) {
     let place = |names: &[&str]| calibration.parameters.iter().position(|p| names.contains(&p.name));

@@ -1,4 +1,4 @@
-//! `odograph evaluate`: how far an estimated trajectory is from the truth.
+//! `odograph evaluate`: the error of an estimated trajectory.
 
 mod figures;
 pub mod plot;
@@ -19,7 +19,7 @@ use std::str::FromStr;
 
 /// Compare a trajectory with the truth
 ///
-/// Tells absolute and relative errors, and the drift over each metre.
+/// Prints absolute and relative errors, and the drift over each metre.
 #[derive(clap::Args)]
 #[command(
     after_help = "The definitions are those of evo, so that figures can be compared; see docs/evaluation.md."
@@ -29,7 +29,7 @@ pub struct EvaluateArguments {
     estimate: PathBuf,
     /// The true trajectory (TUM or KITTI)
     truth: PathBuf,
-    /// How the estimate may be moved before it is compared
+    /// How the estimate is aligned before it is compared
     #[arg(long, value_enum, default_value = "se3")]
     align: Align,
     /// Do not compare poses further apart in time than this
@@ -43,10 +43,10 @@ pub struct EvaluateArguments {
     /// [default: the number of the pose]
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
-    /// Stretches of the relative errors: lengths (1m, 50cm) or poses (10f); several with commas
+    /// Segments of the relative errors: lengths (1m, 50cm) or poses (10f); several with commas
     #[arg(long, value_name = "LENGTH", value_delimiter = ',', default_value = "1f,1m")]
     delta: Vec<DeltaArgument>,
-    /// Start a relative error at every pose, not only where the one before ended
+    /// Start a segment at every pose, not only at the end of the one before
     #[arg(long)]
     all_pairs: bool,
     /// Segment lengths for the drift; several with commas
@@ -186,7 +186,7 @@ fn tell(
         table::text(&arguments.estimate, &arguments.truth, options, evaluation, over_ground_m)
     };
     match std::io::stdout().lock().write_all(text.as_bytes()) {
-        // Whoever reads the output may stop when they have seen enough.
+        // The reader of a pipe may stop early.
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
             Err(Error::output(format!("the result cannot be printed: {error}")))
         }
@@ -220,7 +220,7 @@ struct Loaded {
     timed: bool,
 }
 
-/// A trajectory of whichever form it has.
+/// A trajectory in any of the formats.
 pub fn trajectory_in(path: &Path) -> Result<Trajectory> {
     read_trajectory(path, None, None).map(|read| read.trajectory)
 }
@@ -243,8 +243,8 @@ fn read_trajectory(path: &Path, format: Option<Format>, times_s: Option<&[f64]>)
     parse().map_err(|error: Error| error.at(path.display()))
 }
 
-/// No trajectory of text is larger: a day at a thousand poses a second is 10 GB, an hour at 100 is
-/// 40 MB.
+/// Largest size of a trajectory file: a day at a thousand poses a second is 10 GB, an hour at 100
+/// is 40 MB.
 const MAX_BYTES: u64 = 1 << 30;
 
 fn read_text(path: &Path) -> Result<String> {

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 /// The whole table; metres and degrees. `over_ground_m` are the lengths of the true and the
-/// estimated path without their ups and downs.
+/// estimated path without changes of height.
 pub fn text(
     estimate: &Path,
     truth: &Path,

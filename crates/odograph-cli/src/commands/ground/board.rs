@@ -21,7 +21,7 @@ struct Found {
     views: Vec<BoardView>,
     names: Vec<String>,
     frames: usize,
-    /// Frames that show the board where it was before.
+    /// Frames that show the board at the same place as before.
     still: usize,
     /// Names of the frames without the board, and why.
     without: Vec<(String, String)>,
@@ -106,14 +106,14 @@ fn look(arguments: &GroundArguments, board: &Board) -> Result<Found> {
                 }
             }
         }
-        // When pictures were taken does not matter here.
+        // Timestamps do not matter here.
         let warnings = source.take_warnings();
         found.warnings.extend(warnings.into_iter().filter(|w| !w.contains("when the frames were taken")));
     }
     Ok(found)
 }
 
-/// Whether the board is where it was.
+/// Whether the board has not moved.
 fn is_same(last: &BoardView, view: &BoardView) -> bool {
     if last.size != view.size {
         return false;

@@ -24,8 +24,8 @@ struct Pass {
     length_by_frames_m: f64,
 }
 
-/// The tracks are followed once more where the first pass began further off than this, degrees: the
-/// shapes in which patches were expected depend on the tilt.
+/// Error of the initial tilt, in degrees, above which the recording is tracked again: the predicted
+/// shapes of patches depend on the tilt.
 const AGAIN_DEG: f64 = 0.1;
 
 pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
@@ -131,7 +131,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
 /// the tolerance.
 const MOST_PASSES: usize = 3;
 
-/// Follows the whole recording and solves for its tilt.
+/// Tracks the whole recording and solves for its tilt.
 fn follow(
     arguments: &GroundArguments,
     path: &str,
@@ -190,10 +190,9 @@ fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
 
 /// The height from the length of the path, and its standard deviation.
 ///
-/// A path has no length by itself: measured from frame to frame it has all the shaking of the
-/// mount, along chords of a twentieth of the height it cuts the curves. The distance that was
-/// driven lies between; the middle is taken, with half of what lies between as its standard
-/// deviation.
+/// The length of a path depends on its sampling: measured from frame to frame it contains the
+/// vibration of the mount, along chords of a twentieth of the height it cuts the curves. The driven
+/// distance lies between; the mean is used, with half of the difference as its standard deviation.
 fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<f64>)> {
     let (by_chords, deviation) = pass.driven.path_length_m().ok_or_else(|| {
         Error::input(format!(
@@ -215,7 +214,7 @@ fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<
     Ok((height_m, Some(height_m * relative)))
 }
 
-/// A shorter path is a poor measure.
+/// Shortest path from which the height is estimated, in heights.
 const LEAST_HEIGHTS: f64 = 2.0;
 
 fn summary(found: &TiltMeasurement) -> String {

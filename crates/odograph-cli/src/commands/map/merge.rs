@@ -1,4 +1,4 @@
-//! `odograph map merge`: maps that overlap, joined.
+//! `odograph map merge`: joins maps that overlap.
 
 use super::{check_free, info::pieces, mosaic};
 use crate::{Outcome, console, files, interrupt};
@@ -13,7 +13,7 @@ use odograph_map::{KeyframeMove, MapClaim, MapFile, carried};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Join maps of one camera that show some of the same ground.
+/// Join maps of one camera with common ground.
 ///
 /// The first one's frame is kept; the others are recognised in it.
 #[derive(Debug, clap::Args)]
@@ -28,7 +28,7 @@ pub struct MergeArguments {
     /// What may change between frames: as when the maps were made.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     motion: crate::commands::run::Motion,
-    /// Overwrite the joined map where it is there.
+    /// Overwrite the joined map if it exists.
     #[arg(long)]
     force: bool,
     /// Say nothing but errors.
@@ -49,7 +49,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     let [first, others @ ..] = arguments.maps.as_slice() else {
         return Err(Error::usage("give two maps or more to join"));
     };
-    // Whatever fails, what was there stays, and nothing half joined is left.
+    // After a failure an existing file is unchanged, and no partial map is left.
     let beside = files::beside(&arguments.output);
     MapFile::remove(&beside)?;
     let joined = joined(first, others, &beside, arguments);
@@ -67,7 +67,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Refuses a map that is given twice, under whatever name: it would be laid over itself.
+/// Refuses a map that is given twice, under any name: it would be joined to itself.
 fn check_different(maps: &[PathBuf]) -> Result<()> {
     let files: Vec<Option<PathBuf>> = maps.iter().map(|path| fs::canonicalize(path).ok()).collect();
     for (at, file) in files.iter().enumerate() {
@@ -119,10 +119,10 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
     Ok(told)
 }
 
-/// What a map brought.
+/// The contribution of a map.
 struct Added {
     merged: slam::Merged,
-    /// Side of a ground pixel of its mosaic, where it has one.
+    /// Side of a ground pixel of its mosaic, if it has one.
     mosaic_m: Option<f64>,
 }
 
@@ -139,7 +139,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             arguments.maps[0].display()
         )));
     }
-    // Its sessions go on with the numbers that are free.
+    // Its sessions get the next free numbers.
     let mut sessions = Vec::new();
     for session in other.sessions()? {
         sessions.push((session.id, file.begin_session(&session.source)?));
@@ -185,7 +185,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     Ok((file, Added { merged, mosaic_m }))
 }
 
-/// The joined map as it grows: pictures come from the other map as they are there.
+/// The growing joined map: images are copied from the other map unchanged.
 struct Joined {
     file: MapFile,
     other: MapFile,

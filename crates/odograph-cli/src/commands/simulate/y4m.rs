@@ -10,7 +10,7 @@ pub fn header(size: (usize, usize), (numerator, denominator): (u64, u64), colore
         .into_bytes()
 }
 
-/// One frame with its own line: its luminance, and its colour where there is some.
+/// One frame with its own line: its luminance, and its colour, if any.
 pub fn frame(luma: &GrayImage, color: Option<&RgbImage>) -> Vec<u8> {
     let mut bytes = b"FRAME\n".to_vec();
     bytes.extend_from_slice(luma.samples());

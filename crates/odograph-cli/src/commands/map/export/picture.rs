@@ -8,10 +8,10 @@ use std::path::Path;
 
 /// Longest side: no viewer shows more, and a strip of that width fits into memory.
 const LONGEST_SIDE_PX: u64 = 60_000;
-/// No picture has more pixels.
+/// Largest number of pixels.
 const MOST_PIXELS: u64 = 1_000_000_000;
 
-/// Writes the picture from top to bottom, as fine as fits, and says what was written.
+/// Writes the picture from top to bottom, as fine as possible, and reports what was written.
 pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path) -> Result<String> {
     let fits = |level: &u32| {
         let (width, height, _) = layer.picture_at(*level);

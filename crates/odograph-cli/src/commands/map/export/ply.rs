@@ -1,5 +1,4 @@
-//! The mosaic as coloured points (PLY, binary): the ground where it was seen, and above it the
-//! cameras.
+//! The mosaic as coloured points (PLY, binary): the seen ground, and the cameras above it.
 
 use crate::{files, interrupt};
 use odograph::error::{Error, Result};
@@ -68,8 +67,7 @@ fn vertex(position: [f64; 3], color: &[u8]) -> Vec<u8> {
     position.iter().flat_map(|value| value.to_le_bytes()).chain(color.iter().copied()).collect()
 }
 
-/// Gives every tile of a level that is there: its column, its row, and its pixels. Fails once the
-/// program was asked to end.
+/// Visits every tile of a level: its column, its row, and its pixels. Fails after an interruption.
 fn each_tile(file: &MapFile, level: u32, mut take: impl FnMut(u64, u64, &[u8]) -> Result<()>) -> Result<()> {
     for (column, row) in file.mosaic_tiles(level)? {
         interrupt::check()?;
@@ -80,7 +78,7 @@ fn each_tile(file: &MapFile, level: u32, mut take: impl FnMut(u64, u64, &[u8]) -
     Ok(())
 }
 
-/// The finest level that shows ground in few enough pixels, and in how many.
+/// The finest level with few enough pixels of ground, and their number.
 fn chosen(file: &MapFile, layer: &MosaicLayer, most_points: usize) -> Result<(u32, u64)> {
     for level in (0..=layer.finest).rev() {
         let mut points = 0;
