@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_terminal_is_told_nothing_to_do() {
+    fn control_characters_are_escaped() {
         assert_eq!(harmless("ä µ\t±\n"), "ä µ\t±\n");
         assert_eq!(harmless("a\u{1b}[2J\rb\u{9b}"), "a\\u{1b}[2J\\rb\\u{9b}");
     }

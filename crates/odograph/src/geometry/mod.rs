@@ -270,7 +270,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_pose_survives_the_way_through_a_transform(pose in poses()) {
+        fn a_pose_round_trips_through_a_transform(pose in poses()) {
             let back = GroundPose::from_world_from_camera(&pose.world_from_camera());
             for (a, b) in [(pose.x_m, back.x_m), (pose.y_m, back.y_m), (pose.height_m, back.height_m),
                            (pose.heading_rad, back.heading_rad), (pose.roll_rad, back.roll_rad), (pose.pitch_rad, back.pitch_rad)] {
@@ -279,7 +279,7 @@ mod tests {
         }
 
         #[test]
-        fn a_ray_survives_the_way_over_the_ground(pose in poses(), x in -0.5..0.5, y in -0.5..0.5) {
+        fn a_ray_round_trips_over_the_ground(pose in poses(), x in -0.5..0.5, y in -0.5..0.5) {
             if let Some(point) = pose.ground_from_ray(Ray::new(x, y)) {
                 let back = pose.ray_from_ground(point).unwrap();
                 prop_assert!((back.x - x).abs() < 1e-9 && (back.y - y).abs() < 1e-9);

@@ -173,7 +173,7 @@ fn a_floor_of_equal_tiles_does_not_fool_it() {
 }
 
 #[test]
-fn a_second_drive_is_recognised_in_the_map_of_the_first() {
+fn a_second_drive_is_recognised_in_the_first_map() {
     let world = World::new("carpet");
     let mut images = MemoryImages::default();
     let mut first = world.mapper();
@@ -240,7 +240,7 @@ fn revisited(mapper: &mut Mapper, images: &mut MemoryImages, times: usize) -> us
 }
 
 #[test]
-fn the_same_round_all_day_leaves_a_graph_that_does_not_grow_and_who_hurries_looks_for_nothing() {
+fn repeated_laps_do_not_grow_the_graph() {
     let world = World::new("asphalt");
     let mut mapper =
         Mapper::new(&world.camera, Rig::level(HEIGHT_M), &config(), LoopClosureConfig::default());

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn chroma_of_gray_is_128_and_of_red_leans_to_red() {
+    fn chroma_of_gray_is_128_and_of_red_is_larger() {
         let mut bytes = vec![];
         let gray = GrayImage::from_samples(3, 3, vec![90; 9]).unwrap();
         add_chroma(&gray, &RgbImage::from(&gray), &mut bytes);
