@@ -132,7 +132,7 @@ fn an_image_is_localised_without_changing_the_map() {
         (Some("sim/frames"), Some("found"))
     );
 
-    // A picture that shows nothing tells nothing.
+    // A blank picture gives no verdict.
     fs::write(folder.path().join("blank.pgm"), [&b"P5 320 240 255\n"[..], &[128; 320 * 240]].concat())
         .unwrap();
     let nothing = localize(&["blank.pgm", "--json"]);

@@ -218,10 +218,9 @@ fn strewn(tile_m: f64, repeating: bool) -> impl Fn(&GroundPose, u64) -> Signatur
 }
 
 #[test]
-fn a_tile_again_and_again_is_no_place() {
-    // Shifted by a tile of 51 cm, less than half of the ground is shared: what speaks for that is
-    // less, and says as much. Counted as it is, without regard to how much ground is shared, it
-    // lets the floor that repeats be recognised.
+fn a_repeated_tile_is_not_recognised() {
+    // Shifted by a tile of 51 cm, less than half of the ground is shared, which lowers the evidence.
+    // Without extrapolation to the same area the repetitive floor would be recognised.
     for (repeating, sure) in [(false, 6), (true, 0)] {
         let strewn = strewn(0.51, repeating);
         let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));

@@ -149,8 +149,8 @@ fn a_mount_that_turns_every_metre_is_found_out() {
     let before = worst_m(&graph, &truth);
     graph.optimize(50);
     let (ahead, left) = graph.turn_per_m();
-    // Turns to the left are hard to tell from headings that alternate from row to row: only the
-    // ends of the rows do.
+    // The rotation per metre to the left is nearly confounded with headings that alternate from row
+    // to row: only the ends of the rows separate them.
     assert!((ahead - bend).abs() < 0.15 * bend && left.abs() < 0.25 * bend, "{ahead} {left}");
     let after = worst_m(&graph, &truth);
     assert!(before > 1.0 && after < 0.05, "{before} m without, {after} m with loops");
@@ -190,7 +190,7 @@ fn unconnected_parts_do_not_move() {
 
 #[test]
 fn a_large_graph_comes_near_its_best_by_pieces() {
-    // The path is measured step by step and relaxed at every tenth loop, as it is on the way.
+    // The path is measured step by step and relaxed at every tenth loop, as in a run.
     let Grid { truth, edges } = grid(30, 0.003, 0.0, Heights::Held);
     let mut graph = PoseGraph::new(Heights::Held, 1.0);
     graph.insert(KeyframeId(0), truth[0], 1.0);
