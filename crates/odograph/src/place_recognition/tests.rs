@@ -219,8 +219,8 @@ fn strewn(tile_m: f64, repeating: bool) -> impl Fn(&GroundPose, u64) -> Signatur
 
 #[test]
 fn a_repeated_tile_is_not_recognised() {
-    // Shifted by a tile of 51 cm, less than half of the ground is shared, which lowers the evidence.
-    // Without extrapolation to the same area the repetitive floor would be recognised.
+    // Shifted by a tile of 51 cm, less than half of the ground is shared, which lowers the
+    // evidence. Without extrapolation to the same area the repetitive floor would be recognised.
     for (repeating, sure) in [(false, 6), (true, 0)] {
         let strewn = strewn(0.51, repeating);
         let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
