@@ -100,7 +100,7 @@ fn paths_in_documents_and_comments_exist() {
     let mut look = |file: &Path, path: &str| {
         let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || "/._-".contains(c));
         let rooted = ["docs/", "crates/", "bench/"].iter().any(|start| path.starts_with(start));
-        let source = path.contains('/') && path.ends_with(".rs");
+        let source = path.contains('/') && path.ends_with(".rs") && file.starts_with(root.join("docs"));
         let here = [root.as_path(), &library, &root.join("crates"), &root.join("crates/odograph-cli")];
         if plain && (rooted || source) && !here.iter().any(|folder| folder.join(path).exists()) {
             missing.push(format!("{}: {path}", shown(file)));

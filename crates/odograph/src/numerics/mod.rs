@@ -1,5 +1,5 @@
-//! Robust statistics: the median, scales from it, and losses with their weights; and measurements of
-//! the same quantities combined into one.
+//! Robust statistics: the median, scales from it, and losses with their weights; and measurements
+//! of the same quantities combined into one.
 
 mod combination;
 
