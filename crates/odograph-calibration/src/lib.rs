@@ -7,8 +7,8 @@
 //! board in an image and returns a [`BoardView`]: the indices of the detected points and their
 //! pixels. [`calibrate`] estimates the camera from many views and returns a [`Calibration`].
 //! [`board_pose`] estimates the pose of a board relative to a calibrated camera from one view.
-//! [`rig_from_boards`] estimates height and tilt of the camera from a board that lies on the floor, and
-//! [`calibration_file`] writes a calibration down.
+//! [`rig_from_boards`] estimates height and tilt of the camera from a board that lies on the floor,
+//! and [`calibration_file`] writes a calibration down.
 
 mod dictionary;
 mod board;

@@ -27,7 +27,7 @@ fn errors(rig: &Rig) -> Vector3<f64> {
     Vector3::new(rig.height_m - RIG.height_m, rig.roll_rad - RIG.roll_rad, rig.pitch_rad - RIG.pitch_rad)
 }
 
-/// Pictures as a camera over a floor takes them: three, with the board moved between them, and the finder's points.
+/// Three rendered images of a floor with the board at different places, and the corner finder.
 #[test]
 fn rendered_pictures_give_what_is_asked() {
     let distortion = Distortion::from_opencv(&[-0.2, 0.05, 0.0005, -0.0003]).unwrap();
@@ -38,9 +38,10 @@ fn rendered_pictures_give_what_is_asked() {
     let mut random = Random::new(11);
     let mut views = Vec::new();
     for seed in 0..3 {
-        // The board's own frame has its y axis down the print and z into the paper: a half turn about its x axis from ours.
+        // The board's frame has y down the print and z into the paper: a half turn about its x
+        // axis.
         let mut pose = pose(&mut random);
-        // Pictures in which the whole of the board is seen.
+        // Images that show the whole board.
         (pose.x_m, pose.y_m) = (0.125 + 0.2 * (pose.x_m + 0.2), -0.185 + 0.2 * (pose.y_m + 0.28));
         let half_turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
         let world_from_board = nalgebra::Isometry3::from_parts(nalgebra::Translation3::identity(), half_turn);

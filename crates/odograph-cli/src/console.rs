@@ -41,7 +41,7 @@ pub fn note(sentence: &str) {
     to_person("note", sentence);
 }
 
-/// A line on standard error. Where it cannot be written, nobody can be told.
+/// Writes a line to standard error. A failure to write is ignored.
 fn to_person(kind: &str, sentence: &str) {
     let _ = writeln!(io::stderr(), "{kind}: {}", harmless(sentence));
 }
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_terminal_is_told_nothing_to_do() {
+    fn control_characters_are_escaped() {
         assert_eq!(harmless("ä µ\t±\n"), "ä µ\t±\n");
         assert_eq!(harmless("a\u{1b}[2J\rb\u{9b}"), "a\\u{1b}[2J\\rb\\u{9b}");
     }

@@ -40,7 +40,7 @@ enum Command {
     Completions(commands::completions::CompletionsArguments),
 }
 
-/// The commands as the first help shows them: grouped by what a person wants to do.
+/// The commands as the first help shows them: grouped by purpose.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Follow a camera", &["demo", "run", "live", "view"]),
     ("Use maps", &["localize", "map"]),
@@ -61,7 +61,8 @@ fn command() -> clap::Command {
         }
         groups.push('\n');
     }
-    groups.push_str("`odograph COMMAND -h` tells a command's options in a line each, --help in full.");
+    groups
+        .push_str("`odograph COMMAND -h` lists a command's options on one line each, --help explains them.");
     command.help_template("{about}\n\n{usage-heading} {usage}{after-help}\n\n{options}\n").after_help(groups)
 }
 

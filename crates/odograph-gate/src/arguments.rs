@@ -38,8 +38,8 @@ pub struct Arguments {
     /// rig, ground truth) and measures nothing.
     #[arg(long)]
     pub export: Option<PathBuf>,
-    /// Rewrites the tables between `gate:begin` and `gate:end` in README.md from the baseline and
-    /// measures nothing.
+    /// Rewrites the tables between `gate:begin` and `gate:end` in docs/accuracy.md from the
+    /// baseline and measures nothing.
     #[arg(long)]
     pub tables: bool,
 }

@@ -206,7 +206,7 @@ fn show_frames(hub: &Hub, frames: usize) {
 }
 
 #[test]
-fn a_hundred_unresponsive_clients_block_nobody() {
+fn a_hundred_unresponsive_clients_block_no_other() {
     let place = place(None);
     let address = place.server.address();
     // Idle clients, clients with half a request, and clients that open a WebSocket and never read.

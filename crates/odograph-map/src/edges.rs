@@ -49,7 +49,7 @@ impl MapFile {
                 self.complaint.input(format!("edge {number}, from keyframe {from} to {to}, {what}"))
             };
             if !tied || from == to {
-                return Err(bad("ties no two keyframes that are in the map"));
+                return Err(bad("does not connect two keyframes of the map"));
             }
             if !motion.iter().all(|value: &f64| value.is_finite()) {
                 return Err(bad("has a motion that is not finite"));
@@ -60,7 +60,7 @@ impl MapFile {
                 kind: kind_named(&kind).ok_or_else(|| bad("is of a kind that this program does not know"))?,
                 motion,
                 covariance: symmetric_from_bytes(&covariance)
-                    .ok_or_else(|| bad("has a covariance that is none"))?,
+                    .ok_or_else(|| bad("has an invalid covariance"))?,
             });
         }
         Ok(edges)

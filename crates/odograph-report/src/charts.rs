@@ -48,8 +48,8 @@ pub fn over_time(frames: &[FrameSummary], figures: &Figures, page: &mut String) 
     }
     figure(
         "Corners",
-        "<span class=\"key blue\">found again</span><span class=\"key orange\">agreeing with the movement</span><br>The more \
-         agree, the better the movement is supported.",
+        "<span class=\"key blue\">found again</span><span class=\"key orange\">inliers</span><br>More \
+         inliers determine the motion better.",
         &[
             blue(frames.iter().map(|f| Some(f.tracks as f64)).collect()),
             Series { class: "orange", values: frames.iter().map(|f| Some(f.inliers as f64)).collect() },
@@ -58,7 +58,7 @@ pub fn over_time(frames: &[FrameSummary], figures: &Figures, page: &mut String) 
     );
     figure(
         "Residual (px)",
-        "How far the agreeing corners lie from where the movement puts them.",
+        "Root mean square re-projection error of the inliers.",
         &[blue(
             frames.iter().map(|f| (f.place.is_some() && f.inliers > 0).then_some(f.residual_px)).collect(),
         )],
@@ -68,13 +68,13 @@ pub fn over_time(frames: &[FrameSummary], figures: &Figures, page: &mut String) 
     let (unit, size_m) = if worst_m < 0.1 { ("mm", 0.001) } else { ("m", 1.0) };
     figure(
         &format!("Uncertainty of the position ({unit})"),
-        "One standard deviation in the worst direction, by the program's own reckoning.",
+        "One standard deviation in the least certain direction, as stated by the program.",
         &[blue(posed(&|at| sigmas(at).0 / size_m))],
         Range::FromZero,
     );
     figure(
         "Uncertainty of the heading (°)",
-        "One standard deviation, by the program's own reckoning.",
+        "One standard deviation, as stated by the program.",
         &[blue(posed(&|at| sigmas(at).1.to_degrees()))],
         Range::FromZero,
     );

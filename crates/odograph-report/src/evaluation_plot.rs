@@ -1,4 +1,4 @@
-//! The paths laid over each other and the errors over time, as SVG.
+//! The paths, superimposed, and the errors over time, as SVG.
 
 use odograph::evaluation::{Evaluation, PosePair};
 use odograph::formats::trajectory_file::Trajectory;
@@ -14,7 +14,7 @@ const TRUTH: &str = "#444444";
 const ESTIMATE: &str = "#d1495b";
 const ROTATION: &str = "#2a6f97";
 
-/// A whole SVG document. The path is seen along the axis in which it has least to show (from above
+/// A whole SVG document. The path is seen along the axis in which it extends least (from above
 /// for a camera over ground), at the same scale both ways; below it the position and the rotation
 /// error of each compared pose.
 pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
@@ -110,8 +110,7 @@ impl Axis {
     }
 }
 
-/// The paths and how they are seen: along the axis in which they have least to show, at one scale
-/// both ways.
+/// The paths and how they are seen: along the axis of least extent, at one scale for both axes.
 struct View {
     truth: Vec<[f64; 3]>,
     estimate: Vec<[f64; 3]>,
@@ -294,7 +293,7 @@ fn bounds<'a>(points: impl Iterator<Item = &'a [f64; 3]>) -> ([f64; 3], [f64; 3]
     if any { (low, high) } else { ([0.0; 3], [0.0; 3]) }
 }
 
-/// The axes across and up the paper: x and y, unless z has clearly more to show than one of them.
+/// The axes across and up the paper: x and y, unless z clearly extends more than one of them.
 fn seen_axes(extent: [f64; 3]) -> (usize, usize) {
     let clearly = extent[2] > 2.0 * extent[0].min(extent[1]) && extent[2] > 0.1 * extent[0].max(extent[1]);
     match clearly {
@@ -316,7 +315,7 @@ fn gaps(pairs: &[PosePair]) -> impl Iterator<Item = usize> {
         .map(|(i, _)| i + 1)
 }
 
-/// More points than this cannot be told apart on paper.
+/// More points than this cannot be distinguished on paper.
 const MOST_POINTS: usize = 4000;
 
 /// Evenly taken points with the first and the last.

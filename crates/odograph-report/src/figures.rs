@@ -119,14 +119,14 @@ pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
 /// The reason as a sentence for the report.
 pub fn in_words(reason: LossReason) -> &'static str {
     match reason {
-        LossReason::Bare => "too little texture to hold on to (bare floor, something over the lens)",
+        LossReason::Bare => "too little texture to track (bare floor, something over the lens)",
         LossReason::Dark => "too dark to see anything",
-        LossReason::Jump => "hardly a corner was found again (a cut, a jump)",
-        LossReason::Blur => "hardly a corner was found again: the image is blurred",
+        LossReason::Jump => "hardly any corner was found again (a cut, a jump)",
+        LossReason::Blur => "hardly any corner was found again: the image is blurred",
         LossReason::Shadow => {
-            "what was found again stands still in the image (a shadow or a part of the carrier)"
+            "the tracked corners stand still in the image (a shadow or a part of the carrier)"
         }
-        LossReason::NotPlanar => "the corners did not move as one plane (moving things, not a floor)",
+        LossReason::NotPlanar => "the corners did not move as one plane (moving objects, no floor)",
         _ => "the movement could not be measured",
     }
 }

@@ -44,8 +44,7 @@ pub fn html(input: &ReportInput<'_>) -> String {
 /// Summary of the run in one or two sentences.
 fn lead(figures: &Figures) -> String {
     if figures.with_pose == 0 {
-        return "The movement could not be measured in any frame. What stood in the way is told below."
-            .into();
+        return "No frame could be tracked. The reasons are listed below.".into();
     }
     let way = format!(
         "The camera travelled <b>{}</b> in {}.",
@@ -53,13 +52,13 @@ fn lead(figures: &Figures) -> String {
         duration_text(figures.duration_s)
     );
     let kept = match figures.lost.len() {
-        0 => "Its movement was measured in every frame.".into(),
+        0 => "Every frame was tracked.".into(),
         1 => format!(
-            "Its movement was lost once, for {}; nothing is drawn there.",
+            "Tracking was lost once, for {}; nothing is drawn there.",
             duration_text(figures.lost_s())
         ),
         n => format!(
-            "Its movement was lost {n} times, for {} altogether; nothing is drawn there.",
+            "Tracking was lost {n} times, for {} altogether; nothing is drawn there.",
             duration_text(figures.lost_s())
         ),
     };
@@ -79,7 +78,7 @@ fn cards(figures: &Figures, page: &mut String) {
         "Length of the measured path; lost stretches do not count.",
         page,
     );
-    card("Duration", &duration_text(figures.duration_s), "From the first followed frame to the last.", page);
+    card("Duration", &duration_text(figures.duration_s), "From the first tracked frame to the last.", page);
     let share = 100.0 * figures.with_pose as f64 / figures.frames.max(1) as f64;
     // Rounded down, so that 100 % appears only if all frames have a pose.
     card(
@@ -94,7 +93,7 @@ fn cards(figures: &Figures, page: &mut String) {
         n => format!("{n} times"),
     };
     let lost = match figures.lost.len() {
-        0 => "Every frame that was followed has a pose.".into(),
+        0 => "Every tracked frame has a pose.".into(),
         _ => format!("{} altogether without a pose.", duration_text(figures.lost_s())),
     };
     card("Lost", &times, &lost, page);
@@ -102,7 +101,7 @@ fn cards(figures: &Figures, page: &mut String) {
         card(
             "Mean speed",
             &format!("{}/s", length_text(speed)),
-            "Distance divided by the time it was followed.",
+            "Distance divided by the time it was tracked.",
             page,
         );
     }
@@ -165,8 +164,8 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
     if let Some(mosaic) = &input.mosaic {
         let _ = writeln!(
             page,
-            "<h2>The ground</h2>\n<figure><figcaption><span>The frames laid on the ground where they were taken. A pixel of \
-             {} is {} wide; its world file says where it lies.</span></figcaption>\n\
+            "<h2>The ground</h2>\n<figure><figcaption><span>The frames, orthorectified at their poses. A \
+             pixel of {} is {} wide; its world file has its position.</span></figcaption>\n\
              <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground\" src=\"{}\"></figure>",
             escape(mosaic.file_name),
             length_text(mosaic.placement.metres_per_pixel),
@@ -182,12 +181,13 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
     let evaluation = &reference.evaluation;
     let errors = &evaluation.absolute.translation;
     let scale = evaluation.scale.map_or(String::new(), |scale| {
-        format!(" Its lengths were multiplied by {scale:.5}; 1 is a scale that agrees.")
+        format!(" The scale of the alignment is {scale:.5}; 1 means equal lengths.")
     });
     let _ = writeln!(
         page,
-        "<h2>Beside {}</h2>\n<figure><figcaption><span>{} frames have a time in it, over {} of its way. Laid onto it by a turn, a shift and a scale, the path of \
-         the run is <b>{}</b> off (root mean square; median {}, at most {}).{scale}</span></figcaption>\n{}</figure>",
+        "<h2>Beside {}</h2>\n<figure><figcaption><span>{} frames have a time in it, over {} of its \
+         length. After alignment by rotation, shift and scale, the path of the run is <b>{}</b> off (root \
+         mean square; median {}, at most {}).{scale}</span></figcaption>\n{}</figure>",
         escape(&reference.name),
         evaluation.pairs.len(),
         length_text(evaluation.truth_length_m),
@@ -230,7 +230,7 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
     }
     let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
     page.push_str(
-        "<p>These measured frames had the fewest corners that agree with the movement:</p>\n<div class=\"box scroll\"><table class=\"figures\">\
+        "<p>These frames had the fewest inliers:</p>\n<div class=\"box scroll\"><table class=\"figures\">\
          <tr><th class=\"number\">Frame</th><th class=\"number\">at</th><th class=\"number\">agreeing</th>\
          <th class=\"number\">of corners</th><th class=\"number\">residual</th></tr>\n",
     );
@@ -264,7 +264,7 @@ fn sensors(sensors: &[SensorReport], page: &mut String) {
             Some(offset) if offset.sigma_s.is_finite() => {
                 format!("{} ± {} ms", number(1e3 * offset.offset_s, 1), number(2e3 * offset.sigma_s, 1))
             }
-            Some(_) => "the movement does not tell".into(),
+            Some(_) => "not determined by the motion".into(),
             None => String::new(),
         };
         let found: Vec<String> = report
@@ -311,7 +311,7 @@ fn parameters(input: &ReportInput<'_>, page: &mut String) {
         ("Height above the ground", length_text(rig.height_m)),
         ("Roll, pitch, mount yaw", [rig.roll_rad, rig.pitch_rad, rig.yaw_rad].map(degrees).join(", ")),
     ];
-    page.push_str("<h2>What it was told</h2>\n<div class=\"box scroll\"><table>\n");
+    page.push_str("<h2>Input and parameters</h2>\n<div class=\"box scroll\"><table>\n");
     for (name, value) in rows {
         let _ = writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
     }

@@ -1,4 +1,4 @@
-//! Generates the accuracy table of the README: rendered drives with exact ground truth, tracked by
+//! Generates a table of the motion models: rendered drives with exact ground truth, tracked by
 //! the odometry, with the error at the end.
 //!
 //! `cargo run --release -p odograph --example accuracy [-- WORD…]` runs the drives whose line

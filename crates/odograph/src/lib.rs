@@ -55,6 +55,11 @@
 //!
 //! The modules are listed in reading order, which is the order of the data flow and of the
 //! dependencies: a module imports only modules listed above it.
+//!
+//! Derivations with their formulas and references: `docs/math/frames.md` (conventions),
+//! `docs/math/interpolation-bias.md`, `docs/math/frame-pose.md`, `docs/math/elevation.md`,
+//! `docs/math/correlated-noise.md`, `docs/math/rolling-shutter.md`, `docs/math/filter.md`,
+//! `docs/math/extrinsics-from-driving.md`, `docs/math/loop-closure.md`, `docs/math/pose-graph.md`.
 
 pub mod error;
 pub mod buffer;

@@ -1,8 +1,8 @@
 //! Rendered worlds for the unit tests.
 //!
-//! `odograph-simulation` is built on this library as it is without its unit tests, so in a unit test
-//! its cameras, poses and images are types of another crate. They are converted here; the names are
-//! those of `odograph-simulation`.
+//! `odograph-simulation` is built on this library as it is without its unit tests, so in a unit
+//! test its cameras, poses and images are types of another crate. They are converted here; the
+//! names are those of `odograph-simulation`.
 
 pub use odograph_simulation::{
     Blackout, Effects, Ground, Kerb, Path, PathKind, SensorErrors, Terrain, Texture, Undulation, Vibration,

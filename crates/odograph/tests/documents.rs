@@ -19,8 +19,8 @@ fn quoted_paths(text: &str) -> Vec<&str> {
     quoted.filter(|text| is_path(text)).collect()
 }
 
-/// Folders that the list of crates names: each crate at the start of a line, with its rooms indented
-/// below it.
+/// Folders that the list of crates names: each crate at the start of a line, with its rooms
+/// indented below it.
 fn listed_folders(architecture: &str) -> Vec<PathBuf> {
     let list = architecture.split("## Crates").nth(1).and_then(|rest| rest.split("```").nth(1)).unwrap();
     let (mut base, mut folders) = (PathBuf::new(), Vec::new());

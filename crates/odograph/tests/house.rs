@@ -1,7 +1,7 @@
 //! Architecture rules, checked on the source code: a module imports only modules listed above it in
-//! `lib.rs`, the modules of a room import each other in no circle, a room's own file is its `mod.rs`,
-//! `unsafe` is confined to the image kernels, and the libraries print nothing, read no clock and open
-//! no network connection.
+//! `lib.rs`, the modules of a room import each other in no circle, a room's own file is its
+//! `mod.rs`, `unsafe` is confined to the image kernels, and the libraries print nothing, read no
+//! clock and open no network connection.
 
 #![allow(clippy::unwrap_used)] // a test fails by panicking
 

@@ -1,7 +1,7 @@
 //! Calibration files: a calibrated camera with its covariance and quality figures.
 //!
-//! The format is OpenCV FileStorage YAML. [`odograph::formats::camera_file::parse`] and every program that
-//! reads OpenCV camera files read the camera and ignore the other keys.
+//! The format is OpenCV FileStorage YAML. [`odograph::formats::camera_file::parse`] and every
+//! program that reads OpenCV camera files read the camera and ignore the other keys.
 
 use crate::{Board, Calibration};
 use odograph::formats::camera_file;

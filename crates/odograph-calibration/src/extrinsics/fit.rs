@@ -5,7 +5,7 @@ use odograph::camera::Camera;
 use odograph::camera::PosedCamera;
 use odograph::geometry::{GroundPoint, GroundPose, Pixel};
 
-/// The pose that one view gives.
+/// The pose of one view.
 #[derive(Debug, Clone)]
 pub struct Fit {
     pub pose: GroundPose,
@@ -14,9 +14,10 @@ pub struct Fit {
     pub rms_px: f64,
 }
 
-/// A pose to begin with: the homography from the plane to the rays (R. Hartley and A. Zisserman, "Multiple View Geometry", algorithm 4.2)
-/// taken apart as Z. Zhang does ("A flexible new technique for camera calibration", 2000, section 3.1). Its height is negative where the board is
-/// seen from its back. `None` where the points lie on a line.
+/// The initial pose: the homography from the plane to the rays (R. Hartley and A. Zisserman,
+/// "Multiple View Geometry", algorithm 4.2), decomposed after Z. Zhang ("A flexible new technique
+/// for camera calibration", 2000, section 3.1). Its height is negative if the board is seen from
+/// its back. `None` if the points are collinear.
 pub fn start(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> Option<GroundPose> {
     let n = points.len() as f64;
     let (mean_x, mean_y) =
@@ -69,8 +70,8 @@ pub fn start(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> Option<GroundP
     Some(GroundPose { x_m: pose.x_m + mean_x, y_m: pose.y_m + mean_y, ..pose })
 }
 
-/// The pose near `start` under which the points are seen where they are, Huber's loss (P. Huber, "Robust statistics", k = 1.345) on points
-/// that are beyond the noise. `None` where the points do not determine it.
+/// The pose near `start` of least re-projection error, with Huber's loss (P. Huber, "Robust
+/// statistics", k = 1.345). `None` if the points do not determine it.
 pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose) -> Option<Fit> {
     let mut pose = *start;
     let mut weights = vec![1.0; points.len()];
@@ -83,7 +84,7 @@ pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose)
     let System { information, .. } = system(camera, points, &weights, &pose)?;
     let errors = distances(camera, points, &pose)?;
     let n = points.len() as f64;
-    // Each point has two coordinates; six numbers were fitted.
+    // Degrees of freedom: two coordinates per point, less six parameters.
     let squares: f64 = errors.iter().zip(&weights).map(|(e, w)| w * e * e).sum();
     let kept: f64 = weights.iter().sum();
     let variance_px2 = squares / (2.0 * kept - 6.0).max(1.0);
@@ -97,10 +98,11 @@ pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose)
 
 const ROBUST_ROUNDS: usize = 4;
 
-/// Distances beyond so many deviations of a coordinate count less: 1 in 100 of noise without mistakes (Rayleigh).
+/// Limit of Huber's loss, in standard deviations of a coordinate: 1 in 100 of Gaussian errors
+/// exceeds it (Rayleigh).
 const REACH: f64 = 3.0;
 
-/// Points found better than this are the work of a test, pixels.
+/// Lower bound of the noise, pixels, for exact points in tests.
 const SMALLEST_NOISE_PX: f64 = 1e-6;
 
 /// Of a coordinate, from the weighted mean square distance.
@@ -121,7 +123,7 @@ struct System {
     cost: f64,
 }
 
-/// `None` where a point is not in front of the lens.
+/// `None` if a point is not in front of the lens.
 fn system(
     camera: &Camera,
     points: &[(GroundPoint, Pixel)],

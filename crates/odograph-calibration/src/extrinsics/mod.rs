@@ -1,5 +1,5 @@
-//! Extrinsic calibration: how the camera sits on its carrier, a [`odograph::camera::Rig`] with its
-//! uncertainty, from views of a board that lies on the floor.
+//! Extrinsic calibration: how the camera is mounted on its carrier, a [`odograph::camera::Rig`]
+//! with its uncertainty, from views of a board that lies on the floor.
 //!
 //! Signs and units are those of [`odograph::camera::Rig`].
 
@@ -15,7 +15,7 @@ use odograph::geometry::{GroundPoint, GroundPose, Pixel, wrap_angle};
 use odograph::numerics::{Combined, Part, combine, inverse};
 use std::f64::consts::TAU;
 
-/// A direction of a board as it is printed: x to the right, y down.
+/// A direction of the printed board: x to the right, y down.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BoardDirection {
     /// To the right of the print.
@@ -28,67 +28,71 @@ pub enum BoardDirection {
     MinusY,
 }
 
-/// How the board lies.
+/// A board on the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FloorBoard {
     /// Which board.
     pub board: Board,
     /// How far its printed side is above the floor, metres.
     pub thickness_m: f64,
-    /// Which of its directions points along the carrier's forward; without one the mount yaw is not measured.
+    /// Its direction that points along the carrier's forward axis; without one the mount yaw is not
+    /// measured.
     pub forward: Option<BoardDirection>,
 }
 
-/// What one view says by itself.
+/// The result of one view alone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MountingView {
-    /// Where the camera is; x along the board's forward (up the print, where none is told), origin at the board's first point, height above
-    /// the floor. `None` where no pose fits.
+    /// Pose of the camera; x along the board's forward direction (up the print if none is given),
+    /// origin at the board's first point, height above the floor. `None` if no pose fits.
     pub pose: Option<GroundPose>,
-    /// One standard deviation of height (metres), roll and pitch (radians) by the noise of the points alone.
+    /// One standard deviation of height (metres), roll and pitch (radians) by the noise of the
+    /// points alone.
     pub deviations: [f64; 3],
-    /// Root mean square distance of the points from where the pose puts them, pixels.
+    /// Root mean square re-projection error, pixels.
     pub rms_px: f64,
-    /// Why it was left out, for people; `None` where it was used.
+    /// Why it was excluded, for people; `None` if it was used.
     pub why_not: Option<String>,
 }
 
 /// A rig measured by board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardMounting {
-    /// The rig with its deviations, those of the camera's parameters included where they were told.
+    /// The rig with its standard deviations, including those of the camera's parameters if they
+    /// were given.
     pub measured: MeasuredRig,
     /// Covariance of (height, roll, pitch), metres and radians.
     pub covariance: Matrix3<f64>,
     /// Every view, in the order given.
     pub views: Vec<MountingView>,
-    /// Standard deviation of height, roll and pitch from view to view beyond the noise of their points: an uneven floor, a bent board, a
-    /// carrier that gives.
+    /// Standard deviation of height, roll and pitch between views in addition to the noise of their
+    /// points: an uneven floor, a bent board, a flexible carrier.
     pub scatter: [f64; 3],
-    /// What a person should know about the result.
+    /// Warnings about the result, for people.
     pub notes: Vec<String>,
 }
 
-/// A camera that looks further aside than this does not look at a floor.
+/// Largest tilt of a camera that looks at a floor.
 const LARGEST_TILT_DEG: f64 = 60.0;
 
-/// Fewer points than this leave no doubt about how well they fit.
+/// Minimum number of points whose residuals are meaningful.
 const FEWEST_POINTS: usize = 6;
 
-/// Mount yaws that scatter by more than this say that the board was laid in different directions.
+/// Scatter of the mount yaw above which the board had different directions.
 const ALIGNED_DEG: f64 = 2.0;
 
-/// A board that fits worse than this is bent, or not seen by this camera, pixels.
+/// Root mean square error above which the board is bent, or the camera is another, pixels.
 const GOOD_FIT_PX: f64 = 1.0;
 
-/// The rig that agrees best with all views of the board; height, roll and pitch are the same in all of them.
+/// Estimates the rig from views of a board; height, roll and pitch are common to all views.
 ///
-/// Each view gives a pose by robust least squares on its points. They are brought together as measurements that scatter beyond their own
-/// noise; views that contradict the others are left out and say so. `uncertainty` is that of the camera's parameters, where it is known: it
-/// is the same error in every view and does not average out.
+/// Each view gives a pose by robust least squares on its points. The poses are combined with a
+/// random effect ([`odograph::numerics::combine`]); views that contradict the others are
+/// excluded, with the reason. `uncertainty` is that of the camera's parameters, if known: that
+/// error is the same in every view and does not average out.
 ///
-/// Fails where a view is not of the camera's image size, none of them shows the board lying on the floor, or no two of several views can be of
-/// one rig.
+/// Fails if a view does not have the camera's image size, if none shows the board lying on the
+/// floor, or if no two of several views agree on a rig.
 pub fn rig_from_boards(
     camera: &Camera,
     uncertainty: Option<&CameraUncertainty>,
@@ -171,16 +175,16 @@ pub fn rig_from_boards(
     })
 }
 
-/// A view that is not used, with its fit where there is one.
+/// An excluded view, with its fit, if any.
 #[derive(Debug, Clone)]
 struct LeftOut {
     why: String,
     fit: Option<Box<Fit>>,
 }
 
-/// What the used views say together.
+/// The combination of the used views.
 struct Together {
-    /// Height above the board, roll and pitch about which the views are brought together.
+    /// Height above the board, roll and pitch about which the views are linearised.
     around: Vector3<f64>,
     combined: Combined<3>,
     yaw: Option<Yaw>,
@@ -218,7 +222,7 @@ fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a Fit> + Clone)
     Some(Together { around, combined, yaw })
 }
 
-/// The pose of one view, or why it has none.
+/// The pose of one view, or the reason why it has none.
 fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Result<Fit, LeftOut> {
     let refuse = |why: String, fit: Option<Fit>| Err(LeftOut { why, fit: fit.map(Box::new) });
     if points.len() < FEWEST_POINTS {
@@ -291,13 +295,13 @@ fn notes(floor: &FloorBoard, used: &[(usize, Fit)], yaw: Option<Yaw>) -> Vec<Str
     notes
 }
 
-/// How many of the four quarter turns of a board look alike: 1 for a board that can lie in one way only, 2 where half a turn cannot be
-/// told, 4 where no quarter turn can.
+/// Order of the rotational symmetry of a board: 1 without symmetry, 2 for a half turn, 4 for
+/// quarter turns.
 pub fn ambiguity_turns(board: &Board) -> usize {
     let (columns, rows) = (board.columns(), board.rows());
     let square = columns == rows;
     match board.kind() {
-        // A half turn exchanges the colours where one count is odd and the other even; so does a quarter turn of an odd square.
+        // A half turn exchanges the colours if one count is odd and the other even.
         BoardKind::Chessboard if (columns + rows) % 2 == 1 => 1,
         BoardKind::Chessboard if square && rows % 2 == 0 => 4,
         BoardKind::Chessboard => 2,
@@ -309,7 +313,8 @@ pub fn ambiguity_turns(board: &Board) -> usize {
 }
 
 impl FloorBoard {
-    /// The seen points with their places in a world whose z = 0 is the printed side and whose x is the board's forward.
+    /// The seen points with their positions in a world whose z = 0 is the printed side and whose x
+    /// is the board's forward direction.
     fn points(&self, view: &BoardView) -> Vec<(GroundPoint, Pixel)> {
         let all = self.board.points();
         let place = |x: f64, y: f64| match self.forward.unwrap_or(BoardDirection::MinusY) {
@@ -332,7 +337,7 @@ impl Fit {
         Vector3::new(self.pose.height_m, self.pose.roll_rad, self.pose.pitch_rad)
     }
 
-    /// What it says about them, whatever the place and heading.
+    /// Its information on them, with position and heading marginalised.
     fn part(&self, around: &Vector3<f64>) -> Option<Part<3>> {
         let covariance = inverse(&self.information)?.fixed_view::<3, 3>(3, 3).into_owned();
         let information = inverse(&covariance)?;

@@ -5,24 +5,25 @@ use nalgebra::Matrix3;
 use odograph::error::{Error, Result};
 use odograph::numerics::{Part, combine, inverse};
 
-/// Squared distance of a view from the others, in their common deviations, beyond which it is left out: one in a million of three
-/// normal numbers.
+/// Squared Mahalanobis distance of a view from the others above which it is excluded: one in a
+/// million (χ², three degrees of freedom).
 const CONTRADICTION: f64 = 30.7;
 
-/// Views of one rig over a real floor differ by this much at least: a part of the height, degrees.
+/// Minimum scatter of views of one rig over a real floor: relative height, degrees.
 const LEAST_SCATTER: (f64, f64) = (1e-3, 0.05);
 
-/// Views of one rig that differ by more than this are not of one rig, whatever the floor: a part of the height, degrees.
+/// Largest difference between views of one rig on any floor: relative height, degrees.
 const SAME_RIG: (f64, f64) = (0.05, 3.0);
 
-/// Leaves out the views that do not belong to the largest set about one of them that can be of one rig; then those that contradict the rest
-/// by their own deviations. Fails, saying so, where no two of several views can be of one rig.
+/// Excludes the views outside the largest consistent set around one of them; then those that
+/// contradict the rest by their own standard deviations. Fails if no two of several views are
+/// consistent.
 pub fn leave_out(fits: &mut [std::result::Result<Fit, LeftOut>]) -> Result<()> {
     let all: Vec<(usize, Fit)> = used(fits);
     let near = |fit: &Fit| -> Vec<usize> {
         all.iter().filter(|(_, other)| may_be_of_one_rig(fit, other)).map(|(index, _)| *index).collect()
     };
-    // The first of the largest, so that the order of the views decides where nothing else does.
+    // Of equally large sets the first, so that the result is deterministic.
     let largest = all.iter().map(|(_, fit)| near(fit)).reduce(|a, b| if b.len() > a.len() { b } else { a });
     let Some(largest) = largest.filter(|_| all.len() > 1) else { return Ok(()) };
     if largest.len() < 2 {
@@ -51,8 +52,8 @@ fn used(fits: &[std::result::Result<Fit, LeftOut>]) -> Vec<(usize, Fit)> {
     used.filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone()))).collect()
 }
 
-/// Leaves out, worst first, the views that contradict all others, as long as at least two others remain. Of two views that contradict each
-/// other nobody knows which is wrong.
+/// Excludes the views that contradict all others, worst first, while at least two others remain. Of
+/// two contradictory views either may be wrong.
 fn leave_out_one_by_one(fits: &mut [std::result::Result<Fit, LeftOut>]) {
     loop {
         let used = used(fits);
@@ -76,7 +77,8 @@ fn leave_out_one_by_one(fits: &mut [std::result::Result<Fit, LeftOut>]) {
     }
 }
 
-/// How far a view is from what the others say together: squared, in deviations; then degrees of tilt and part of the height.
+/// Distance of a view from the combination of the others: squared Mahalanobis distance, then
+/// degrees of tilt and relative height.
 fn distance(used: &[(usize, Fit)], left: usize) -> Option<(f64, f64, f64)> {
     let fit = &used[left].1;
     let around = fit.quantities();

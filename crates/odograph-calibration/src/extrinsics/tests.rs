@@ -72,7 +72,8 @@ fn one_view_tells_height_and_tilt_to_what_was_asked() {
     for _ in 0..20 {
         let found = rig_from_boards(&camera(), None, &floor, &views(&floor, 1, 0.05, &mut random)).unwrap();
         let rig = found.measured.rig;
-        // A twentieth of a pixel is what finders reach on sharp pictures. What is asked is 0.1 % and 0.02°.
+        // Corner finders reach a twentieth of a pixel on sharp images. Required are 0.1 % and
+        // 0.02°.
         let off = errors(&rig);
         assert!(off[0].abs() < 0.001 * RIG.height_m, "{off}");
         assert!(off[1].hypot(off[2]) < 0.02f64.to_radians(), "{off}");
@@ -99,7 +100,8 @@ fn the_stated_covariance_is_true() {
             let deviation = found.measured.deviations.yaw_rad.unwrap();
             yaw += ((found.measured.rig.yaw_rad - RIG.yaw_rad) / deviation).powi(2) / f64::from(trials);
         }
-        // 300 squares: 2.54 to 3.50 in 95 of 100 cases. Scatter that is not there but cannot be excluded makes it smaller for four views.
+        // 300 sums of squares: 2.54 to 3.50 with 95 %. With four views, scatter that cannot be
+        // excluded makes it smaller.
         assert!((if count == 1 { 2.5 } else { 1.8 }..3.55).contains(&nees), "{count} views: {nees}");
         assert!((0.5..1.35).contains(&yaw), "{count} views: {yaw}");
     }
@@ -133,7 +135,8 @@ fn directions_thickness_and_missing_yaw() {
         (BoardDirection::Y, std::f64::consts::PI),
         (BoardDirection::X, -0.5 * std::f64::consts::PI),
     ] {
-        // The same picture, with another direction of the board called forward: up the print is 0, its left a quarter turn to the left.
+        // The same image with another forward direction of the board: up the print is 0, its left a
+        // quarter turn to the left.
         let drawn = floor(CHARUCO, Some(BoardDirection::MinusY));
         let views = views(&drawn, 1, 0.0, &mut random);
         let told = FloorBoard { forward: Some(forward), thickness_m: 0.005, ..drawn };
@@ -167,7 +170,7 @@ fn a_board_that_looks_the_same_turned_says_so() {
     }
     let drawn = floor("chessboard:8x6:25mm", Some(BoardDirection::X));
     let mut views = views(&drawn, 2, 0.0, &mut Random::new(2));
-    // The finder may begin at the other end in one of them.
+    // The finder may start at the other end in one of them.
     let count = drawn.board.points().len();
     views[1].points.iter_mut().for_each(|point| point.index = count - 1 - point.index);
     let found = rig_from_boards(&camera(), None, &drawn, &views).unwrap();
@@ -184,7 +187,7 @@ fn views_that_do_not_belong_are_named() {
     // On a book, three degrees off.
     let leaning = GroundPose { roll_rad: RIG.roll_rad + 0.05, ..pose(&mut random) };
     all.insert(1, view(&camera, &floor, &leaning, 0.1, &mut random));
-    // In the hand, as when the camera is calibrated.
+    // Hand-held, as in a calibration.
     for _ in 0..3 {
         let held = GroundPose { roll_rad: -0.3, pitch_rad: 0.2, x_m: 0.29, y_m: 0.04, ..pose(&mut random) };
         all.push(view(&camera, &floor, &held, 0.1, &mut random));

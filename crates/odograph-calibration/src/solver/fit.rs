@@ -183,8 +183,8 @@ impl Fit {
                 if wrong && left_out < most && self.views.len() - left_out > 3 {
                     left_out += 1;
                     reasons[view] = Some(format!(
-                        "its points are typically {:.2} px off, those of the other views {:.2} px: blurred, moved, bent, \
-                         or its points are taken for others",
+                        "its points are typically {:.2} px off, those of the other views {:.2} px: \
+                         blurred, moved, bent, or wrongly identified points",
                         noise_px * std::f64::consts::SQRT_2,
                         usual_px * std::f64::consts::SQRT_2
                     ));

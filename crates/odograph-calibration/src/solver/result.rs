@@ -11,8 +11,8 @@ use std::fmt;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
     /// `f` (with square pixels) or `fx`, `fy`; `cx`, `cy`; then the distortion coefficients, named
-    /// as in [`odograph::camera::Distortion`]; then the parameters of the [`BoardShape`], named as its
-    /// fields.
+    /// as in [`odograph::camera::Distortion`]; then the parameters of the [`BoardShape`], named as
+    /// its fields.
     pub name: &'static str,
     /// Estimate. Focal lengths and principal point in pixels; distortion coefficients without unit;
     /// board parameters in metres, radians or without unit.

@@ -63,7 +63,7 @@ pub fn judge(calibration: &Calibration, evidence: &Evidence<'_>) -> (Verdict, Ve
     let held_px = calibration.hold_out_rms_px;
     if held_px.is_finite() && held_px > 1.5 * calibration.rms_px && held_px > 0.3 * unit_px {
         let what = format!(
-            "views that were left out are foretold with {held_px:.2} px, those that were not with {:.2} px: take more views",
+            "held-out views are predicted with {held_px:.2} px, fitted ones with {:.2} px: take more views",
             calibration.rms_px
         );
         all.push((Verdict::Usable, what));
@@ -180,7 +180,7 @@ fn uncovered(
     if !guessed.is_empty() {
         let corners = if guessed.len() == 1 { "corner was" } else { "corners were" };
         let what = format!(
-            "the {} {corners} never covered; rays there are only as right as the lens model",
+            "the {} {corners} never covered; rays there rely on the lens model alone",
             guessed.join(" and ")
         );
         all.push((Verdict::Good, what));

@@ -1,4 +1,4 @@
-//! `odograph camera`: camera files of other programs, brought into one another's form.
+//! `odograph camera`: converts camera files between programs.
 
 use crate::{Outcome, console, files};
 use odograph::camera::{Camera, Distortion};
@@ -21,9 +21,9 @@ enum CameraCommand {
     Show(ShowArguments),
 }
 
-/// Write a camera file in the form of another program.
+/// Write a camera file in the format of another program.
 ///
-/// Refuses what that form cannot express.
+/// Refuses what that format cannot express.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 struct ConvertArguments {
@@ -33,13 +33,13 @@ struct ConvertArguments {
     /// File to write. [default: standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// opencv, ros, kalibr or colmap. [default: as the name of the output makes clear]
+    /// opencv, ros, kalibr or colmap. [default: by the name of the output]
     #[arg(long, value_name = "FORMAT", value_parser = clap::value_parser!(CameraFormat))]
     to: Option<CameraFormat>,
-    /// Size of the calibrated images, pixels, where the file does not say it.
+    /// Size of the calibrated images, pixels, if the file does not state it.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(usize, usize)>,
-    /// Overwrite the output where it is there.
+    /// Overwrite the output if it exists.
     #[arg(long)]
     force: bool,
 }
@@ -56,7 +56,7 @@ struct ShowArguments {
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     #[arg(value_name = "FILE")]
     input: PathBuf,
-    /// Size of the calibrated images, pixels, where the file does not say it.
+    /// Size of the calibrated images, pixels, if the file does not state it.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(usize, usize)>,
 }

@@ -1,4 +1,4 @@
-//! `odograph cameras`: what is plugged in, and what it can do.
+//! `odograph cameras`: lists the cameras of this machine with their modes.
 
 use crate::{Outcome, console};
 use odograph::error::Result;

@@ -1,4 +1,4 @@
-//! `odograph completions`: what shells and `man` know of the program.
+//! `odograph completions`: completions for shells, and man pages.
 
 use crate::{Arguments, Outcome, console, files};
 use clap::CommandFactory;
@@ -15,7 +15,7 @@ pub struct CompletionsArguments {
     /// What to write.
     #[arg(value_name = "WHAT", value_enum)]
     what: What,
-    /// Folder for the man pages, whose pages are replaced.
+    /// Folder for the man pages; existing pages are replaced.
     ///
     /// [default: man]
     #[arg(short, long, value_name = "FOLDER")]

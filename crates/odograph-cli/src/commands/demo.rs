@@ -23,7 +23,7 @@ const INPUTS: [(&str, &[u8]); 4] = [
     ("truth.tum", TRUTH.as_bytes()),
 ];
 
-/// Follow a bundled recording and show what comes out.
+/// Track a bundled recording and show the results.
 ///
 /// The clip is rendered over photographed floors (a shaky, turning, lens-distorted camera), so its
 /// truth is known exactly and the result is compared with it.
@@ -46,7 +46,7 @@ pub struct DemoArguments {
     pub json: bool,
 }
 
-/// Fails where the folder has results, or other inputs under the demo's names.
+/// Fails if the folder has results, or other inputs under the demo's names.
 fn check_free(folder: &Path, force: bool) -> Result<()> {
     let results = RUN_FILES.iter().map(|name| folder.join(name)).filter(|path| path.exists());
     let input = |(name, bytes): (&str, &[u8])| {
@@ -62,14 +62,14 @@ fn check_free(folder: &Path, force: bool) -> Result<()> {
     }
 }
 
-/// How this program was called, as a shell takes it: `odograph` where it was found on the path.
+/// How this program was called, quoted for a shell: `odograph` if it is on the path.
 fn program() -> String {
     let called = std::env::args_os().next().map(PathBuf::from);
     let by_path = called.filter(|path| path.parent().is_some_and(|folder| !folder.as_os_str().is_empty()));
     by_path.map_or_else(|| "odograph".to_owned(), |path| quoted(&path))
 }
 
-/// A folder beside the demo's that is not there yet: what is printed is to be tried.
+/// A folder beside the demo's that does not exist yet, so that the printed command works.
 fn free(folder: &Path) -> PathBuf {
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let again = |number: u32| {
@@ -81,7 +81,7 @@ fn free(folder: &Path) -> PathBuf {
     (1..).map(again).find(|folder| !folder.exists()).unwrap_or_else(|| again(1))
 }
 
-/// A path as a shell takes it.
+/// A path quoted for a shell.
 fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_alphanumeric() || "/._-+,:@".contains(c);
@@ -127,7 +127,7 @@ pub fn demo(arguments: DemoArguments) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// Tells how far the path is from the truth.
+/// Prints the error of the path.
 fn compare(folder: &Path, truth: &Path) -> Result<()> {
     let estimate = trajectory_file::parse_tum(&files::read_text(&folder.join("trajectory.tum"))?)?;
     let options = EvaluationOptions { alignment: Alignment::Origin, ..Default::default() };

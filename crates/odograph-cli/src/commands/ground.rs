@@ -1,4 +1,4 @@
-//! `odograph ground`: how the camera sits over the floor.
+//! `odograph ground`: how the camera is mounted over the floor.
 
 mod board;
 mod driving;
@@ -49,7 +49,7 @@ pub struct GroundArguments {
     height: Option<Height>,
     /// Without --board: how far the camera was driven, such as 6.20 (metres); gives the height.
     ///
-    /// The last digit counts: 6.20 is known better than 6.2.
+    /// The last digit counts: 6.20 is more precise than 6.2.
     #[arg(help_heading = "From driving", long, value_name = "LENGTH", value_parser = lengths::typed, allow_negative_numbers = true, conflicts_with_all = ["board", "height"])]
     distance: Option<Typed>,
     /// Without --board: a rig file to start from, for tilts of more than ten degrees.
@@ -58,13 +58,13 @@ pub struct GroundArguments {
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
+    /// Frame rate, if the source does not state it.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     fps: Option<f64>,
-    /// Begin so many seconds after the first frame.
+    /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
-    /// End so many seconds after the first frame.
+    /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
     /// Take every n-th frame.
@@ -85,7 +85,7 @@ Examples:
   odograph ground drive.mp4 --camera camera.yaml --height 0.75 -o rig.toml      # roll and pitch from driving 5 m
   odograph ground drive.mp4 --camera camera.yaml --distance 6.20 -o rig.toml    # and the height";
 
-/// What was measured, and what it is shown by.
+/// The measured rig, and what illustrates it.
 struct Measured {
     rig: MeasuredRig,
     /// Lines for people: what it was measured from.
@@ -98,8 +98,9 @@ struct Measured {
     forward_known: bool,
 }
 
-/// Told where the camera file has no covariance.
-const CAMERA_UNKNOWN: &str = "the camera file does not say how well the camera is known, so the deviations do not include what is wrong with it";
+/// Warning if the camera file has no covariance.
+const CAMERA_UNKNOWN: &str = "the camera file has no uncertainty, so the deviations do not include errors \
+     of the calibration";
 
 /// Runs the command.
 pub fn ground(arguments: GroundArguments) -> Result<Outcome> {
@@ -151,7 +152,7 @@ fn size_of(image: &RgbImage) -> (usize, usize) {
     (image.width(), image.height())
 }
 
-/// The camera of the file for frames of a size, and how well it is known, where the file says so.
+/// The camera of the file for frames of a size, with its uncertainty, if the file has one.
 fn read_camera(path: &Path, size: (usize, usize)) -> Result<(Camera, Option<CameraUncertainty>)> {
     let text = files::read_text(path)?;
     let in_file = |error: Error| error.at(path.display());

@@ -1,4 +1,4 @@
-//! `odograph localize`: where a camera is in a map that was made before.
+//! `odograph localize`: finds a camera in an existing map.
 
 use super::run::{ConsoleObserver, Motion};
 use crate::{Outcome, console};
@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 /// Find where a picture or a recording was taken in a map.
 ///
 /// The camera may look anywhere over the mapped ground, at any heading; nothing needs to be known
-/// of where it is. Tells where it was last, in the frame of the map, with one standard deviation.
-/// Where it is not certain, the places that it may be are listed with their odds. The map file is
+/// of where it is. Prints its last position in the frame of the map, with one standard deviation.
+/// If that is not certain, the possible places are listed with their probabilities. The map file is
 /// only read, unless --extend is given.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
@@ -28,13 +28,13 @@ pub struct LocalizeArguments {
     /// The map.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub map: PathBuf,
-    /// Let the map grow by what the recording shows. Without this it is only looked into.
+    /// Extend the map by what the recording shows. Without this it is only read.
     #[arg(help_heading = "Map", long)]
     pub extend: bool,
-    /// Look into the map only; that is so without it, too.
+    /// Only read the map; this is the default.
     #[arg(long, hide = true, conflicts_with = "extend")]
     pub read_only: bool,
-    /// Rig file (TOML), where the camera is not mounted as it was when the map was begun.
+    /// Rig file (TOML), if the camera is mounted differently from when the map was created.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
     /// What may change between frames.
@@ -43,13 +43,13 @@ pub struct LocalizeArguments {
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
+    /// Frame rate, if the source does not state it.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Take at most so many frames.
+    /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]
     pub max_frames: Option<u64>,
-    /// Folder for all the files of a run. [default: only the place is told]
+    /// Folder for all the files of a run. [default: only the place is printed]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
     /// Overwrite results that are already there.
@@ -73,7 +73,7 @@ Examples:
   odograph localize tuesday.mp4 --map hall.gpkg --extend -o tuesday/
 
 Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when it was not recognised \
-(the message says whether the ground was never mapped, or that this cannot be told, and why).";
+(the message says whether the ground was never mapped, or why that is unknown).";
 
 /// Runs the command.
 pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
@@ -106,12 +106,12 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
 #[derive(Serialize)]
 struct Told<'a> {
     recognised: bool,
-    /// `found`, or why nothing was.
+    /// `found`, or the reason why not.
     verdict: &'static str,
     place: Option<PlaceInMap>,
-    /// What the session of the nearest keyframe was run over.
+    /// The source of the nearest keyframe's session.
     session_source: Option<String>,
-    /// Where it may be, where that is not certain; most probable first.
+    /// The possible places if none is certain; the most probable first.
     alike: &'a [AlikePlace],
     statistics: &'a Statistics,
 }
@@ -153,7 +153,7 @@ fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
     Ok(())
 }
 
-/// Why nothing was found, in a sentence.
+/// Why nothing was found.
 fn not_found(source: &str, map: &Path, verdict: Verdict, alike: usize) -> String {
     let map = map.display();
     match verdict {
@@ -192,7 +192,7 @@ fn alike_line(place: &AlikePlace) -> String {
     )
 }
 
-/// A number with so many decimals, without the sign of a rounded zero.
+/// A number with this many decimals, without the sign of a rounded zero.
 fn rounded(number: f64, decimals: usize) -> String {
     let text = format!("{number:.decimals$}");
     match text.strip_prefix('-') {

@@ -1,4 +1,4 @@
-//! One module a command: its arguments and what it does.
+//! One module per command.
 
 pub mod board;
 pub mod calibrate;

@@ -1,4 +1,4 @@
-//! `odograph simulate`: a recording over rendered ground, with its exact truth.
+//! `odograph simulate`: renders a recording with exact ground truth.
 
 mod avi;
 mod output;
@@ -15,7 +15,7 @@ use output::Output;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Render a recording over a floor, with its exact truth
+/// Render a recording over a floor, with exact ground truth
 ///
 /// Writes the frames, the truth, the camera file and the rig file.
 ///
@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 pub struct SimulateArguments {
     /// Folder to write to
     ///
-    /// [default: simulation, with a number where that is there already]
+    /// [default: simulation, with a number if that exists]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
     /// Ground: asphalt, carpet, tiles, bricks, grass, concrete, bare, or a photograph
@@ -71,7 +71,7 @@ pub struct SimulateArguments {
     /// [default distance: 3 cm] Both take units: 8mm:3cm.
     #[arg(long, value_name = "MM[:SCALE_CM]", value_parser = scene::parse_mm_cm, help_heading = "Ground and way")]
     relief: Option<scene::Pair>,
-    /// Slow ups and downs by so many centimetres, and their wavelength, metres
+    /// Undulation by this many centimetres, and its wavelength, metres
     ///
     /// [default wavelength: 2 m] Both take units: 5cm:2m.
     #[arg(long, value_name = "CM[:WAVELENGTH_M]", value_parser = scene::parse_cm_m, help_heading = "Ground and way")]
@@ -103,14 +103,14 @@ pub struct SimulateArguments {
     /// Otherwise it keeps its height and stays upright.
     #[arg(long, help_heading = "Ground and way")]
     ride: bool,
-    /// Grass in the wind: pixels of swing to either side, and the share of the ground
+    /// Grass in the wind: amplitude in pixels, and the share of the ground that moves
     ///
     /// [default share: 0.3]
     #[arg(long, value_name = "PX[:SHARE]", value_parser = scene::parse_pair, help_heading = "Ground and way")]
     sway: Option<scene::Pair>,
     /// Record this many seconds instead of to the end of the path
     ///
-    /// Before and after the path the camera stands.
+    /// Before and after the path the camera stands still.
     #[arg(long, value_name = "SECONDS", help_heading = "Ground and way")]
     duration: Option<f64>,
     /// Be at full speed in the first and the last frame instead of starting and ending at rest
@@ -120,7 +120,7 @@ pub struct SimulateArguments {
     /// Camera file; without it a camera of 65° with mild barrel distortion
     #[arg(long, value_name = "FILE", help_heading = "Camera")]
     camera: Option<PathBuf>,
-    /// Image size in pixels, where no camera file tells it
+    /// Image size in pixels, without a camera file
     #[arg(long, value_name = "WxH", value_parser = scene::parse_size, help_heading = "Camera")]
     size: Option<(usize, usize)>,
     /// Height of the camera above the ground, metres
@@ -188,7 +188,7 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     blur: f64,
-    /// How much darker the corners of the image are, 0 to 1
+    /// Vignetting: darkening of the image corners, 0 to 1
     #[arg(
         long,
         value_name = "SHARE",
@@ -197,7 +197,7 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     vignetting: f64,
-    /// Shaking in millimetres, degrees and hertz
+    /// Vibration in millimetres, degrees and hertz
     ///
     /// [default: 0.1 degrees for each millimetre, and 8 Hz]
     #[arg(long, value_name = "MM[:DEG[:HZ]]", value_parser = scene::parse_vibration, help_heading = "Effects")]
@@ -211,10 +211,10 @@ pub struct SimulateArguments {
     /// Things cross the view every four seconds, with this speed over ground, metres per second
     #[arg(long, value_name = "M/S", num_args = 0..=1, default_missing_value = "0.5", help_heading = "Effects")]
     object: Option<f64>,
-    /// The height wanders by so many percent to either side
+    /// The height varies by this many percent to either side
     #[arg(long, value_name = "PERCENT", help_heading = "Effects")]
     height_change: Option<f64>,
-    /// Roll and pitch wander by so many degrees to either side
+    /// Roll and pitch vary by this many degrees to either side
     #[arg(long, value_name = "DEGREES", help_heading = "Effects")]
     tilt_change: Option<f64>,
     /// The light drifts by this share to either side, and flickers by a quarter of it
@@ -237,10 +237,10 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     readout_ms: f64,
-    /// Write the readout time into camera.yaml; otherwise nobody is told
+    /// Write the readout time into camera.yaml; otherwise it is not stated
     #[arg(long, help_heading = "Effects")]
     tell_readout: bool,
-    /// The focal length changes by so many percent to either side, in a time of seconds
+    /// The focal length varies by this many percent to either side, with a period in seconds
     ///
     /// [default time: 5 s]
     #[arg(long, value_name = "PERCENT[:SECONDS]", value_parser = scene::parse_pair, help_heading = "Effects")]
@@ -248,12 +248,12 @@ pub struct SimulateArguments {
     /// A bumper covers this share of the image from its bottom edge and stands still in it
     #[arg(long, value_name = "SHARE", num_args = 0..=1, default_missing_value = "0.15", help_heading = "Effects")]
     bumper: Option<f64>,
-    /// So many dark specks lie on the lens
+    /// Number of dark specks on the lens
     #[arg(long, value_name = "COUNT", num_args = 0..=1, default_missing_value = "6", help_heading = "Effects")]
     dirt: Option<u32>,
     /// The carrier's own lamp gives this share of the light, 0 to 1
     ///
-    /// It makes a bright spot with a highlight, and dark around it.
+    /// A bright spot with a highlight, and darkness around it.
     #[arg(long, value_name = "STRENGTH", num_args = 0..=1, default_missing_value = "0.7", help_heading = "Effects")]
     lamp: Option<f64>,
     /// Share of frames that are missing
@@ -276,7 +276,7 @@ pub struct SimulateArguments {
         help_heading = "Effects"
     )]
     jitter: f64,
-    /// Decides everything that is random
+    /// Seed of the random numbers
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64), help_heading = "Effects")]
     seed: u64,
 
@@ -305,7 +305,7 @@ pub struct SimulateArguments {
     threads: Option<std::num::NonZeroUsize>,
 }
 
-/// The shapes of paths by the names people call them by.
+/// The shapes of paths by name.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum PathName {
@@ -339,7 +339,7 @@ enum TilingName {
     Scatter,
 }
 
-/// What the frames are written as.
+/// Format of the frames.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum FormatName {

@@ -1,4 +1,4 @@
-//! `odograph undistort`: a recording without what the lens has bent.
+//! `odograph undistort`: removes the lens distortion from a recording.
 
 mod output;
 mod pipeline;
@@ -28,31 +28,31 @@ pub struct UndistortArguments {
     /// [default: beside the source, with its name: clip-undistorted/ for clip.mp4]
     #[arg(help_heading = "Results", short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
-    /// How much of what the lens sees is kept.
+    /// How much of the lens's field of view is kept.
     #[arg(help_heading = "Camera", long, value_name = "WHICH", default_value = "same")]
     field_of_view_kept: Kept,
     /// png: a folder of pictures; y4m: uncompressed video.
     #[arg(help_heading = "Results", long, value_name = "FORMAT", default_value = "png")]
     format: Format,
-    /// Gray frames, also where the source has colour.
+    /// Gray frames, even if the source has colour.
     #[arg(help_heading = "Results", long)]
     gray: bool,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
+    /// Frame rate, if the source does not state it.
     #[arg(help_heading = "Recording", long, value_name = "RATE", allow_negative_numbers = true)]
     fps: Option<f64>,
-    /// Begin so many seconds after the first frame.
+    /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
-    /// End so many seconds after the first frame.
+    /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
     /// Take every n-th frame.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
-    /// Take at most so many frames.
+    /// Take at most this many frames.
     #[arg(help_heading = "Recording", long, value_name = "N")]
     max_frames: Option<u64>,
     /// Overwrite results that are already there.
@@ -80,7 +80,7 @@ enum Kept {
     Same,
     /// As much as fits without an empty pixel.
     Valid,
-    /// Everything; what the lens does not see is black.
+    /// Everything; unseen pixels are black.
     All,
 }
 
@@ -94,7 +94,7 @@ impl From<Kept> for FieldOfViewKept {
     }
 }
 
-/// What the frames are written as.
+/// Format of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
     Png,
@@ -139,7 +139,7 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     if !arguments.quiet {
         tell(&folder, &correction, &corrected)?;
     }
-    // What ended the recording early is told after all before it has been written.
+    // The error that ended the recording is reported after everything before it has been written.
     corrected.failure.map_or(Ok(Outcome::Done), Err)
 }
 

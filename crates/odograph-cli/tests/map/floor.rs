@@ -132,7 +132,7 @@ fn an_image_is_localised_without_changing_the_map() {
         (Some("sim/frames"), Some("found"))
     );
 
-    // A picture that shows nothing tells nothing.
+    // A blank picture gives no verdict.
     fs::write(folder.path().join("blank.pgm"), [&b"P5 320 240 255\n"[..], &[128; 320 * 240]].concat())
         .unwrap();
     let nothing = localize(&["blank.pgm", "--json"]);
@@ -170,7 +170,7 @@ fn an_image_is_localised_without_changing_the_map() {
 }
 
 #[test]
-fn places_that_look_alike_are_listed_and_none_is_claimed() {
+fn ambiguous_places_are_listed_and_not_accepted() {
     let folder = tempfile::tempdir().unwrap();
     let photograph = "simulate --texture asphalt --path still --duration 0.1 --size 640x640 --height 60cm --noise 0 -q -o photo";
     assert_eq!(odograph(photograph, folder.path()), (0, String::new()));

@@ -36,7 +36,7 @@ fn corner(text: &str, name: &str) -> (f64, f64) {
 }
 
 #[test]
-fn a_map_opens_in_gdal_with_its_layers_tiles_and_extent() {
+fn gdal_opens_a_map_with_layers_tiles_and_extent() {
     let folder = made();
     let Some(layers) = gdal("ogrinfo", &["-ro", "-so", "-al", "map.gpkg"], folder.path()) else { return };
     assert!(layers.contains("Layer name: keyframes") && layers.contains("Geometry: Point"), "{layers}");

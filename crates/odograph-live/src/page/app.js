@@ -48,7 +48,7 @@ function told(message) {
   else if (message.kind === "map") {
     map.setGraph(message.map);
     if (message.map.corrections) { track.correct(message.map.corrections); distances.count = 0; last = -1; }
-    else plots.drop("corners that agree");
+    else plots.drop("inliers");
   }
   else if (message.kind === "ground") map.groundChanged(message.metres_per_pixel, message.tiles);
 }

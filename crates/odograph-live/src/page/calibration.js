@@ -32,10 +32,10 @@ export class Calibration {
 
   next() {
     const told = this.told;
-    if (told.verdict) return told.verdict === "good" ? "Done: the camera is calibrated." : told.verdict === "usable" ? "Done, and usable." : "Better do it again.";
-    if (told.trying) return "Trying whether it is good …";
+    if (told.verdict) return told.verdict === "good" ? "Done: the camera is calibrated." : told.verdict === "usable" ? "Done, and usable." : "Please repeat it.";
+    if (told.trying) return "Checking the calibration …";
     if (told.missing.length) return "Next";
-    return told.views ? "Nothing is missing; a few more views make it surer." : "Show the board.";
+    return told.views ? "Nothing is missing; a few more views improve it." : "Show the board.";
   }
 
   /// Shows the detected board, or the reason why none was detected.

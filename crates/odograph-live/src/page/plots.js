@@ -6,8 +6,8 @@ export class Plots {
     this.track = track;
     this.plots = [
       { name: "speed", unit: "m/s", field: "speed", digits: 2, from0: true },
-      { name: "known to (1σ)", unit: "mm", digits: 1, from0: true, value: k => 1000 * Math.sqrt(Math.max(track.get(k, "varX"), track.get(k, "varY"))) },
-      { name: "corners that agree", unit: "", field: "inliers", digits: 0, from0: true },
+      { name: "uncertainty (1σ)", unit: "mm", digits: 1, from0: true, value: k => 1000 * Math.sqrt(Math.max(track.get(k, "varX"), track.get(k, "varY"))) },
+      { name: "inliers", unit: "", field: "inliers", digits: 0, from0: true },
       ...(live ? [{ name: "latency", unit: "ms", field: "latency", digits: 1, from0: true }] : []),
     ];
     for (const plot of this.plots) {

@@ -6,8 +6,8 @@ export const LENGTH = FIELDS.length;
 const AT = Object.fromEntries(FIELDS.map((name, index) => [name, index]));
 const CHUNK = 256;
 
-export const CAUSES = ["", "too little texture on the ground", "hardly a corner was found again", "the corners do not move as one floor",
-  "it is too dark", "the picture is blurred", "a shadow or a part of the carrier is followed, not the ground"];
+export const CAUSES = ["", "too little texture on the ground", "hardly any corner was found again", "the corners do not move as one plane",
+  "it is too dark", "the picture is blurred", "the corners stand still in the picture (shadow, part of the carrier)"];
 
 export class Track {
   constructor() {

@@ -211,9 +211,9 @@ impl CalibrationReport<'_> {
 
     fn verdict(&self, page: &mut String) {
         let (class, word, says) = match self.verdict {
-            Verdict::Good => ("good", "Good.", "This camera file can be trusted."),
-            Verdict::Usable => ("usable", "Usable.", "This camera file will do, and could be better."),
-            Verdict::DoItAgain => ("again", "Do it again.", "This camera file had better not be used."),
+            Verdict::Good => ("good", "Good.", "This camera file is reliable."),
+            Verdict::Usable => ("usable", "Usable.", "This camera file is usable, and could be better."),
+            Verdict::DoItAgain => ("again", "Do it again.", "This camera file should not be used."),
         };
         let _ = write!(page, "<div class=\"box verdict {class}\"><p><b>{word}</b> {says}</p>");
         if !self.reasons.is_empty() {
@@ -232,7 +232,7 @@ impl CalibrationReport<'_> {
         page.push_str("<div class=\"cards\">\n");
         let ((focal_px, deviation_px), found) = (self.focal_px, self.found);
         let (fx, fy) = self.camera.focal_px();
-        let chosen = if self.candidates.len() > 1 { "chosen as told below" } else { "as asked for" };
+        let chosen = if self.candidates.len() > 1 { "chosen as described below" } else { "as asked for" };
         card(
             "Error of the corners",
             &pixels_text(self.rms_px),
@@ -302,8 +302,9 @@ impl CalibrationReport<'_> {
 
     fn how_to_read(&self, page: &mut String) {
         page.push_str(
-            "<p class=\"read\">The <b>expected error</b> tells how sure the camera is where: read its scale, for the colours are only \
-             relative. <b>Residuals</b> that point in all directions are the noise of finding corners; orange arrows that line up over a \
+            "<p class=\"read\">The <b>expected error</b> shows how certain each ray is: read its scale, \
+             because the colours are relative. <b>Residuals</b> that point in all directions are the \
+             noise of finding corners; orange arrows that line up over a \
              region mean that the lens model does not fit there, or that the board is not flat. Where the <b>coverage</b> has holes, \
              the calibration rests on the lens model alone.</p>\n",
         );
@@ -334,7 +335,8 @@ impl CalibrationReport<'_> {
             escape(self.camera_file),
             match self.model {
                 LensModel::DoubleSphere =>
-                    " Focal lengths, xi and alpha are hardly known one by one: many such triples are nearly the same lens.",
+                    " Focal lengths, xi and alpha are strongly correlated: many such triples describe \
+                     nearly the same lens.",
                 _ => "",
             }
         );
@@ -346,7 +348,7 @@ impl CalibrationReport<'_> {
         }
         page.push_str(
             "<h2>Lens models that were tried</h2>\n<p>Each was fitted to part of the views and judged by the others, which it had not \
-             seen. More coefficients always fit better; only what foretells new views is worth having.</p>\n\
+             seen. More coefficients always fit better; what counts is how well new views are predicted.</p>\n\
              <div class=\"box scroll\"><table class=\"figures\"><tr><th>Model</th><th class=\"number\">held-out views</th>\
              <th class=\"number\">fitted views</th><th class=\"number\">expected error</th></tr>\n",
         );

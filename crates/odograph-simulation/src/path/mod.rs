@@ -224,8 +224,8 @@ impl Path {
     /// Pose at a time, seconds, of a camera mounted as in `rig`; at rest before the start and after
     /// the end.
     ///
-    /// The world frame is that of [`odograph::geometry`]: at time 0 the camera is above the origin and
-    /// the top of its image points along x.
+    /// The world frame is that of [`odograph::geometry`]: at time 0 the camera is above the origin
+    /// and the top of its image points along x.
     pub fn pose(&self, time_s: f64, rig: &Rig) -> GroundPose {
         let place = self.place(time_s);
         // World x is the direction of the image's top, which the mount yaw rotates away from the

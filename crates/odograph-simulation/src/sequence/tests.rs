@@ -221,7 +221,7 @@ fn noise_has_the_configured_standard_deviation() {
 }
 
 #[test]
-fn blur_smooths_along_the_motion_and_is_centred_on_the_truth() {
+fn blur_is_along_the_motion_and_centred_on_the_truth() {
     let make = |exposure_s: f64| {
         let effects = Effects { exposure_s, ..Effects::default() };
         let path = Path::new(PathKind::Straight { length_m: 2.0 }, 1.0, 0.8, false).unwrap();

@@ -383,7 +383,8 @@ impl Camera {
     }
 
     /// The same camera whose readout time has this standard deviation, seconds; 0, which
-    /// [`Camera::with_readout_s`] sets, where it is exact. What is not finite or negative counts as 0.
+    /// [`Camera::with_readout_s`] sets, where it is exact. What is not finite or negative counts as
+    /// 0.
     pub fn with_readout_deviation_s(self, deviation_s: f64) -> Self {
         let readout_deviation_s = if deviation_s.is_finite() { deviation_s.max(0.0) } else { 0.0 };
         Self { readout_deviation_s, ..self }

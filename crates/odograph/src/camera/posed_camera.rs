@@ -4,7 +4,7 @@ use super::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
-/// A camera at a pose over the ground, its rotation worked out once for many points.
+/// A camera at a pose over the ground, with its rotation matrix computed once for many points.
 #[derive(Clone, Copy)]
 pub struct PosedCamera<'a> {
     camera: &'a Camera,
@@ -16,7 +16,7 @@ pub struct PosedCamera<'a> {
     pitch_axis: Vector3<f64>,
 }
 
-/// Where a ray meets the ground, and how that changes.
+/// Intersection of a ray with the ground, with its derivatives.
 pub struct Met {
     /// The ground point.
     pub point: GroundPoint,
@@ -26,7 +26,7 @@ pub struct Met {
     pub by_ray: Matrix2<f64>,
 }
 
-/// Where a ground point is seen, and how that changes.
+/// Projection of a ground point, with its derivatives.
 pub struct Seen {
     /// Its direction in the camera.
     pub ray: Ray,
@@ -66,7 +66,8 @@ impl<'a> PosedCamera<'a> {
         let ray_by_point =
             Matrix2x3::new(1.0 / p.z, 0.0, -p.x / (p.z * p.z), 0.0, 1.0 / p.z, -p.y / (p.z * p.z));
         let by_point = pixel_by_ray * ray_by_point * self.camera_from_world;
-        // The point moves against the camera; a turn of the camera about a world axis a moves it by −(a × d).
+        // A camera translation moves the point by the opposite; a rotation about a world axis a by
+        // −(a × d).
         let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
         by_pose.set_column(0, &-by_point.column(0));
         by_pose.set_column(1, &-by_point.column(1));

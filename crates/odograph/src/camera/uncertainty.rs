@@ -1,10 +1,10 @@
-//! How well a rig is known, and what the camera's own uncertainty adds.
+//! Uncertainty of a rig, and propagation of the camera's own uncertainty.
 
 use super::{Camera, Distortion, Rig};
 use crate::error::{Error, Result};
 use nalgebra::{DMatrix, Matrix3};
 
-/// A rig as it was measured.
+/// A measured rig.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredRig {
     /// The rig.
@@ -13,7 +13,7 @@ pub struct MeasuredRig {
     pub deviations: RigDeviations,
 }
 
-/// One standard deviation of each number of a [`Rig`]; `None` for what was given or is not known.
+/// One standard deviation of each number of a [`Rig`]; `None` if it was given or is unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RigDeviations {
     /// Of the height, metres.
@@ -42,10 +42,11 @@ pub struct CameraUncertainty {
 }
 
 impl CameraUncertainty {
-    /// From the parameters' names, in the order of the covariance's rows: `fx`, `fy` (or `f` for both), `cx`, `cy` in pixels and the
-    /// coefficients of the lens (`k1`, `p1`, …). Names that the camera does not have are left out.
+    /// From the parameters' names, in the order of the covariance's rows: `fx`, `fy` (or `f` for
+    /// both), `cx`, `cy` in pixels and the coefficients of the lens (`k1`, `p1`, …). Names that the
+    /// camera does not have are ignored.
     ///
-    /// Fails where the covariance is not as large as there are names, or is none.
+    /// Fails if the size of the covariance is not the number of names, or if it is no covariance.
     pub fn new(names: Vec<String>, covariance: DMatrix<f64>) -> Result<Self> {
         let n = names.len();
         let sound = covariance.shape() == (n, n)
@@ -61,8 +62,9 @@ impl CameraUncertainty {
         Ok(Self { names, covariance })
     }
 
-    /// The covariance that this gives to `outcome`, some numbers worked out with a camera: first order, by central differences of one
-    /// standard deviation. `None` where an outcome is not there for a camera varied so.
+    /// Propagates the covariance to `outcome`, a function of the camera: first order, by central
+    /// differences of one standard deviation. `None` if the outcome is undefined for a varied
+    /// camera.
     pub fn carried<const N: usize>(
         &self,
         camera: &Camera,
@@ -87,7 +89,8 @@ impl CameraUncertainty {
     }
 }
 
-/// The camera with one parameter changed; `None` for a name that it does not have, or where no camera is left.
+/// The camera with one parameter changed; `None` for a name that it does not have, or if the result
+/// is no valid camera.
 pub fn varied(camera: &Camera, name: &str, by: f64) -> Option<Camera> {
     let ((mut fx, mut fy), (mut cx, mut cy)) = (camera.focal_px(), camera.principal_px());
     let mut distortion = *camera.distortion();

@@ -1,5 +1,4 @@
-//! What stands along the path: heading ticks, uncertainty, start and end, and the legend that
-//! explains them.
+//! Markers along the path: heading ticks, uncertainty, start and end, and the legend.
 
 use super::path::Path;
 use super::scale::{duration_text, length_text, round_step};
@@ -20,20 +19,20 @@ const RING: f64 = 5.0;
 /// The dart that points along a heading: how far its tip and its tail reach from the position, and
 /// half its width.
 const DART: (f64, f64, f64) = (10.0, 5.0, 4.8);
-/// Half axes smaller than this, in drawing units, would drown in the line of the path.
+/// Half axes smaller than this, in drawing units, would be hidden by the line of the path.
 const SEEN: f64 = 8.0;
 
 /// Which kinds of marks the drawing has; the legend explains those.
 #[derive(Debug, Default)]
 pub(super) struct Shown {
     pub gaps: bool,
-    /// The way between heading ticks, metres.
+    /// Distance along the path between heading ticks, metres.
     pub headings: Option<f64>,
     pub ellipses: bool,
     pub loops: bool,
 }
 
-/// A ring wherever ground was recognised, and a line to where it was seen before.
+/// A ring at every loop closure, and a line to the place from where its ground was seen before.
 pub(super) fn loops(loops: &[[GroundPoint; 2]], window: &Window, shown: &mut Shown, body: &mut String) {
     let mut taken = BTreeSet::new();
     let mut drawn = String::new();
@@ -43,7 +42,7 @@ pub(super) fn loops(loops: &[[GroundPoint; 2]], window: &Window, shown: &mut Sho
             continue;
         }
         let [(x, y), (from_x, from_y)] = ends;
-        // Lanes are recognised all along; rings on top of each other say no more than one.
+        // Overlapping lanes close loops everywhere; rings on top of each other add nothing.
         if taken.insert(((x / 14.0).round() as i64, (y / 14.0).round() as i64)) {
             let _ = write!(
                 drawn,
@@ -112,7 +111,7 @@ fn dart(x: f64, y: f64, heading_rad: f64) -> String {
 }
 
 /// Half axes of the 2-sigma ellipse of the position, metres, and the direction of the longer one,
-/// radians; `None` where the covariance is not one.
+/// radians; `None` for an invalid covariance.
 fn two_sigma(at: &PlaceSummary) -> Option<(f64, f64, f64)> {
     let [xx, xy, yy] = at.position_covariance;
     let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
@@ -121,8 +120,8 @@ fn two_sigma(at: &PlaceSummary) -> Option<(f64, f64, f64)> {
         .then(|| (2.0 * long.sqrt(), 2.0 * short.sqrt(), 0.5 * (2.0 * xy).atan2(xx - yy)))
 }
 
-/// The 2-sigma ellipses of the position, where they are large enough to be seen and do not pile up;
-/// always that of the end.
+/// The 2-sigma ellipses of the position that are large enough to be seen and do not overlap; always
+/// that of the end.
 pub(super) fn ellipses(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
     let mut drawn: Vec<String> = vec![];
     // Centres, and how far from them the next ellipse must be. The end comes first: it is always
@@ -192,7 +191,7 @@ fn end_mark(x: f64, y: f64) -> String {
     )
 }
 
-/// Start and end with their words, set where they hide least of the path.
+/// Start and end with their labels, placed where they hide least of the path.
 pub(super) fn ends(path: &Path<'_>, window: &Window, body: &mut String) {
     let (Some(first), Some(last)) = (path.places().next(), path.places().next_back()) else {
         return;
@@ -255,8 +254,8 @@ fn inked(path: &Path<'_>, window: &Window) -> Vec<(f64, f64)> {
     ink
 }
 
-/// Where a word at a marker covers least: its baseline point and anchor, out of ten places around
-/// the marker.
+/// The label position that hides least of the path, out of ten around the marker: its baseline
+/// point and anchor.
 fn best_place(
     (x, y): (f64, f64),
     word: &str,
@@ -295,7 +294,7 @@ fn best_place(
     places.into_iter().min_by_key(covered).unwrap_or(places[0])
 }
 
-/// A round length without needless digits: `50 cm`, `2 m`.
+/// A round length without trailing zeros: `50 cm`, `2 m`.
 fn round_length(length_m: f64) -> String {
     let text = length_text(length_m);
     match text.split_once(' ') {
@@ -372,7 +371,7 @@ pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut
         items.push((20.0 + wide(words), mark + &text(20.0, words)));
     }
     if shown.gaps {
-        let words = "lost: the way is not known";
+        let words = "lost: path unknown";
         let mut mark = format!(
             "<path class=\"gap\" stroke=\"{MUTED}\" stroke-width=\"1.6\" stroke-dasharray=\"2 6\" stroke-linecap=\"round\" d=\"M12 0h24\"/>"
         );

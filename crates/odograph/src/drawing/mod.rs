@@ -1,9 +1,9 @@
 //! The movement map as a drawing: the path over the ground in metres, as SVG text.
 //!
 //! World x runs to the right and world y up, at the same scale, as any graph of the trajectory file
-//! shows them. Only what was measured is a solid line; where the camera was lost, a thin dashed
-//! line joins the ends and says no more than that. The drawing is made for a light background;
-//! every part also has a class, so that a page around it can recolour it.
+//! shows them. Only the measured path is a solid line; gaps are thin dashed straight lines. The
+//! drawing is made for a light background; every part also has a class, so that a page around it
+//! can recolour it.
 
 mod markers;
 mod path;
@@ -25,13 +25,13 @@ const MUTED: &str = "#64707f";
 const FAINT: &str = "#dfe4ea";
 const AXIS: &str = "#aab4bf";
 const BACKGROUND: &str = "#ffffff";
-/// How many colours time is shown in.
+/// Number of colours of the time scale.
 const TIME_COLOURS: usize = 48;
 
-/// What is drawn besides the path.
+/// Contents of the drawing besides the path.
 #[derive(Debug, Clone, Copy)]
 pub struct MapDrawing<'a> {
-    /// Over the drawing, with a line of figures; any text. Empty: neither.
+    /// Title above the drawing, with a line of figures; empty for neither.
     pub title: &'a str,
     /// Width of the drawing, from 400 to 4000 units; words are 14 to 16 units high.
     pub width: f64,
@@ -53,7 +53,7 @@ pub struct Backdrop<'a> {
     pub height_px: usize,
     /// Where it lies.
     pub placement: Placement,
-    /// From 0, invisible, to 1, as it is.
+    /// Opacity, from 0, invisible, to 1.
     pub opacity: f64,
 }
 
@@ -66,8 +66,8 @@ impl Default for MapDrawing<'_> {
 impl MapDrawing<'_> {
     /// The drawing as a whole SVG document. The same input gives the same text.
     ///
-    /// Any number of frames makes a drawing, none too: polylines are thinned to what the eye can
-    /// tell apart. Poses that are not finite count as lost.
+    /// Any number of frames is allowed, including zero; polylines are thinned to visible detail.
+    /// Poses that are not finite count as lost.
     pub fn svg(&self, frames: &[FrameSummary]) -> String {
         let path = Path::new(frames);
         let backdrop = self.backdrop.filter(|b| b.is_drawable());
@@ -199,13 +199,12 @@ fn time_colour(moment: f64) -> (u8, u8, u8) {
     (mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
 }
 
-/// A colour as SVG writes it.
+/// A colour in SVG notation.
 fn hex((red, green, blue): (u8, u8, u8)) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 
-/// The measured stretches: a pale casing that lifts them off the ground, then the line in the
-/// colours of time.
+/// The measured parts: a pale casing for contrast with the ground, then the line, coloured by time.
 fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
     let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let _ = writeln!(body, "<g fill=\"none\" stroke-linejoin=\"round\" stroke-linecap=\"round\">");
@@ -232,8 +231,7 @@ fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
     let _ = writeln!(body, "</g>");
 }
 
-/// Dashed lines between stretches: nobody knows the way the camera took there. Returns where the
-/// measurement broke off and where it began again.
+/// Dashed lines over the gaps, where the path is unknown. Returns the ends of the gaps.
 fn gaps(path: &Path<'_>, window: &Window, body: &mut String) -> Vec<(f64, f64)> {
     let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let mut breaks = vec![];

@@ -1,4 +1,4 @@
-//! The path as it was measured: stretches that hang together, and the gaps between them.
+//! The measured path: connected parts, and the gaps between them.
 
 use crate::trajectory::{FrameSummary, PlaceSummary};
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// A coordinate in drawing units with one decimal, as short as it can be; 0 where it is not finite.
+/// A coordinate in drawing units with one decimal, without trailing zeros; 0 if it is not finite.
 pub fn coordinate(value: f64) -> String {
     if !value.is_finite() {
         return "0".into();
@@ -31,7 +31,7 @@ pub fn escape(text: &str) -> String {
     safe
 }
 
-/// A `data:` address that holds the bytes themselves, in base64 (RFC 4648, section 4).
+/// A `data:` URL with the bytes in base64 (RFC 4648, section 4).
 pub fn data_uri(media_type: &str, bytes: &[u8]) -> String {
     const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut uri = String::with_capacity(bytes.len().div_ceil(3) * 4 + 32);
@@ -60,7 +60,7 @@ pub fn text_width(text: &str, size: f64) -> f64 {
     size * text.chars().map(of).sum::<f64>()
 }
 
-/// The text, with its middle left out where it would be wider than `width`.
+/// The text, with its middle left out if it would be wider than `width`.
 pub fn fitted(text: &str, size: f64, width: f64) -> String {
     if text_width(text, size) <= width {
         return text.into();

@@ -72,7 +72,7 @@ fn millimetres_and_kilometres_get_their_units() {
 }
 
 #[test]
-fn a_hundred_thousand_poses_make_a_small_drawing_and_the_same_one_twice() {
+fn a_drawing_of_100_000_poses_is_small_and_deterministic() {
     let frames: Vec<_> = (0..100_000)
         .map(|k| (k, k as f64 * 1e-3))
         .map(|(k, a)| tracked(k, 3.0 * a.cos() + 0.02 * a, 2.0 * (1.37 * a).sin(), a, 0.01 * a))
@@ -83,14 +83,14 @@ fn a_hundred_thousand_poses_make_a_small_drawing_and_the_same_one_twice() {
 }
 
 #[test]
-fn a_gap_is_dashed_and_never_part_of_the_solid_path() {
+fn a_gap_is_dashed_and_not_solid() {
     // Ten metres to the right, lost, and seen again 5 m further up.
     let mut frames: Vec<_> = (0..50).map(|k| tracked(k, 0.2 * k as f64, 0.0, 0.0, 0.0)).collect();
     frames.extend((50..60).map(lost));
     frames
         .extend((60..100).map(|k| FrameSummary { segment: 1, ..tracked(k, 0.2 * k as f64, 5.0, 0.0, 0.0) }));
     let svg = drawn(&frames);
-    assert!(svg.contains("stroke-dasharray") && svg.contains("lost: the way is not known"));
+    assert!(svg.contains("stroke-dasharray") && svg.contains("lost: path unknown"));
     for line in svg.lines().filter(|line| line.contains("stroke-width=\"3.2\"")) {
         let d = line.split("d=\"M").nth(1).unwrap().trim_end_matches("\"/>").replace('L', " ");
         let ys: Vec<f64> = d.split_whitespace().skip(1).step_by(2).filter_map(|v| v.parse().ok()).collect();
@@ -119,7 +119,7 @@ fn large_uncertainty_is_drawn_and_small_is_not() {
 }
 
 #[test]
-fn a_backdrop_lies_where_its_placement_says() {
+fn a_backdrop_is_drawn_at_its_placement() {
     let frames = [tracked(0, 0.0, 0.0, 0.0, 0.0), tracked(1, 1.0, 0.0, 0.0, 0.0)];
     let placement = Placement { metres_per_pixel: 0.01, x_m: -0.5, y_m: 0.5 };
     let backdrop = Backdrop { png: b"png", width_px: 200, height_px: 100, placement, opacity: 0.8 };

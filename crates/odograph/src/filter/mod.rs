@@ -6,6 +6,8 @@
 //!   gaps;
 //! * [`carrier_path`]: low-pass filtered path of the carrier, without the vibration of its camera;
 //! * [`fusion`]: fusion with a gyroscope, compass, wheel odometer and range finder.
+//!
+//! Derivation: `docs/math/filter.md`.
 
 mod carrier;
 mod constant_acceleration;

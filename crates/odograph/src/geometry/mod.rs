@@ -7,7 +7,7 @@
 //!   camera position; x is the upward direction of the first image, y points to the left. Heading
 //!   is positive counter-clockwise seen from above.
 //!
-//! Transforms are named `target_from_source`.
+//! Transforms are named `target_from_source`. All conventions are in `docs/math/frames.md`.
 
 mod placement;
 mod planar;
@@ -112,8 +112,9 @@ pub struct GroundPose {
     pub pitch_rad: f64,
 }
 
-/// Where each number stands in the vector and the covariance of a [`GroundPose`]. Those of an [`Se2`]
-/// are the first three; a [`Sim2`] has the logarithm of its scale in the place of the height.
+/// Where each number stands in the vector and the covariance of a [`GroundPose`]. Those of an
+/// [`Se2`] are the first three; a [`Sim2`] has the logarithm of its scale in the place of the
+/// height.
 pub mod pose_index {
     /// World x, metres.
     pub const X: usize = 0;
@@ -269,7 +270,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_pose_survives_the_way_through_a_transform(pose in poses()) {
+        fn a_pose_round_trips_through_a_transform(pose in poses()) {
             let back = GroundPose::from_world_from_camera(&pose.world_from_camera());
             for (a, b) in [(pose.x_m, back.x_m), (pose.y_m, back.y_m), (pose.height_m, back.height_m),
                            (pose.heading_rad, back.heading_rad), (pose.roll_rad, back.roll_rad), (pose.pitch_rad, back.pitch_rad)] {
@@ -278,7 +279,7 @@ mod tests {
         }
 
         #[test]
-        fn a_ray_survives_the_way_over_the_ground(pose in poses(), x in -0.5..0.5, y in -0.5..0.5) {
+        fn a_ray_round_trips_over_the_ground(pose in poses(), x in -0.5..0.5, y in -0.5..0.5) {
             if let Some(point) = pose.ground_from_ray(Ray::new(x, y)) {
                 let back = pose.ray_from_ground(point).unwrap();
                 prop_assert!((back.x - x).abs() < 1e-9 && (back.y - y).abs() < 1e-9);

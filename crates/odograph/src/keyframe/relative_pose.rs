@@ -70,7 +70,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_motion_leads_back_to_where_it_was_seen(from in poses(), to in poses()) {
+        fn a_relative_pose_leads_back_to_its_target(from in poses(), to in poses()) {
             let back = laid_from(&from, &seen_from(&from, &to), 1.0);
             prop_assert!((back.x_m - to.x_m).hypot(back.y_m - to.y_m) < 1e-12 * 10.0);
             prop_assert!(wrap_angle(back.heading_rad - to.heading_rad).abs() < 1e-12);
@@ -78,7 +78,7 @@ mod tests {
         }
 
         #[test]
-        fn the_inverse_of_a_motion_is_how_the_other_sees_it(from in poses(), to in poses(), drift in 0.5..2.0) {
+        fn the_inverse_of_a_motion_swaps_its_frames(from in poses(), to in poses(), drift in 0.5..2.0) {
             // Odometry that has drifted holds `to` for higher than it is, and its metres are longer
             // by as much.
             let measured_m = [from.height_m, drift * to.height_m];

@@ -1,5 +1,5 @@
-//! One keyframe found in the picture of another: what a loop is verified with. The same tracker and the same planar pose that odometry
-//! measures frames with, and the same coarse registration that brings it back after a loss.
+//! Registration of one keyframe in the image of another, which verifies loop closures: the tracker
+//! and the planar pose estimation of odometry, and the coarse registration of its relocalisation.
 
 use crate::camera::Camera;
 use crate::fixed_pattern::ImageMask;
@@ -18,54 +18,54 @@ use crate::place_recognition::{PlacesConfig, Signature};
 use nalgebra::{Matrix4, Matrix6, Vector4};
 use std::sync::Arc;
 
-/// A keyframe whose corners are looked for.
+/// The query: a keyframe whose corners are searched for.
 #[derive(Debug)]
 pub struct Sought {
     keyframe: Keyframe,
 }
 
 impl Sought {
-    /// What it is recognised by.
+    /// Its signature for place recognition.
     pub fn signature(&self, camera: &Camera, config: &PlacesConfig) -> Signature {
         Signature::of(&self.keyframe.pyramid, camera, &self.keyframe.pose, config)
     }
 }
 
-/// A keyframe in whose picture they are looked for.
+/// The reference: a keyframe in whose image they are searched for.
 #[derive(Debug)]
 pub struct Pictured {
     pyramid: Pyramid,
-    /// Height, roll and pitch are what they were; where it is does not matter.
+    /// Height, roll and pitch as measured; the position is irrelevant.
     pose: GroundPose,
     view: Option<GroundView>,
 }
 
-/// One keyframe as another sees it.
+/// The relative pose of two keyframes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
     /// As [`crate::keyframe::MapEdge::motion`].
     pub motion: Vector4<f64>,
     pub covariance: Matrix4<f64>,
-    /// Corners that agree, and how large a part of those that should be in view they are.
+    /// Number of inliers, and their share of the corners that should be in view.
     pub inliers: usize,
     pub presence: f64,
 }
 
-/// Where one keyframe may be as another sees it, from the whole pictures.
+/// A hypothesis of the relative pose, from registration of whole images.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Guess {
     pub motion: Vector4<f64>,
     pub score: f64,
 }
 
-/// Finds keyframes in each other.
+/// Registers keyframes with each other.
 #[derive(Debug)]
 pub struct Matcher {
     camera: Camera,
     config: OdometryConfig,
     registration: CoarseRegistration,
     rays: [Option<Ray>; GRID * GRID],
-    /// What does not move with the ground in the pictures of this camera.
+    /// Mask of the static regions in the images of this camera.
     mask: Option<Arc<ImageMask>>,
 }
 
@@ -80,12 +80,12 @@ impl Matcher {
         }
     }
 
-    /// What is known by now not to move with the ground: it is no sign of a place.
+    /// Sets the mask of static regions, which are no evidence of a place.
     pub fn set_mask(&mut self, mask: Option<Arc<ImageMask>>) {
         self.mask = mask;
     }
 
-    /// Prepares a keyframe that was taken at a height, roll and pitch.
+    /// Prepares a query keyframe with its height, roll and pitch.
     pub fn sought(&self, image: GrayImage, pose: &GroundPose) -> Sought {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
         let here = at_origin(pose);
@@ -101,20 +101,21 @@ impl Matcher {
         }
     }
 
-    /// Prepares a picture that was taken at a height, roll and pitch.
+    /// Prepares a reference keyframe with its height, roll and pitch.
     pub fn pictured(&self, image: GrayImage, pose: &GroundPose) -> Pictured {
         let pyramid = Pyramid::new(image, self.config.flow.levels);
         Pictured { pyramid, pose: at_origin(pose), view: None }
     }
 
-    /// The part of a keyframe at height, roll and pitch of `from` that one at those of `to` has in view, seen at `motion`.
+    /// The overlap: the share of a keyframe's view, with height, roll and pitch of `from`, that is
+    /// in view of one with those of `to` at `motion`.
     pub fn overlap(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> f64 {
         let from = at_origin(from);
         seen_share(&from, &self.rays, &self.camera, &ViewingPose::new(self.placed(&from, to, motion)))
     }
 
-    /// Where a camera with roll and pitch of `to` is that `from` sees at `motion`. Its height is that of `to` too, unless heights drift: then what was
-    /// seen of it counts.
+    /// The pose at `motion` from `from`, with roll and pitch of `to`. Its height is that of `to`
+    /// too, unless heights drift: then it is the measured one.
     fn placed(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> GroundPose {
         let laid = laid_from(from, motion, 1.0);
         let height_m = if self.scale_is_free() { laid.height_m } else { to.height_m };
@@ -130,13 +131,13 @@ impl Matcher {
         pose.height_m / self.camera.focal_px().0
     }
 
-    /// The shorter side of what the camera sees of the ground, metres.
+    /// The shorter side of the ground in view, metres.
     pub fn view_m(&self, pose: &GroundPose) -> f64 {
         self.pixel_m(pose) * self.camera.width().min(self.camera.height()) as f64
     }
 
-    /// Finds a keyframe's corners in the picture of another that is seen at `motion`, off by no more than `off_px` in the image. `None` where they
-    /// are not there, or too few.
+    /// Tracks a keyframe's corners into the image of another, predicted at `motion` with an error
+    /// of at most `off_px` in the image. `None` if too few are found.
     pub fn find(
         &self,
         sought: &Sought,
@@ -147,7 +148,7 @@ impl Matcher {
         let keyframe = &sought.keyframe;
         let prediction = self.placed(&keyframe.pose, &pictured.pose, motion);
         let (camera, config) = (&self.camera, &self.config);
-        // Height and tilt of both are known; where the recording shows otherwise the prior opens.
+        // Height and tilt of both are known; the prior widens if the recording contradicts it.
         let learned = Learned::new(&prediction);
         let mut random = Random::new(0);
         let mut measure = |off_px: f64| {
@@ -165,7 +166,7 @@ impl Matcher {
         let first = measure(off_px).ok()?;
         let found =
             follow::confirm(keyframe, &pictured.pyramid, camera, first, config, &learned, &mut random);
-        // Where the camera sits still on its carrier, what fits only with another height or tilt is not seen well.
+        // On a rigid mount, a match that needs another height or tilt is unreliable.
         let still = leans_alike(&keyframe.pose, &pictured.pose, STILL);
         if still && !leans_alike(&prediction, &found.estimate.pose, CONTRADICTING) {
             return None;
@@ -183,8 +184,9 @@ impl Matcher {
         )
     }
 
-    /// The pose from all of the overlap where the corners tell less than lens and interpolation do: in pictures that are faint or full of noise. `None`
-    /// where they tell more, and where the whole contradicts them.
+    /// The pose from dense registration of the overlap, if the corners are less certain than the
+    /// unmodelled error of lens and interpolation: on faint or noisy images. `None` if they are
+    /// more certain, or if the dense registration contradicts them.
     fn refined(
         &self,
         keyframe: &Keyframe,
@@ -211,7 +213,7 @@ impl Matcher {
         (tells && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)
     }
 
-    /// What a keyframe is seen at, with how many of its corners and how large a part of them were found.
+    /// The sighting of a keyframe, with the number and the share of its corners that were found.
     fn sighting(
         &self,
         keyframe: &Keyframe,
@@ -233,8 +235,8 @@ impl Matcher {
         sighting.motion.iter().all(|value| value.is_finite()).then_some(sighting)
     }
 
-    /// Where a keyframe may be as another sees it, turned about as in `motion` or off by no more than `heading_off_rad`: the whole pictures
-    /// compared, the best guess first.
+    /// Hypotheses of the relative pose from registration of the whole images, the best first; the
+    /// heading is within `heading_off_rad` of that of `motion`.
     pub fn guess(
         &self,
         sought: &mut Sought,
@@ -261,17 +263,19 @@ impl Matcher {
     }
 }
 
-/// What lens and interpolation leave of a piece of ground seen from elsewhere and turned about, pixels: one standard deviation. Rendered drives show
-/// 0.02 where nothing but the carrier moves; where height and tilt do, each keyframe knows its own to a ten-thousandth, and that looks like a shift.
+/// Standard deviation of the unmodelled error of lens and interpolation under shift and rotation,
+/// pixels. Measured on rendered drives: 0.02 on a rigid mount. If height and tilt vary, each
+/// keyframe knows its own to 1e-4, which looks like a shift.
 const UNMODELLED_PX: f64 = 0.03;
 const UNMODELLED_MOVING_PX: f64 = 0.1;
 
-/// Parts of the height, and radians: less than `STILL` between two keyframes is a camera that sits still; more than `CONTRADICTING` is then
-/// not what moved.
+/// Differences of height (relative) and tilt (radians): below `STILL` between two keyframes the
+/// mount is rigid; an estimate that differs by more than `CONTRADICTING` is then wrong.
 const STILL: f64 = 3e-4;
 const CONTRADICTING: f64 = 1e-3;
 
-/// Whether two poses have the same height, roll and pitch within `most`, a part of the height and radians.
+/// Whether two poses have the same height, roll and pitch within `most`, relative to the height and
+/// in radians.
 fn leans_alike(a: &GroundPose, b: &GroundPose, most: f64) -> bool {
     let height = (a.height_m / b.height_m - 1.0).abs();
     height.max((a.roll_rad - b.roll_rad).abs()).max((a.pitch_rad - b.pitch_rad).abs()) < most
@@ -298,7 +302,8 @@ mod tests {
         let mut picture = |pose: &GroundPose| {
             let mut image = renderer.gray_view(&ground, pose);
             for sample in image.samples_mut() {
-                // The sum of four uniform numbers deviates by 0.577 of their width: 10 gray levels of noise.
+                // The sum of four uniform numbers deviates by 0.577 of their width: 10 gray levels
+                // of noise.
                 let noise: f64 = (0..4).map(|_| random.below(1 << 16) as f64 / 65536.0 - 0.5).sum();
                 *sample = (f64::from(*sample) + 10.0 / 0.577 * noise).round().clamp(0.0, 255.0) as u8;
             }
@@ -318,7 +323,7 @@ mod tests {
             let found = matcher.find(&sought, &pictured, &expected, 8.0).expect("in view");
             squares_m2.push((found.motion - truth).xy().norm_squared());
         }
-        // The corners alone are off by 0.4 mm, a seventh of a pixel; all of the pixels by 0.17 mm.
+        // Corners alone have an error of 0.4 mm, a seventh of a pixel; dense registration 0.17 mm.
         let off_m = (squares_m2.iter().sum::<f64>() / squares_m2.len() as f64).sqrt();
         assert!(off_m < 0.28e-3, "{off_m}");
     }

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_does_not_look_down_shows_nothing_and_one_that_has_climbed_begins_anew() {
+    fn a_tilted_camera_shows_nothing_and_a_climbing_one_starts_anew() {
         let camera = Camera::from_field_of_view((640, 480), (1.2, 0.9), 1.0).unwrap();
         let mut coverage = Coverage::new(&camera);
         let away = GroundPose { pitch_rad: -1.6, ..GroundPose::level(1.0) };

@@ -165,7 +165,7 @@ fn a_growing_mosaic_is_halved_and_stays_in_its_place() {
 }
 
 #[test]
-fn what_cannot_be_laid_is_refused_without_harm() {
+fn invalid_poses_are_refused() {
     let camera = camera();
     let image = GrayImage::new(320, 240);
     let mut mosaic = Mosaic::new(MosaicOptions::default());

@@ -1,12 +1,12 @@
-//! Robust statistics: the median, scales from it, and losses with their weights; and measurements of
-//! the same quantities combined into one.
+//! Robust statistics: the median, scales from it, and losses with their weights; and measurements
+//! of the same quantities combined into one.
 
 mod combination;
 
 pub use combination::{Combined, Part, combine, inverse};
 
-/// The median, or `None` of no values. Of an even count it is the **greater of the middle two**, so it
-/// is always one of the values; [`f64::total_cmp`] orders them. The order of `values` is lost.
+/// The median, or `None` of no values. Of an even count it is the **greater of the middle two**, so
+/// it is always one of the values; [`f64::total_cmp`] orders them. The order of `values` is lost.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
@@ -30,8 +30,8 @@ pub fn robust_variance<const N: usize>(squares: &mut [f64]) -> Option<f64> {
     Some(median(squares)? / of_chi_square)
 }
 
-/// A robust loss of residuals in standard deviations, with the number of them up to which a residual
-/// counts (nearly) in full.
+/// A robust loss of residuals in standard deviations, with the number of them up to which a
+/// residual counts (nearly) in full.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
     /// Quadratic, then linear (P. Huber, "Robust estimation of a location parameter", 1964).
@@ -61,8 +61,8 @@ impl Loss {
         }
     }
 
-    /// The weight of a residual in iteratively reweighted least squares, 0 to 1: the derivative of the
-    /// loss by the square.
+    /// The weight of a residual in iteratively reweighted least squares, 0 to 1: the derivative of
+    /// the loss by the square.
     pub fn weight_of_square(self, square: f64) -> f64 {
         match self {
             Self::Huber(limit) if square > limit * limit => limit / square.sqrt(),
@@ -81,7 +81,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_median_of_an_even_count_is_the_greater_of_the_middle_two() {
+    fn the_median_of_an_even_count_is_the_upper_one() {
         assert_eq!(median(&mut []), None);
         assert_eq!(median(&mut [3.0]), Some(3.0));
         assert_eq!(median(&mut [4.0, 1.0, 3.0, 2.0]), Some(3.0));
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn scales_are_those_of_normal_numbers_with_a_tenth_of_outliers() {
+    fn robust_scales_tolerate_a_tenth_of_outliers() {
         let mut random = Random::new(5);
         let mut uniform = || (random.below(1 << 20) as f64 + 0.5) / f64::from(1 << 20);
         let mut normal = || {
@@ -112,7 +112,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_weight_is_the_derivative_of_its_loss_by_the_square(square in 0.01..50.0f64, limit in 0.5..5.0f64) {
+        fn a_weight_is_the_derivative_of_its_loss(square in 0.01..50.0f64, limit in 0.5..5.0f64) {
             for loss in [Loss::Huber(limit), Loss::Logarithmic(limit), Loss::Cauchy(limit), Loss::Tukey(limit)] {
                 let slope = (loss.of_square(square + 1e-6) - loss.of_square(square - 1e-6)) / 2e-6;
                 prop_assert!((slope - loss.weight_of_square(square)).abs() < 1e-5, "{:?}", loss);

@@ -56,7 +56,7 @@ fn keyframes() -> Vec<GroundPose> {
 }
 
 #[test]
-fn a_place_is_found_again_from_its_side_turned_and_tilted() {
+fn a_place_is_recognised_under_shift_rotation_and_tilt() {
     let mut scene = Scene::new(Texture::Asphalt);
     let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
     for (number, keyframe) in keyframes().iter().enumerate() {
@@ -87,7 +87,7 @@ fn a_place_is_found_again_from_its_side_turned_and_tilted() {
 }
 
 #[test]
-fn ground_that_was_never_seen_is_not_recognised_on_tiles_either() {
+fn unseen_tiles_are_not_recognised() {
     for texture in [Texture::Asphalt, Texture::Tiles] {
         let mut scene = Scene::new(texture);
         let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
@@ -128,7 +128,7 @@ fn what_is_removed_is_not_found_and_the_others_are() {
 }
 
 #[test]
-fn a_picture_without_anything_has_an_empty_signature_that_finds_nothing() {
+fn a_blank_image_has_an_empty_signature() {
     let config = PlacesConfig::new(&camera(), HEIGHT_M);
     let blank = Pyramid::new(crate::image::GrayImage::new(320, 240), 3);
     let signature = Signature::of(&blank, &camera(), &pose(0.0, 0.0, 0.0), &config);
@@ -147,13 +147,13 @@ prop_compose! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn a_signature_survives_the_way_through_bytes(features in prop::collection::vec(features(), 0..40)) {
+    fn a_signature_round_trips_through_bytes(features in prop::collection::vec(features(), 0..40)) {
         let signature = Signature { features };
         prop_assert_eq!(Signature::from_bytes(&signature.to_bytes()).unwrap(), signature);
     }
 
     #[test]
-    fn bytes_from_anywhere_are_refused_or_read_but_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+    fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         let _ = Signature::from_bytes(&bytes);
     }
 
@@ -218,10 +218,9 @@ fn strewn(tile_m: f64, repeating: bool) -> impl Fn(&GroundPose, u64) -> Signatur
 }
 
 #[test]
-fn a_tile_again_and_again_is_no_place() {
-    // Shifted by a tile of 51 cm, less than half of the ground is shared: what speaks for that is
-    // less, and says as much. Counted as it is, without regard to how much ground is shared, it
-    // lets the floor that repeats be recognised.
+fn a_repeated_tile_is_not_recognised() {
+    // Shifted by a tile of 51 cm, less than half of the ground is shared, which lowers the
+    // evidence. Without extrapolation to the same area the repetitive floor would be recognised.
     for (repeating, sure) in [(false, 6), (true, 0)] {
         let strewn = strewn(0.51, repeating);
         let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));

@@ -18,6 +18,8 @@
 //! * **A loop closure may be wrong.** Loops have Cauchy's loss, with a scale from the loops' own
 //!   residuals: wide while the path is still bent, and narrow once it fits (graduated
 //!   non-convexity; H. Yang et al., 2020).
+//!
+//! Derivation: `docs/math/pose-graph.md`.
 
 mod descent;
 mod edge;

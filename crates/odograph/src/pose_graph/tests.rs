@@ -103,7 +103,7 @@ fn a_loop_closed_by_equal_links_shares_its_misclosure_equally() {
 }
 
 #[test]
-fn a_noisy_grid_comes_out_as_sure_as_its_covariance_says() {
+fn the_covariance_of_a_noisy_grid_is_true() {
     for heights in [Heights::Held, Heights::Free] {
         let Grid { truth, edges } = grid(12, 0.01, 0.0, heights);
         let mut graph = dead_reckoned(&edges, &truth, heights);
@@ -149,15 +149,15 @@ fn a_mount_that_turns_every_metre_is_found_out() {
     let before = worst_m(&graph, &truth);
     graph.optimize(50);
     let (ahead, left) = graph.turn_per_m();
-    // Turns to the left are hard to tell from headings that alternate from row to row: only the
-    // ends of the rows do.
+    // The rotation per metre to the left is nearly confounded with headings that alternate from row
+    // to row: only the ends of the rows separate them.
     assert!((ahead - bend).abs() < 0.15 * bend && left.abs() < 0.25 * bend, "{ahead} {left}");
     let after = worst_m(&graph, &truth);
     assert!(before > 1.0 && after < 0.05, "{before} m without, {after} m with loops");
 }
 
 #[test]
-fn the_surest_way_is_never_surer_than_the_whole_graph() {
+fn the_best_path_is_never_more_certain_than_the_graph() {
     let Grid { truth, edges } = grid(8, 0.01, 0.0, Heights::Held);
     let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
     graph.optimize(50);
@@ -174,7 +174,7 @@ fn the_surest_way_is_never_surer_than_the_whole_graph() {
 }
 
 #[test]
-fn parts_that_nothing_ties_stay_where_they_are() {
+fn unconnected_parts_do_not_move() {
     let mut graph = PoseGraph::new(Heights::Held, 1.0);
     (0..4).for_each(|i| graph.insert(KeyframeId(i), pose(10.0 * i as f64, 0.0, 0.0), 1.0));
     let motion = Vector4::new(1.0, 0.0, 0.0, 0.0);
@@ -190,7 +190,7 @@ fn parts_that_nothing_ties_stay_where_they_are() {
 
 #[test]
 fn a_large_graph_comes_near_its_best_by_pieces() {
-    // The path is measured step by step and relaxed at every tenth loop, as it is on the way.
+    // The path is measured step by step and relaxed at every tenth loop, as in a run.
     let Grid { truth, edges } = grid(30, 0.003, 0.0, Heights::Held);
     let mut graph = PoseGraph::new(Heights::Held, 1.0);
     graph.insert(KeyframeId(0), truth[0], 1.0);
@@ -220,7 +220,7 @@ fn a_large_graph_comes_near_its_best_by_pieces() {
 }
 
 #[test]
-fn a_large_graph_finds_out_on_the_way_how_the_mount_turns() {
+fn a_large_graph_estimates_the_mount_turn_while_running() {
     let bend = 0.004;
     let Grid { truth, edges } = grid(22, 0.002, bend, Heights::Held);
     let mut graph = PoseGraph::new(Heights::Held, 1.0);

@@ -5,6 +5,8 @@
 //! available at once and never jump, but drift. In the **map frame** every place has one pose,
 //! which changes when a loop closure corrects it. The map never feeds back into odometry: odometry
 //! gives the same poses with and without a map, and mapping may run behind it in its own thread.
+//!
+//! Derivation: `docs/math/loop-closure.md`.
 
 mod backoff;
 mod mapper;

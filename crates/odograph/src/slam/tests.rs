@@ -31,7 +31,7 @@ impl World {
         Self { camera, ground: Box::new(move |pose| renderer.gray_view(&ground, pose)), noise: 3 }
     }
 
-    /// A floor of the same tile again and again.
+    /// A floor of one repeated tile.
     fn repeating(tile_m: f64) -> Self {
         const CELLS: usize = 24;
         let mut random = Random::new(11);
@@ -115,8 +115,7 @@ fn along(from: (f64, f64), heading_rad: f64, count: usize) -> impl Iterator<Item
     (0..count).map(move |i| at(from.0 + 0.04 * i as f64 * cos, from.1 + 0.04 * i as f64 * sin, heading_rad))
 }
 
-/// How far the frames from one on are from the truth, millimetres: the most; infinite where there
-/// is none.
+/// Largest position error from a frame on, millimetres; infinite without frames.
 fn worst_mm(frames: &[FrameEstimate], truth: &[Option<GroundPose>]) -> f64 {
     let off = frames.iter().zip(truth).filter_map(|(frame, truth)| {
         let (found, truth) = (frame.estimate.as_ref()?.pose, truth.as_ref()?);
@@ -140,7 +139,7 @@ fn ground_seen_again_after_darkness_ties_the_path_together() {
     let world = World::new("asphalt");
     let mut poses: Vec<_> = along((0.0, 0.0), 0.0, 60).collect();
     poses.extend([None; 20]);
-    // Meanwhile the camera was turned round and carried to another place along its way.
+    // Meanwhile the camera was turned and moved to another place of its path.
     let dark = poses.len();
     poses.extend(along((1.2, 0.1), 2.9, 30));
     let mut mapper = world.mapper();
@@ -173,7 +172,7 @@ fn a_floor_of_equal_tiles_does_not_fool_it() {
 }
 
 #[test]
-fn a_second_drive_is_recognised_in_the_map_of_the_first() {
+fn a_second_drive_is_recognised_in_the_first_map() {
     let world = World::new("carpet");
     let mut images = MemoryImages::default();
     let mut first = world.mapper();
@@ -184,11 +183,10 @@ fn a_second_drive_is_recognised_in_the_map_of_the_first() {
     let poses: Vec<_> = along((2.1, 0.15), -2.5, 40).collect();
     let driven = world.drive(&mut second, &mut images, &poses);
     assert!(second.is_recognised());
-    // A sixth of a pixel, at the worst frame of a drive that hangs on a few keyframes of a picture
-    // of 320x240.
+    // A sixth of a pixel, at the worst frame of a drive with few loop closures at 320x240.
     let off_mm = worst_mm(&driven.straight, &poses);
     assert!(off_mm < 0.5, "{off_mm} mm");
-    // What is seen again does not pull at a map that is right by more than it is off itself.
+    // A loop closure does not move a correct map by more than its own error.
     let still = second.map().keyframes.iter().zip(&map.keyframes).take(map.keyframes.len());
     for (now, before) in still {
         let moved_m = (now.pose.x_m - before.pose.x_m).hypot(now.pose.y_m - before.pose.y_m);
@@ -224,7 +222,7 @@ fn a_map_elsewhere_is_not_recognised() {
     assert!(!second.is_recognised() && second.closures().is_empty());
 }
 
-/// Two keyframes that see each other as often as one likes.
+/// Two keyframes with any number of sightings of each other.
 fn revisited(mapper: &mut Mapper, images: &mut MemoryImages, times: usize) -> usize {
     let revisit = MapEdge {
         from: KeyframeId(1),
@@ -240,7 +238,7 @@ fn revisited(mapper: &mut Mapper, images: &mut MemoryImages, times: usize) -> us
 }
 
 #[test]
-fn the_same_round_all_day_leaves_a_graph_that_does_not_grow_and_who_hurries_looks_for_nothing() {
+fn repeated_laps_do_not_grow_the_graph() {
     let world = World::new("asphalt");
     let mut mapper =
         Mapper::new(&world.camera, Rig::level(HEIGHT_M), &config(), LoopClosureConfig::default());
@@ -255,8 +253,8 @@ fn the_same_round_all_day_leaves_a_graph_that_does_not_grow_and_who_hurries_look
     assert_eq!(revisited(&mut mapper, &mut images, 5), revisited(&mut mapper, &mut images, 50));
 }
 
-/// Keyframes to and fro in four lanes, whose ties bend and stretch every step: what a poor picture
-/// and a worse mount do to a long drive, at once.
+/// Keyframes in four lanes, with edges that rotate and scale every step: the effect of low texture
+/// and an uncalibrated mount on a long drive.
 fn bent_lanes() -> (Vec<GroundPose>, Vec<MapEdge>) {
     let place = |i: usize| {
         let (lane, along) = (i / 8, i % 8);

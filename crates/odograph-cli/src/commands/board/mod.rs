@@ -22,9 +22,9 @@ pub struct BoardArguments {
     /// The board to print, such as chessboard:9x6:25mm; the kinds are below.
     #[arg(long, value_name = "BOARD")]
     board: Board,
-    /// The file to write; its ending decides: .pdf, .svg or .png.
+    /// The file to write; its extension is the format: .pdf, .svg or .png.
     ///
-    /// [default: board.pdf, with a number where that is there already]
+    /// [default: board.pdf, with a number if that exists]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Paper: a5 to a0, letter, legal, tabloid, or a size such as 500x700mm.
@@ -59,7 +59,7 @@ Examples:
   odograph board --board charuco:8x11:20mm -o board.pdf
   odograph board --board chessboard:9x6:40mm --paper a3 -o board.svg";
 
-/// What is written, by the ending of the file.
+/// The format, by the extension of the file.
 #[derive(Debug, Clone, Copy)]
 enum Format {
     Pdf,

@@ -7,7 +7,7 @@ use odograph_calibration::{Board, BoardKind, Drawing, Shape};
 /// A page: a board, a ruler and two lines of text.
 #[derive(Debug, Clone)]
 pub struct Page {
-    /// What it is laid out for; its width and height are those of the page.
+    /// The paper; its width and height are those of the page.
     pub paper: Paper,
     /// Black rectangles, which may touch but do not overlap.
     pub rectangles: Vec<RectangleMm>,
@@ -47,24 +47,24 @@ pub struct TextMm {
     pub text: String,
 }
 
-/// What printers leave white at the edge, and a little more.
+/// Unprintable margin of common printers, and a little more.
 const MARGIN_MM: f64 = 6.0;
-/// White between board and ruler at least.
+/// Minimum margin between board and ruler.
 const GAP_MM: f64 = 6.0;
 /// Ruler and text below the board.
 const FOOTER_MM: f64 = 15.0;
 const RULERS_MM: [u32; 4] = [100, 50, 20, 10];
 const TEXT_MM: f64 = 2.8;
-/// A digit is so wide for its size, and no usual letter of the caption wider than the second on the
-/// average.
+/// Width of a digit, and the largest mean width of a letter of the caption, relative to the type
+/// size.
 const DIGIT_WIDTH: f64 = 0.556;
 const LETTER_WIDTH: f64 = 0.56;
 
 impl Page {
-    /// Lays a board out on the paper that is asked for, or else on the smallest of the usual sizes
-    /// that is large enough; whichever way up it fits.
+    /// Lays a board out on the given paper, or on the smallest of the usual sizes that is large
+    /// enough; upright or across.
     ///
-    /// Fails where it does not fit, with what would.
+    /// Fails if it does not fit, and names what would.
     pub fn new(board: &Board, paper: Option<Paper>) -> Result<Self> {
         let drawing = Drawing::new(board);
         let (width_mm, height_mm) = needed_mm(&drawing);
@@ -186,7 +186,7 @@ impl Page {
         format!("pattern {} x {} mm", tenths(self.pattern_mm.0), tenths(self.pattern_mm.1))
     }
 
-    /// The paper and which way up it is, for people.
+    /// The paper and its orientation, for people.
     pub fn paper_text(&self) -> String {
         let way = if self.paper.width_mm > self.paper.height_mm { "across" } else { "upright" };
         format!("{}, {way}", self.paper)
@@ -273,7 +273,7 @@ fn shrunk(board: &Board, paper: Paper) -> Option<Board> {
     whole.or_else(|| (1..10).rev().find_map(|tenths| scaled(f64::from(tenths) / 10.0)))
 }
 
-/// A length to a tenth, without a needless zero.
+/// A length with at most one decimal.
 fn tenths(mm: f64) -> f64 {
     (mm * 10.0).round() / 10.0
 }

@@ -7,7 +7,7 @@ use std::str::FromStr;
 /// A sheet of paper, upright or across.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Paper {
-    /// Its name, where it has one.
+    /// Its name, if it has one.
     name: Option<&'static str>,
     /// Width, millimetres.
     pub width_mm: f64,
@@ -28,11 +28,11 @@ const NAMED: [(&str, f64, f64); 9] = [
     ("tabloid", 279.4, 431.8),
 ];
 
-/// Shortest and longest side that is taken seriously; a page of a PDF is at most 5080 mm long.
+/// Shortest and longest side that is accepted; a page of a PDF is at most 5080 mm long.
 const SIDES_MM: std::ops::RangeInclusive<f64> = 40.0..=5000.0;
 
 impl Paper {
-    /// What a board is laid on when nothing is asked for, the smallest first: nobody's printer
+    /// Paper of a board if none is given, the smallest first: no common printer
     /// holds A5 by default.
     pub fn usual() -> impl Iterator<Item = Self> {
         NAMED.iter().filter(|(name, ..)| ["A4", "A3", "A2", "A1", "A0"].contains(name)).map(Self::named)

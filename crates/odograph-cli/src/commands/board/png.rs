@@ -69,7 +69,7 @@ fn draw_disc(image: &mut GrayImage, disc: &DiscMm, scale: f64) {
     }
 }
 
-/// Text is drawn in a strip of its own, which is then laid on the picture.
+/// Text is drawn in a separate strip, which is then copied onto the picture.
 fn write_text(image: &mut GrayImage, page: &Page, scale: f64) -> Result<()> {
     let least = |of: fn(&super::page::TextMm) -> f64| page.texts.iter().map(of).fold(f64::INFINITY, f64::min);
     let (left_mm, top_mm) = (least(|text| text.x), least(|text| text.y - text.size));

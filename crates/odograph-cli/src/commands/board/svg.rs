@@ -28,7 +28,7 @@ pub fn svg(page: &Page) -> String {
 pub fn texts(texts: &[TextMm], left_mm: f64, top_mm: f64, scale: f64) -> String {
     let line = |TextMm { x, y, size, text }: &TextMm| {
         let (x, y, size) = (mm((x - left_mm) * scale), mm((y - top_mm) * scale), mm(size * scale));
-        // The text of a board has no character that means something to XML.
+        // The text of a board needs no XML escapes.
         format!(
             "<text x=\"{x}\" y=\"{y}\" font-size=\"{size}\" font-family=\"Roboto, Helvetica, Arial, sans-serif\">{text}</text>\n"
         )

@@ -6,11 +6,11 @@ use odograph_video::{Source, SourceOptions};
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// A frame or picture to look at.
+/// A frame or image to search for the board.
 pub struct Look {
-    /// Its place among all that are looked at, from 0.
+    /// Its number among all that are searched, from 0.
     pub number: u64,
-    /// How people find it: the name of the picture, or the frame and its time.
+    /// Its name for people: the name of the picture, or the frame and its time.
     pub name: String,
     /// Its time in seconds; `None` for pictures given one by one.
     pub time_s: Option<f64>,
@@ -72,7 +72,7 @@ impl Input {
 
     /// The next frame; `None` at the end.
     ///
-    /// Fails where a source cannot be read or has another size than the first.
+    /// Fails if a source cannot be read or its size differs from that of the first.
     pub fn next(&mut self) -> Result<Option<Look>> {
         loop {
             let Some((source, place)) = &mut self.open else { return Ok(None) };
@@ -113,8 +113,7 @@ impl Input {
         Ok(source)
     }
 
-    /// What was noticed about the sources, one sentence each. That nothing says when pictures were
-    /// taken is no matter here.
+    /// Warnings about the sources. Missing timestamps do not matter here.
     pub fn take_warnings(&mut self) -> Vec<String> {
         if let Some((source, _)) = &mut self.open {
             self.warnings.append(&mut source.take_warnings());

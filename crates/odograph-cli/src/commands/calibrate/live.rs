@@ -1,5 +1,5 @@
-//! `odograph calibrate --live`: the board before a camera as it looks, with a page that says what
-//! to show next, until it is good.
+//! `odograph calibrate --live`: calibrates with a live camera and a page that says what to show
+//! next, until the result is good.
 
 use super::search::{Gathering, look};
 use super::{CalibrateArguments, Calibrated, LEAST_VIEWS, Source, conclude, input::Look, output::Output};
@@ -25,12 +25,12 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What is missing is found out so often: it costs about as much as a frame.
+/// Interval of the search for what is missing, which costs about as much as a frame.
 const GUIDED_EVERY: Duration = Duration::from_millis(300);
-/// A trial that was not good is repeated after so many new views.
+/// Number of new views after which a trial that was not good is repeated.
 const VIEWS_UNTIL_NEXT_TRIAL: usize = 4;
 
-/// Whether arguments were given that only `--live` has a use for.
+/// Whether arguments were given that require `--live`.
 pub fn is_asked(arguments: &CalibrateArguments) -> Result<bool> {
     let asked = arguments.live;
     let only_live =
@@ -97,7 +97,7 @@ pub fn calibrate(
     showing.tell_status(Phase::Saving);
     let mut search = showing.gathering.finished();
     search.warnings.extend(farewell.warnings);
-    // A camera that went away ends the calibration; what it has shown until then may do.
+    // A lost camera ends the calibration; the views until then may suffice.
     search.warnings.extend(farewell.failure.as_ref().map(ToString::to_string));
     let source = Source { description: name.to_owned(), searched: started.elapsed() };
     let concluded = conclude(arguments, board, search, selection, source).and_then(|calibrated| {
@@ -111,7 +111,7 @@ pub fn calibrate(
             if !interrupt::asked() {
                 serving.linger(arguments.quiet);
             }
-            // That it was not found because the camera went away comes first.
+            // The loss of the camera takes precedence over a board that was not found.
             return Err(farewell
                 .failure
                 .filter(|_| error.kind() == odograph::error::ErrorKind::Input)
@@ -139,7 +139,7 @@ fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {
     open_live_input(&plan, &arguments.capture.options(), || None, watch)
 }
 
-/// The camera file, and the report where it lies below the same folder.
+/// The camera file, and the report if it is below the same folder.
 fn offer(output: &Output) -> Offer {
     let camera = output.camera_file();
     let folder = match camera.parent() {
@@ -170,7 +170,7 @@ struct Showing<'a> {
 }
 
 impl Showing<'_> {
-    /// Goes on until the source ends, a person ends it, or a trial is good.
+    /// Runs until the source ends, a person ends it, or a trial is good.
     fn follow(&mut self) {
         while !interrupt::asked() && !self.hub.stop_asked() && !self.trial.is_good() {
             match self.queue.take(PATIENCE) {
@@ -218,7 +218,7 @@ impl Showing<'_> {
         }
     }
 
-    /// Finds out what is missing; where nothing is, tries.
+    /// Determines what is missing; if nothing is, calibrates.
     fn guide(&mut self) {
         self.guided = Some(Instant::now());
         let selector = self.gathering.selector();
@@ -291,7 +291,7 @@ fn said(calibration: &Calibration) -> String {
     format!("{} with {:.3} px on views held out{reason}", calibration.verdict, calibration.hold_out_rms_px)
 }
 
-/// Calibrations with what there is, beside looking for more.
+/// Trial calibrations with the views so far, in parallel to the search.
 #[derive(Default)]
 struct Trial {
     running: Option<mpsc::Receiver<Result<Calibration>>>,
@@ -324,20 +324,20 @@ impl Trial {
         let (board, config) = (*board, *config);
         let (done, result) = mpsc::channel();
         thread::spawn(move || {
-            // Nobody may be waiting any more.
+            // The receiver may be gone.
             let _ = done.send(odograph_calibration::calibrate(&board, &views, &config));
         });
         self.running = Some(result);
     }
 
-    /// Takes the result where it is there.
+    /// Takes the result if it is available.
     fn collect(&mut self) {
         if let Some(result) = self.running.as_ref().and_then(|running| running.try_recv().ok()) {
             self.take(result);
         }
     }
 
-    /// Waits for one that is under way: two of them at a time would only slow each other down.
+    /// Waits for a running trial: two at a time would slow each other down.
     fn wait(&mut self) {
         if let Some(result) = self.running.as_ref().and_then(|running| running.recv().ok()) {
             self.take(result);

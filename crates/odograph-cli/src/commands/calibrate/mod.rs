@@ -1,5 +1,4 @@
-//! `odograph calibrate`: views of a board go in, a camera file and a report of how far it can be
-//! trusted come out.
+//! `odograph calibrate`: computes a camera file from views of a board, and a report on its quality.
 
 mod input;
 mod live;
@@ -45,7 +44,7 @@ pub struct CalibrateArguments {
     report: Option<PathBuf>,
     /// Calibrate with a camera while it films, and end when the result is good.
     ///
-    /// It says what to show next, on a page with --serve.
+    /// The page (--serve) says what to show next.
     #[arg(help_heading = "Source", long)]
     live: bool,
     #[command(flatten)]
@@ -55,25 +54,25 @@ pub struct CalibrateArguments {
     /// Lens model; auto takes the one that predicts unseen views best.
     #[arg(help_heading = "Board and lens", long, value_name = "MODEL", default_value = "auto")]
     model: Model,
-    /// Take pixels as square: one focal length for both directions.
+    /// Assume square pixels: one focal length for both directions.
     #[arg(help_heading = "Board and lens", long)]
     square_pixels: bool,
-    /// Take the principal point as the middle of the image.
+    /// Fix the principal point at the image centre.
     #[arg(help_heading = "Board and lens", long)]
     centred: bool,
-    /// The board may be bent a little, or its print stretched: that is estimated too.
+    /// Also estimate a slight bend of the board and a stretch of its print.
     #[arg(help_heading = "Board and lens", long)]
     bent_board: bool,
     /// Look at every n-th frame only.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
-    /// Begin so many seconds after the first frame.
+    /// Begin this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     start: Option<f64>,
-    /// End so many seconds after the first frame.
+    /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
-    /// Calibrate with at most so many views: the ones that tell most.
+    /// Calibrate with at most this many views: the most informative ones.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(3..=500))]
     max_views: u16,
     /// Overwrite results that are already there.
@@ -105,7 +104,7 @@ files have been written and say why).";
 /// The lens models by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Model {
-    /// The one that foretells new views best.
+    /// The one that predicts new views best.
     Auto,
     /// No distortion.
     Pinhole,
@@ -135,7 +134,7 @@ impl Model {
     }
 }
 
-/// Fewer different views determine no camera.
+/// Minimum number of different views that determine a camera.
 const LEAST_VIEWS: usize = 3;
 
 /// A calibration with what it was made from.
@@ -183,7 +182,7 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     tell(&arguments, &calibrated, &output)
 }
 
-/// What was looked at, and how long that took.
+/// What was searched, and how long that took.
 struct Source {
     description: String,
     searched: Duration,
@@ -231,7 +230,7 @@ fn conclude(
     Ok(Calibrated { board, search, names, views, guidance, calibration, description, times })
 }
 
-/// Tells the result, and how to end.
+/// Prints the result; returns the outcome.
 fn tell(arguments: &CalibrateArguments, calibrated: &Calibrated, output: &Output) -> Result<Outcome> {
     calibrated.search.warnings.iter().for_each(|warning| console::warn(warning));
     if arguments.json {
@@ -245,8 +244,8 @@ fn tell(arguments: &CalibrateArguments, calibrated: &Calibrated, output: &Output
     })
 }
 
-/// The views to calibrate with: all pictures, if there are not too many of them; otherwise those
-/// that tell most.
+/// The views to calibrate with: all images, if there are not too many; otherwise the most
+/// informative ones.
 fn choose<'a>(
     search: &'a Search,
     most_views: usize,

@@ -15,12 +15,12 @@ const PAGE: &str = "report.html";
 pub struct Output {
     camera_file: PathBuf,
     report: PathBuf,
-    /// Folders that were made for it, the innermost first.
+    /// Folders that were created for it, the innermost first.
     made: Vec<PathBuf>,
 }
 
 impl Drop for Output {
-    /// What was made for results that did not come is taken away: folders that are empty.
+    /// Removes folders that were created for results that were not written, if they are empty.
     fn drop(&mut self) {
         for folder in &self.made {
             let _ = fs::remove_dir(folder);
@@ -29,8 +29,8 @@ impl Drop for Output {
 }
 
 impl Output {
-    /// Fails where results are already there and `force` does not allow to replace them, or where
-    /// they cannot be written.
+    /// Fails if results exist and `force` does not allow replacing them, or if they cannot be
+    /// written.
     pub fn new(camera_file: &Path, report: Option<&Path>, force: bool) -> Result<Self> {
         let Some(stem) = camera_file.file_stem().filter(|_| !camera_file.is_dir()) else {
             return Err(Error::usage(format!(
@@ -58,7 +58,7 @@ impl Output {
         };
         let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let made = folder.ancestors().take_while(missing).map(Path::to_owned).collect();
-        // That it cannot be made is told before minutes of work and not after.
+        // Fail before minutes of work, not after.
         fs::create_dir_all(folder)
             .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
         Ok(Self { camera_file: camera_file.to_owned(), report, made })
@@ -72,8 +72,7 @@ impl Output {
         self.report.join(PAGE)
     }
 
-    /// Writes the report and then the camera file, so that where there is a camera file there is
-    /// all of it.
+    /// Writes the report and then the camera file, so that a camera file implies a complete report.
     pub fn write(&self, calibrated: &Calibrated) -> Result<()> {
         let calibration = &calibrated.calibration;
         let views = shown_views(calibrated);

@@ -25,7 +25,7 @@ pub struct Search {
     pub kind: String,
 }
 
-/// What became of one frame.
+/// The result for one frame.
 pub struct Looked {
     name: String,
     time_s: Option<f64>,
@@ -41,10 +41,9 @@ impl Looked {
     }
 }
 
-/// So many pictures without the board are named.
+/// Number of images without the board that are named.
 const MOST_NAMED: usize = 100;
-/// So many different reasons are counted: boards of other sizes could be as many as there are
-/// frames.
+/// Number of different reasons that are counted: there could be as many board sizes as frames.
 const MOST_REASONS: usize = 8;
 
 /// Looks for the board in every frame.
@@ -143,10 +142,10 @@ pub fn look(finder: &BoardFinder, frame: Look) -> Looked {
 pub struct Gathering {
     search: Search,
     most_views: usize,
-    /// Whether pictures are so few that they were taken one by one, and their times say nothing
-    /// about how the board moved.
+    /// Whether the images were taken one by one, so that their times carry no information about the
+    /// motion of the board.
     photographs: bool,
-    /// The first of each kind, and how often it came.
+    /// The first of each kind, and its count.
     reasons: Vec<(NotFound, u64)>,
     only_pictures: bool,
     progress: ProgressBar,
@@ -195,7 +194,7 @@ impl Gathering {
                 let time_s = looked.time_s.filter(|_| !(self.photographs && looked.picture));
                 let sighting = Sighting { number, time_s, view, blur_px };
                 search.names.insert(number, looked.name);
-                // One more than can be used tells that there are too many.
+                // One more than can be used, to detect that there are too many.
                 if looked.picture && search.pictures.len() <= self.most_views {
                     search.pictures.push(sighting.clone());
                 }
@@ -215,7 +214,7 @@ impl Gathering {
         }
     }
 
-    /// Tells the person before the camera, where there is one and a terminal.
+    /// Guides the person in front of the camera, if there is a terminal.
     fn say_what_is_missing(&self) {
         // Guidance costs about as much as a frame.
         const EVERY: usize = 10;
@@ -246,8 +245,7 @@ impl Gathering {
     }
 }
 
-/// Whether two reasons are one to a person. A board of another size is one each time it is seen
-/// whole.
+/// Whether two reasons are the same to a person. Boards of other sizes count as one.
 fn alike(one: &NotFound, other: &NotFound) -> bool {
     match one {
         NotFound::OtherSize { .. } => one == other,
@@ -255,7 +253,7 @@ fn alike(one: &NotFound, other: &NotFound) -> bool {
     }
 }
 
-/// A bar where the number of frames is known, a count where not; nothing where standard error is no
+/// A bar if the number of frames is known, otherwise a count; nothing if standard error is no
 /// terminal.
 fn progress(frames: Option<u64>, quiet: bool) -> ProgressBar {
     if quiet {

@@ -1,4 +1,4 @@
-//! What is said on the terminal: the verdict first, then what to look at and what to do next.
+//! The summary on the terminal: the verdict first, then where to look and what to do next.
 
 use super::Calibrated;
 use super::output::Output;
@@ -85,7 +85,7 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
     let camera = output.camera_file().display();
     match calibration.verdict {
         Verdict::DoItAgain => {
-            let _ = writeln!(text, "{camera} has been written all the same");
+            let _ = writeln!(text, "{camera} has been written nevertheless");
         }
         _ => {
             let _ = writeln!(
@@ -101,7 +101,7 @@ pub fn text(calibrated: &Calibrated, output: &Output) -> String {
 /// Pixels per tangent on the axis across the image, and their standard deviation: what people mean
 /// by the focal length.
 ///
-/// The double sphere's own focal length is `1 + ξ` times as large, and hardly known by itself (V.
+/// The double sphere's own focal length is `1 + ξ` times as large, and poorly determined alone (V.
 /// Usenko et al., 2018, section 3.5).
 pub fn focal_px(calibration: &Calibration) -> (f64, f64) {
     let place = |names: &[&str]| calibration.parameters.iter().position(|p| names.contains(&p.name));

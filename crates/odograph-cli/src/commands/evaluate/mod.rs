@@ -1,4 +1,4 @@
-//! `odograph evaluate`: how far an estimated trajectory is from the truth.
+//! `odograph evaluate`: the error of an estimated trajectory.
 
 mod figures;
 mod table;
@@ -17,23 +17,23 @@ use std::str::FromStr;
 
 /// Compare a trajectory with the truth
 ///
-/// Tells absolute and relative errors, and the drift over each metre.
+/// Prints absolute and relative errors, and the drift over each metre.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Definitions are those of evo, so that figures can be put side by side; docs/evaluation.md tells them."
+    after_help = "The definitions are those of evo, so that figures can be compared; see docs/evaluation.md."
 )]
 pub struct EvaluateArguments {
     /// The trajectory to judge (TUM or KITTI)
     estimate: PathBuf,
     /// The true trajectory (TUM or KITTI)
     truth: PathBuf,
-    /// How the estimate may be moved before it is compared
+    /// How the estimate is aligned before it is compared
     #[arg(long, value_enum, default_value = "se3")]
     align: Align,
     /// Do not compare poses further apart in time than this
     #[arg(long, value_name = "SECONDS", default_value_t = EvaluationOptions::default().max_time_difference_s)]
     max_time_difference: f64,
-    /// Form of both files [default: told by the count of columns]
+    /// Format of both files [default: recognised by the number of columns]
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// Times of the poses of KITTI files, a number of seconds a line
@@ -41,10 +41,10 @@ pub struct EvaluateArguments {
     /// [default: the number of the pose]
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
-    /// Stretches of the relative errors: lengths (1m, 50cm) or poses (10f); several with commas
+    /// Segments of the relative errors: lengths (1m, 50cm) or poses (10f); several with commas
     #[arg(long, value_name = "LENGTH", value_delimiter = ',', default_value = "1f,1m")]
     delta: Vec<DeltaArgument>,
-    /// Start a relative error at every pose, not only where the one before ended
+    /// Start a segment at every pose, not only at the end of the one before
     #[arg(long)]
     all_pairs: bool,
     /// Segment lengths for the drift; several with commas
@@ -196,7 +196,7 @@ fn tell(
         table::text(&arguments.estimate, &arguments.truth, options, evaluation, over_ground_m)
     };
     match std::io::stdout().lock().write_all(text.as_bytes()) {
-        // Whoever reads the output may stop when they have seen enough.
+        // The reader of a pipe may stop early.
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
             Err(Error::output(format!("the result cannot be printed: {error}")))
         }

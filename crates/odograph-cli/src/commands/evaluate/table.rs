@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 /// The whole table; metres and degrees. `over_ground_m` are the lengths of the true and the
-/// estimated path without their ups and downs.
+/// estimated path without changes of height.
 pub fn text(
     estimate: &Path,
     truth: &Path,
@@ -36,7 +36,7 @@ pub fn text(
     }
     let scale = match e.scale {
         Some(scale) => format!("truth is {scale:.6} times the estimate ({:+.3} %)", 100.0 * (scale - 1.0)),
-        None => "not told by these paths".to_owned(),
+        None => "not determined by these paths".to_owned(),
     };
     let _ = writeln!(out, "scale    {scale}");
     let of_path = if e.truth_length_m > 0.0 {
@@ -46,14 +46,15 @@ pub fn text(
     };
     let _ = writeln!(
         out,
-        "at end   position {:.6} m off{of_path}, heading {:+.4}° off, first poses laid onto each other",
+        "at end   position {:.6} m off{of_path}, heading {:+.4}° off, with the first poses aligned",
         e.final_position_error_m,
         e.final_heading_error_rad.to_degrees()
     );
     if !e.alignment.rotation_determined {
         let _ = writeln!(
             out,
-            "note     the positions leave the rotation open (a straight path, or none); the first orientations settle it"
+            "note     the positions do not determine the rotation (a straight path, or none); the first \
+             orientations do"
         );
     }
     for delta in

@@ -7,13 +7,13 @@ use odograph::image::RgbImage;
 use odograph_calibration::{Board, BoardFinder, BoardView};
 use odograph_calibration::{BoardMounting, FloorBoard, rig_from_boards};
 
-/// More views than this tell no more.
+/// More views than this add no information.
 const MOST_VIEWS: usize = 100;
 
 /// Views in which the board moved by less than this since the last one are duplicates, pixels.
 const MOVED_PX: f64 = 3.0;
 
-/// Why a picture did not help is told for at most so many.
+/// Number of pictures for which the reason of their exclusion is printed.
 const MOST_TOLD: usize = 8;
 
 /// What was found in all sources.
@@ -21,7 +21,7 @@ struct Found {
     views: Vec<BoardView>,
     names: Vec<String>,
     frames: usize,
-    /// Frames that show the board where it was before.
+    /// Frames that show the board at the same place as before.
     still: usize,
     /// Names of the frames without the board, and why.
     without: Vec<(String, String)>,
@@ -106,14 +106,14 @@ fn look(arguments: &GroundArguments, board: &Board) -> Result<Found> {
                 }
             }
         }
-        // When pictures were taken does not matter here.
+        // Timestamps do not matter here.
         let warnings = source.take_warnings();
         found.warnings.extend(warnings.into_iter().filter(|w| !w.contains("when the frames were taken")));
     }
     Ok(found)
 }
 
-/// Whether the board is where it was.
+/// Whether the board has not moved.
 fn is_same(last: &BoardView, view: &BoardView) -> bool {
     if last.size != view.size {
         return false;
@@ -132,7 +132,7 @@ fn summary(board: &Board, mounting: &BoardMounting, names: &[String], still: usi
     let used = mounting.views.iter().filter(|view| view.why_not.is_none()).count();
     let mut text = format!("\n{used} of {} views of {board}", mounting.views.len());
     if still > 0 {
-        text += &format!(" ({still} more frames show it where it was before)");
+        text += &format!(" ({still} more frames show it at the same place)");
     }
     text.push('\n');
     if mounting.views.len() > 1 {

@@ -26,8 +26,8 @@ struct Pass {
     length_by_frames_m: f64,
 }
 
-/// The tracks are followed once more where the first pass began further off than this, degrees: the
-/// shapes in which patches were expected depend on the tilt.
+/// Error of the initial tilt, in degrees, above which the recording is tracked again: the predicted
+/// shapes of patches depend on the tilt.
 const AGAIN_DEG: f64 = 0.1;
 
 pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
@@ -96,14 +96,15 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     warnings.extend(uncertainty.is_none().then(|| CAMERA_UNKNOWN.to_owned()));
     warnings.extend(lens_off_px.map(|off_px| {
         format!(
-            "the lens bends otherwise than {} says, by {off_px:.1} px at the edge of the image: the tilt is that with the lens as the recording \
-             shows it; odograph run finds it in the same way, odograph calibrate measures it",
+            "the lens differs from {}, by {off_px:.1} px at the edge of the image: the tilt is that with \
+             the lens estimated from the recording, which odograph run estimates too; odograph calibrate \
+             measures it",
             arguments.camera.display()
         )
     }));
     let lost = pass.driven.lost_fraction();
     if lost > 0.0 {
-        warnings.push(format!("{:.1} % of the frames could not be followed", 100.0 * lost));
+        warnings.push(format!("{:.1} % of the frames could not be tracked", 100.0 * lost));
     }
     Ok(Measured {
         rig: MeasuredRig {
@@ -132,7 +133,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
 /// the tolerance.
 const MOST_PASSES: usize = 3;
 
-/// Follows the whole recording and solves for its tilt.
+/// Tracks the whole recording and solves for its tilt.
 fn follow(
     arguments: &GroundArguments,
     path: &str,
@@ -183,21 +184,21 @@ fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
         "roll and pitch together"
     };
     format!(
-        "{path}: this driving does not tell {which} (only to ± {:.1}°); drive at least 5 m over well-textured flat floor, with turns to both sides",
+        "{path}: the motion does not determine {which} (only to ± {:.1}°); drive at least 5 m over \
+         well-textured flat floor, with turns to both sides",
         deviation_rad.to_degrees()
     )
 }
 
 /// The height from the length of the path, and its standard deviation.
 ///
-/// A path has no length by itself: measured from frame to frame it has all the shaking of the
-/// mount, along chords of a twentieth of the height it cuts the curves. The distance that was
-/// driven lies between; the middle is taken, with half of what lies between as its standard
-/// deviation.
+/// The length of a path depends on its sampling: measured from frame to frame it contains the
+/// vibration of the mount, along chords of a twentieth of the height it cuts the curves. The driven
+/// distance lies between; the mean is used, with half of the difference as its standard deviation.
 fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<f64>)> {
     let (by_chords, deviation) = pass.driven.path_length_m().ok_or_else(|| {
         Error::input(format!(
-            "{path}: the camera's path is broken where it could not be followed, so its length is not known; give --height, or \
+            "{path}: tracking was lost, so the length of the path is not known; give --height, or \
              --start and --end around a part without a break"
         ))
     })?;
@@ -205,7 +206,8 @@ fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<
     let length = by_chords + 0.5 * between;
     if length < LEAST_HEIGHTS {
         return Err(Error::input(format!(
-            "{path}: the camera moved by {length:.2} of its height only; a distance tells the height from {LEAST_HEIGHTS:.0} heights on"
+            "{path}: the camera moved by only {length:.2} times its height; --distance needs at least \
+             {LEAST_HEIGHTS:.0} times"
         )));
     }
     let height_m = distance.metres / length;
@@ -214,7 +216,7 @@ fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<
     Ok((height_m, Some(height_m * relative)))
 }
 
-/// A shorter path is a poor measure.
+/// Shortest path from which the height is estimated, in heights.
 const LEAST_HEIGHTS: f64 = 2.0;
 
 fn summary(found: &TiltMeasurement) -> String {

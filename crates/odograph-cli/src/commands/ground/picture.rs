@@ -36,7 +36,7 @@ pub fn drawn(camera: &Camera, measured: &Measured) -> Result<Vec<u8>> {
         };
         let ring: Vec<Option<Pixel>> = (0..=180).map(|step| seen(camera, &pose, at(step))).collect();
         line(&mut svg, &ring, "#ffd54a", 0.8 * unit);
-        // Labels stand behind the plumb point, away from the arrows.
+        // Labels are behind the plumb point, away from the arrows.
         let behind = ring.iter().cycle().skip(110).take(ring.len()).flatten();
         if let Some(label) = behind.into_iter().find(|pixel| camera.contains(**pixel, 16.0 * unit)) {
             text(&mut svg, *label, &format!("{degrees:.0}°"), "#ffd54a");
@@ -72,7 +72,7 @@ fn seen(camera: &Camera, pose: &GroundPose, point: GroundPoint) -> Option<Pixel>
     pose.ray_from_ground(point).and_then(|ray| camera.pixel_from_ray(ray))
 }
 
-/// A line through those of the points that are seen, broken where they are not.
+/// A line through the visible points, interrupted at the others.
 fn line(svg: &mut String, points: &[Option<Pixel>], color: &str, width: f64) {
     let mut path = String::new();
     let mut before = false;

@@ -19,12 +19,12 @@ pub struct InfoArguments {
     /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
-    /// Look through the whole file for damage, every image included; slow on a large map.
+    /// Check the whole file for damage, every image included; slow on a large map.
     #[arg(long)]
     check: bool,
 }
 
-/// What is told.
+/// The facts about a map.
 #[derive(Debug, Serialize)]
 struct MapInfo {
     file: String,
@@ -37,7 +37,7 @@ struct MapInfo {
     odometry_edges: usize,
     gap_edges: usize,
     loop_edges: usize,
-    /// Pieces of the map that no edge ties to each other.
+    /// Parts of the map that no edge connects.
     pieces: usize,
     features: usize,
     /// Least x and y, greatest x and y of the keyframes.
@@ -137,7 +137,7 @@ fn extent_m(map: &GroundMap) -> Option<[f64; 4]> {
         .reduce(|a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])])
 }
 
-/// How many pieces the edges leave of the map.
+/// Number of parts that the edges leave.
 pub fn pieces(map: &GroundMap) -> usize {
     let place: BTreeMap<KeyframeId, usize> =
         map.keyframes.iter().enumerate().map(|(index, keyframe)| (keyframe.id, index)).collect();
@@ -207,7 +207,7 @@ fn described(info: &MapInfo, checked: bool) -> String {
                 mosaic.levels
             );
         }
-        None => text.push_str("mosaic     none; odograph map mosaic lays it\n"),
+        None => text.push_str("mosaic     none; odograph map mosaic renders it\n"),
     }
     for session in &info.sessions {
         let _ = writeln!(

@@ -1,4 +1,4 @@
-//! `odograph map merge`: maps that overlap, joined.
+//! `odograph map merge`: joins maps that overlap.
 
 use super::{check_free, info::pieces, mosaic};
 use crate::{Outcome, console, files, interrupt};
@@ -13,7 +13,7 @@ use odograph_map::{KeyframeMove, MapClaim, MapFile, carried};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Join maps of one camera that show some of the same ground.
+/// Join maps of one camera with common ground.
 ///
 /// The first one's frame is kept; the others are recognised in it.
 #[derive(Debug, clap::Args)]
@@ -28,7 +28,7 @@ pub struct MergeArguments {
     /// What may change between frames: as when the maps were made.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     motion: crate::commands::run::Motion,
-    /// Overwrite the joined map where it is there.
+    /// Overwrite the joined map if it exists.
     #[arg(long)]
     force: bool,
     /// Say nothing but errors.
@@ -49,7 +49,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     let [first, others @ ..] = arguments.maps.as_slice() else {
         return Err(Error::usage("give two maps or more to join"));
     };
-    // Whatever fails, what was there stays, and nothing half joined is left.
+    // After a failure an existing file is unchanged, and no partial map is left.
     let beside = files::beside(&arguments.output);
     MapFile::remove(&beside)?;
     let joined = joined(first, others, &beside, arguments);
@@ -67,7 +67,7 @@ pub fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Refuses a map that is given twice, under whatever name: it would be laid over itself.
+/// Refuses a map that is given twice, under any name: it would be joined to itself.
 fn check_different(maps: &[PathBuf]) -> Result<()> {
     let files: Vec<Option<PathBuf>> = maps.iter().map(|path| fs::canonicalize(path).ok()).collect();
     for (at, file) in files.iter().enumerate() {
@@ -81,7 +81,7 @@ fn check_different(maps: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// Makes the joined map; gives what is to be told of it.
+/// Makes the joined map; returns the summary to print.
 fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArguments) -> Result<String> {
     MapFile::open_read_only(first)?.copy_to(path)?;
     let mut file = MapFile::open(path)?;
@@ -110,7 +110,7 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
     let map = file.map()?;
     told += &match pieces(&map) {
         1 => String::new(),
-        pieces => format!("{pieces} pieces that nothing ties to each other: where they lie is not known\n"),
+        pieces => format!("{pieces} pieces without a connection: their relative position is not known\n"),
     };
     if finest_m.is_some() {
         mosaic::laid(&mut file, finest_m, arguments.quiet)?;
@@ -119,10 +119,10 @@ fn joined(first: &Path, others: &[PathBuf], path: &Path, arguments: &MergeArgume
     Ok(told)
 }
 
-/// What a map brought.
+/// The contribution of a map.
 struct Added {
     merged: slam::Merged,
-    /// Side of a ground pixel of its mosaic, where it has one.
+    /// Side of a ground pixel of its mosaic, if it has one.
     mosaic_m: Option<f64>,
 }
 
@@ -139,7 +139,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
             arguments.maps[0].display()
         )));
     }
-    // Its sessions go on with the numbers that are free.
+    // Its sessions get the next free numbers.
     let mut sessions = Vec::new();
     for session in other.sessions()? {
         sessions.push((session.id, file.begin_session(&session.source)?));
@@ -160,8 +160,8 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     if merged.ties == 0 {
         let earlier = if arguments.maps.len() > 2 { "the maps before it" } else { "the other" };
         return Err(Error::input(format!(
-            "no ground of {} was recognised in {earlier}, so it is not known how they lie to each other; a drive over ground of both, \
-             made with run --map, ties them",
+            "no ground of {} was recognised in {earlier}, so their relative position is not known; a \
+             drive over ground of both, with run --map, connects them",
             path.display()
         )));
     }
@@ -185,7 +185,7 @@ fn join(mut file: MapFile, path: &Path, arguments: &MergeArguments) -> Result<(M
     Ok((file, Added { merged, mosaic_m }))
 }
 
-/// The joined map as it grows: pictures come from the other map as they are there.
+/// The growing joined map: images are copied from the other map unchanged.
 struct Joined {
     file: MapFile,
     other: MapFile,

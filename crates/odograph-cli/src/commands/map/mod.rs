@@ -1,4 +1,4 @@
-//! `odograph map`: what can be done with a map file.
+//! `odograph map`: commands on map files.
 
 mod export;
 mod info;
@@ -11,7 +11,7 @@ use crate::Outcome;
 use odograph::error::{Error, Result};
 use std::path::Path;
 
-/// Show, join, export, straighten or thin a map.
+/// Show, join, export, optimise or thin a map.
 #[derive(Debug, clap::Args)]
 pub struct MapArguments {
     #[command(subcommand)]
@@ -40,7 +40,7 @@ pub fn map(arguments: MapArguments) -> Result<Outcome> {
     }
 }
 
-/// Refuses to write over what is there.
+/// Refuses to overwrite existing results.
 fn check_free(path: &Path, force: bool) -> Result<()> {
     if path.exists() && !force {
         return Err(Error::usage(format!(

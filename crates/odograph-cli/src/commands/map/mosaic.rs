@@ -1,4 +1,4 @@
-//! `odograph map mosaic`: the picture of the ground, laid anew.
+//! `odograph map mosaic`: renders the mosaic of a map again.
 
 use super::{check_free, export};
 use crate::{Outcome, console, interrupt, lengths};
@@ -7,9 +7,9 @@ use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
 use std::path::PathBuf;
 
-/// Lay the mosaic of a map anew, at a chosen resolution.
+/// Render the mosaic of a map again, at a chosen resolution.
 ///
-/// It is kept in the map.
+/// It is stored in the map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MosaicArguments {
@@ -21,10 +21,10 @@ pub struct MosaicArguments {
     output: Option<PathBuf>,
     /// Side of a ground pixel, as 0.002 (metres) or 2mm.
     ///
-    /// [default: what a pixel in the middle of an image sees]
+    /// [default: that of a pixel in the middle of an image]
     #[arg(long, value_name = "LENGTH", value_parser = lengths::metres, allow_negative_numbers = true)]
     resolution: Option<f64>,
-    /// Overwrite the picture where it is there.
+    /// Overwrite the picture if it exists.
     #[arg(long)]
     force: bool,
     /// Say nothing but errors.
@@ -64,17 +64,18 @@ pub fn mosaic(arguments: &MosaicArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// That the mosaic was laid with wider pixels than were asked for, and why.
+/// The warning that the mosaic has larger pixels than requested, and why.
 fn coarser(asked_m: f64, laid_m: f64) -> String {
     format!(
-        "--resolution {asked_m} is finer than this map bears: the mosaic was laid with pixels of {:.2} mm, as a quarter of what a pixel of its images sees \
-         is the finest that shows anything, and no mosaic is more than 2^30 pixels wide",
+        "--resolution {asked_m} is finer than this map allows: the mosaic has pixels of {:.2} mm, because \
+         its images show nothing finer than a quarter of their pixels, and no mosaic is more than 2^30 \
+         pixels wide",
         1e3 * laid_m
     )
 }
 
-/// Lays the mosaic of a map and keeps it there, with a bar for people. Fails where it is
-/// interrupted, and where no keyframe looks at the ground.
+/// Renders the mosaic of a map and stores it there, with a progress bar. Fails if it is
+/// interrupted, or if no keyframe shows the ground.
 pub fn laid(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Result<MosaicLayer> {
     let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::no_length() };
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} patches, {eta} left") {
@@ -91,12 +92,12 @@ pub fn laid(file: &mut MapFile, resolution_m: Option<f64>, quiet: bool) -> Resul
             "interrupted; the map has the mosaic that it had".to_owned()
         } else if let Some(metres) = resolution_m {
             format!(
-                "{}: no keyframe shows ground enough for a pixel of {metres} m; give a finer --resolution",
+                "{}: no keyframe shows enough ground for a pixel of {metres} m; give a finer --resolution",
                 file.path().display()
             )
         } else {
             format!(
-                "{} has no keyframe that looks at the ground; there is no mosaic to lay",
+                "{} has no keyframe that shows the ground; there is no mosaic to render",
                 file.path().display()
             )
         })

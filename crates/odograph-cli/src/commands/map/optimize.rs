@@ -1,4 +1,4 @@
-//! `odograph map optimize`: keyframes where all that is known of them agrees best.
+//! `odograph map optimize`: optimises the pose graph of a map.
 
 use super::{check_free, mosaic};
 use crate::{Outcome, console, files};
@@ -11,12 +11,11 @@ use odograph_map::{MapClaim, MapFile};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Adjust all keyframes of a map to all that was measured between them.
+/// Optimise all keyframes of a map over all measurements between them.
 ///
-/// The paths and the mosaic go with them.
+/// The paths and the mosaic are moved with them.
 ///
-/// A run does this at its end; a run that was killed did not, nor does a map hold together as well
-/// as it could after it was thinned.
+/// A run does this at its end. It is useful after a killed run, and after thinning.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct OptimizeArguments {
@@ -29,7 +28,7 @@ pub struct OptimizeArguments {
     /// What may change between frames: as when the map was made.
     #[arg(long, value_name = "MODEL", default_value = "auto")]
     motion: crate::commands::run::Motion,
-    /// Overwrite the result where it is there.
+    /// Overwrite the result if it exists.
     #[arg(long, requires = "output")]
     force: bool,
     /// Say nothing but errors.
@@ -70,7 +69,7 @@ fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {
     let moved_m = most_moved_m(&map, &straight);
     let poses: Vec<_> = straight.keyframes.iter().map(|k| (k.id, k.pose, k.covariance)).collect();
     file.set_poses(&poses)?;
-    // A mosaic that is off by less than half of its pixels shows the same.
+    // A shift by less than half a pixel does not change the mosaic.
     let resolution_m = file.mosaic()?.map(|layer| layer.resolution_m);
     if let Some(resolution_m) = resolution_m.filter(|resolution_m| moved_m > 0.5 * resolution_m) {
         mosaic::laid(&mut file, Some(resolution_m), arguments.quiet)?;
@@ -79,7 +78,7 @@ fn in_place(path: &Path, arguments: &OptimizeArguments) -> Result<Outcome> {
     if !arguments.quiet {
         let loops = map.edges.iter().filter(|edge| edge.kind == EdgeKind::Loop).count();
         console::print(&match loops {
-            0 => "no loops: there is nothing that could disagree, and nothing was moved\n".to_owned(),
+            0 => "no loops: nothing to optimise, and nothing was moved\n".to_owned(),
             _ => format!(
                 "{} keyframes, {} edges, {loops} of them loops; moved by up to {:.2} mm\n",
                 map.keyframes.len(),

@@ -5,9 +5,9 @@ use odograph::error::{Error, Result};
 use odograph_map::MapFile;
 use std::path::{Path, PathBuf};
 
-/// Remove the keyframes that a map can best do without.
+/// Remove redundant keyframes from a map.
 ///
-/// Those whose ground others show, too. What they tied together stays tied.
+/// Those whose ground others show too. Their edges are merged, so that the map stays connected.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ThinArguments {
@@ -73,8 +73,8 @@ pub fn thin(arguments: &ThinArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Thins until the file is small enough; as the keyframes differ in size, that may take more than
-/// one turn. What share of the ground is kept is the product of what each turn kept.
+/// Thins until the file is small enough; keyframes differ in size, so that this may take several
+/// passes. The share of the ground that is kept is the product over the passes.
 fn thin_to_size(file: &mut MapFile, most: u64) -> Result<f64> {
     let mut ground_kept = 1.0;
     file.compact()?;
@@ -87,8 +87,8 @@ fn thin_to_size(file: &mut MapFile, most: u64) -> Result<f64> {
         let rest = size - images.min(size);
         if keyframes == 0 || rest >= most {
             return Err(Error::input(format!(
-                "{}: even without a picture the map has {rest} bytes (paths, mosaic and what places are recognised by); allow it more than {most}, or lay a \
-                 coarser mosaic first",
+                "{}: even without images the map has {rest} bytes (paths, mosaic and signatures); allow \
+                 more than {most}, or render a coarser mosaic first",
                 file.path().display()
             )));
         }

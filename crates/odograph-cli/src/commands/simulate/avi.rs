@@ -4,12 +4,12 @@
 use odograph::error::{Error, Result};
 use std::io::{self, Seek, SeekFrom, Write};
 
-/// RIFF counts bytes in 32 bits; readers are sure of half of that.
+/// RIFF counts bytes in 32 bits; not all readers accept more than half of that.
 const MOST_BYTES: u64 = 0x7FFF_0000;
 /// Flag of an index entry: this picture can be shown without others.
 const KEYFRAME: u32 = 0x10;
 
-/// Writes pictures one after the other; [`Writer::finish`] makes the file whole.
+/// Writes pictures one after the other; [`Writer::finish`] completes the file.
 pub struct Writer<W> {
     file: W,
     index: Vec<u8>,
@@ -38,7 +38,7 @@ impl<W: Write + Seek> Writer<W> {
         Ok(Self { file, index: vec![], movie_bytes: 0, largest: 0 })
     }
 
-    /// Adds a picture. Fails where the file would become larger than readers accept.
+    /// Adds a picture. Fails if the file would become larger than readers accept.
     pub fn add(&mut self, jpeg: &[u8]) -> Result<()> {
         let size = jpeg.len() as u32;
         let padded = u64::from(size) + u64::from(size % 2) + 8;
@@ -64,7 +64,7 @@ impl<W: Write + Seek> Writer<W> {
         written.map_err(|error| Error::output(format!("the AVI file cannot be written: {error}")))
     }
 
-    /// Writes the index and the sizes that only now are known.
+    /// Writes the index, and the sizes that are known only at the end.
     pub fn finish(mut self, format: Format) -> io::Result<W> {
         self.file.write_all(b"idx1")?;
         self.file.write_all(&(self.index.len() as u32).to_le_bytes())?;
@@ -132,7 +132,7 @@ mod tests {
     use std::io::Cursor;
 
     #[test]
-    fn every_index_entry_leads_to_its_picture_and_all_sizes_add_up() {
+    fn every_index_entry_points_to_its_picture() {
         let format = Format { size: (64, 48), fps: (30, 1), frames: 3, bits: 24 };
         let mut writer = Writer::new(Cursor::new(vec![]), format).unwrap();
         let pictures = [vec![1u8; 10], vec![2u8; 11], vec![3u8; 12]];

@@ -48,8 +48,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// Makes the folder, and refuses to go on where an earlier run's files would be lost, unless
-    /// they may be.
+    /// Creates the folder; fails if an earlier run's files would be lost, unless that is allowed.
     pub fn prepared(arguments: &SimulateArguments, simulation: &Simulation) -> Result<Self> {
         let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));
         let timing = simulation.config().effects.timing;
@@ -95,11 +94,11 @@ impl Output {
         &self.folder
     }
 
-    /// Renders and writes everything; the frames come last into their place, so that a folder with
-    /// frames is a whole one.
+    /// Renders and writes everything; the frames are moved to their place last, so that a folder
+    /// with frames is complete.
     pub fn write(&self, simulation: &Simulation, parameters: &Parameters) -> Result<()> {
         let parameters = toml::to_string(parameters)
-            .map_err(|error| Error::output(format!("the parameters cannot be told as TOML: {error}")))?;
+            .map_err(|error| Error::output(format!("the parameters cannot be written as TOML: {error}")))?;
         let written = match self.format {
             FormatName::Png => self.write_pictures(simulation),
             FormatName::Y4m => self.write_y4m(simulation),
@@ -128,7 +127,7 @@ impl Output {
         self.write_sensors(simulation)
     }
 
-    /// What the other sensors wrote, or nothing, but then nothing of an earlier run either.
+    /// The readings of the other sensors; without sensors, removes those of an earlier run.
     fn write_sensors(&self, simulation: &Simulation) -> Result<()> {
         let records = if self.sensors { simulation.sensors()?.records } else { Sensors::default() };
         for (name, record) in [
@@ -184,7 +183,7 @@ impl Output {
         if !frames.exists() {
             return fs::rename(part, frames);
         }
-        // Somebody's own files in that folder stay.
+        // Other files in that folder stay.
         for entry in fs::read_dir(frames)? {
             let entry = entry?;
             if is_picture_name(&entry.file_name().to_string_lossy()) {
@@ -228,7 +227,7 @@ impl Output {
         })
     }
 
-    /// One file, written beside its place and renamed when it is whole.
+    /// One file, written beside its place and renamed when it is complete.
     fn write_stream(&self, name: &str, write: impl FnOnce(fs::File) -> Result<fs::File>) -> Result<()> {
         let path = self.folder.join(name);
         let beside = files::beside(&path);
@@ -264,7 +263,7 @@ impl Output {
                 fs::remove_file(entry.path())?;
             }
         }
-        // Fails, and may fail, where somebody's own files are in it.
+        // May fail if other files are in it.
         let _ = fs::remove_dir(&frames);
         Ok(())
     }
@@ -294,8 +293,7 @@ impl Output {
                 });
             }
             drop(sender);
-            // Goes away with this closure, whichever way it ends: threads that wait to send are set
-            // free.
+            // Dropped with this closure however it ends, which releases threads that wait to send.
             let receiver = receiver;
             let mut waiting = BTreeMap::new();
             for number in 0..frames {
@@ -335,8 +333,7 @@ fn is_picture_name(name: &str) -> bool {
     name.strip_suffix(".png").is_some_and(|stem| stem.len() >= 6 && stem.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// A frame rate as a fraction: of 1001 where it is one of the television rates, else in millionths,
-/// reduced.
+/// A frame rate as a fraction: over 1001 for television rates, otherwise in millionths, reduced.
 fn fraction(fps: f64) -> Result<(u64, u64)> {
     let television = (fps * 1.001).round();
     if (fps - television / 1.001).abs() < 0.0005 && (fps - fps.round()).abs() > 0.005 {

@@ -11,8 +11,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 /// Photographs of more pixels than this are refused: they would need gigabytes.
 const MOST_PIXELS: u64 = 100_000_000;
 
-/// Reads a photograph. The error names the file, and the textures that have names where there is no
-/// such file.
+/// Reads a photograph. The error names the file and, if it does not exist, the named textures.
 pub fn read(name: &str) -> Result<RgbImage> {
     let bytes = std::fs::read(name).map_err(|error| {
         if name.contains(['.', '/', '\\']) {

@@ -34,13 +34,13 @@ pub struct Parameters {
     path: PathKind,
     rig: Rig,
     effects: Effects,
-    /// The errors of the other sensors, where they are written.
+    /// The errors of the other sensors, if they are written.
     #[serde(skip_serializing_if = "Option::is_none")]
     sensors: Option<BTreeMap<&'static str, SensorErrors>>,
 }
 
 impl Parameters {
-    /// Tells the errors that the other sensors have.
+    /// Adds the errors of the other sensors.
     pub fn with_sensors(self, sensors: &SimulatedSensors) -> Self {
         let SimulatedSensors { gyro, heading, wheel, range, .. } = *sensors;
         let errors = [("gyro", gyro), ("heading", heading), ("wheel", wheel), ("range", range)];
@@ -56,7 +56,7 @@ pub struct VibrationOption(Vibration);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair(f64, Option<f64>);
 
-/// Builds the scene that the options describe, and tells it back as parameters.
+/// Builds the scene that the options describe, and returns it with its parameters.
 pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig, Parameters)> {
     let camera = camera(arguments)?;
     let rig = Rig {

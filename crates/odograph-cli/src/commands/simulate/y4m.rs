@@ -10,7 +10,7 @@ pub fn header(size: (usize, usize), (numerator, denominator): (u64, u64), colore
         .into_bytes()
 }
 
-/// One frame with its own line: its luminance, and its colour where there is some.
+/// One frame with its own line: its luminance, and its colour, if any.
 pub fn frame(luma: &GrayImage, color: Option<&RgbImage>) -> Vec<u8> {
     let mut bytes = b"FRAME\n".to_vec();
     bytes.extend_from_slice(luma.samples());
@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn chroma_of_gray_is_128_and_of_red_leans_to_red() {
+    fn chroma_of_gray_is_128_and_of_red_is_larger() {
         let mut bytes = vec![];
         let gray = GrayImage::from_samples(3, 3, vec![90; 9]).unwrap();
         add_chroma(&gray, &RgbImage::from(&gray), &mut bytes);

@@ -1,4 +1,4 @@
-//! The folder of corrected frames: half of it is never seen under its own name.
+//! The folder of corrected frames, which gets its name only when it is complete.
 
 use super::Format;
 use crate::files;
@@ -19,10 +19,10 @@ const OURS: [&str; 5] = [PICTURES, STREAM, "frames.txt", "camera.yaml", "before-
 /// The folder while it is being filled.
 pub struct Output {
     folder: PathBuf,
-    /// Whether the folder was made for this.
+    /// Whether the folder was created by this run.
     made: bool,
     frames: Frames,
-    /// The frames' names and times, as `frames.txt` will tell them.
+    /// The frames' names and times, for `frames.txt`.
     list: String,
     times_s: Vec<f64>,
     whole: bool,
@@ -33,19 +33,19 @@ enum Frames {
     Stream { file: BufWriter<File>, begun: Option<StreamKind> },
 }
 
-/// What the frames of a stream are, one like the other.
+/// Properties common to all frames of a stream.
 #[derive(Debug, Clone, Copy)]
 struct StreamKind {
     size: (usize, usize),
     colored: bool,
 }
 
-/// Stands at the beginning of a stream until the rate is known.
+/// Placeholder for the rate at the beginning of a stream.
 const UNKNOWN_RATE: f64 = 30.0;
 
 /// A corrected frame, ready to be written.
 pub struct Encoded {
-    /// The frame's place in the source.
+    /// The frame's number in the source.
     pub number: u64,
     pub time_s: f64,
     /// Width and height in pixels.
@@ -56,7 +56,7 @@ pub struct Encoded {
 }
 
 impl Drop for Output {
-    /// What was not finished leaves nothing behind.
+    /// Removes incomplete results.
     fn drop(&mut self) {
         if !self.whole {
             let _ = match self.frames {
@@ -71,8 +71,8 @@ impl Drop for Output {
 }
 
 impl Output {
-    /// Makes the folder ready. Fails where results are already there and `force` does not allow to
-    /// replace them, or where it cannot be written.
+    /// Prepares the folder. Fails if results exist and `force` does not allow replacing them, or if
+    /// it cannot be written.
     pub fn new(folder: &Path, format: Format, force: bool) -> Result<Self> {
         if folder.exists() && !folder.is_dir() {
             return Err(Error::usage(format!("{} is a file; the results need a folder", folder.display())));
@@ -194,7 +194,7 @@ impl Output {
             Frames::Pictures if stream.is_file() => fs::remove_file(stream),
             Frames::Stream { .. } if pictures.is_dir() => {
                 remove_own_pictures(&pictures)?;
-                // Fails, and may fail, where somebody's own files are in it.
+                // May fail if other files are in it.
                 let _ = fs::remove_dir(&pictures);
                 Ok(())
             }

@@ -14,18 +14,18 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 
-/// What became of a recording.
+/// The result for a recording.
 pub struct Corrected {
     pub frames: u64,
-    /// The first frame, as it was and corrected, side by side.
+    /// The first frame, original and corrected, side by side.
     pub before_after: Option<RgbImage>,
     pub warnings: Vec<String>,
-    /// What ended the recording before its end, if anything did.
+    /// The error that ended the recording early, if any.
     pub failure: Option<Error>,
 }
 
-/// Corrects every frame of the source and hands it to the output. Fails where a frame cannot be
-/// corrected or written; a source that ends early is told in the result.
+/// Corrects every frame of the source and hands it to the output. Fails if a frame cannot be
+/// corrected or written; a source that ends early is reported in the result.
 pub fn correct(
     mut source: Source,
     correction: &ImageCorrection,

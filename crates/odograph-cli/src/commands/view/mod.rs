@@ -133,7 +133,7 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
         .map_err(|error| error.at(folder.display()))
 }
 
-/// The parameters of the run, where they are there and can be read: the page tells more with them.
+/// The parameters of the run, if they can be read: the page shows more with them.
 fn plan(folder: &Path) -> Option<RunPlan> {
     toml::from_str(&files::read_text(&folder.join("run.toml")).ok()?).ok()
 }

@@ -170,7 +170,8 @@ impl Sim2 {
         GroundPoint::new(self.x_m + dx, self.y_m + dy)
     }
 
-    /// A vector (a difference of points, a velocity) of the source in the target: rotated and scaled.
+    /// A vector (a difference of points, a velocity) of the source in the target: rotated and
+    /// scaled.
     pub fn rotate(&self, x: f64, y: f64) -> (f64, f64) {
         let (sin, cos) = self.heading_rad.sin_cos();
         (self.scale * (cos * x - sin * y), self.scale * (sin * x + cos * y))

@@ -77,7 +77,7 @@ proptest! {
     }
 
     #[test]
-    fn patches_that_are_not_much_turned_are_sampled_as_the_reference_samples_them(
+    fn slightly_rotated_patches_are_sampled_as_by_the_reference(
         width in 40usize..90, height in 40usize..90, seed in any::<u32>(), along in prop::array::uniform2(0.7..1.4f64),
         across in prop::array::uniform2(-0.3..0.3f64), turned in any::<bool>(), place in prop::array::uniform2(0.0..1.0f64),
         touching in any::<bool>(),

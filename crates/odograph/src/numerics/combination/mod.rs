@@ -1,10 +1,11 @@
-//! Several measurements of the same quantities brought together, when they scatter by more than each one's own noise.
+//! Combination of measurements of the same quantities that scatter by more than their own noise
+//! (random-effects model).
 
 use nalgebra::{SMatrix, SVector};
 use std::ops::AddAssign;
 
-/// What one measurement says about `N` quantities, as a quadratic about a common point: its information matrix, and that times the
-/// offset at which it would have them. A measurement may know nothing of some of them.
+/// One measurement of `N` quantities in information form about a common point: its information
+/// matrix, and that times its offset. It may carry no information on some of them.
 #[derive(Debug, Clone, Copy)]
 pub struct Part<const N: usize> {
     /// Information matrix.
@@ -14,7 +15,7 @@ pub struct Part<const N: usize> {
 }
 
 impl<const N: usize> Default for Part<N> {
-    /// Nothing is known.
+    /// No information.
     fn default() -> Self {
         Self { information: SMatrix::zeros(), slope: SVector::zeros() }
     }
@@ -28,7 +29,8 @@ impl<const N: usize> AddAssign for Part<N> {
 }
 
 impl<const N: usize> Part<N> {
-    /// What is left for the first `M` where the others are known to be at an offset from the common point.
+    /// The information on the first `M` quantities, conditional on the others being at an offset
+    /// from the common point.
     pub fn with_known<const M: usize>(&self, offset: &SVector<f64, N>) -> Part<M> {
         let mut left = Part::default();
         for i in 0..M {
@@ -41,29 +43,32 @@ impl<const N: usize> Part<N> {
     }
 }
 
-/// What all say together.
+/// The combined estimate.
 #[derive(Debug, Clone, Copy)]
 pub struct Combined<const N: usize> {
     /// Offset from the common point.
     pub offset: SVector<f64, N>,
     /// Covariance of the offset.
     pub covariance: SMatrix<f64, N, N>,
-    /// Variance of what differs from one measurement to the next beside their own noise.
+    /// Variance between the measurements in addition to their own noise.
     pub scatter: SVector<f64, N>,
 }
 
-/// The random-effects mean (R. DerSimonian and N. Laird, "Meta-analysis in clinical trials", 1986): each measurement's true value scatters
-/// about the common one with a variance that is the same for all and estimated with it, by restricted maximum likelihood (D. Harville, 1977),
-/// here a diagonal one and by its multiplicative fixed point. Where the measurements agree within their noise it is the weighted mean.
+/// The random-effects mean (R. DerSimonian and N. Laird, "Meta-analysis in clinical trials", 1986):
+/// each measurement's true value scatters about the common one with a common diagonal covariance,
+/// which is estimated by restricted maximum likelihood (D. Harville, 1977) with a multiplicative
+/// fixed point. If the measurements agree within their noise it is the weighted mean.
 ///
-/// `None` where all together do not determine every quantity.
+/// `None` if the measurements do not determine every quantity. Derivation:
+/// `docs/math/extrinsics-from-driving.md`.
 pub fn combine<const N: usize>(parts: &[Part<N>]) -> Option<Combined<N>> {
     let mut scatter = SVector::<f64, N>::zeros();
     let mut combined = mean(parts, &scatter)?;
     if parts.len() < 2 {
         return Some(combined);
     }
-    // What they would scatter by if none had noise of its own: more than they can, so the search comes down to the answer.
+    // Start from the scatter without measurement noise, an upper bound, so that the iteration
+    // descends to the solution.
     for k in 0..N {
         let (mut squares, mut weight) = (0.0, 0.0);
         for part in parts {
@@ -96,10 +101,11 @@ pub fn combine<const N: usize>(parts: &[Part<N>]) -> Option<Combined<N>> {
     Some(Combined { scatter, ..combined })
 }
 
-/// The fixed point is reached to a few percent of the noise within this many steps.
+/// Number of steps in which the fixed point converges to a few per cent of the noise.
 const ROUNDS: usize = 60;
 
-/// Information and slope of a measurement whose true value scatters: `(W⁻¹ + T)⁻¹` without W having an inverse.
+/// Information and slope of a measurement whose true value scatters: `(W⁻¹ + T)⁻¹` without W having
+/// an inverse.
 fn softened<const N: usize>(
     part: &Part<N>,
     scatter: &SVector<f64, N>,
@@ -126,7 +132,8 @@ fn mean<const N: usize>(parts: &[Part<N>], scatter: &SVector<f64, N>) -> Option<
     Some(Combined { offset: covariance * slope, covariance, scatter: *scatter })
 }
 
-/// The inverse of a symmetric positive definite matrix whose rows may have very different units; `None` where it has none.
+/// The inverse of a symmetric positive definite matrix whose rows may have very different units;
+/// `None` if it is singular.
 pub fn inverse<const N: usize>(information: &SMatrix<f64, N, N>) -> Option<SMatrix<f64, N, N>> {
     let scale = SVector::<f64, N>::from_fn(|k, _| 1.0 / information[(k, k)].sqrt());
     if scale.iter().any(|s| !s.is_finite()) {
@@ -136,7 +143,7 @@ pub fn inverse<const N: usize>(information: &SMatrix<f64, N, N>) -> Option<SMatr
         0.5 * (information[(i, j)] + information[(j, i)]) * scale[i] * scale[j]
     });
     let cholesky = unit.cholesky()?;
-    // Beyond this the rounding of the sums decides.
+    // Below this, rounding errors dominate.
     let least = (0..N).map(|k| cholesky.l_dirty()[(k, k)]).fold(f64::INFINITY, f64::min);
     if least < 1e-7 {
         return None;

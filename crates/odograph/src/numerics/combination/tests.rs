@@ -7,7 +7,8 @@ fn normal(random: &mut Random) -> f64 {
     (0..12).map(|_| random.below(1 << 20) as f64 / f64::from(1 << 20)).sum::<f64>() - 6.0
 }
 
-/// Measurements of (1, −2) with noise of their own, which every third knows little of, and with scatter.
+/// Measurements of (1, −2) with noise and scatter; every third has little information on one of
+/// them.
 fn parts(random: &mut Random, count: usize, scatter: [f64; 2]) -> Vec<Part<2>> {
     let part = |i: usize, random: &mut Random| {
         let deviations = [0.1, if i.is_multiple_of(3) { 5.0 } else { 0.2 }];
@@ -32,12 +33,13 @@ fn the_stated_covariance_is_true_with_and_without_scatter() {
             nees += error.dot(&(combined.covariance.try_inverse().unwrap() * error));
             found += combined.scatter / f64::from(trials);
         }
-        // The mean of 300 sums of two squares lies in 1.78 to 2.23 in 95 of 100 cases; an estimated scatter widens that a little.
+        // The mean of 300 sums of two squares is within 1.78 to 2.23 with 95 %; an estimated
+        // scatter widens that a little.
         let mean = nees / f64::from(trials);
         assert!((1.6..2.4).contains(&mean), "{scatter:?}: {mean}");
         for k in 0..2 {
             let off = found[k] - scatter[k] * scatter[k];
-            // Scatter that is not there is found as often as chance has it, never less than none.
+            // The estimate is never negative, so that zero scatter is overestimated by chance.
             assert!(off.abs() < 0.15 * scatter[k] * scatter[k] + 0.008, "{scatter:?}: {found}");
         }
     }

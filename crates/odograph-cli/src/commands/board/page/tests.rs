@@ -5,7 +5,7 @@ fn page(board: &str, paper: Option<&str>) -> Result<Page> {
 }
 
 #[test]
-fn a_board_goes_on_the_smallest_usual_paper_that_holds_it() {
+fn a_board_uses_the_smallest_usual_paper_that_fits() {
     for (board, paper) in [
         ("charuco:8x11:20mm", "A4 paper (210 x 297 mm), upright"),
         ("chessboard:9x6:25mm", "A4 paper (297 x 210 mm), across"),
@@ -43,7 +43,7 @@ fn everything_is_on_the_paper_and_apart_from_the_board() {
 }
 
 #[test]
-fn what_does_not_fit_is_told_with_what_would() {
+fn a_board_that_does_not_fit_gets_advice() {
     let error = page("charuco:8x11:30mm", Some("a4")).unwrap_err().to_string();
     assert!(error.contains("charuco:8x11:30mm:22.5mm:4x4_50 needs 255 x 364.5 mm"), "{error}");
     assert!(error.contains("--board charuco:8x11:24mm:18mm:4x4_50 or --paper a3 would"), "{error}");

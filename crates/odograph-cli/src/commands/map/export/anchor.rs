@@ -1,5 +1,5 @@
-//! Where on Earth a map is: its plane laid on the ellipsoid's tangent plane, from there to
-//! longitude and latitude, and to UTM.
+//! Where on Earth a map is: its plane as the tangent plane of the ellipsoid, converted to longitude
+//! and latitude, and to UTM.
 
 use odograph::error::{Error, Result};
 use std::str::FromStr;
@@ -75,7 +75,7 @@ pub struct Anchor {
 }
 
 impl Anchor {
-    /// The anchor that the arguments give; `None` where there are none.
+    /// The anchor that the arguments give; `None` if there are none.
     pub fn of(arguments: &[AnchorArgument]) -> Result<Option<Self>> {
         let zone = |place: &Place| {
             (((place.longitude_rad.to_degrees() + 180.0) / 6.0).floor() as i64).rem_euclid(60) as u16 + 1

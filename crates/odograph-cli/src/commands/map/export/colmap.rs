@@ -1,8 +1,9 @@
 //! A map as COLMAP's text model: `cameras.txt`, `images.txt`, `points3D.txt` (its documentation,
 //! "Output Format"), and the images.
 //!
-//! The points are the features that keyframes are recognised by; two keyframes that an edge ties
-//! see the same point where their features lie in the same place of the ground and look alike.
+//! The points are the features that keyframes are recognised by; two keyframes joined by an edge
+//! see the same point if their features have the same position on the ground and similar
+//! descriptors.
 
 use crate::{files, interrupt};
 use odograph::camera::Camera;
@@ -17,11 +18,11 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-/// Descriptors of the same point differ in at most so many of their 256 bits.
+/// Largest Hamming distance, of 256 bits, between descriptors of the same point.
 const MOST_BITS: u32 = 48;
-/// The same point is seen at most so far apart, pixels at the middle of the image.
+/// Largest distance between features of the same point, pixels at the image centre.
 const FARTHEST_PX: f64 = 4.0;
-/// COLMAP's pixel (0.5, 0.5) is the centre of the left upper one.
+/// COLMAP's pixel (0.5, 0.5) is the centre of the top left one.
 const PIXEL_CENTRE: f64 = 0.5;
 
 /// A feature of a keyframe: where it is on the ground, and in the image.
@@ -83,8 +84,7 @@ fn name(keyframe: KeyframeId) -> String {
 
 /// The features of a keyframe that lie inside its image.
 fn seen(camera: &Camera, keyframe: &MapKeyframe) -> Vec<Feature> {
-    // A signature holds where things lie for a camera over the origin that is as high and tilted as
-    // this one.
+    // Positions of a signature are those for a camera over the origin with this height and tilt.
     let pose = &keyframe.pose;
     let feature = |feature: &odograph::place_recognition::GroundFeature| {
         let [x, y] = feature.position_m.map(f64::from);

@@ -8,7 +8,7 @@ use odograph_map::{MapFile, PathFrame};
 use std::fmt::Write;
 use std::path::Path;
 
-/// The forms with places on Earth.
+/// The formats with positions on Earth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GeographicForm {
     GeoJson,
@@ -16,7 +16,7 @@ pub enum GeographicForm {
     Gpx,
 }
 
-/// A stretch of path without a gap.
+/// A part of the path without a gap.
 struct Line {
     session: u32,
     source: String,

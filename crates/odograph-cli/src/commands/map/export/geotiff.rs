@@ -17,11 +17,11 @@ use tiff::tags::Tag;
 /// Red, green, blue and opacity.
 const CHANNELS: usize = 4;
 
-/// A picture has at most so many tiles, most of which may show nothing: each is 16 bytes in its
+/// Largest number of tiles of a picture, most of which may be empty: each is 16 bytes in its
 /// directory.
 const MOST_TILES: u64 = 1 << 22;
 
-/// Writes the whole picture, at its finest where it has not too many tiles, and says what was
+/// Writes the whole picture, at full resolution unless it has too many tiles, and reports what was
 /// written.
 pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path, anchor: Option<&Anchor>) -> Result<String> {
     let side = MOSAIC_TILE_PX as u64;
@@ -42,7 +42,7 @@ pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path, anchor: Option<&A
             |error: TiffError| Error::output(format!("{} cannot be written: {error}", path.display()));
         let mut encoder = TiffEncoder::new_big(output).map_err(broken)?;
         let mut directory = encoder.image_directory().map_err(broken)?;
-        // A tile that is nowhere is transparent: GDAL's sparse tiles.
+        // A tile without an offset is transparent: GDAL's sparse tiles.
         let tiles = (count(&columns) * count(&rows)) as usize;
         let (mut offsets, mut lengths) = (vec![0; tiles], vec![0; tiles]);
         for (column, row) in file.mosaic_tiles(level)? {
@@ -111,8 +111,7 @@ fn describe<W: std::io::Write + std::io::Seek, K: TiffKind>(
     directory.write_tag(Tag::ExtraSamples, UNASSOCIATED_OPACITY)
 }
 
-/// Where the picture lies: in metres of the map, or, where the map is anchored, in the UTM zone of
-/// its place.
+/// Where the picture lies: in metres of the map, or, with an anchor, in its UTM zone.
 fn place<W: std::io::Write + std::io::Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<'_, W, K>,
     (left_m, top_m): (f64, f64),
@@ -135,7 +134,7 @@ fn place<W: std::io::Write + std::io::Seek, K: TiffKind>(
             [(MODEL, USER_DEFINED), (RASTER, PIXEL_IS_AREA), (PROJECTED_UNITS, METRE)]
         }
         Some(anchor) => {
-            // Over the size of a map the projection is a straight line: east and north of the
+            // Over the size of a map the projection is linear: east and north of the
             // corner, and a step along x and y of the map.
             let at = |x_m: f64, y_m: f64| anchor.utm(x_m, y_m);
             let ((east, north), (right, down)) =

@@ -1,5 +1,5 @@
-//! `odograph map export`: a map as other programs read it, in the form that the output's name asks
-//! for.
+//! `odograph map export`: writes a map for other programs, in the format given by the output's
+//! name.
 
 mod anchor;
 mod colmap;
@@ -18,14 +18,14 @@ use odograph_map::{MapFile, MosaicLayer, PathFrame};
 use std::path::{Path, PathBuf};
 use trajectory::TrajectoryForm;
 
-/// Write a map for other programs; the name of the output says for which.
+/// Write a map for other programs; the name of the output gives the format.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ExportArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// File or folder to write; its ending chooses the form.
+    /// File or folder to write; its extension is the format.
     ///
     /// .tif, .png or .ply: the mosaic; .tum, .kitti or .csv: the path; .geojson, .kml or .gpx:
     /// the path on Earth; a folder: COLMAP's text model with its images.
@@ -33,17 +33,18 @@ pub struct ExportArguments {
     output: PathBuf,
     /// Where the map is on Earth: "LAT,LON,HEADING", or twice "X,Y=LAT,LON".
     ///
-    /// LAT,LON,HEADING is of the map's origin; HEADING are the compass degrees of the map's x.
+    /// LAT,LON,HEADING are those of the map's origin; HEADING is the compass direction of the map's
+    /// x, degrees.
     #[arg(long, value_name = "ANCHOR", allow_hyphen_values = true, value_parser = clap::value_parser!(AnchorArgument))]
     anchor: Vec<AnchorArgument>,
     /// The session whose path is written. [default: the only one]
     #[arg(long, value_name = "N")]
     session: Option<u32>,
-    /// Points in a .ply at most; the mosaic is taken as coarse as that needs.
+    /// Largest number of points in a .ply; the mosaic is coarsened to fit.
     #[arg(long, value_name = "N", default_value_t = 2_000_000,
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     max_points: usize,
-    /// Overwrite what is there.
+    /// Overwrite existing results.
     #[arg(long)]
     force: bool,
     /// Say nothing but errors.
@@ -58,7 +59,7 @@ Examples:
   odograph map export drive/map.gpkg --anchor 0,0=48.2082,16.3738 --anchor 12.5,-3=48.2083,16.3739 -o path.geojson
   odograph map export drive/map.gpkg -o colmap/                                     # cameras, images, points";
 
-/// The forms of a picture.
+/// The formats of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PictureForm {
     GeoTiff,
@@ -66,7 +67,7 @@ pub enum PictureForm {
 }
 
 impl PictureForm {
-    /// The form that a file's name asks for.
+    /// The format given by a file's name.
     pub fn of(path: &Path) -> Result<Self> {
         match Form::of(path)? {
             Form::Picture(form) => Ok(form),
@@ -110,7 +111,7 @@ impl Form {
         }
     }
 
-    /// Whether the form can say where on Earth the map is.
+    /// Whether the format can hold the position on Earth.
     fn takes_anchor(self) -> bool {
         matches!(self, Self::Picture(PictureForm::GeoTiff) | Self::Geographic(_))
     }
@@ -152,7 +153,7 @@ pub fn export(arguments: &ExportArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Writes the mosaic that a map has.
+/// Writes the mosaic of a map.
 pub fn write_picture(
     file: &MapFile,
     path: &Path,
@@ -161,7 +162,7 @@ pub fn write_picture(
 ) -> Result<String> {
     let layer = file.mosaic()?.ok_or_else(|| {
         Error::input(format!(
-            "{} has no mosaic yet; odograph map mosaic {} lays it",
+            "{} has no mosaic yet; odograph map mosaic {} renders it",
             file.path().display(),
             file.path().display()
         ))
@@ -172,19 +173,19 @@ pub fn write_picture(
     }
 }
 
-/// What is told where a picture had to be coarser than the mosaic; nothing where it is not.
+/// The note if a picture is coarser than the mosaic; otherwise empty.
 fn coarser(layer: &MosaicLayer, level: u32) -> String {
     if level >= layer.finest {
         return String::new();
     }
     format!(
-        " (the mosaic has pixels of {:.2} mm: its ground lies too far apart for a picture that fine)",
+        " (the mosaic has pixels of {:.2} mm: its ground is too far apart for a picture that fine)",
         1000.0 * layer.resolution_m
     )
 }
 
-/// The path of the session asked for, or of the only one; of the keyframes where the map has no
-/// path yet.
+/// The path of the given session, or of the only one; that of the keyframes if the map has no path
+/// yet.
 fn path_asked(file: &MapFile, session: Option<u32>) -> Result<Vec<PathFrame>> {
     let sessions = file.sessions()?;
     let session = match (session, sessions.as_slice()) {

@@ -6,12 +6,12 @@ use odograph::error::{Error, Result};
 use odograph_map::{MapFile, MosaicLayer};
 use std::path::Path;
 
-/// No side is longer: more is shown by no viewer, and a strip of so many pixels fits into memory.
+/// Longest side: no viewer shows more, and a strip of that width fits into memory.
 const LONGEST_SIDE_PX: u64 = 60_000;
-/// No picture has more pixels.
+/// Largest number of pixels.
 const MOST_PIXELS: u64 = 1_000_000_000;
 
-/// Writes the picture from top to bottom, as fine as fits, and says what was written.
+/// Writes the picture from top to bottom, as fine as possible, and reports what was written.
 pub fn write(file: &MapFile, layer: &MosaicLayer, path: &Path) -> Result<String> {
     let fits = |level: &u32| {
         let (width, height, _) = layer.picture_at(*level);

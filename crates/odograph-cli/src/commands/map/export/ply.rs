@@ -1,5 +1,4 @@
-//! The mosaic as coloured points (PLY, binary): the ground where it was seen, and above it the
-//! cameras.
+//! The mosaic as coloured points (PLY, binary): the seen ground, and the cameras above it.
 
 use crate::{files, interrupt};
 use odograph::error::{Error, Result};
@@ -11,13 +10,13 @@ use std::path::Path;
 /// The colour of the points that are cameras.
 const CAMERA: [u8; 3] = [255, 0, 0];
 
-/// Writes at most so many points of ground, one for each keyframe besides, and says what was
+/// Writes at most this many points of ground, and one for each keyframe, and reports what was
 /// written.
 pub fn write(file: &MapFile, path: &Path, most_points: usize) -> Result<String> {
     let keyframes = file.map()?.keyframes;
     let layer = file.mosaic()?;
     let level = layer.as_ref().map(|layer| chosen(file, layer, most_points)).transpose()?;
-    // Where even the coarsest level has too many, every so many of its points.
+    // If even the coarsest level has too many points, every n-th of them.
     let every = level.map_or(1, |(_, points)| points.div_ceil(most_points as u64).max(1));
     let ground = level.map_or(0, |(_, points)| points.div_ceil(every));
     if ground == 0 && keyframes.is_empty() {
@@ -68,8 +67,7 @@ fn vertex(position: [f64; 3], color: &[u8]) -> Vec<u8> {
     position.iter().flat_map(|value| value.to_le_bytes()).chain(color.iter().copied()).collect()
 }
 
-/// Gives every tile of a level that is there: its column, its row, and its pixels. Fails once the
-/// program was asked to end.
+/// Visits every tile of a level: its column, its row, and its pixels. Fails after an interruption.
 fn each_tile(file: &MapFile, level: u32, mut take: impl FnMut(u64, u64, &[u8]) -> Result<()>) -> Result<()> {
     for (column, row) in file.mosaic_tiles(level)? {
         interrupt::check()?;
@@ -80,7 +78,7 @@ fn each_tile(file: &MapFile, level: u32, mut take: impl FnMut(u64, u64, &[u8]) -
     Ok(())
 }
 
-/// The finest level that shows ground in few enough pixels, and in how many.
+/// The finest level with few enough pixels of ground, and their number.
 fn chosen(file: &MapFile, layer: &MosaicLayer, most_points: usize) -> Result<(u32, u64)> {
     for level in (0..=layer.finest).rev() {
         let mut points = 0;

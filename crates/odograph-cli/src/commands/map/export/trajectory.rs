@@ -8,7 +8,7 @@ use odograph_map::PathFrame;
 use std::fmt::Write;
 use std::path::Path;
 
-/// The forms of a trajectory.
+/// The formats of a trajectory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TrajectoryForm {
     Tum,
@@ -16,7 +16,7 @@ pub enum TrajectoryForm {
     Csv,
 }
 
-/// Writes the frames and says what was written.
+/// Writes the frames and reports what was written.
 pub fn write(frames: &[PathFrame], path: &Path, form: TrajectoryForm) -> Result<String> {
     if frames.is_empty() {
         return Err(Error::input("the session has no frame that was tracked; there is no path to write"));
@@ -35,7 +35,7 @@ pub fn write(frames: &[PathFrame], path: &Path, form: TrajectoryForm) -> Result<
     Ok(format!("{} poses, {:.2} m", frames.len(), trajectory.length_m()))
 }
 
-/// A line each frame, named and in units as in the trajectory.csv of a run.
+/// One line per frame, with the names and units of a run's trajectory.csv.
 fn csv(frames: &[PathFrame]) -> String {
     let mut text = String::from("frame,time_s,x_m,y_m,heading_deg,height_m,roll_deg,pitch_deg,segment\n");
     for PathFrame { frame, segment, time_s, pose } in frames {

@@ -174,7 +174,7 @@ pub fn told(path: &Path, what: &str, error: &io::Error) -> Error {
     // EBUSY and EACCES, the two errors that the user can resolve.
     let why = match error.raw_os_error() {
         Some(16) => "it is in use by another program".to_owned(),
-        Some(13) => "it may not be opened by you (the group `video` mostly may)".to_owned(),
+        Some(13) => "you have no permission to open it (usually the group `video` has)".to_owned(),
         _ => error.to_string(),
     };
     Error::input(format!("{} {what}: {why}", path.display()))

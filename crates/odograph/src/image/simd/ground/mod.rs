@@ -225,7 +225,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(300))]
         #[test]
-        fn eight_pixels_are_laid_as_one_by_one(
+        fn eight_pixels_are_rendered_as_one_by_one(
             width in 2usize..60, height in 2usize..60, half in any::<bool>(), seed in any::<u32>(),
             first in prop::array::uniform2(-0.2..1.2f32), step in prop::array::uniform2(-2.0..2.0f32),
         ) {
