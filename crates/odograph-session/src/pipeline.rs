@@ -259,7 +259,7 @@ impl Tracking<'_> {
         self.times.push(started.elapsed());
         self.folder.record(&estimate)?;
         self.observer.frame(&estimate);
-        let pose = estimate.estimate.as_ref().map(|known| known.pose);
+        let pose = estimate.ground_pose();
         let segment = estimate.segment;
         self.frames.push(estimate, self.odometry.reference());
         number_as_source(&mut events, |index| self.frames.number_in_source(index));

@@ -144,6 +144,14 @@ pub struct FrameEstimate {
     pub segment: usize,
 }
 
+impl FrameEstimate {
+    /// The pose from which the image shows the ground; `None` if it is not known, and for a repeated
+    /// image, whose pose is extrapolated and has no tracks.
+    pub fn ground_pose(&self) -> Option<GroundPose> {
+        self.estimate.as_ref().filter(|_| self.tracks > 0).map(|known| known.pose)
+    }
+}
+
 /// The part of a [`FrameEstimate`] that drawings and figures need, at a fifth of its memory: an
 /// hour of video has a hundred thousand frames.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -278,7 +278,7 @@ impl Following<'_, '_> {
             }
         }
         self.distance_m += self.step_m(&estimate);
-        let pose = estimate.estimate.as_ref().map(|known| known.pose);
+        let pose = estimate.ground_pose();
         let segment = estimate.segment;
         self.frames.push(estimate, reference);
         number_as_source(&mut events, |index| self.frames.number_in_source(index));

@@ -399,6 +399,11 @@ impl Keyframe {
         (1.0 + squared_m2 / (BELOW * pose.height_m).powi(2)).powi(-2)
     }
 
+    /// Whether the ground undulates.
+    pub fn undulates(&self) -> bool {
+        self.undulates
+    }
+
     /// Takes a surface into use that earlier keyframes saw.
     pub fn set_surface(&mut self, surface: Option<Surface>) {
         self.undulates = surface.as_ref().is_some_and(Surface::is_smooth);

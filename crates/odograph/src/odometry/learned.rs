@@ -9,7 +9,7 @@ use crate::geometry::GroundPose;
 use crate::motion::{
     MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, Roughness, ShutterPrior, ViewingPose,
 };
-use nalgebra::Matrix6;
+use nalgebra::{Matrix2, Matrix6, Vector2};
 
 /// What is learned on the way.
 #[derive(Debug, Clone)]
@@ -23,6 +23,11 @@ pub struct Learned {
     /// How rough the ground is.
     roughness: Roughness,
     least_relief_m2: f64,
+    /// Variance of the relative scale on undulating ground, the mean of so many frames.
+    scale_variance: f64,
+    uneven_frames: f64,
+    /// The path so far times the length over which the scale is the same, metres².
+    path_m2: Matrix2<f64>,
     /// What is expected of the shutter in the present frame; `None` where it is global.
     pub frame_shutter: Option<ShutterPrior>,
 }
@@ -33,6 +38,10 @@ const PRESENCE_RATE: f64 = 0.2;
 /// Standard deviation of the elevations of rough ground, at least, a part of the height. A wide one
 /// costs nothing: elevations within it are told by their parallax.
 const LEAST_RELIEF: f64 = 0.01;
+
+/// Length of the path over which undulating ground has the same error of the scale, in heights: twice what
+/// is in view.
+const SAME_SCALE: f64 = 2.0;
 
 /// What is expected before any frame was measured.
 const UNKNOWN_PRESENCE: f64 = 0.5;
@@ -49,6 +58,9 @@ impl Learned {
             shutter: None,
             roughness: Roughness::default(),
             least_relief_m2: (LEAST_RELIEF * first.height_m).powi(2),
+            scale_variance: 0.0,
+            uneven_frames: 0.0,
+            path_m2: Matrix2::zeros(),
             frame_shutter: None,
         }
     }
@@ -72,7 +84,14 @@ impl Learned {
     }
 
     /// Learns the roughness of the ground, and its level below the camera, from a measured frame.
-    pub fn saw_relief(&mut self, keyframe: &mut Keyframe, found: &[Found], estimate: &MotionEstimate) {
+    pub fn saw_relief(
+        &mut self,
+        keyframe: &mut Keyframe,
+        found: &[Found],
+        estimate: &MotionEstimate,
+        last: Option<&LastPose>,
+    ) {
+        last.into_iter().for_each(|last| self.walk(estimate, last));
         let was_flat = self.relief_m2() == 0.0;
         let tells_kerbs = self.shutter.as_ref().is_none_or(ShutterState::is_sure);
         self.roughness.learn(&keyframe.learn_elevations(found, estimate, tells_kerbs));
@@ -98,6 +117,30 @@ impl Learned {
         let means = quadrants.iter().filter(|(_, count)| *count > 0.0).map(|(sum, count)| sum / count);
         let squares = means.map(|mean_m| (mean_m - level_m).powi(2)).sum::<f64>();
         self.wander.stand_on(level_m, 0.25 * squares);
+        let relative =
+            if keyframe.undulates() { 0.25 * squares / estimate.pose.height_m.powi(2) } else { 0.0 };
+        self.uneven_frames += 1.0;
+        self.scale_variance += (relative - self.scale_variance) / self.uneven_frames;
+    }
+
+    /// What undulating ground adds to the covariance of a pose: the height of the rig is above the ground on
+    /// which its wheels stand, which is not that in view. Steps are too long or too short by a scale that
+    /// is the same over some length of the path and independent beyond it.
+    pub fn level_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
+        let mut covariance = Matrix6::zeros();
+        covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(&(self.scale_variance * self.path_m2));
+        covariance[(3, 3)] = self.scale_variance * pose.height_m.powi(2);
+        covariance
+    }
+
+    /// Adds a step of the path, metres.
+    fn walk(&mut self, estimate: &MotionEstimate, last: &LastPose) {
+        let (from, to) = (&last.pose, &estimate.pose);
+        let step = Vector2::new(to.x_m - from.x_m, to.y_m - from.y_m);
+        if step.norm() > 0.0 {
+            let over_m = SAME_SCALE * to.height_m;
+            self.path_m2 += step * step.transpose() * (over_m / step.norm());
+        }
     }
 
     /// The variance of the elevations of points of which nothing else is known, metres²: zero where

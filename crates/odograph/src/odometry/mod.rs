@@ -371,7 +371,9 @@ impl Odometry {
             .map(|(_, covariance)| by_keyframe * covariance * by_keyframe.transpose());
         let (by_skew, by_readout) = self.shutter_errors(&estimate);
         let covariance = carried.unwrap_or_default() + estimate.covariance + by_skew;
-        let known_covariance = covariance + self.learned.readout_covariance(&by_readout);
+        let known_covariance = covariance
+            + self.learned.readout_covariance(&by_readout)
+            + self.learned.level_covariance(&estimate.pose);
         let inliers = estimate.inlier_count();
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
         let view = |(found, &inlier): (&follow::Found, &bool)| {
@@ -387,7 +389,7 @@ impl Odometry {
             self.learned.wander.learn(&estimate, &keyframe, carried);
         }
         if let Some(keyframe) = &mut self.keyframe {
-            self.learned.saw_relief(keyframe, &found, &estimate);
+            self.learned.saw_relief(keyframe, &found, &estimate, self.last.as_ref());
             if keyframe.surface.is_none() && self.frames.is_multiple_of(LEVELLED_EVERY) {
                 keyframe.set_level(&self.camera, self.learned.relief_m2());
             }
