@@ -49,7 +49,7 @@ struct Counting;
 
 impl RunReporter for Counting {
     fn map_png(&self, svg: &str) -> Result<Vec<u8>> {
-        Ok(svg[..4].as_bytes().to_vec())
+        Ok(svg.as_bytes()[..4].to_vec())
     }
 
     fn page(&self, contents: &ReportInput<'_>) -> String {
