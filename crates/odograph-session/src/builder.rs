@@ -31,7 +31,8 @@ pub(crate) enum MountChoice {
 /// What is to be run: source, camera, mount, sensors, map and outputs.
 ///
 /// A camera and its height over the ground are needed, unless a map that is continued has them; all
-/// else has a default. Nothing is read or opened before [`RunBuilder::open`] or [`RunBuilder::run`].
+/// else has a default. Nothing is read or opened before [`RunBuilder::open`] or
+/// [`RunBuilder::run`].
 #[derive(Clone)]
 pub struct RunBuilder {
     pub(crate) source: SourcePlan,

@@ -75,9 +75,9 @@ const LEAST_FEATURES: usize = 40;
 const LEAST_EVIDENCE: f64 = 5.0;
 
 /// Logarithm of the odds for each unit of evidence. Evidence also grows with the overlap with the
-/// nearest keyframe, which proves nothing where ground repeats exactly; this value fits 155 pictures
-/// best (53 of the demo, 102 over a photograph repeated every 0.5 or 0.7 m). In all of them the
-/// true place is listed.
+/// nearest keyframe, which proves nothing where ground repeats exactly; this value fits 155
+/// pictures best (53 of the demo, 102 over a photograph repeated every 0.5 or 0.7 m). In all of
+/// them the true place is listed.
 const LOG_ODDS_PER_EVIDENCE: f64 = 0.05;
 
 /// Ground repeats itself where at least so many features, and this part of those in view, are

@@ -95,8 +95,8 @@ impl Run {
     /// Follows the source to its end and writes everything into the folder.
     ///
     /// # Errors
-    /// If the source has no frame, or results cannot be written. What ends the recording early, such
-    /// as a damaged file, is an error only after all that was computed has been written.
+    /// If the source has no frame, or results cannot be written. What ends the recording early,
+    /// such as a damaged file, is an error only after all that was computed has been written.
     pub fn follow(self, observer: &dyn Observer) -> Result<RunOutcome> {
         // Removed after all else is closed: what is declared first is dropped last.
         let _temporary = self.temporary;

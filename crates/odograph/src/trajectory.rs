@@ -145,8 +145,8 @@ pub struct FrameEstimate {
 }
 
 impl FrameEstimate {
-    /// The pose from which the image shows the ground; `None` if it is not known, and for a repeated
-    /// image, whose pose is extrapolated and has no tracks.
+    /// The pose from which the image shows the ground; `None` if it is not known, and for a
+    /// repeated image, whose pose is extrapolated and has no tracks.
     pub fn ground_pose(&self) -> Option<GroundPose> {
         self.estimate.as_ref().filter(|_| self.tracks > 0).map(|known| known.pose)
     }

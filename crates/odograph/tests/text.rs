@@ -140,8 +140,14 @@ fn lines_of_comments_and_documents_are_narrow() {
             continue;
         }
         let text = fs::read_to_string(&source).unwrap();
-        let comments = text.lines().enumerate().filter(|(_, line)| line.trim_start().starts_with("//"));
-        comments.for_each(|(number, line)| check(&source, number, line));
+        let mut in_code = false;
+        for (number, line) in text.lines().enumerate() {
+            let is_comment = line.trim_start().starts_with("//");
+            in_code = is_comment && in_code != line.trim_start_matches([' ', '/', '!']).starts_with("```");
+            if is_comment && !in_code {
+                check(&source, number, line);
+            }
+        }
     }
     for document in ["README.md", "CHANGELOG.md"] {
         let text = fs::read_to_string(root.join(document)).unwrap();
