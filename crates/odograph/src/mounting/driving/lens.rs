@@ -43,8 +43,10 @@ pub struct LensCoefficient {
     pub deviation: f64,
 }
 
-/// A calibration is off where it is by so many standard deviations …
-const SIGNIFICANT: f64 = 5.0;
+/// A calibration is off where it is by so many standard deviations, because what the pairs do not model is
+/// taken for a lens as well: a lamp on the vehicle, rolling shutters and relief made up to 10 in rendered
+/// drives, a lens that is off by a tenth of a pixel and more over 20 …
+const SIGNIFICANT: f64 = 12.0;
 
 /// … and by more than this at the edge of the image, pixels: less than that bends no path.
 const LEAST_PX: f64 = 0.03;
@@ -180,12 +182,15 @@ impl DrivenTilt {
     }
 }
 
+/// Further parameters are others where they are by so many standard deviations.
+const OTHERS: f64 = 5.0;
+
 /// Whether the parameters from `first` on are together surely others than was told.
 fn last_are_others<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
     let Some(combined) = combine(&solved.parts) else { return false };
     let off = DVector::from_fn(N - first, |k, _| solved.bent[first + k - HELD] + combined.offset[first + k]);
     let covariance = combined.covariance.view((first, first), (N - first, N - first)).clone_owned();
-    covariance.try_inverse().is_some_and(|inverse| off.dot(&(inverse * &off)) > SIGNIFICANT * SIGNIFICANT)
+    covariance.try_inverse().is_some_and(|inverse| off.dot(&(inverse * &off)) > OTHERS * OTHERS)
 }
 
 /// So many pairs of views are enough for the lens; of more, keyframes are left out evenly.
