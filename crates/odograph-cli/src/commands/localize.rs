@@ -102,6 +102,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let folder = OutputFolder::new(&output)?;
     let source_plan = SourcePlan {
         path: arguments.source.clone(),
+        topic: None,
         timestamps: arguments.timestamps.clone(),
         fps: arguments.fps,
         start_s: None,

@@ -129,6 +129,7 @@ fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<open::Opened> {
     let CaptureArguments { fps, .. } = arguments.capture;
     let plan = SourcePlan {
         path,
+        topic: None,
         timestamps: None,
         fps,
         start_s: arguments.start,

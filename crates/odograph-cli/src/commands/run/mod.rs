@@ -42,9 +42,10 @@ use std::time::Instant;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct RunArguments {
-    /// A video, a folder of pictures, `-` for Y4M, or the run.toml of an earlier run.
+    /// A video, a folder of pictures, a robot recording, `-` for Y4M, or an earlier run.toml.
     ///
-    /// `-` is standard input.
+    /// Robot recordings are MCAP files, ROS 1 bags, and rosbag2 folders and databases; `-` is
+    /// standard input.
     #[arg(value_name = "SOURCE")]
     pub source: String,
     /// More recordings of the same camera, or one folder of videos as SOURCE.
@@ -54,7 +55,8 @@ pub struct RunArguments {
     pub more: Vec<String>,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     ///
-    /// Not needed to continue a map, which has the camera and how it sits.
+    /// Not needed to continue a map, which has the camera and how it sits, nor for a robot recording
+    /// with a camera_info of its images.
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     /// Height of the camera above the ground, as 0.9 (metres), 90cm or 3ft.
@@ -83,6 +85,9 @@ pub struct RunArguments {
     /// What may change between frames.
     #[arg(help_heading = "Estimation", long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
+    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
+    #[arg(help_heading = "Recording", long, value_name = "NAME")]
+    pub topic: Option<String>,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
@@ -164,6 +169,7 @@ Examples:
   odograph run frames/ --timestamps frames.txt --camera camera.yaml --rig rig.toml -o drive/
   odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
   odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
+  odograph run drive.mcap --topic /camera/image_raw --height 90cm --gyro-topic /imu -o drive/
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
@@ -235,6 +241,7 @@ impl RunArguments {
             readout_ms: None,
             mask: None,
             motion: Motion::Auto,
+            topic: None,
             timestamps: None,
             fps: None,
             start: None,
@@ -318,7 +325,7 @@ pub fn follow(
     arguments: &OutputArguments,
 ) -> Result<RunReport> {
     let started = Instant::now();
-    let sensors = plan.sensors.read()?;
+    let sensors = plan.sensors.read(&plan.source.path)?;
     // What cannot be read is told before all the work.
     reference::read(plan)?;
     let description = source.info().description.clone();

@@ -45,6 +45,9 @@ pub struct RunPlan {
 #[serde(deny_unknown_fields)]
 pub struct SourcePlan {
     pub path: String,
+    /// The topic with the images, of a robot recording.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub topic: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub timestamps: Option<PathBuf>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -68,6 +71,7 @@ impl SourcePlan {
             every: self.every,
             max_frames: self.max_frames,
             color: true,
+            topic: self.topic.clone(),
         };
         odograph_video::open(&self.path, &options)
     }
@@ -103,6 +107,7 @@ impl RunPlan {
         let rig = told.rig(arguments)?;
         let source_plan = SourcePlan {
             path: arguments.source.clone(),
+            topic: arguments.topic.clone(),
             timestamps: arguments.timestamps.clone(),
             fps: arguments.fps,
             start_s: arguments.start,
@@ -174,6 +179,7 @@ impl RunPlan {
             ("--height", arguments.height.is_some()),
             ("--mask", arguments.mask.is_some()),
             ("--motion", arguments.motion != unasked.motion),
+            ("--topic", arguments.topic.is_some()),
             ("--timestamps", arguments.timestamps.is_some()),
             ("--fps", arguments.fps.is_some()),
             ("--start", arguments.start.is_some()),
@@ -185,6 +191,9 @@ impl RunPlan {
             ("--heading", arguments.sensors.heading.is_some()),
             ("--wheel", arguments.sensors.wheel.is_some()),
             ("--range", arguments.sensors.range.is_some()),
+            ("--gyro-topic", arguments.sensors.gyro_topic.is_some()),
+            ("--wheel-topic", arguments.sensors.wheel_topic.is_some()),
+            ("--range-topic", arguments.sensors.range_topic.is_some()),
             ("--no-loops", arguments.no_loops),
             ("--reference", arguments.reference.is_some()),
         ];
@@ -241,6 +250,8 @@ enum ToldCamera<'a> {
     Field(FieldOfView),
     /// That of the map that is continued.
     Map(Box<MapFile>),
+    /// That which a robot recording describes, and the topic of its images.
+    Recording(&'a str, Option<&'a str>),
 }
 
 impl<'a> ToldCamera<'a> {
@@ -250,6 +261,9 @@ impl<'a> ToldCamera<'a> {
             (Some(file), _, _) => Ok(Self::File(file, files::read_text(file)?)),
             (None, Some(field), _) => Ok(Self::Field(field)),
             (None, None, Some(map)) => Ok(Self::Map(Box::new(MapFile::open_read_only(map)?))),
+            (None, None, None) if odograph_video::is_robot_recording(&arguments.source) => {
+                Ok(Self::Recording(&arguments.source, arguments.topic.as_deref()))
+            }
             (None, None, None) => Err(Error::usage(
                 "no camera is given; give --camera FILE (and --height LENGTH), or --field-of-view WIDTHxHEIGHT in metres \
                  as measured on the ground",
@@ -269,7 +283,7 @@ impl<'a> ToldCamera<'a> {
             // The field of view already gives the scale; any height gives the same path.
             (None, None, Self::Field(_)) => Ok(Rig::level(1.0)),
             (None, None, Self::Map(map)) => Ok(*map.rig()),
-            (None, None, Self::File(..)) => Err(Error::usage(
+            (None, None, Self::File(..) | Self::Recording(..)) => Err(Error::usage(
                 "the height of the camera above the ground is missing; give --height LENGTH, such as 90cm, or --rig FILE",
             )),
         }
@@ -283,6 +297,13 @@ impl<'a> ToldCamera<'a> {
             }
             Self::Field(field) => Camera::from_field_of_view(size, (field.0, field.1), height_m),
             Self::Map(map) => Ok(map.camera().clone()),
+            Self::Recording(path, topic) => match odograph_video::recorded_camera(path, topic)? {
+                Some(recorded) => Ok(recorded.camera),
+                None => Err(Error::usage(format!(
+                    "{path} has no camera_info of its images; give --camera FILE, or --field-of-view WIDTHxHEIGHT in \
+                     metres as measured on the ground"
+                ))),
+            },
         }
     }
 }

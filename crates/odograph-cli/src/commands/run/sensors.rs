@@ -1,4 +1,4 @@
-//! The sensors beside the camera: their files, and what is told of them.
+//! The sensors beside the camera: their files or topics, and what is told of them.
 
 use crate::files;
 use odograph::error::Result;
@@ -7,7 +7,7 @@ use odograph::formats::sensor_file;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// The files of the sensors.
+/// The files of the sensors, or their topics in a robot recording.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default, deny_unknown_fields)]
 #[command(next_help_heading = "Other sensors (CSV, see docs/sensors.md)")]
@@ -28,6 +28,18 @@ pub struct SensorPlan {
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range: Option<PathBuf>,
+    /// Gyroscope, from a topic of the robot recording: sensor_msgs/Imu.
+    #[arg(long, value_name = "NAME", conflicts_with = "gyro")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gyro_topic: Option<String>,
+    /// Wheel, from a topic of the robot recording: nav_msgs/Odometry, its forward speed.
+    #[arg(long, value_name = "NAME", conflicts_with = "wheel")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wheel_topic: Option<String>,
+    /// Range finder, from a topic of the robot recording: sensor_msgs/Range.
+    #[arg(long, value_name = "NAME", conflicts_with = "range")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range_topic: Option<String>,
 }
 
 /// Days of a gyroscope at a hundred readings a second, bytes.
@@ -39,9 +51,22 @@ impl SensorPlan {
         *self == Self::default()
     }
 
-    /// Reads the files there are.
-    pub fn read(&self) -> Result<Sensors> {
+    /// The topic of a sensor.
+    fn topic(&self, sensor: SensorKind) -> Option<&str> {
+        match sensor {
+            SensorKind::Gyro => self.gyro_topic.as_deref(),
+            SensorKind::Heading => None,
+            SensorKind::Wheel => self.wheel_topic.as_deref(),
+            SensorKind::Range => self.range_topic.as_deref(),
+        }
+    }
+
+    /// Reads the files there are, and the topics of the recording.
+    pub fn read(&self, recording: &str) -> Result<Sensors> {
         let read = |path: &Option<PathBuf>, sensor: SensorKind| -> Result<Option<SensorRecord>> {
+            if let Some(topic) = self.topic(sensor) {
+                return odograph_video::recorded_sensor(recording, topic, sensor).map(Some);
+            }
             let Some(path) = path else { return Ok(None) };
             let text = files::read_text_within(path, MOST_BYTES)?;
             let record = sensor_file::parse(&text, sensor).map_err(|error| error.at(path.display()))?;
@@ -64,9 +89,10 @@ impl SensorPlan {
             SensorKind::Range => &self.range,
         };
         let told = |report: &SensorReport| {
-            let path = file(report.sensor).as_ref()?;
+            let path = file(report.sensor).as_ref().map(|path| path.display().to_string());
+            let place = path.or_else(|| self.topic(report.sensor).map(str::to_owned))?;
             let reason = report.rejected?;
-            Some(format!("the {} {} is not used: {reason}", report.sensor, path.display()))
+            Some(format!("the {} {place} is not used: {reason}", report.sensor))
         };
         reports.iter().filter_map(told).collect()
     }
