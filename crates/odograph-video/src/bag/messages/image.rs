@@ -1,6 +1,6 @@
 //! Image messages: `sensor_msgs/Image`, `sensor_msgs/CompressedImage`, and packets of videos.
 
-use super::{Role, VideoMessage, protobuf};
+use super::{RawImage, Role, VideoMessage, VideoPacket, protobuf};
 use crate::bag::cursor::{Cursor, Serialization};
 use crate::bag::recording::Topic;
 use crate::bayer::BayerPattern;
@@ -10,27 +10,6 @@ use crate::guard::guarded;
 use crate::pictures;
 use crate::samples::SampleLayout;
 use odograph::error::{Error, Result};
-use std::borrow::Cow;
-
-/// An uncompressed image.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct RawImage<'a> {
-    pub width: usize,
-    pub height: usize,
-    pub encoding: Cow<'a, str>,
-    pub big_endian: bool,
-    /// Bytes from one row to the next.
-    pub step: usize,
-    pub data: &'a [u8],
-}
-
-/// A packet of a video.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct VideoPacket<'a> {
-    /// Name of the codec.
-    pub format: Cow<'a, str>,
-    pub data: &'a [u8],
-}
 
 fn cut_off() -> Error {
     Error::input("an image message is cut off or damaged")

@@ -7,6 +7,7 @@ pub(crate) mod sensor;
 
 use super::cursor::{Cursor, Serialization};
 use super::recording::Topic;
+use std::borrow::Cow;
 
 /// What the messages of a topic are to this program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,6 +32,26 @@ pub(crate) enum VideoMessage {
     Foxglove,
     /// `ffmpeg_image_transport_msgs/FFMPEGPacket`
     FfmpegPacket,
+}
+
+/// An uncompressed image.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct RawImage<'a> {
+    pub width: usize,
+    pub height: usize,
+    pub encoding: Cow<'a, str>,
+    pub big_endian: bool,
+    /// Bytes from one row to the next.
+    pub step: usize,
+    pub data: &'a [u8],
+}
+
+/// A packet of a video.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct VideoPacket<'a> {
+    /// Name of the codec.
+    pub format: Cow<'a, str>,
+    pub data: &'a [u8],
 }
 
 impl Role {

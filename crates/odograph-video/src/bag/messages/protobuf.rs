@@ -1,7 +1,7 @@
 //! The fields of a Protocol Buffers message, and the image messages of Foxglove
 //! (<https://docs.foxglove.dev/docs/sdk/schemas>).
 
-use super::image::{RawImage, VideoPacket};
+use super::{RawImage, VideoPacket};
 use std::borrow::Cow;
 
 /// Value of a field.
