@@ -25,6 +25,7 @@ struct Arguments {
 enum Command {
     Demo(commands::demo::DemoArguments),
     Run(commands::run::RunArguments),
+    Info(commands::info::InfoArguments),
     Live(commands::live::LiveArguments),
     View(commands::view::ViewArguments),
     Cameras(commands::cameras::CamerasArguments),
@@ -42,7 +43,7 @@ enum Command {
 
 /// The commands as the first help shows them: grouped by purpose.
 const GROUPS: [(&str, &[&str]); 5] = [
-    ("Follow a camera", &["demo", "run", "live", "view"]),
+    ("Follow a camera", &["demo", "info", "run", "live", "view"]),
     ("Use maps", &["localize", "map"]),
     ("Set up a camera", &["board", "calibrate", "ground", "camera", "cameras"]),
     ("Try and judge", &["simulate", "evaluate", "undistort"]),
@@ -96,6 +97,7 @@ fn main() -> ExitCode {
     let outcome: Result<Outcome> = match arguments.command {
         Command::Demo(arguments) => commands::demo::demo(arguments),
         Command::Run(arguments) => commands::run::run(arguments),
+        Command::Info(arguments) => commands::info::info(arguments),
         Command::Live(arguments) => commands::live::live(arguments),
         Command::View(arguments) => commands::view::view(arguments),
         Command::Cameras(arguments) => commands::cameras::cameras(arguments),

@@ -130,30 +130,31 @@ fn invalid_sources_are_refused() {
 }
 
 #[test]
-fn robot_recordings_are_recognised_by_their_content() {
+fn damaged_robot_recordings_are_recognised_by_their_content() {
     let place = Place::new();
-    let bag = b"SQLite format 3\0 ... CREATE TABLE topics(id) CREATE TABLE messages(id)";
+    let database = b"SQLite format 3\0 ... CREATE TABLE topics(id) CREATE TABLE messages(id)";
     for (name, bytes, words) in [
-        ("drive.mcap", &b"\x89MCAP0\r\n\xff\xd8\xff\xe0"[..], "an MCAP recording"),
-        ("named.mp4", b"\x89MCAP0\r\n", "an MCAP recording"),
-        ("drive.bag", b"#ROSBAG V2.0\n\xff\xd8\xff\xe0", "a ROS 1 bag"),
-        ("drive.db3", bag, "a rosbag2 recording"),
-        (
-            "map.gpkg",
-            b"SQLite format 3\0 CREATE TABLE keyframes(id)",
-            "an SQLite database and not a recording",
-        ),
+        ("drive.mcap", &b"\x89MCAP0\r\n\xff\xd8\xff\xe0"[..], "this is an MCAP file without messages"),
+        ("named.mp4", b"\x89MCAP0\r\n", "this is an MCAP file without messages"),
+        ("drive.bag", b"#ROSBAG V2.0\n\xff\xd8\xff\xe0", "this is a ROS 1 bag without messages"),
+        ("old.bag", b"#ROSBAG V1.2\n\xff\xd8\xff\xe0", "older version than 2.0"),
+        ("drive.db3", database, "the database cannot be read"),
     ] {
         fs::write(place.path(name), bytes).unwrap();
         place.refused_usual(name, 3, words);
     }
-    for (folder, name, bytes) in [
-        ("described", "metadata.yaml", &b"rosbag2_bagfile_information:\n  version: 5\n"[..]),
-        ("bare", "bare_0.db3", bag),
+    for (folder, name, bytes, words) in [
+        (
+            "described",
+            "metadata.yaml",
+            &b"rosbag2_bagfile_information:\n  version: 5\n"[..],
+            "its files are not in this folder",
+        ),
+        ("bare", "bare_0.db3", database, "the database cannot be read"),
     ] {
         fs::create_dir(place.path(folder)).unwrap();
         fs::write(place.path(folder).join(name), bytes).unwrap();
-        place.refused_usual(folder, 3, "a rosbag2 recording");
+        place.refused_usual(folder, 3, words);
     }
 }
 

@@ -49,6 +49,9 @@ pub struct RunPlan {
 pub struct SourcePlan {
     /// A file, a folder of pictures, an address, or `-` for Y4M on standard input.
     pub path: String,
+    /// The topic with the images, of a robot recording.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub topic: Option<String>,
     /// A file with the times of the frames.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub timestamps: Option<PathBuf>,
@@ -73,6 +76,7 @@ impl SourcePlan {
     pub fn new(path: impl Into<String>) -> Self {
         Self {
             path: path.into(),
+            topic: None,
             timestamps: None,
             fps: None,
             start_s: None,
@@ -95,6 +99,7 @@ impl SourcePlan {
             every: self.every,
             max_frames: self.max_frames,
             color: true,
+            topic: self.topic.clone(),
         };
         odograph_video::open(&self.path, &options)
     }

@@ -90,6 +90,8 @@ enum ToldCamera<'a> {
     Field((f64, f64)),
     /// That of the map that is continued.
     Map(Box<MapFile>),
+    /// That which a robot recording describes.
+    Recording(&'a SourcePlan),
 }
 
 impl<'a> ToldCamera<'a> {
@@ -105,6 +107,9 @@ impl<'a> ToldCamera<'a> {
             (Some(CameraChoice::Known(camera)), _) => Ok(Self::Known(camera)),
             (Some(CameraChoice::FieldOfView(width_m, height_m)), _) => Ok(Self::Field((*width_m, *height_m))),
             (None, Some(map)) => Ok(Self::Map(Box::new(MapFile::open_read_only(map)?))),
+            (None, None) if odograph_video::is_robot_recording(&builder.source.path) => {
+                Ok(Self::Recording(&builder.source))
+            }
             (None, None) => Err(Error::usage(
                 "no camera is given; give --camera FILE (and --height LENGTH), or --field-of-view WIDTHxHEIGHT in metres \
                  as measured on the ground",
@@ -119,7 +124,7 @@ impl<'a> ToldCamera<'a> {
             // The field of view already gives the scale; any height gives the same path.
             (None, Self::Field(_)) => Ok(Rig::level(1.0)),
             (None, Self::Map(map)) => Ok(*map.rig()),
-            (None, Self::File(..) | Self::Known(_)) => Err(Error::usage(
+            (None, Self::File(..) | Self::Known(_) | Self::Recording(_)) => Err(Error::usage(
                 "the height of the camera above the ground is missing; give --height LENGTH, such as 90cm, or --rig FILE",
             )),
         }
@@ -134,6 +139,15 @@ impl<'a> ToldCamera<'a> {
             Self::Known(camera) => Ok(camera.clone()),
             Self::Field(field) => Camera::from_field_of_view(size, field, height_m),
             Self::Map(map) => Ok(map.camera().clone()),
+            Self::Recording(SourcePlan { path, topic, .. }) => {
+                match odograph_video::recorded_camera(path, topic.as_deref())? {
+                    Some(recorded) => Ok(recorded.camera),
+                    None => Err(Error::usage(format!(
+                        "{path} has no camera_info of its images; give --camera FILE, or --field-of-view WIDTHxHEIGHT in \
+                         metres as measured on the ground"
+                    ))),
+                }
+            }
         }
     }
 }

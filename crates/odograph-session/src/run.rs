@@ -102,7 +102,7 @@ impl Run {
         let _temporary = self.temporary;
         let Self { mut plan, source, mut folder, output, reporter, .. } = self;
         let started = Instant::now();
-        let sensors = plan.sensors.read()?;
+        let sensors = plan.sensors.read(&plan.source.path)?;
         // What cannot be read is told before all the work.
         reference::read(&plan)?;
         let description = source.info().description.clone();

@@ -7,7 +7,8 @@ use odograph::formats::sensor_file;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// The files of the sensors, CSV as `docs/sensors.md` describes them.
+/// The files of the sensors, CSV as `docs/sensors.md` describes them, or their topics in a robot
+/// recording.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SensorFiles {
@@ -23,6 +24,15 @@ pub struct SensorFiles {
     /// Range finder: time_s and height_m, or distance_m along the optical axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range: Option<PathBuf>,
+    /// Topic of the gyroscope: sensor_msgs/Imu.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gyro_topic: Option<String>,
+    /// Topic of the wheel: nav_msgs/Odometry, its forward speed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wheel_topic: Option<String>,
+    /// Topic of the range finder: sensor_msgs/Range.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range_topic: Option<String>,
 }
 
 /// Days of a gyroscope at a hundred readings a second, bytes.
@@ -34,9 +44,22 @@ impl SensorFiles {
         *self == Self::default()
     }
 
-    /// Reads the files there are.
-    pub(crate) fn read(&self) -> Result<Sensors> {
+    /// The topic of a sensor.
+    fn topic(&self, sensor: SensorKind) -> Option<&str> {
+        match sensor {
+            SensorKind::Gyro => self.gyro_topic.as_deref(),
+            SensorKind::Heading => None,
+            SensorKind::Wheel => self.wheel_topic.as_deref(),
+            SensorKind::Range => self.range_topic.as_deref(),
+        }
+    }
+
+    /// Reads the files there are, and the topics of the recording.
+    pub(crate) fn read(&self, recording: &str) -> Result<Sensors> {
         let read = |path: &Option<PathBuf>, sensor: SensorKind| -> Result<Option<SensorRecord>> {
+            if let Some(topic) = self.topic(sensor) {
+                return odograph_video::recorded_sensor(recording, topic, sensor).map(Some);
+            }
             let Some(path) = path else { return Ok(None) };
             let text = files::read_text_within(path, MOST_BYTES)?;
             let record = sensor_file::parse(&text, sensor).map_err(|error| error.at(path.display()))?;
@@ -59,9 +82,10 @@ impl SensorFiles {
             SensorKind::Range => &self.range,
         };
         let told = |report: &SensorReport| {
-            let path = file(report.sensor).as_ref()?;
+            let path = file(report.sensor).as_ref().map(|path| path.display().to_string());
+            let place = path.or_else(|| self.topic(report.sensor).map(str::to_owned))?;
             let reason = report.rejected?;
-            Some(format!("the {} {} is not used: {reason}", report.sensor, path.display()))
+            Some(format!("the {} {place} is not used: {reason}", report.sensor))
         };
         reports.iter().filter_map(told).collect()
     }

@@ -309,8 +309,8 @@ impl Frames for Process {
         Ok(Some(time_s))
     }
 
-    fn picture(&mut self) -> Result<Picture> {
-        self.current.take().ok_or_else(|| Error::input("the frame was already taken"))
+    fn picture(&mut self) -> Result<Option<Picture>> {
+        self.current.take().map(Some).ok_or_else(|| Error::input("the frame was already taken"))
     }
 
     fn take_warnings(&mut self) -> Vec<String> {
@@ -344,9 +344,11 @@ fn read_pictures(output: ChildStdout, color: bool, sender: &SyncSender<Result<Pi
             return;
         }
     };
-    while let Some(picture) =
-        frames.advance().and_then(|time| time.map(|_| frames.picture()).transpose()).transpose()
-    {
+    let mut next = || match frames.advance()? {
+        Some(_) => frames.picture(),
+        None => Ok(None),
+    };
+    while let Some(picture) = next().transpose() {
         if sender.send(picture).is_err() {
             return;
         }
@@ -498,7 +500,7 @@ mod tests {
     fn frames_have_timestamps_and_an_early_exit_is_reported() {
         let mut frames = open_with(stand_in(), Path::new("early"), AV1, false).unwrap().frames;
         assert_eq!(frames.advance().unwrap(), Some(0.5));
-        assert_eq!(frames.picture().unwrap().gray.samples(), b"ab");
+        assert_eq!(frames.picture().unwrap().unwrap().gray.samples(), b"ab");
         assert_eq!(frames.advance().unwrap(), Some(0.8));
         assert_eq!(frames.advance().unwrap(), None);
         assert_eq!(frames.take_warnings(), ["ffmpeg stopped early: not good"]);

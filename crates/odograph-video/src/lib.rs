@@ -9,7 +9,8 @@
 //!
 //! Decoded in this crate, without any system package: image folders (PNG, JPEG, TIFF, PGM, PPM),
 //! MP4/MOV/MKV with H.264 and HEVC, AVI/MOV with Motion JPEG, VP9 in WebM/MKV/MP4, raw H.264 and
-//! HEVC streams, Y4M from a file or standard input. Everything else is decoded by an installed
+//! HEVC streams, Y4M from a file or standard input; robot recordings (MCAP, rosbag2, ROS 1 bags)
+//! with raw or compressed images. Everything else is decoded by an installed
 //! `ffmpeg`, in bounded memory; without one, [`open`] fails with a message that names the codec.
 //!
 //! All input is untrusted: sizes are bounded before memory is allocated, and a panic inside a
@@ -27,9 +28,9 @@
 mod limits;
 mod guard;
 mod frame;
-mod robot_recording;
 mod rotation;
 mod codec;
+mod bayer;
 mod samples;
 mod timestamps;
 mod pictures;
@@ -37,8 +38,13 @@ mod y4m;
 mod container;
 mod ffmpeg;
 mod video;
+mod bag;
 mod source;
+mod contents;
 
+pub use bag::{RecordedCamera, is_robot_recording, recorded_camera, recorded_sensor};
+pub use bayer::BayerPattern;
+pub use contents::{Contents, Gap, Stream, StreamUse, inspect};
 pub use frame::{Frame, Picture};
 pub use samples::SampleLayout;
 pub use source::{Source, SourceInfo, SourceOptions, is_stream, open};

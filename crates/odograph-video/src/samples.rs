@@ -1,6 +1,7 @@
 //! Pictures from cameras and streams: JPEG, or uncompressed samples in a buffer.
 
-use crate::codec::jpeg;
+use crate::bayer::BayerPattern;
+use crate::codec::{jpeg, narrow_full_scale};
 use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture, picture_from_rgb};
 use crate::guard::guarded;
 use crate::limits;
@@ -12,20 +13,60 @@ use odograph::image::GrayImage;
 pub enum SampleLayout {
     /// One byte per pixel: luminance (V4L2 `GREY`).
     Gray,
+    /// Two bytes per pixel: luminance of 16 bits, full scale.
+    Gray16 {
+        /// Whether the high byte comes first.
+        big_endian: bool,
+    },
     /// Four bytes per two pixels: luminance, blue chroma, luminance, red chroma (V4L2 `YUYV`).
     Yuyv,
+    /// Four bytes per two pixels: blue chroma, luminance, red chroma, luminance (V4L2 `UYVY`).
+    Uyvy,
+    /// A plane of luminance, then one of interleaved blue and red chroma for two by two pixels, at
+    /// the same stride (V4L2 `NV12`).
+    Nv12,
     /// Three bytes per pixel: red, green, blue (V4L2 `RGB3`).
     Rgb,
+    /// Three bytes per pixel: blue, green, red (V4L2 `BGR3`).
+    Bgr,
+    /// Four bytes per pixel: red, green, blue, and one that is ignored.
+    Rgba,
+    /// Four bytes per pixel: blue, green, red, and one that is ignored.
+    Bgra,
+    /// One byte per pixel, behind a colour filter.
+    Bayer(BayerPattern),
 }
 
 impl SampleLayout {
-    /// Bytes per pixel.
+    /// Bytes per pixel of a row; of the luminance where chroma is in a plane of its own.
     pub fn bytes_per_pixel(self) -> usize {
         match self {
-            Self::Gray => 1,
-            Self::Yuyv => 2,
-            Self::Rgb => 3,
+            Self::Gray | Self::Nv12 | Self::Bayer(_) => 1,
+            Self::Gray16 { .. } | Self::Yuyv | Self::Uyvy => 2,
+            Self::Rgb | Self::Bgr => 3,
+            Self::Rgba | Self::Bgra => 4,
         }
+    }
+
+    /// Name for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Gray => "gray",
+            Self::Gray16 { .. } => "16-bit gray",
+            Self::Yuyv => "YUYV",
+            Self::Uyvy => "UYVY",
+            Self::Nv12 => "NV12",
+            Self::Rgb => "RGB",
+            Self::Bgr => "BGR",
+            Self::Rgba => "RGBA",
+            Self::Bgra => "BGRA",
+            Self::Bayer(_) => "Bayer",
+        }
+    }
+
+    /// Number of rows in the buffer of a picture.
+    fn rows(self, height: usize) -> usize {
+        if self == Self::Nv12 { height + height.div_ceil(2) } else { height }
     }
 }
 
@@ -54,46 +95,89 @@ impl Picture {
         let pixels = limits::check_size(width, height)?;
         let row_bytes = width * layout.bytes_per_pixel();
         let line = bytes_per_line.max(row_bytes);
-        if bytes.len() < line * (height - 1) + row_bytes {
+        // The padding of the last line may be missing.
+        let needed = line.checked_mul(layout.rows(height) - 1).and_then(|lines| lines.checked_add(row_bytes));
+        if needed.is_none_or(|needed| bytes.len() < needed) {
             return Err(Error::input(format!(
                 "a picture of {width}x{height} needs {} bytes, but only {} came",
-                line * (height - 1) + row_bytes,
+                needed.unwrap_or(usize::MAX),
                 bytes.len()
             )));
         }
-        let rows = bytes.chunks(line).take(height).map(|row| &row[..row_bytes]);
+        let rows = || bytes.chunks(line).take(height).map(|row| &row[..row_bytes]);
         let lost = || Error::input(format!("a picture of {width}x{height} cannot be made"));
+        let gray = |samples| GrayImage::from_samples(width, height, samples).ok_or_else(lost);
+        let interleaved = |size: usize, [red, green, blue]: [usize; 3]| {
+            let mut rgb = Vec::with_capacity(3 * pixels);
+            for row in rows() {
+                rgb.extend(row.chunks_exact(size).flat_map(|p| [p[red], p[green], p[blue]]));
+            }
+            picture_from_rgb(width, height, rgb, color).ok_or_else(lost)
+        };
+        let chroma = |down: usize, blue: Vec<u8>, red: Vec<u8>| {
+            let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: false };
+            Color::Chroma(Chroma { width: width.div_ceil(2), height: down, blue, red, encoding })
+        };
         match layout {
             SampleLayout::Gray => {
                 let mut samples = Vec::with_capacity(pixels);
-                rows.for_each(|row| samples.extend_from_slice(row));
-                GrayImage::from_samples(width, height, samples).map(Self::gray).ok_or_else(lost)
+                rows().for_each(|row| samples.extend_from_slice(row));
+                gray(samples).map(Self::gray)
             }
-            SampleLayout::Rgb => {
-                let mut samples = Vec::with_capacity(3 * pixels);
-                rows.for_each(|row| samples.extend_from_slice(row));
-                picture_from_rgb(width, height, samples, color).ok_or_else(lost)
+            SampleLayout::Gray16 { big_endian } => {
+                let mut samples = Vec::with_capacity(pixels);
+                for row in rows() {
+                    samples.extend(row.chunks_exact(2).map(|pair| {
+                        let pair = [pair[0], pair[1]];
+                        let sample =
+                            if big_endian { u16::from_be_bytes(pair) } else { u16::from_le_bytes(pair) };
+                        narrow_full_scale(sample)
+                    }));
+                }
+                gray(samples).map(Self::gray)
             }
-            SampleLayout::Yuyv => {
-                let across = width.div_ceil(2);
-                let mut gray = Vec::with_capacity(pixels);
+            SampleLayout::Rgb => interleaved(3, [0, 1, 2]),
+            SampleLayout::Bgr => interleaved(3, [2, 1, 0]),
+            SampleLayout::Rgba => interleaved(4, [0, 1, 2]),
+            SampleLayout::Bgra => interleaved(4, [2, 1, 0]),
+            SampleLayout::Bayer(_) if width < 2 || height < 2 => {
+                Err(Error::input(format!("a Bayer picture of {width}x{height} is too small")))
+            }
+            SampleLayout::Bayer(pattern) => {
+                picture_from_rgb(width, height, pattern.rgb(width, height, rows()), color).ok_or_else(lost)
+            }
+            SampleLayout::Yuyv | SampleLayout::Uyvy => {
+                let (luminance, blue_at, red_at) =
+                    if layout == SampleLayout::Yuyv { (0, 1, 3) } else { (1, 0, 2) };
+                let mut samples = Vec::with_capacity(pixels);
                 let (mut blue, mut red) = (Vec::new(), Vec::new());
-                for row in rows {
-                    gray.extend(row.iter().step_by(2));
+                for row in rows() {
+                    samples.extend(row.chunks_exact(2).map(|pair| pair[luminance]));
                     if color {
                         // An odd last pixel has only blue chroma; it takes the red chroma of the
                         // pair before.
-                        blue.extend(row.iter().skip(1).step_by(4));
-                        red.extend(row.iter().skip(3).step_by(4));
+                        blue.extend(row.iter().skip(blue_at).step_by(4));
+                        red.extend(row.iter().skip(red_at).step_by(4));
                         red.resize(blue.len(), red.last().copied().unwrap_or(128));
                     }
                 }
-                let chroma = color.then(|| {
-                    let encoding = ColorEncoding { matrix: Matrix::Bt601, full_range: false };
-                    Color::Chroma(Chroma { width: across, height, blue, red, encoding })
-                });
-                let gray = GrayImage::from_samples(width, height, gray).ok_or_else(lost)?;
-                Ok(Self { gray, color: chroma })
+                Ok(Self { gray: gray(samples)?, color: color.then(|| chroma(height, blue, red)) })
+            }
+            SampleLayout::Nv12 => {
+                let mut samples = Vec::with_capacity(pixels);
+                rows().for_each(|row| samples.extend_from_slice(row));
+                let (mut blue, mut red) = (Vec::new(), Vec::new());
+                let across = width.div_ceil(2);
+                if color {
+                    for row in bytes.chunks(line).skip(height).take(height.div_ceil(2)) {
+                        // A row of an odd width may lack its last sample.
+                        let at = |index: usize| row.get(index).copied().unwrap_or(128);
+                        blue.extend((0..across).map(|x| at(2 * x)));
+                        red.extend((0..across).map(|x| at(2 * x + 1)));
+                    }
+                }
+                let color = color.then(|| chroma(height.div_ceil(2), blue, red));
+                Ok(Self { gray: gray(samples)?, color })
             }
         }
     }
@@ -121,5 +205,44 @@ mod tests {
         let odd = Picture::from_samples(SampleLayout::Yuyv, 3, 1, 6, &[1, 2, 3, 4, 5, 6], true).unwrap();
         assert_eq!(odd.gray.samples(), [1, 3, 5]);
         assert!(Frame::new(0, 0.0, odd).rgb().width() == 3);
+    }
+
+    #[test]
+    fn every_layout_gives_the_same_gray() {
+        // Two by two pixels of gray levels; every layout with a stride of twelve bytes.
+        let levels = [10, 20, 30, 40];
+        let rows = |row: fn(u8, u8) -> Vec<u8>| -> Vec<u8> {
+            let padded = |mut row: Vec<u8>| {
+                row.resize(12, 99);
+                row
+            };
+            [padded(row(levels[0], levels[1])), padded(row(levels[2], levels[3]))].concat()
+        };
+        for (layout, bytes) in [
+            (SampleLayout::Gray, rows(|a, b| vec![a, b])),
+            (SampleLayout::Gray16 { big_endian: false }, rows(|a, b| vec![a, a, b, b])),
+            (SampleLayout::Gray16 { big_endian: true }, rows(|a, b| vec![a, a, b, b])),
+            (SampleLayout::Rgb, rows(|a, b| vec![a, a, a, b, b, b])),
+            (SampleLayout::Bgr, rows(|a, b| vec![a, a, a, b, b, b])),
+            (SampleLayout::Rgba, rows(|a, b| vec![a, a, a, 7, b, b, b, 7])),
+            (SampleLayout::Bgra, rows(|a, b| vec![a, a, a, 7, b, b, b, 7])),
+            (SampleLayout::Yuyv, rows(|a, b| vec![a, 128, b, 128])),
+            (SampleLayout::Uyvy, rows(|a, b| vec![128, a, 128, b])),
+            (SampleLayout::Nv12, [rows(|a, b| vec![a, b]), vec![128; 12]].concat()),
+        ] {
+            let picture = Picture::from_samples(layout, 2, 2, 12, &bytes, true).unwrap();
+            assert_eq!(picture.gray.samples(), levels, "{layout:?}");
+            if let Some(Color::Chroma(chroma)) = &picture.color {
+                assert!(chroma.is_whole() && chroma.blue.iter().chain(&chroma.red).all(|&c| c == 128));
+            }
+            assert!(Picture::from_samples(layout, 2, 2, 12, &bytes[..12], true).is_err());
+            assert!(Picture::from_samples(layout, 2, 2, usize::MAX, &bytes, true).is_err());
+        }
+        let red = Picture::from_samples(SampleLayout::Bgr, 1, 1, 3, &[0, 0, 255], true).unwrap();
+        assert_eq!(Frame::new(0, 0.0, red).rgb().pixel(0, 0), [255, 0, 0]);
+        let bayer = SampleLayout::Bayer(BayerPattern::Rggb);
+        let plain = Picture::from_samples(bayer, 2, 2, 2, &[50; 4], false).unwrap();
+        assert_eq!(plain.gray.samples(), [50; 4]);
+        assert!(Picture::from_samples(bayer, 1, 2, 1, &[50; 2], false).is_err());
     }
 }

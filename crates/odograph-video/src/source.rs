@@ -7,7 +7,7 @@ use crate::container::mp4::Mp4Reader;
 use crate::frame::{Frame, Picture};
 use crate::limits;
 use crate::timestamps::Timestamps;
-use crate::{ffmpeg, pictures, robot_recording, video, y4m};
+use crate::{bag, ffmpeg, pictures, video, y4m};
 use odograph::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -39,6 +39,8 @@ pub struct SourceOptions {
     pub max_frames: Option<u64>,
     /// Keeps the colour in addition to the gray image, for [`Frame::rgb`].
     pub color: bool,
+    /// Topic of a robot recording to take the images from; needed only if it has several.
+    pub topic: Option<String>,
 }
 
 impl Default for SourceOptions {
@@ -51,6 +53,7 @@ impl Default for SourceOptions {
             every: 1,
             max_frames: None,
             color: false,
+            topic: None,
         }
     }
 }
@@ -118,14 +121,23 @@ pub(crate) trait Frames: Send {
     /// Advances to the next frame and returns its time in seconds (its index if the source has no
     /// timestamps); `None` at the end.
     fn advance(&mut self) -> Result<Option<f64>>;
-    /// The current frame, upright; can be taken once.
-    fn picture(&mut self) -> Result<Picture>;
+    /// The current frame, upright; can be taken once. `None` if it is damaged and left out, which
+    /// [`take_warnings`](Self::take_warnings) reports.
+    fn picture(&mut self) -> Result<Option<Picture>>;
     /// File name of the current image; `None` for a video.
     fn name(&self) -> Option<String> {
         None
     }
     /// Drains the warnings about defects of the source, one sentence each.
     fn take_warnings(&mut self) -> Vec<String>;
+    /// The times of all remaining frames, which are not decoded if that can be avoided.
+    fn times(&mut self) -> Result<Vec<f64>> {
+        let mut times = Vec::new();
+        while let Some(time_s) = self.advance()? {
+            times.push(time_s);
+        }
+        Ok(times)
+    }
 }
 
 /// An opened source of any kind.
@@ -139,8 +151,8 @@ pub(crate) struct Opened {
     pub frames_per_second: Option<f64>,
 }
 
-/// Opens a recording: a video file, an image folder, a single image, `-` for Y4M from standard
-/// input, or an address `rtsp://…`.
+/// Opens a recording: a video file, an image folder, a single image, a robot recording (MCAP, ROS
+/// bag, rosbag2 folder or database), `-` for Y4M from standard input, or an address `rtsp://…`.
 ///
 /// The format is detected from the content. The first frame is decoded at once, so that an
 /// undecodable source fails here.
@@ -178,7 +190,7 @@ pub fn is_stream(name: &str) -> bool {
     name.starts_with("rtsp://") || name.starts_with("rtsps://")
 }
 
-fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
+pub(crate) fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
     if let Some(address) = path.to_str().filter(|name| is_stream(name)) {
         return ffmpeg::open_stream(address, options.color);
     }
@@ -189,6 +201,15 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         std::io::ErrorKind::NotFound => Error::input("there is no such file or folder"),
         _ => Error::input(format!("cannot be opened: {error}")),
     })?;
+    // Before all others: a bag of JPEG images looks like a Motion JPEG stream.
+    if let Some(recording) = bag::open(path)? {
+        return bag::open_frames(recording, options);
+    }
+    if let Some(topic) = &options.topic {
+        return Err(Error::usage(format!(
+            "only robot recordings (MCAP, ROS bags) have topics, and this is none; leave --topic {topic} away"
+        )));
+    }
     if metadata.is_dir() {
         return pictures::open_folder(path, options);
     }
@@ -203,8 +224,7 @@ fn open_kind(path: &Path, options: &SourceOptions) -> Result<Opened> {
         .read_to_end(&mut magic)
         .and_then(|_| file.rewind())
         .map_err(|error| Error::input(format!("cannot be read: {error}")))?;
-    robot_recording::refuse_file(path, &magic)?;
-    let video = |reader| video::open(path, reader, options.color);
+    let video = |reader| video::open(Some(path), reader, options.color);
     match magic.as_slice() {
         [] => Err(Error::input("the file is empty")),
         m if m.starts_with(y4m::MAGIC) => {
@@ -245,10 +265,7 @@ impl Source {
                 ASSUMED_FRAMES_PER_SECOND
             })),
         };
-        let Some(time_s) = opened.frames.advance()? else {
-            return Err(Error::input("there is no frame in it"));
-        };
-        let picture = opened.frames.picture()?;
+        let (time_s, picture, skipped) = first_frame(opened.frames.as_mut())?;
         let (width, height) = (picture.gray.width(), picture.gray.height());
         limits::check_size(width, height)?;
         let info = SourceInfo {
@@ -266,7 +283,7 @@ impl Source {
             frames: opened.frames,
             first: Some((time_s, picture)),
             clock,
-            next_number: 0,
+            next_number: skipped,
             in_range: 0,
             given: 0,
             first_time_s: None,
@@ -354,9 +371,10 @@ impl Source {
                 continue;
             }
             let picture = match picture {
-                Some(picture) => picture,
+                Some(picture) => Some(picture),
                 None => self.frames.picture()?,
             };
+            let Some(picture) = picture else { continue };
             let (width, height) = (picture.gray.width(), picture.gray.height());
             if (width, height) != (self.info.width, self.info.height) {
                 return Err(Error::input(format!(
@@ -370,6 +388,19 @@ impl Source {
         }
         Ok(None)
     }
+}
+
+/// The first frame that can be decoded with its time, and the number of frames before it.
+fn first_frame(frames: &mut dyn Frames) -> Result<(f64, Picture, u64)> {
+    let mut skipped = 0;
+    while let Some(time_s) = frames.advance()? {
+        if let Some(picture) = frames.picture()? {
+            return Ok((time_s, picture, skipped));
+        }
+        skipped += 1;
+    }
+    let why = frames.take_warnings().into_iter().map(|warning| format!(": {warning}"));
+    Err(Error::input(format!("there is no frame in it{}", why.collect::<String>())))
 }
 
 impl std::fmt::Debug for Source {
@@ -397,8 +428,8 @@ mod tests {
             Ok(self.0.next())
         }
 
-        fn picture(&mut self) -> Result<Picture> {
-            Ok(Picture::gray(GrayImage::new(1, 1)))
+        fn picture(&mut self) -> Result<Option<Picture>> {
+            Ok(Some(Picture::gray(GrayImage::new(1, 1))))
         }
 
         fn take_warnings(&mut self) -> Vec<String> {

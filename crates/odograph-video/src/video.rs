@@ -9,11 +9,18 @@ use odograph::error::{Error, Result};
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Opens a track with the first decoder that supports it, otherwise with ffmpeg.
-pub(crate) fn open(path: &Path, reader: Box<dyn PacketReader>, color: bool) -> Result<Opened> {
+/// Opens a track with the first decoder that supports it, otherwise with ffmpeg if ffmpeg can read
+/// the file at `path`.
+pub(crate) fn open(path: Option<&Path>, reader: Box<dyn PacketReader>, color: bool) -> Result<Opened> {
     let track = reader.track().clone();
     let (decoders, name) = codec::decoders(&track, color)?;
     let through_ffmpeg = |codec: &str| {
+        let Some(path) = path else {
+            return Err(Error::input(format!(
+                "a video of {codec} in {} is not decoded; H.264, H.265, VP9 and Motion JPEG are",
+                track.container
+            )));
+        };
         let content =
             ffmpeg::Content::Video { codec, container: track.container, frame_count: track.frame_count };
         ffmpeg::open(path, content, color)
@@ -221,9 +228,20 @@ impl Frames for Video {
         Ok(Some(stamp.time_s))
     }
 
-    fn picture(&mut self) -> Result<Picture> {
+    fn picture(&mut self) -> Result<Option<Picture>> {
         let picture = self.current.take().ok_or_else(|| Error::input("the frame was already taken"))?;
-        Ok(self.track.orientation.upright(picture))
+        Ok(Some(self.track.orientation.upright(picture)))
+    }
+
+    fn times(&mut self) -> Result<Vec<f64>> {
+        self.reader.rewind()?;
+        let mut times = Vec::new();
+        while self.reader.next_packet(&mut self.packet)? {
+            if self.packet.shown {
+                times.push(self.packet.time_s);
+            }
+        }
+        Ok(times)
     }
 
     fn take_warnings(&mut self) -> Vec<String> {

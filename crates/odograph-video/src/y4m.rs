@@ -205,7 +205,7 @@ impl<R: BufRead + Send> Frames for Y4m<R> {
         Ok(Some((self.number - 1) as f64))
     }
 
-    fn picture(&mut self) -> Result<Picture> {
+    fn picture(&mut self) -> Result<Option<Picture>> {
         let luminance = std::mem::take(&mut self.luminance);
         let gray = GrayImage::from_samples(self.width, self.height, self.narrowed(luminance))
             .ok_or_else(|| Error::input("the frame was already taken"))?;
@@ -219,7 +219,7 @@ impl<R: BufRead + Send> Frames for Y4m<R> {
                 encoding: ColorEncoding { full_range: self.full_range, ..ColorEncoding::default() },
             })
         });
-        Ok(Picture { gray, color })
+        Ok(Some(Picture { gray, color }))
     }
 
     fn take_warnings(&mut self) -> Vec<String> {
@@ -236,7 +236,7 @@ mod tests {
         let mut opened = open(Cursor::new(bytes.to_vec()), None, color).unwrap();
         let mut pictures = Vec::new();
         while opened.frames.advance().unwrap().is_some() {
-            pictures.push(opened.frames.picture().unwrap());
+            pictures.push(opened.frames.picture().unwrap().unwrap());
         }
         (pictures, opened.frames.take_warnings())
     }

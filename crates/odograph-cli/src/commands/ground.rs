@@ -67,6 +67,9 @@ pub struct GroundArguments {
     /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
+    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
+    #[arg(help_heading = "Recording", long, value_name = "NAME")]
+    topic: Option<String>,
     /// Take every n-th frame.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
@@ -178,6 +181,7 @@ impl GroundArguments {
             end_s: self.end,
             every: self.every,
             color: true,
+            topic: self.topic.clone(),
             ..SourceOptions::default()
         }
     }

@@ -8,6 +8,7 @@ pub mod completions;
 pub mod demo;
 pub mod evaluate;
 pub mod ground;
+pub mod info;
 pub mod live;
 pub mod localize;
 pub mod map;

@@ -49,6 +49,9 @@ pub struct UndistortArguments {
     /// End this many seconds after the first frame.
     #[arg(help_heading = "Recording", long, value_name = "SECONDS", allow_negative_numbers = true)]
     end: Option<f64>,
+    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
+    #[arg(help_heading = "Recording", long, value_name = "NAME")]
+    topic: Option<String>,
     /// Take every n-th frame.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
@@ -112,6 +115,7 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
         every: arguments.every,
         max_frames: arguments.max_frames,
         color: !arguments.gray,
+        topic: arguments.topic.clone(),
     };
     let source = odograph_video::open(&arguments.source, &options)?;
     let (width, height) = (source.info().width, source.info().height);

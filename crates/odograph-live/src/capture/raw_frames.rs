@@ -61,11 +61,7 @@ impl<R: Read + Send> RawFrames<R> {
     /// Creates a source that reads frames of `format`.
     pub fn new(reader: R, format: RawFormat, watch: Watch) -> Self {
         let RawFormat { layout, width, height, frames_per_second } = format;
-        let name = match layout {
-            SampleLayout::Gray => "gray",
-            SampleLayout::Yuyv => "YUYV",
-            SampleLayout::Rgb => "RGB",
-        };
+        let name = layout.name();
         let info = SourceInfo {
             width,
             height,

@@ -46,17 +46,24 @@ pub(super) fn picture(path: &Path, color: bool) -> Result<Picture> {
     if bytes.len() as u64 > limits::MAX_SAMPLE_BYTES {
         return Err(Error::input("the picture file is larger than 256 MB"));
     }
+    guarded("picture", || decode(&bytes, color))?
+}
+
+/// Decodes the bytes of an image file and rotates the image upright.
+///
+/// The decoders may panic; callers must guard the call ([`guarded`]).
+pub(crate) fn decode(bytes: &[u8], color: bool) -> Result<Picture> {
     let kind =
-        kind(&bytes).ok_or_else(|| Error::input("this is not a PNG, JPEG, TIFF, PGM or PPM picture"))?;
-    let (picture, orientation) = guarded("picture", || match kind {
-        Kind::Png => (png(&bytes, color), Orientation::default()),
-        Kind::Jpeg if jpeg_is_cut_off(&bytes) => {
+        kind(bytes).ok_or_else(|| Error::input("this is not a PNG, JPEG, TIFF, PGM or PPM picture"))?;
+    let (picture, orientation) = match kind {
+        Kind::Png => (png(bytes, color), Orientation::default()),
+        Kind::Jpeg if jpeg_is_cut_off(bytes) => {
             (Err(Error::input("the JPEG picture is cut off")), Orientation::default())
         }
-        Kind::Jpeg => (crate::codec::jpeg::decode(&bytes, color), exif_data::orientation(&bytes)),
-        Kind::Tiff => (tiff(&bytes, color), exif_data::orientation(&bytes)),
-        Kind::Portable => (portable::decode(&bytes, color), Orientation::default()),
-    })?;
+        Kind::Jpeg => (crate::codec::jpeg::decode(bytes, color), exif_data::orientation(bytes)),
+        Kind::Tiff => (tiff(bytes, color), exif_data::orientation(bytes)),
+        Kind::Portable => (portable::decode(bytes, color), Orientation::default()),
+    };
     Ok(orientation.upright(picture?))
 }
 

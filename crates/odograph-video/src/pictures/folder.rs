@@ -2,7 +2,6 @@
 
 use super::{decode, exif_data};
 use crate::frame::Picture;
-use crate::robot_recording;
 use crate::source::{Frames, Opened, SourceOptions};
 use crate::timestamps::{Timestamps, time_from_name};
 use odograph::error::{Error, Result};
@@ -16,9 +15,7 @@ const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm"
 /// (`rgb.txt` beside `rgb/`).
 pub(crate) fn open_folder(folder: &Path, options: &SourceOptions) -> Result<Opened> {
     let listing = Listing::read(folder)?;
-    if listing.pictures.is_empty() {
-        robot_recording::refuse_folder(folder)?;
-    } else {
+    if !listing.pictures.is_empty() {
         return open_pictures(listing.pictures, options.timestamps.as_deref(), options, true);
     }
     let layouts = [
@@ -101,7 +98,7 @@ fn name_of(path: &Path) -> String {
 }
 
 /// Natural sort order: compares runs of digits by their value, so that `2.png` precedes `10.png`.
-fn natural_order(a: &str, b: &str) -> Ordering {
+pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
     loop {
         match (left, right) {
@@ -270,7 +267,7 @@ impl Frames for Pictures {
         Ok(Some(self.times.as_ref().and_then(|times| times.get(number)).copied().unwrap_or(number as f64)))
     }
 
-    fn picture(&mut self) -> Result<Picture> {
+    fn picture(&mut self) -> Result<Option<Picture>> {
         let path = self
             .next
             .checked_sub(1)
@@ -286,7 +283,7 @@ impl Frames for Pictures {
                 name_of(path)
             )));
         }
-        Ok(picture)
+        Ok(Some(picture))
     }
 
     fn name(&self) -> Option<String> {

@@ -5,5 +5,5 @@ mod exif_data;
 mod folder;
 mod portable;
 
-pub(crate) use decode::is_picture;
-pub(crate) use folder::{open_folder, open_picture};
+pub(crate) use decode::{decode, is_picture};
+pub(crate) use folder::{natural_order, open_folder, open_picture};

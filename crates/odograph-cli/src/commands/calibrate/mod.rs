@@ -63,6 +63,9 @@ pub struct CalibrateArguments {
     /// Also estimate a slight bend of the board and a stretch of its print.
     #[arg(help_heading = "Board and lens", long)]
     bent_board: bool,
+    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
+    #[arg(help_heading = "Recording", long, value_name = "NAME")]
+    topic: Option<String>,
     /// Look at every n-th frame only.
     #[arg(help_heading = "Recording", long, value_name = "N", default_value_t = 1)]
     every: u64,
@@ -165,6 +168,7 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
         start_s: arguments.start,
         end_s: arguments.end,
         every: arguments.every,
+        topic: arguments.topic.clone(),
         ..SourceOptions::default()
     };
     let started = Instant::now();

@@ -55,7 +55,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
     }
     let one_alone = [
         ("--timestamps", arguments.timestamps.is_some()),
-        ("--gyro, --heading, --wheel or --range", !arguments.sensors.files().is_empty()),
+        ("--gyro, --heading, --wheel, --range or a topic of them", !arguments.sensors.files().is_empty()),
         ("--reference", arguments.reference.is_some()),
     ];
     if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {

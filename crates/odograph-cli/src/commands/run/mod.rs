@@ -20,9 +20,10 @@ pub use tell::tell;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct RunArguments {
-    /// A video, a folder of pictures, `-` for Y4M, or the run.toml of an earlier run.
+    /// A video, a folder of pictures, a robot recording, `-` for Y4M, or an earlier run.toml.
     ///
-    /// `-` is standard input.
+    /// Robot recordings are MCAP files, ROS 1 bags, and rosbag2 folders and databases; `-` is
+    /// standard input.
     #[arg(value_name = "SOURCE")]
     pub source: String,
     /// More recordings of the same camera, or one folder of videos as SOURCE.
@@ -32,11 +33,15 @@ pub struct RunArguments {
     pub more: Vec<String>,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     ///
-    /// Not needed to continue a map, which has the camera and how it sits.
+    /// Not needed to continue a map, which has the camera and how it sits, nor for a robot recording
+    /// with a camera_info of its images.
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     #[command(flatten)]
     pub mounted: MountedCamera,
+    /// Topic with the images, where a robot recording (MCAP, ROS bag) has several.
+    #[arg(help_heading = "Recording", long, value_name = "NAME")]
+    pub topic: Option<String>,
     /// Times of the frames: lines of `seconds name`, or EuRoC's CSV in nanoseconds.
     #[arg(help_heading = "Recording", long, value_name = "FILE")]
     pub timestamps: Option<PathBuf>,
@@ -109,6 +114,7 @@ Examples:
   odograph run frames/ --timestamps frames.txt --camera camera.yaml --rig rig.toml -o drive/
   odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
   odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
+  odograph run drive.mcap --topic /camera/image_raw --height 90cm --gyro-topic /imu -o drive/
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
@@ -139,6 +145,7 @@ impl RunArguments {
     /// The run over a recording.
     fn fresh(&self, source: &str) -> RunBuilder {
         let source = SourcePlan {
+            topic: self.topic.clone(),
             timestamps: self.timestamps.clone(),
             fps: self.fps,
             start_s: self.start,
@@ -163,6 +170,7 @@ impl RunArguments {
             ("--height", self.mounted.height.is_some()),
             ("--mask", self.mounted.mask.is_some()),
             ("--motion", self.mounted.motion != Motion::Auto),
+            ("--topic", self.topic.is_some()),
             ("--timestamps", self.timestamps.is_some()),
             ("--fps", self.fps.is_some()),
             ("--start", self.start.is_some()),
@@ -174,6 +182,9 @@ impl RunArguments {
             ("--heading", self.sensors.heading.is_some()),
             ("--wheel", self.sensors.wheel.is_some()),
             ("--range", self.sensors.range.is_some()),
+            ("--gyro-topic", self.sensors.gyro_topic.is_some()),
+            ("--wheel-topic", self.sensors.wheel_topic.is_some()),
+            ("--range-topic", self.sensors.range_topic.is_some()),
             ("--no-loops", self.no_loops),
             ("--reference", self.reference.is_some()),
         ];

@@ -3,7 +3,7 @@
 use odograph_session::SensorFiles;
 use std::path::PathBuf;
 
-/// The files of the sensors.
+/// The files of the sensors, or their topics in a robot recording.
 #[derive(Debug, Clone, Default, clap::Args)]
 #[command(next_help_heading = "Other sensors (CSV, see docs/sensors.md)")]
 pub struct SensorArguments {
@@ -19,12 +19,21 @@ pub struct SensorArguments {
     /// Range finder: time_s and height_m, or distance_m along the optical axis.
     #[arg(long, value_name = "FILE")]
     pub range: Option<PathBuf>,
+    /// Gyroscope, from a topic of the robot recording: sensor_msgs/Imu.
+    #[arg(long, value_name = "NAME", conflicts_with = "gyro")]
+    pub gyro_topic: Option<String>,
+    /// Wheel, from a topic of the robot recording: nav_msgs/Odometry, its forward speed.
+    #[arg(long, value_name = "NAME", conflicts_with = "wheel")]
+    pub wheel_topic: Option<String>,
+    /// Range finder, from a topic of the robot recording: sensor_msgs/Range.
+    #[arg(long, value_name = "NAME", conflicts_with = "range")]
+    pub range_topic: Option<String>,
 }
 
 impl SensorArguments {
     /// The files, as a run takes them.
     pub fn files(&self) -> SensorFiles {
-        let Self { gyro, heading, wheel, range } = self.clone();
-        SensorFiles { gyro, heading, wheel, range }
+        let Self { gyro, heading, wheel, range, gyro_topic, wheel_topic, range_topic } = self.clone();
+        SensorFiles { gyro, heading, wheel, range, gyro_topic, wheel_topic, range_topic }
     }
 }

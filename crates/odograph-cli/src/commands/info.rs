@@ -1,0 +1,221 @@
+//! `odograph info`: what is in a recording, and what it can be used for.
+
+use crate::{Outcome, console, files};
+use odograph::camera::Camera;
+use odograph::error::{Error, Result};
+use odograph::formats::camera_file;
+use odograph_video::{Contents, RecordedCamera, Stream, StreamUse};
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Tell what is in a recording: streams or topics, sizes, rates, gaps, and what each is good for.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct InfoArguments {
+    /// A video, a folder of pictures, a picture, or a robot recording (MCAP, ROS bag).
+    #[arg(value_name = "FILE")]
+    file: String,
+    /// Camera file, to be told whether it fits.
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  odograph info drive.mcap
+  odograph info drive.mp4 --camera camera.yaml --json";
+
+/// A recording as `--json` tells it.
+#[derive(Serialize)]
+struct Told<'a> {
+    file: &'a str,
+    format: &'a str,
+    streams: Vec<ToldStream<'a>>,
+    warnings: &'a [String],
+}
+
+#[derive(Serialize)]
+struct ToldStream<'a> {
+    topic: Option<&'a str>,
+    #[serde(rename = "type")]
+    kind: &'a str,
+    encoding: &'a str,
+    width: Option<usize>,
+    height: Option<usize>,
+    count: u64,
+    first_s: Option<f64>,
+    last_s: Option<f64>,
+    duration_s: Option<f64>,
+    rate_hz: Option<f64>,
+    gaps: Vec<ToldGap>,
+    /// Options of `odograph run` that use it; `None` for what cannot be used.
+    option: Option<String>,
+    /// The topic that describes the camera, and the camera in it.
+    camera_topic: Option<&'a str>,
+    camera: Option<&'a Camera>,
+    /// Whether the given camera file fits the images; `None` where none is given, or no images are.
+    camera_fits: Option<bool>,
+}
+
+#[derive(Serialize)]
+struct ToldGap {
+    after_s: f64,
+    length_s: f64,
+}
+
+/// Runs the command.
+pub fn info(arguments: InfoArguments) -> Result<Outcome> {
+    let camera_text = arguments.camera.as_deref().map(files::read_text).transpose()?;
+    let contents = odograph_video::inspect(&arguments.file)?;
+    let fits = |stream: &Stream| -> Result<Option<bool>> {
+        let (Some(text), Some(path)) = (&camera_text, &arguments.camera) else { return Ok(None) };
+        let StreamUse::Frames(_) = stream.usable_as else { return Ok(None) };
+        let camera = camera_file::parse(text, stream.size).map_err(|error| error.at(path.display()))?;
+        Ok(stream.size.map(|size| size == (camera.width(), camera.height())))
+    };
+    let fits = contents.streams.iter().map(fits).collect::<Result<Vec<_>>>()?;
+    if arguments.json {
+        console::print(&json(&arguments.file, &contents, &fits)?)?;
+    } else {
+        console::print(&text(&arguments.file, &contents, &fits))?;
+        contents.warnings.iter().for_each(|warning| console::warn(&format!("{}: {warning}", arguments.file)));
+    }
+    Ok(Outcome::Done)
+}
+
+/// The options of `odograph run` that use a stream.
+fn option(stream: &Stream) -> Option<String> {
+    let topic = stream.topic.as_deref().unwrap_or_default();
+    let usable = stream.count > 0;
+    match stream.usable_as {
+        StreamUse::Frames(_) if stream.topic.is_none() => Some(String::new()),
+        StreamUse::Frames(_) => Some(format!("--topic {topic}")),
+        StreamUse::Gyro => Some(format!("--gyro-topic {topic}")),
+        StreamUse::Wheel => Some(format!("--wheel-topic {topic}")),
+        StreamUse::Range => Some(format!("--range-topic {topic}")),
+        StreamUse::CameraInfo | StreamUse::Nothing => None,
+    }
+    .filter(|_| usable)
+}
+
+/// The camera of frames as the recording describes it.
+fn recorded(stream: &Stream) -> Option<&RecordedCamera> {
+    match &stream.usable_as {
+        StreamUse::Frames(recorded) => recorded.as_ref(),
+        _ => None,
+    }
+}
+
+fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String> {
+    let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| ToldStream {
+        topic: stream.topic.as_deref(),
+        kind: &stream.kind,
+        encoding: &stream.encoding,
+        width: stream.size.map(|size| size.0),
+        height: stream.size.map(|size| size.1),
+        count: stream.count,
+        first_s: stream.span_s.map(|span| span.0),
+        last_s: stream.span_s.map(|span| span.1),
+        duration_s: stream.span_s.map(|span| span.1 - span.0),
+        rate_hz: stream.rate_hz,
+        gaps: stream
+            .gaps
+            .iter()
+            .map(|gap| ToldGap { after_s: gap.after_s, length_s: gap.length_s })
+            .collect(),
+        option: option(stream),
+        camera_topic: recorded(stream).map(|recorded| recorded.topic.as_str()),
+        camera: recorded(stream).map(|recorded| &recorded.camera),
+        camera_fits: *camera_fits,
+    });
+    let told =
+        Told { file, format: &contents.format, streams: streams.collect(), warnings: &contents.warnings };
+    let text = serde_json::to_string_pretty(&told)
+        .map_err(|error| Error::output(format!("the contents cannot be written as JSON: {error}")))?;
+    Ok(text + "\n")
+}
+
+/// The contents for people: a line for each stream, and what it is good for below it.
+fn text(file: &str, contents: &Contents, fits: &[Option<bool>]) -> String {
+    let mut text = String::new();
+    let is_recording = contents.streams.iter().any(|stream| stream.topic.is_some());
+    let _ = match contents.streams.len() {
+        count if is_recording || count != 1 => writeln!(text, "{file}: {}, {count} topics", contents.format),
+        _ => writeln!(text, "{file}"),
+    };
+    for (stream, fits) in contents.streams.iter().zip(fits) {
+        let topic = stream.topic.as_ref().map(|topic| format!("{topic}  ")).unwrap_or_default();
+        let _ = writeln!(text, "{topic}{}", figures(stream).join(", "));
+        for line in notes(file, stream, *fits) {
+            let _ = writeln!(text, "    {line}");
+        }
+    }
+    text
+}
+
+fn figures(stream: &Stream) -> Vec<String> {
+    let mut figures = vec![stream.kind.clone()];
+    match (stream.size, stream.encoding.as_str()) {
+        (Some((width, height)), encoding) => {
+            figures.push(format!("{width}x{height} {encoding}").trim().to_owned())
+        }
+        (None, "") => {}
+        (None, encoding) => figures.push(encoding.to_owned()),
+    }
+    let frames = matches!(stream.usable_as, StreamUse::Frames(_));
+    let unit = match (frames, stream.count) {
+        (true, 1) => "frame",
+        (true, _) => "frames",
+        (false, 1) => "message",
+        (false, _) => "messages",
+    };
+    figures.push(format!("{} {unit}", stream.count));
+    figures.extend(stream.span_s.map(|(first_s, last_s)| format!("{:.2} s", last_s - first_s)));
+    figures.extend(stream.rate_hz.map(|rate_hz| format!("{rate_hz:.2} Hz")));
+    figures
+}
+
+fn notes(file: &str, stream: &Stream, fits: Option<bool>) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some(longest) = stream.gaps.iter().max_by(|a, b| a.length_s.total_cmp(&b.length_s)) {
+        notes.push(format!(
+            "{} gaps; the longest is {:.2} s, {:.2} s after the first",
+            stream.gaps.len(),
+            longest.length_s,
+            longest.after_s
+        ));
+    }
+    let given = option(stream);
+    match (&stream.usable_as, given) {
+        (StreamUse::Frames(_), Some(option)) => {
+            notes.push(format!("odograph run {file} {option}").trim_end().to_owned());
+            match (recorded(stream), stream.topic.is_some()) {
+                (Some(RecordedCamera { topic, rectified, .. }), _) => {
+                    let rectified = if *rectified { ", as rectified images" } else { "" };
+                    notes.push(format!("its camera is in {topic}{rectified}"));
+                }
+                (None, true) => {
+                    notes.push("its camera is not in the recording; --camera tells it".to_owned())
+                }
+                (None, false) => {}
+            }
+        }
+        (StreamUse::CameraInfo, _) => notes.push("a camera".to_owned()),
+        (StreamUse::Gyro | StreamUse::Wheel | StreamUse::Range, Some(option)) => {
+            notes.push(format!("odograph run … {option}"));
+        }
+        _ => {}
+    }
+    notes.extend(fits.map(|fits| {
+        if fits {
+            "the camera file fits".to_owned()
+        } else {
+            "the camera file is for images of another size".to_owned()
+        }
+    }));
+    notes
+}

@@ -1,0 +1,233 @@
+//! Robot recordings as a black box: a run over a recording is the run over its frames.
+
+#![allow(clippy::unwrap_used)] // a test fails by panicking
+
+#[path = "hostile/recording.rs"]
+#[allow(dead_code)] // shared with another test
+mod recording;
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+const FRAMES: usize = 40;
+const WIDTH: u32 = 320;
+const HEIGHT: u32 = 240;
+
+fn odograph(folder: &Path, arguments: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_odograph"));
+    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
+}
+
+fn done(folder: &Path, arguments: &str) -> (String, String) {
+    let output = odograph(folder, arguments);
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments}: {told}");
+    (String::from_utf8(output.stdout).unwrap(), told)
+}
+
+/// The time of a frame, nanoseconds.
+fn time_ns(number: usize) -> u64 {
+    1_700_000_000_000_000_000 + 33_333_333 * number as u64
+}
+
+/// A message in CDR, little-endian.
+struct Cdr(Vec<u8>);
+
+impl Cdr {
+    fn new(time_ns: u64) -> Self {
+        let mut cdr = Self(vec![0, 1, 0, 0]);
+        cdr.u32((time_ns / 1_000_000_000) as u32);
+        cdr.u32((time_ns % 1_000_000_000) as u32);
+        cdr.text("camera");
+        cdr
+    }
+
+    fn align(&mut self, bytes: usize) {
+        self.0.resize(4 + (self.0.len() - 4).next_multiple_of(bytes), 0);
+    }
+
+    fn u32(&mut self, value: u32) {
+        self.align(4);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    fn doubles(&mut self, values: &[f64]) {
+        self.align(8);
+        values.iter().for_each(|value| self.0.extend(value.to_le_bytes()));
+    }
+
+    fn bytes(&mut self, bytes: &[u8]) {
+        self.u32(bytes.len() as u32);
+        self.0.extend(bytes);
+    }
+
+    fn text(&mut self, text: &str) {
+        self.bytes(format!("{text}\0").as_bytes());
+    }
+}
+
+/// `sensor_msgs/msg/Image`
+fn image(time_ns: u64, gray: &[u8]) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.u32(HEIGHT);
+    message.u32(WIDTH);
+    message.text("mono8");
+    message.0.push(0);
+    message.u32(WIDTH);
+    message.bytes(gray);
+    message.0
+}
+
+/// `sensor_msgs/msg/CameraInfo` of the camera in `recording::CAMERA`.
+fn camera_info(time_ns: u64) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.u32(HEIGHT);
+    message.u32(WIDTH);
+    message.text("plumb_bob");
+    message.u32(5);
+    message.doubles(&[0.0; 5]);
+    message.doubles(&[300.0, 0.0, 159.5, 0.0, 300.0, 119.5, 0.0, 0.0, 1.0]);
+    message.doubles(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    message.doubles(&[300.0, 0.0, 159.5, 0.0, 0.0, 300.0, 119.5, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    (0..6).for_each(|_| message.u32(0));
+    message.0.push(0);
+    message.0
+}
+
+/// `sensor_msgs/msg/Range`
+fn range(time_ns: u64) -> Vec<u8> {
+    let mut message = Cdr::new(time_ns);
+    message.0.push(1);
+    message.align(4);
+    [0.1f32, 0.1, 4.0, 1.0].iter().for_each(|value| message.0.extend(value.to_le_bytes()));
+    message.0
+}
+
+/// The frames of a Y4M stream of `recording::y4m`.
+fn views(frames: usize) -> Vec<Vec<u8>> {
+    let stream = recording::y4m(frames);
+    let header = stream.iter().position(|&byte| byte == b'\n').unwrap() + 1;
+    stream[header..].chunks((WIDTH * HEIGHT) as usize + 6).map(|frame| frame[6..].to_vec()).collect()
+}
+
+/// Writes an MCAP file with the images on each of the topics.
+fn write(path: &Path, topics: &[&str]) {
+    let file = std::io::BufWriter::new(fs::File::create(path).unwrap());
+    let options = mcap::WriteOptions::new().compression(None).profile("ros2");
+    let mut writer = options.create(file).unwrap();
+    let mut channel = |name: &str, kind: &str| {
+        let schema = writer.add_schema(kind, "ros2msg", b"").unwrap();
+        writer.add_channel(schema, name, "cdr", &BTreeMap::new()).unwrap()
+    };
+    let infos = channel("/front/camera_info", "sensor_msgs/msg/CameraInfo");
+    let ranges = channel("/sonar", "sensor_msgs/msg/Range");
+    let images: Vec<u16> = topics.iter().map(|name| channel(name, "sensor_msgs/msg/Image")).collect();
+    for (number, view) in views(FRAMES).iter().enumerate() {
+        let time_ns = time_ns(number);
+        let mut put = |channel_id: u16, data: Vec<u8>| {
+            // Recorded a while after it was taken.
+            let (log_time, publish_time) = (time_ns + 7_654_321, time_ns);
+            let header =
+                mcap::records::MessageHeader { channel_id, sequence: number as u32, log_time, publish_time };
+            writer.write_to_known_channel(&header, &Cow::from(data)).unwrap();
+        };
+        put(infos, camera_info(time_ns));
+        put(ranges, range(time_ns));
+        for &channel in &images {
+            put(channel, image(time_ns, view));
+        }
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_run_over_a_recording_is_the_run_over_its_frames() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    fs::write(here.join("drive.y4m"), recording::y4m(FRAMES)).unwrap();
+    fs::write(here.join("camera.yaml"), recording::CAMERA).unwrap();
+    let times: Vec<String> = (0..FRAMES).map(|number| time_ns(number).to_string()).collect();
+    fs::write(here.join("times.txt"), times.join("\n")).unwrap();
+    write(&here.join("drive.mcap"), &["/front/image_raw"]);
+    write(&here.join("two.mcap"), &["/front/image_raw", "/front/image_rect"]);
+    done(here, "run drive.y4m --timestamps times.txt --camera camera.yaml --height 1.0 -o frames --quiet");
+    // The camera is that of the recording.
+    done(here, "run drive.mcap --height 1.0 -o bag --quiet");
+    done(here, "run two.mcap --topic /front/image_raw --height 1.0 -o chosen --quiet");
+    let trajectory = fs::read_to_string(here.join("frames/trajectory.tum")).unwrap();
+    assert_eq!(trajectory.lines().filter(|line| !line.starts_with('#')).count(), FRAMES);
+    for folder in ["bag", "chosen"] {
+        assert_eq!(
+            fs::read_to_string(here.join(folder).join("trajectory.tum")).unwrap(),
+            trajectory,
+            "{folder}"
+        );
+    }
+    // run.toml repeats it, from its own folder.
+    done(here, "run chosen/run.toml -o again --quiet");
+    assert_eq!(fs::read_to_string(here.join("again/trajectory.tum")).unwrap(), trajectory);
+
+    // What is missing or too much is told in a sentence.
+    for (arguments, words) in [
+        (
+            "run two.mcap --height 1.0",
+            "there are 2 topics with images; choose one with --topic NAME: /front/image_raw (",
+        ),
+        ("run drive.mcap", "the height of the camera above the ground is missing"),
+        (
+            "run drive.mcap --height 1.0 --gyro-topic /imu",
+            "there is no topic /imu of the type sensor_msgs/Imu",
+        ),
+        ("run drive.y4m --topic /front --camera camera.yaml --height 1.0", "only robot recordings"),
+        ("run drive.mcap --height 1.0 --range-topic /sonar --range range.csv", "cannot be used with"),
+    ] {
+        let output = odograph(here, &format!("{arguments} -o refused"));
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && told.contains(words), "{arguments}: {told}");
+    }
+    let (_, told) = done(here, "run drive.mcap --height 1.0 --range-topic /sonar -o ranged");
+    assert!(!told.contains("error"), "{told}");
+    let statistics = fs::read_to_string(here.join("ranged/stats.json")).unwrap();
+    assert!(statistics.contains("\"sensors\""), "{statistics}");
+}
+
+#[test]
+fn info_tells_what_is_in_a_recording_and_what_for() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    write(&here.join("drive.mcap"), &["/front/image_raw"]);
+    fs::write(here.join("drive.y4m"), recording::y4m(5)).unwrap();
+    fs::write(here.join("camera.yaml"), recording::CAMERA).unwrap();
+    recording::picture_folder(&here.join("frames"), 3, recording::Picture::gray8);
+    let (text, _) = done(here, "info drive.mcap --camera camera.yaml");
+    for words in [
+        "drive.mcap: an MCAP file, 3 topics\n",
+        "/front/image_raw  sensor_msgs/msg/Image, 320x240 mono8, 40 frames, 1.30 s, 30.00 Hz\n",
+        "    odograph run drive.mcap --topic /front/image_raw\n",
+        "    its camera is in /front/camera_info\n",
+        "    the camera file fits\n",
+        "    odograph run … --range-topic /sonar\n",
+    ] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    let (json, _) = done(here, "info drive.mcap --json");
+    let value: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let images = &value["streams"][1];
+    assert_eq!((images["topic"].as_str(), images["count"].as_u64()), (Some("/front/image_raw"), Some(40)));
+    assert_eq!(images["option"].as_str(), Some("--topic /front/image_raw"));
+    assert_eq!(images["camera"]["fx"].as_f64(), Some(300.0));
+    assert!((images["first_s"].as_f64().unwrap() - 1.7e9).abs() < 1e-6 && images["camera_fits"].is_null());
+
+    let (text, _) = done(here, "info drive.y4m --camera camera.yaml");
+    assert!(
+        text.contains("320x240, 5 frames, 30.00 Hz\n") && text.contains("the camera file fits"),
+        "{text}"
+    );
+    let (text, _) = done(here, "info frames");
+    assert!(text.contains("320x240, 3 frames\n") && text.contains("    odograph run frames\n"), "{text}");
+    let output = odograph(here, "info camera.yaml");
+    assert_eq!(output.status.code(), Some(3));
+}

@@ -1,0 +1,127 @@
+//! The folder of a rosbag2 recording: which files it consists of, and in what order.
+
+use super::files::Format;
+use crate::pictures::natural_order;
+use odograph::error::{Error, Result};
+use serde::Deserialize;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Largest description, bytes.
+const MAX_METADATA: u64 = 16 << 20;
+
+/// What is read of `metadata.yaml`.
+#[derive(Deserialize)]
+struct Metadata {
+    rosbag2_bagfile_information: Information,
+}
+
+#[derive(Deserialize)]
+struct Information {
+    #[serde(default)]
+    relative_file_paths: Vec<String>,
+}
+
+/// The files of a recording in a folder, in their order; `None` if the folder is not one.
+///
+/// They are those that `metadata.yaml` names. Where it is missing, damaged, or names none that is
+/// there (a recorder that was killed writes it too late), they are the recordings in the folder,
+/// which must be parts of one.
+pub(super) fn files(folder: &Path) -> Result<Option<Vec<PathBuf>>> {
+    let named = named_files(folder);
+    if let Some(named) = named.as_ref().filter(|named| !named.is_empty()) {
+        return Ok(Some(named.clone()));
+    }
+    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(None) };
+    let mut files: Vec<PathBuf> =
+        entries.flatten().map(|entry| entry.path()).filter(|path| is_part(path)).collect();
+    files.sort_by(|a, b| natural_order(&name_of(a), &name_of(b)));
+    let Some(first) = files.first() else {
+        return match named {
+            Some(_) => Err(Error::input(
+                "metadata.yaml describes a rosbag2 recording, but its files are not in this folder",
+            )),
+            None => Ok(None),
+        };
+    };
+    if let Some(other) = files.iter().find(|path| series(path) != series(first)) {
+        return Err(Error::input(format!(
+            "there are several recordings in this folder, such as {} and {}; give one of them",
+            name_of(first),
+            name_of(other)
+        )));
+    }
+    Ok(Some(files))
+}
+
+/// The files that the description names, as far as they are there; `None` without a description.
+fn named_files(folder: &Path) -> Option<Vec<PathBuf>> {
+    let mut text = String::new();
+    File::open(folder.join("metadata.yaml")).ok()?.take(MAX_METADATA).read_to_string(&mut text).ok()?;
+    let metadata: Metadata = crate::guard::guarded("YAML", || serde_saphyr::from_str(&text)).ok()?.ok()?;
+    let named = metadata.rosbag2_bagfile_information.relative_file_paths;
+    // Old recorders name the folder as well, and a folder may have been renamed.
+    let there = named.iter().filter_map(|path| Some(folder.join(Path::new(path).file_name()?)));
+    Some(there.filter(|path| path.is_file()).collect())
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Whether a file is a recording by its ending and its content.
+fn is_part(path: &Path) -> bool {
+    let name = name_of(path).to_lowercase();
+    let endings = [".mcap", ".db3", ".bag", ".bag.active", ".mcap.zstd", ".db3.zstd"];
+    !name.starts_with('.')
+        && endings.iter().any(|ending| name.ends_with(ending))
+        && path.is_file()
+        && matches!(Format::of_file(path), Ok(Some(_)))
+}
+
+/// The name of a file without the number of the part and the endings.
+fn series(path: &Path) -> String {
+    let name = name_of(path);
+    let stem = name.split('.').next().unwrap_or("");
+    let (series, number) = stem.rsplit_once('_').unwrap_or((stem, ""));
+    if !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()) {
+        series.to_owned()
+    } else {
+        stem.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_of_one_recording_differ_in_a_number() {
+        let of = |name: &str| series(Path::new(name));
+        assert_eq!(of("drive_0.mcap"), of("drive_12.mcap.zstd"));
+        assert_ne!(of("monday.mcap"), of("tuesday.mcap"));
+        assert_eq!(of("2024_01_05.bag.active"), "2024_01");
+    }
+
+    #[test]
+    fn a_description_names_the_files_in_order_and_none_outside() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path();
+        assert!(files(folder).unwrap().is_none());
+        for name in ["b_0.mcap", "b_1.mcap", "b_10.mcap"] {
+            std::fs::write(folder.join(name), b"\x89MCAP0\r\n").unwrap();
+        }
+        std::fs::write(folder.join("b_2.mcap"), "not one").unwrap();
+        let names = || files(folder).unwrap().unwrap().iter().map(|path| name_of(path)).collect::<Vec<_>>();
+        assert_eq!(names(), ["b_0.mcap", "b_1.mcap", "b_10.mcap"]);
+        let text = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - old/b_1.mcap\n    - ../b_0.mcap\n    - \
+                    gone.mcap\n";
+        std::fs::write(folder.join("metadata.yaml"), text).unwrap();
+        assert_eq!(names(), ["b_1.mcap", "b_0.mcap"]);
+        std::fs::write(folder.join("metadata.yaml"), "rosbag2_bagfile_information: [cut").unwrap();
+        assert_eq!(names().len(), 3);
+        std::fs::write(folder.join("other.mcap"), b"\x89MCAP0\r\n").unwrap();
+        assert!(files(folder).unwrap_err().to_string().contains("several recordings"));
+    }
+}

@@ -1,0 +1,68 @@
+//! Robot recordings: MCAP files, ROS 1 bags, and rosbag2 folders and databases.
+//!
+//! A recording is read sequentially ([`recording::Recording`]); its image topic becomes a source of
+//! frames, its other topics the camera and the sensors beside it. Formats are detected by the first
+//! bytes: a bag of JPEG images looks like a Motion JPEG stream, with the images of all its cameras
+//! interleaved and without times.
+
+mod camera;
+mod compression;
+mod contents;
+mod cursor;
+mod database;
+mod files;
+mod folder;
+mod frames;
+mod mcap;
+mod messages;
+mod reader;
+mod recording;
+mod rosbag1;
+mod sensors;
+mod topics;
+
+pub use camera::{RecordedCamera, recorded_camera};
+pub(crate) use contents::contents;
+use files::{Files, Format};
+pub(crate) use frames::open_frames;
+use odograph::error::Result;
+use recording::Recording;
+pub use sensors::recorded_sensor;
+use std::path::Path;
+
+/// Opens a recording; `None` if the file or folder is not one.
+///
+/// Fails if it is one and cannot be read. An SQLite database that is not a recording fails as well:
+/// nothing else reads one.
+pub(crate) fn open(path: &Path) -> Result<Option<Box<dyn Recording>>> {
+    let files = if path.is_dir() {
+        match folder::files(path)? {
+            Some(files) => files,
+            None => return Ok(None),
+        }
+    } else if is_recording_file(path)? {
+        vec![path.to_owned()]
+    } else {
+        return Ok(None);
+    };
+    Ok(Some(Box::new(Files::open(files)?)))
+}
+
+fn is_recording_file(path: &Path) -> Result<bool> {
+    if !path.is_file() {
+        return Ok(false);
+    }
+    Ok(match Format::of_file(path)? {
+        Some(Format::Zstd) => files::is_packed_recording(path),
+        format => format.is_some(),
+    })
+}
+
+/// Whether a file or folder is a robot recording.
+pub fn is_robot_recording(path: impl AsRef<Path>) -> bool {
+    let path = path.as_ref();
+    if path.is_dir() {
+        return !matches!(folder::files(path), Ok(None));
+    }
+    is_recording_file(path).unwrap_or(false)
+}

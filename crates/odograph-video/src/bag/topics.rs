@@ -1,0 +1,126 @@
+//! Which topic a run follows, and which one a sensor is.
+
+use super::messages::{Role, image};
+use super::recording::{Recording, Topic};
+use odograph::error::{Error, Result};
+
+/// Whether a topic is meant by a name: as it is, or without its leading slash.
+pub(super) fn is_named(topic: &Topic, name: &str) -> bool {
+    topic.name == name || topic.name.strip_prefix('/') == Some(name)
+}
+
+/// The topic that frames are taken from: the named one, or the only one with images.
+///
+/// Fails with a list of the topics with images if there are several, or the named one is not among
+/// them.
+pub(super) fn with_frames(recording: &mut dyn Recording, name: Option<&str>) -> Result<Topic> {
+    let has_frames = |topic: &Topic| Role::of(topic).has_frames() && topic.count > 0;
+    let all: Vec<Topic> = recording.topics().iter().filter(|topic| has_frames(topic)).cloned().collect();
+    if let Some(name) = name {
+        if let Some(topic) = all.iter().find(|topic| is_named(topic, name)) {
+            return Ok(topic.clone());
+        }
+        let others: Vec<String> = recording
+            .topics()
+            .iter()
+            .filter(|topic| is_named(topic, name))
+            .map(|topic| {
+                format!("; {} has {} messages of the type {}", topic.name, topic.count, topic.type_name)
+            })
+            .collect();
+        return Err(Error::usage(format!(
+            "there are no images on the topic {name}{}; {}",
+            others.concat(),
+            list(recording, &all)?
+        )));
+    }
+    match all.as_slice() {
+        [] if recording.topics().is_empty() => Err(Error::input(format!(
+            "this is {} without messages: it is empty, or cut off before the first one",
+            recording.format()
+        ))),
+        [] => Err(Error::input(format!("there are no images in it, only {}", others(recording.topics())))),
+        [only] => Ok(only.clone()),
+        _ => Err(Error::usage(format!(
+            "there are {} topics with images; choose one with --topic NAME: {}",
+            all.len(),
+            list(recording, &all)?
+        ))),
+    }
+}
+
+/// The topics without images, for people.
+fn others(topics: &[Topic]) -> String {
+    const MOST: usize = 8;
+    let mut names: Vec<String> =
+        topics.iter().map(|topic| format!("{} ({})", topic.name, topic.type_name)).collect();
+    if names.len() > MOST {
+        let more = names.len() - MOST;
+        names.truncate(MOST);
+        names.push(format!("and {more} more"));
+    }
+    names.join(", ")
+}
+
+/// Topics with images as a list for people: name, type, size, rate and number.
+fn list(recording: &mut dyn Recording, topics: &[Topic]) -> Result<String> {
+    if topics.is_empty() {
+        return Ok("there are none with images".to_owned());
+    }
+    let firsts = first_images(recording, topics)?;
+    let line = |(topic, first): (&Topic, &Option<FirstImage>)| {
+        let size = match first {
+            Some(FirstImage { size: Some((width, height)), encoding }) => {
+                format!(", {width}x{height} {encoding}")
+            }
+            Some(FirstImage { encoding, .. }) => format!(", {encoding}"),
+            None => String::new(),
+        };
+        format!(
+            "{} ({}{size}, {:.1} Hz, {} messages)",
+            topic.name,
+            topic.type_name,
+            topic.rate_hz(),
+            topic.count
+        )
+    };
+    Ok(topics.iter().zip(&firsts).map(line).collect::<Vec<_>>().join("; "))
+}
+
+/// The first image of a topic.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct FirstImage {
+    /// Width and height, pixels; `None` for a video, or an image that cannot be decoded.
+    pub size: Option<(usize, usize)>,
+    pub encoding: String,
+}
+
+/// The first image of each of the topics, and rewinds the recording.
+pub(super) fn first_images(
+    recording: &mut dyn Recording,
+    topics: &[Topic],
+) -> Result<Vec<Option<FirstImage>>> {
+    let mut firsts = vec![None; topics.len()];
+    let place =
+        |topic: &Topic| topics.iter().position(|t| t.name == topic.name && t.type_name == topic.type_name);
+    recording.rewind()?;
+    recording.select(&|topic| place(topic).is_some());
+    while firsts.iter().any(Option::is_none) && recording.advance()? {
+        let message = recording.message();
+        let topic = &recording.topics()[message.topic];
+        if let Some(index) = place(topic)
+            && firsts[index].is_none()
+        {
+            let size = match Role::of(topic) {
+                Role::Image => image::raw_image(topic, message.data).ok().map(|raw| (raw.width, raw.height)),
+                Role::CompressedImage => image::picture(topic, message.data, false)
+                    .ok()
+                    .map(|picture| (picture.gray.width(), picture.gray.height())),
+                _ => None,
+            };
+            firsts[index] = Some(FirstImage { size, encoding: image::encoding(topic, message.data) });
+        }
+    }
+    recording.rewind()?;
+    Ok(firsts)
+}

@@ -1,0 +1,347 @@
+//! Small robot recordings of every kind (`data/bags/make.py`): their frames, cameras and sensors,
+//! and what is left of them when they are damaged.
+
+#![allow(clippy::unwrap_used)] // a test fails by panicking
+
+use odograph::camera::Distortion;
+use odograph::filter::fusion::{Quantity, SensorKind};
+use odograph_video::{
+    Frame, SourceOptions, StreamUse, inspect, is_robot_recording, open, recorded_camera, recorded_sensor,
+};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bags").join(name)
+}
+
+const WIDTH: usize = 24;
+const HEIGHT: usize = 16;
+
+/// The image of a frame, as `make.py` draws it.
+fn gray(number: usize) -> Vec<u8> {
+    let level = |x: usize, y: usize| (x * 7 + y * 13 + number * 31 + x * y) as u8;
+    (0..WIDTH * HEIGHT).map(|at| level(at % WIDTH, at / WIDTH)).collect()
+}
+
+/// The time of a frame, seconds.
+fn time_s(number: usize) -> f64 {
+    let time_ns = 1_700_000_000_123_456_789 + 33_333_333 * number as u64;
+    (time_ns / 1_000_000_000) as f64 + (time_ns % 1_000_000_000) as f64 / 1e9
+}
+
+fn frames(path: &Path, options: &SourceOptions) -> (Vec<Frame>, Vec<String>) {
+    let mut source = open(path, options).unwrap();
+    let frames = std::iter::from_fn(|| source.next_frame().unwrap()).collect();
+    (frames, source.take_warnings())
+}
+
+const DRIVES: [&str; 10] = [
+    "drive.bag",
+    "drive_bz2.bag",
+    "drive_lz4.bag",
+    "drive.mcap",
+    "drive_lz4.mcap",
+    "drive_zstd.mcap",
+    "drive.db3",
+    "drive_message.db3",
+    "drive.db3.zstd",
+    "split",
+];
+
+#[test]
+fn every_kind_of_recording_has_the_same_frames_at_the_same_times() {
+    for name in DRIVES {
+        assert!(is_robot_recording(data(name)), "{name}");
+        let source = open(data(name), &SourceOptions::default()).unwrap();
+        let info = source.info();
+        assert_eq!((info.width, info.height, info.frame_count), (WIDTH, HEIGHT, Some(6)), "{name}");
+        assert!(info.description.contains("/camera/image_raw"), "{}", info.description);
+        let (frames, warnings) = frames(&data(name), &SourceOptions::default());
+        assert_eq!(warnings, [""; 0], "{name}");
+        assert_eq!(frames.len(), 6, "{name}");
+        for (number, frame) in frames.iter().enumerate() {
+            assert_eq!(frame.time_s, time_s(number), "{name}");
+            assert_eq!(frame.gray.samples(), gray(number), "{name} {number}");
+        }
+    }
+}
+
+#[test]
+fn every_encoding_gives_the_same_gray() {
+    for bag in ["encodings.mcap", "encodings.bag"] {
+        for topic in [
+            "mono8",
+            "wide",
+            "unsigned",
+            "mono16",
+            "mono16_big",
+            "rgb8",
+            "bgr8",
+            "three",
+            "rgba8",
+            "bgra8",
+            "uyvy",
+            "yuyv",
+            "nv12",
+            "/png/compressed",
+        ] {
+            for color in [false, true] {
+                let options = SourceOptions { topic: Some(topic.into()), color, ..Default::default() };
+                let (frames, _) = frames(&data(bag), &options);
+                assert_eq!(frames.len(), 1, "{bag} {topic}");
+                assert_eq!(frames[0].gray.samples(), gray(0), "{bag} {topic}");
+                assert_eq!(frames[0].rgb().pixel(0, 0).len(), 3);
+            }
+        }
+        for topic in ["bayer_rggb8", "bayer_gbrg8", "/jpeg/compressed"] {
+            let options = SourceOptions { topic: Some(topic.into()), ..Default::default() };
+            let (frames, _) = frames(&data(bag), &options);
+            assert_eq!(frames[0].gray.samples(), [77; WIDTH * HEIGHT], "{bag} {topic}");
+        }
+        let depth = SourceOptions { topic: Some("/depth".into()), ..Default::default() };
+        let error = open(data(bag), &depth).unwrap_err().to_string();
+        assert!(error.contains("\"32FC1\" are not read"), "{error}");
+    }
+}
+
+#[test]
+fn several_topics_with_images_are_listed() {
+    let error = open(data("encodings.mcap"), &SourceOptions::default()).unwrap_err().to_string();
+    for words in [
+        "there are 18 topics with images; choose one with --topic NAME:",
+        "/mono8 (sensor_msgs/msg/Image, 24x16 mono8, ",
+        "/jpeg/compressed (sensor_msgs/msg/CompressedImage, 24x16 jpeg, 0.0 Hz, 1 messages)",
+    ] {
+        assert!(error.contains(words), "{words}: {error}");
+    }
+    let wrong = SourceOptions { topic: Some("/imu".into()), ..Default::default() };
+    let error = open(data("drive.mcap"), &wrong).unwrap_err().to_string();
+    assert!(
+        error.contains("no images on the topic /imu; /imu has 6 messages of the type sensor_msgs/msg/Imu; /camera/image_raw ("),
+        "{error}"
+    );
+    let named = SourceOptions { topic: Some("camera/image_raw".into()), ..Default::default() };
+    assert!(open(data("drive.bag"), &named).is_ok());
+    // A video has no topics.
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hevc.mp4");
+    assert!(open(clip, &named).unwrap_err().to_string().contains("have topics"));
+}
+
+#[test]
+fn without_stamps_the_times_of_recording_are_used_and_told() {
+    let (frames, warnings) = frames(&data("unstamped.mcap"), &SourceOptions::default());
+    let times: Vec<f64> = frames.iter().map(|frame| frame.time_s).collect();
+    assert_eq!(times, (0..6).map(time_s).collect::<Vec<_>>());
+    assert!(warnings.len() == 1 && warnings[0].contains("on /image have no time stamp"), "{warnings:?}");
+}
+
+#[test]
+fn videos_in_messages_are_decoded() {
+    for (topic, clip) in [("/video", "hevc.h265"), ("/ffmpeg", "h264_interlaced.264")] {
+        let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(clip);
+        let (expected, _) = frames(&clip, &SourceOptions::default());
+        let options = SourceOptions { topic: Some(topic.into()), ..Default::default() };
+        let (decoded, warnings) = frames(&data("video.mcap"), &options);
+        assert_eq!(warnings, [""; 0]);
+        assert_eq!(decoded.len(), expected.len());
+        for (number, (frame, expected)) in decoded.iter().zip(&expected).enumerate() {
+            assert_eq!(frame.gray.samples(), expected.gray.samples(), "{topic} {number}");
+            assert_eq!(frame.time_s, time_s(number));
+        }
+    }
+}
+
+#[test]
+fn the_camera_and_the_sensors_are_in_the_recording() {
+    for name in DRIVES {
+        let found = recorded_camera(data(name), None).unwrap().unwrap();
+        assert_eq!((found.topic.as_str(), found.rectified), ("/camera/camera_info", false), "{name}");
+        assert_eq!((found.camera.width(), found.camera.height()), (WIDTH, HEIGHT));
+        assert_eq!((found.camera.focal_px(), found.camera.principal_px()), ((20.0, 21.0), (11.5, 7.5)));
+        let distortion = Distortion::from_opencv(&[0.1, -0.05, 0.001, -0.002, 0.01]).unwrap();
+        assert_eq!(found.camera.distortion(), &distortion);
+
+        let samples = |topic, kind| recorded_sensor(data(name), topic, kind).unwrap();
+        let gyro = samples("/imu", SensorKind::Gyro);
+        assert_eq!(gyro.quantity(), Quantity::TurnRates);
+        assert_eq!(gyro.samples().nth(2), Some((time_s(2), vec![0.02, 0.02, -0.03])));
+        let wheel = samples("/odom", SensorKind::Wheel);
+        assert_eq!(wheel.samples().nth(1), Some((time_s(1), vec![0.6])));
+        let range = samples("range", SensorKind::Range);
+        assert_eq!(range.quantity(), Quantity::AxisDistance);
+        assert_eq!(range.samples().nth(1), Some((time_s(1), vec![1.0])));
+    }
+    let error = recorded_sensor(data("drive.bag"), "/odom", SensorKind::Gyro).unwrap_err().to_string();
+    assert!(
+        error.contains("no topic /odom of the type sensor_msgs/Imu") && error.ends_with("/imu"),
+        "{error}"
+    );
+    assert!(recorded_camera(data("encodings.mcap"), Some("/mono8")).unwrap().is_none());
+}
+
+#[test]
+fn a_database_that_is_no_recording_is_refused() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("map.gpkg");
+    let database = rusqlite::Connection::open(&path).unwrap();
+    database
+        .execute_batch(
+            "CREATE TABLE keyframes(id); CREATE VIEW topics AS SELECT 1; CREATE TABLE messages(id)",
+        )
+        .unwrap();
+    let error = open(&path, &SourceOptions::default()).unwrap_err().to_string();
+    assert!(error.ends_with("an SQLite database and not a recording (a map is given with --map)"), "{error}");
+}
+
+#[test]
+fn what_is_in_a_recording_is_listed() {
+    for name in DRIVES {
+        let contents = inspect(data(name)).unwrap();
+        let uses: Vec<(&str, &StreamUse)> =
+            contents.streams.iter().map(|s| (s.topic.as_deref().unwrap(), &s.usable_as)).collect();
+        assert!(
+            matches!(
+                uses[..],
+                [
+                    ("/camera/camera_info", StreamUse::CameraInfo),
+                    ("/camera/image_raw", StreamUse::Frames(Some(_))),
+                    ("/imu", StreamUse::Gyro),
+                    ("/odom", StreamUse::Wheel),
+                    ("/range", StreamUse::Range)
+                ]
+            ),
+            "{name}: {uses:?}"
+        );
+        let images = &contents.streams[1];
+        assert_eq!(
+            (images.count, images.size, images.encoding.as_str()),
+            (6, Some((24, 16)), "mono8"),
+            "{name}"
+        );
+        assert!((images.rate_hz.unwrap() - 30.0).abs() < 1e-3 && images.gaps.is_empty());
+        assert_eq!(images.span_s, Some((time_s(0), time_s(5))));
+    }
+    let clip = inspect(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/h264_bframes.mp4")).unwrap();
+    let [video] = &clip.streams[..] else { panic!("{clip:?}") };
+    let (frames, _) = frames(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/h264_bframes.mp4"),
+        &SourceOptions::default(),
+    );
+    assert_eq!(video.count, frames.len() as u64);
+    assert_eq!(video.span_s, Some((frames[0].time_s, frames[frames.len() - 1].time_s)));
+    assert_eq!(video.usable_as, StreamUse::Frames(None));
+}
+
+/// Number of frames that can be read from damaged bytes; 0 where it is refused. Whatever the
+/// damage, neither a panic nor more than the recording ever had.
+fn survivors(folder: &Path, name: &str, bytes: &[u8]) -> usize {
+    let path = folder.join(name);
+    fs::write(&path, bytes).unwrap();
+    let options = SourceOptions { topic: Some("/camera/image_raw".into()), ..Default::default() };
+    let Ok(mut source) = open(&path, &options) else { return 0 };
+    let mut count = 0;
+    while let Ok(Some(_)) = source.next_frame() {
+        count += 1;
+        assert!(count <= 6, "{name}");
+    }
+    let _ = source.take_warnings();
+    let _ = recorded_camera(&path, Some("/camera/image_raw"));
+    let _ = recorded_sensor(&path, "/imu", SensorKind::Gyro);
+    count
+}
+
+#[test]
+fn a_truncated_recording_is_read_up_to_the_cut() {
+    let place = tempfile::tempdir().unwrap();
+    for name in DRIVES.iter().filter(|name| **name != "split") {
+        let whole = fs::read(data(name)).unwrap();
+        let step = (whole.len() / 120).max(1);
+        let counts: Vec<usize> =
+            (0..=whole.len()).step_by(step).map(|end| survivors(place.path(), name, &whole[..end])).collect();
+        // More bytes never give fewer frames, and all but the end gives some.
+        if !name.contains("db3") {
+            assert!(counts.is_sorted(), "{name}: {counts:?}");
+        }
+        let half = counts[counts.len() / 2 + 1];
+        assert!(half > 0 || name.contains("lz4.mcap") || name.contains("db3"), "{name}: {counts:?}");
+        let (frames, warnings) = {
+            let cut = place.path().join(name);
+            fs::write(&cut, &whole[..whole.len() * 3 / 4]).unwrap();
+            match open(&cut, &SourceOptions::default()) {
+                Ok(mut source) => {
+                    let frames = std::iter::from_fn(|| source.next_frame().unwrap()).count();
+                    (frames, source.take_warnings())
+                }
+                Err(_) => (0, Vec::new()),
+            }
+        };
+        assert!(
+            !(1..6).contains(&frames)
+                || warnings.iter().any(|w| w.contains("cut off") || w.contains("no index")),
+            "{name}: {warnings:?}"
+        );
+    }
+}
+
+#[test]
+fn flipped_bytes_give_an_error_or_frames() {
+    let place = tempfile::tempdir().unwrap();
+    let mut random = 1u64;
+    let mut next = move || {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (random >> 33) as usize
+    };
+    for name in DRIVES.iter().filter(|name| **name != "split") {
+        let whole = fs::read(data(name)).unwrap();
+        for _ in 0..250 {
+            let mut bytes = whole.clone();
+            for _ in 0..1 + next() % 4 {
+                let at = next() % bytes.len();
+                bytes[at] = [0, 0xff, 0x7f, next() as u8][next() % 4];
+            }
+            survivors(place.path(), name, &bytes);
+        }
+    }
+}
+
+#[test]
+fn a_bag_that_was_never_closed_is_read() {
+    let place = tempfile::tempdir().unwrap();
+    let whole = fs::read(data("drive.bag")).unwrap();
+    // The recorder writes index_pos, and the lengths of the last chunk, when it closes the bag.
+    let find = |part: &[u8]| whole.windows(part.len()).position(|window| window == part).unwrap();
+    let mut bytes = whole.clone();
+    let index = find(b"index_pos=") + 10;
+    let end = u64::from_le_bytes(whole[index..index + 8].try_into().unwrap()) as usize;
+    bytes[index..index + 8].fill(0);
+    bytes.truncate(end);
+    let path = place.path().join("drive.bag.active");
+    fs::write(&path, &bytes).unwrap();
+    let (read, warnings) = frames(&path, &SourceOptions::default());
+    assert_eq!(read.len(), 6);
+    assert!(warnings.len() == 1 && warnings[0].contains("no index"), "{warnings:?}");
+
+    let last = bytes.windows(5).rposition(|window| window == b"size=").unwrap() + 5;
+    bytes[last..last + 8].fill(0);
+    fs::write(&path, &bytes).unwrap();
+    let (read, _) = frames(&path, &SourceOptions::default());
+    assert_eq!(read.len(), 6);
+}
+
+#[test]
+fn a_folder_without_metadata_is_read_in_order() {
+    let place = tempfile::tempdir().unwrap();
+    for part in ["split_0.mcap", "split_1.mcap"] {
+        fs::copy(data("split").join(part), place.path().join(part)).unwrap();
+    }
+    let (read, warnings) = frames(place.path(), &SourceOptions::default());
+    assert_eq!((read.len(), warnings), (6, Vec::new()));
+    // A part that is cut off before its first message is left out, and told.
+    fs::write(place.path().join("split_2.mcap"), b"\x89MCAP0\r\n").unwrap();
+    fs::write(place.path().join("split_3.mcap"), fs::read(data("drive.db3")).unwrap().split_at(100).0)
+        .unwrap();
+    let (read, warnings) = frames(place.path(), &SourceOptions::default());
+    assert_eq!(read.len(), 6);
+    assert!(warnings.iter().any(|warning| warning.contains("split_3.mcap was left out")), "{warnings:?}");
+}
