@@ -2,10 +2,11 @@
 //! gate:end -->`.
 
 use crate::baseline::{Baseline, RowFigures};
-use crate::figures::{Measure, measure};
+use crate::figures::{Figures, Measure, measure};
 use crate::recordings;
 use crate::report::rows_table;
 use odograph::error::{Error, Result};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Documents with generated tables, relative to the root of the checkout.
@@ -41,8 +42,42 @@ fn with_tables(document: &str, baseline: &Baseline) -> Result<String> {
     Ok(text + rest)
 }
 
+/// Figures of the field's rows, and those of `bench/opencv_reference.py --field` over the same clips.
+const FIELD: &str = include_str!("../../../bench/field.json");
+const FIELD_OF_OPENCV: &str = include_str!("../../../bench/field-opencv.json");
+
+/// The rows of the field beside the plain OpenCV program.
+fn field_table() -> Result<String> {
+    let unreadable = |error: serde_json::Error| Error::input(format!("bench/field*.json: {error}"));
+    let ours: Baseline = serde_json::from_str(FIELD).map_err(unreadable)?;
+    let theirs: BTreeMap<String, Figures> = serde_json::from_str(FIELD_OF_OPENCV).map_err(unreadable)?;
+    let mut text = String::from(
+        "| row | error over each metre, % | OpenCV | at the end, mm | OpenCV | stated σ, mm | NEES |\n\
+         |---|---|---|---|---|---|---|\n",
+    );
+    for row in &ours.rows {
+        let other = theirs.get(&row.name).cloned().unwrap_or_default();
+        let cell = |figures: &Figures, key, decimals: usize| {
+            figures.get(key).map_or("–".to_owned(), |value| format!("{value:.decimals$}"))
+        };
+        let cells = [
+            cell(&row.figures, "drift_percent", 4),
+            cell(&other, "drift_percent", 4),
+            cell(&row.figures, "end_mm", 2),
+            cell(&other, "end_mm", 2),
+            cell(&row.figures, "end_sigma_mm", 2),
+            cell(&row.figures, "nees", 1),
+        ];
+        text += &format!("| {} | {} |\n", row.name, cells.join(" | "));
+    }
+    Ok(text)
+}
+
 /// The table of that name.
 fn table(name: &str, baseline: &Baseline) -> Result<String> {
+    if name == "field" {
+        return field_table();
+    }
     let is_real = |row: &&RowFigures| recordings::all().iter().any(|real| real.name == row.name);
     let (rows, keys): (Vec<&RowFigures>, &[&str]) = match name {
         "rendered" => (

@@ -155,7 +155,8 @@ impl FoundReadout {
         Some(Self {
             readout_ms: 1e3 * readout.mean_s,
             deviation_ms: 1e3 * readout.variance_s2.sqrt(),
-            given: camera.readout_s().is_some(),
+            // One that the recording showed has a deviation.
+            given: camera.readout_s().is_some() && camera.readout_deviation_s() == 0.0,
         })
     }
 

@@ -147,7 +147,9 @@ impl RunPlan {
         let found = MapFile::open_read_only(map)?.camera().clone();
         let key = |camera: &Camera| (camera.width(), camera.height(), camera.focal_px().0);
         if key(&found) == key(&self.camera) {
-            self.camera = found.with_readout_s(self.camera.readout_s())?;
+            let deviation_s = self.camera.readout_deviation_s();
+            self.camera =
+                found.with_readout_s(self.camera.readout_s())?.with_readout_deviation_s(deviation_s);
         }
         Ok(())
     }

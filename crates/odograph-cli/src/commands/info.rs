@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Tell what is in a recording: streams or topics, sizes, rates, gaps, and what each is good for.
+/// Show what a recording contains, and what it can be used for.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct InfoArguments {
