@@ -42,7 +42,8 @@ fn with_tables(document: &str, baseline: &Baseline) -> Result<String> {
     Ok(text + rest)
 }
 
-/// Figures of the field's rows, and those of `bench/opencv_reference.py --field` over the same clips.
+/// Figures of the field's rows, and those of `bench/opencv_reference.py --field` over the same
+/// clips.
 const FIELD: &str = include_str!("../../../bench/field.json");
 const FIELD_OF_OPENCV: &str = include_str!("../../../bench/field-opencv.json");
 

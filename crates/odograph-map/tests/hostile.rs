@@ -153,7 +153,7 @@ fn errors_name_the_invalid_content() {
         ("UPDATE odograph_camera SET width = 80", "image of keyframe 0"),
         (
             "UPDATE odograph_edge SET to_keyframe = 99 WHERE id = 1",
-            "edge 1, from keyframe 0 to 99, ties no two",
+            "edge 1, from keyframe 0 to 99, does not connect two",
         ),
         ("UPDATE odograph_edge SET kind = 'magic' WHERE id = 2", "edge 2"),
         ("UPDATE odograph_edge SET x_m = 9e999 WHERE id = 2", "edge 2"),

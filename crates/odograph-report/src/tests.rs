@@ -146,7 +146,7 @@ fn the_report_describes_the_run() {
     let frames = figure_eight(600);
     let page = report(&frames, "drive", &[]);
     assert_sound(&page);
-    assert!(page.contains("Its movement was lost once, for 1.67 s"));
+    assert!(page.contains("Tracking was lost once, for 1.67 s"));
     assert!(page.contains("too little texture") && page.contains("550 of 600 frames"));
     assert_eq!(page, report(&frames, "drive", &[]), "the same bytes twice");
 }

@@ -46,8 +46,8 @@ fn a_run_stores_the_mosaic_in_its_map() {
     let section = &page[page.find("Beside fixes &amp; more.tum").unwrap()..];
     // The reference is scaled by 2; the estimate has the accuracy of a run of 1 m.
     assert!(
-        section.contains("lengths were multiplied by 2.00")
-            || section.contains("lengths were multiplied by 1.99")
+        section.contains("scale of the alignment is 2.00")
+            || section.contains("scale of the alignment is 1.99")
     );
     assert!(section.contains(">reference</text>"));
 
