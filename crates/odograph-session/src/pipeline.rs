@@ -63,6 +63,7 @@ pub enum Ended {
 pub struct StageTimes {
     pub decode: Timings,
     pub track: Timings,
+    pub self_calibration: Timings,
     pub map: Timings,
 }
 
@@ -97,6 +98,7 @@ pub fn track(
         odometry,
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
+        calibration_times: Timings::default(),
         untold,
         found: None,
         observer,
@@ -129,7 +131,12 @@ pub fn track(
         views,
         mapping,
         warnings: decoding.source.take_warnings(),
-        times: StageTimes { decode: decoding.times, track: tracking.times, map: map_times },
+        times: StageTimes {
+            decode: decoding.times,
+            track: tracking.times,
+            self_calibration: tracking.calibration_times,
+            map: map_times,
+        },
         interrupted,
         announced,
         live: None,
@@ -229,6 +236,7 @@ struct Tracking<'a> {
     odometry: Odometry,
     frames: KeptFrames,
     times: Timings,
+    calibration_times: Timings,
     untold: Option<Untold>,
     /// What that has found: the run ends there.
     found: Option<Found>,
@@ -249,14 +257,16 @@ impl Tracking<'_> {
         let started = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
+        let mut events = self.odometry.take_keyframe_events();
+        self.times.push(started.elapsed());
+        let started = Instant::now();
         if let Some(untold) = &mut self.untold {
             self.found = untold.watch(&estimate, &self.odometry);
             if self.found.is_some() {
                 return Ok(None);
             }
         }
-        let mut events = self.odometry.take_keyframe_events();
-        self.times.push(started.elapsed());
+        self.calibration_times.push(started.elapsed());
         self.folder.record(&estimate)?;
         self.observer.frame(&estimate);
         let pose = estimate.ground_pose();
