@@ -23,7 +23,7 @@ pub struct Learned {
     /// How rough the ground is.
     roughness: Roughness,
     least_relief_m2: f64,
-    /// Variance of the relative scale on undulating ground, the mean of so many frames.
+    /// Variance of the relative scale on undulating ground: the mean over this number of frames.
     scale_variance: f64,
     uneven_frames: f64,
     /// The path so far times the length over which the scale is the same, metres².

@@ -73,7 +73,7 @@ pub struct Odometry {
     standing: Standing,
     /// So many frames before this one were lost.
     lost_frames: usize,
-    /// So many frames before this one were copies.
+    /// Number of repeated images before this frame.
     repeated: usize,
     frames: u64,
     /// Time of the first frame, seconds.

@@ -1,8 +1,8 @@
 //! Images that are copies of the one before: a camera that delivers fewer images than it says, or a
 //! codec that skips.
 //!
-//! A copy shows where the camera was, not where it is. Its pose is extrapolated, as uncertain as the last
-//! extrapolations were wrong.
+//! A copy shows where the camera was, not where it is. Its pose is extrapolated, as uncertain as
+//! the last extrapolations were wrong.
 
 use super::{FrameReference, Odometry};
 use crate::geometry::pose_index::{HEADING, X, Y};
@@ -11,7 +11,7 @@ use crate::motion::MotionModel;
 use crate::trajectory::{FrameEstimate, PlaneMeasurement, PoseEstimate, TrackStatus};
 use nalgebra::Matrix6;
 
-/// After so many copies the camera stands and its images have no noise.
+/// More repeated images than this in a row come from a camera that stands, without image noise.
 const MOST_COPIES: usize = 4;
 
 impl Odometry {
@@ -27,7 +27,7 @@ impl Odometry {
             && last.is_some_and(|last| last.samples() == image.samples())
     }
 
-    /// The frame of a copy; `None` where nothing tells how the camera moves, or that it stands.
+    /// The extrapolated frame of a repeated image; `None` while the motion is not known.
     pub(super) fn repeat(&mut self, time_s: f64) -> Option<FrameEstimate> {
         let last = self.last.as_ref()?;
         let (off_by, step_s) = (last.off_by(), last.step_s);

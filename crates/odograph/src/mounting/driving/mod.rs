@@ -67,7 +67,7 @@ pub struct DrivenTilt {
     relief: MeanSquare,
     /// The readout time with which the odometry works, seconds.
     assumed_readout_s: f64,
-    /// Pairs whose rates later frames tell.
+    /// Pairs that wait for the rates of their frames.
     pending: VecDeque<Pending>,
     path: Path,
 }
@@ -271,7 +271,7 @@ impl DrivenTilt {
         }
     }
 
-    /// Tells pairs how they were exposed, as soon as that is known.
+    /// Assigns exposures to pairs as soon as the rates of their frames are known.
     fn expose_pairs(&mut self) {
         while let Some(&Pending { pair: (group, pair), keyframe, frame }) = self.pending.front() {
             if !self.rates.is_decided(frame) {

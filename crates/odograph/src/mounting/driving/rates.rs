@@ -17,8 +17,8 @@ pub struct Moving {
     pub accelerations: PoseRates,
 }
 
-/// Poses that an interpolating polynomial goes through. Of a vibration of 7 Hz at 30 frames a second
-/// its derivative keeps 95 %; the central difference of three poses keeps 68 %.
+/// Poses that an interpolating polynomial goes through. Of a vibration of 7 Hz at 30 frames a
+/// second its derivative keeps 95 %; the central difference of three poses keeps 68 %.
 const POSES: usize = 7;
 
 /// Poses about the first and last ones of a part: a higher polynomial has wild derivatives there.
@@ -107,8 +107,8 @@ impl RateHistory {
     }
 }
 
-/// Weights of values at some times in the derivative, at one of those times, of the polynomial through
-/// all of them (Lagrange).
+/// Weights of values at some times in the derivative, at one of those times, of the polynomial
+/// through all of them (Lagrange).
 fn derivative(times: &[f64], at: usize) -> Vec<f64> {
     let t = |i: usize| times[i];
     let others = |i: usize| (0..times.len()).filter(move |&k| k != i);

@@ -1,4 +1,4 @@
-//! The readout time of a rolling shutter, as a recording of driving tells it.
+//! The readout time of a rolling shutter, estimated from driving.
 
 use super::bundle::{READOUT, Solved};
 use crate::numerics::Combined;
@@ -10,8 +10,8 @@ pub struct ReadoutMeasurement {
     pub readout_s: f64,
     /// One standard deviation, seconds.
     pub deviation_s: f64,
-    /// Standard deviation from keyframe to keyframe beyond the noise of the tracks, seconds: what is
-    /// no shutter does so.
+    /// Standard deviation from keyframe to keyframe beyond the noise of the tracks, seconds: what
+    /// is no shutter does so.
     pub scatter_s: f64,
 }
 
@@ -27,24 +27,26 @@ impl ReadoutMeasurement {
     }
 }
 
-/// Rates of poses that were measured with another readout time are wrong by this part of what they are
-/// corrected by, so that the found readout time is wrong by this part of its difference from the assumed one.
+/// Rates of poses that were measured with another readout time are wrong by this part of what they
+/// are corrected by, so that the found readout time is wrong by this part of its difference from
+/// the assumed one.
 const RATES: f64 = 0.01;
 
 /// A readout time known worse than this part of itself is not a measurement yet.
 const USEFUL: f64 = 0.15;
 
-/// A shutter rolls where its readout time is so many standard deviations from what was given …
+/// Standard deviations by which a readout time must differ from the given one to replace it …
 const SIGNIFICANT: f64 = 5.0;
 
-/// … and by more than this, seconds: over less the fastest camera does not move by a pixel.
+/// … and the least difference, seconds: 0.3 ms at 1 m/s and 0.75 m is 0.2 px.
 const LEAST_S: f64 = 3e-4;
 
-/// What differs from keyframe to keyframe by more than this part of itself is not the shutter.
+/// Largest scatter between keyframes, as a fraction of the difference: above it, the cause is not
+/// the shutter.
 const STEADY: f64 = 1.0 / 3.0;
 
 impl ReadoutMeasurement {
-    /// Whether the readout time is surely another than `given_s`, zero where none was given.
+    /// Whether the readout time differs significantly from `given_s`; zero if none was given.
     pub fn is_another(&self, given_s: f64) -> bool {
         let off_s = (self.readout_s - given_s).abs();
         off_s > LEAST_S.max(SIGNIFICANT * self.deviation_s)
@@ -52,14 +54,14 @@ impl ReadoutMeasurement {
             && self.deviation_s < USEFUL * self.readout_s.abs()
     }
 
-    /// Whether it is known clearly better than before, and not the same for that.
+    /// Whether it is clearly more precise than an earlier estimate, and different from it.
     pub fn is_better_than(&self, before: &Self) -> bool {
         (self.readout_s - before.readout_s).abs() > LEAST_BETTER_S
             && self.deviation_s < BETTER * before.deviation_s
     }
 }
 
-/// What is known better is used where it is another by this much, seconds, and its deviation is so
-/// many times as large.
+/// A better estimate is used if it differs by this much, seconds, and its standard deviation is
+/// smaller by this factor.
 const LEAST_BETTER_S: f64 = 2e-5;
 const BETTER: f64 = 0.8;
