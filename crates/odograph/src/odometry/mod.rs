@@ -238,7 +238,10 @@ impl Odometry {
     /// A readout that takes longer than the frames are apart cannot be.
     fn check_readout(&mut self, time_s: f64) -> Result<()> {
         let first_s = *self.first_time_s.get_or_insert(time_s);
-        let Some(readout_s) = self.camera.readout_s().filter(|_| self.frames == STEPS_BEFORE_JUDGING) else {
+        // An estimated readout time has a deviation, and is no mistake of who gives it.
+        let is_given = self.camera.readout_deviation_s() == 0.0;
+        let is_due = is_given && self.frames == STEPS_BEFORE_JUDGING;
+        let Some(readout_s) = self.camera.readout_s().filter(|_| is_due) else {
             return Ok(());
         };
         let step_s = (time_s - first_s) / STEPS_BEFORE_JUDGING as f64;

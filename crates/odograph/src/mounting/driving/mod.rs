@@ -292,6 +292,11 @@ impl DrivenTilt {
         }
     }
 
+    /// Whether an image can be read out in this time: before the next one begins.
+    pub(super) fn is_possible(&self, found: &ReadoutMeasurement) -> bool {
+        found.readout_s.abs() <= self.rates.step_s()
+    }
+
     /// Whether a plane explains the tracks, with what was found, as well as elevations do where the ground
     /// looked uneven.
     pub(super) fn explains(&self, found: &TiltMeasurement) -> bool {

@@ -161,7 +161,7 @@ impl Untold {
         }
         let tilt_is_news = self.tilt_is_news(&tilt);
         let lens_is_news = lens.as_ref().is_some_and(|lens| self.lens_is_news(lens));
-        let readout = tilt.readout;
+        let readout = tilt.readout.filter(|found| self.driven.is_possible(found));
         let readout_is_news = readout.is_some_and(|readout| self.readout_is_news(&readout));
         (tilt_is_news || lens_is_news || readout_is_news).then(|| Found {
             // What was found before is replaced by what is found now, be it little else.
