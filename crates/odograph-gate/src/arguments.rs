@@ -1,7 +1,7 @@
 //! Command-line arguments.
 
 use crate::field;
-use crate::rows::{self, Row};
+use crate::rows::{self, Follow, Row};
 use clap::Parser;
 use std::path::PathBuf;
 
@@ -15,6 +15,9 @@ pub struct Arguments {
     /// other programs over several seeds.
     #[arg(long)]
     pub field: bool,
+    /// Tracks the rendered rows as `odograph live` does: frame by frame, without a second pass.
+    #[arg(long)]
+    pub live: bool,
     /// Number of clips rendered and tracked in parallel; by default all available cores.
     #[arg(long)]
     pub threads: Option<usize>,
@@ -53,7 +56,9 @@ impl Arguments {
     /// The rendered rows that are selected.
     pub fn rows(&self) -> Vec<Row> {
         let rows = if self.field { field::rows() } else { rows::rows() };
-        rows.into_iter().filter(|row| self.asks_for(row.name)).collect()
+        let asked_for = rows.into_iter().filter(|row| self.asks_for(row.name));
+        let as_asked = |row: Row| if self.live { Row { follow: Follow::Live, ..row } } else { row };
+        asked_for.map(as_asked).collect()
     }
 
     /// Number of threads, at least 1.

@@ -8,7 +8,7 @@ use odograph::error::Result;
 use odograph::ground_map::MemoryImages;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
-use odograph::mounting::{Found, Untold};
+use odograph::mounting::{Found, OnlineCalibration, Untold};
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::slam::{Mapper, map_frames};
 use odograph::trajectory::FrameEstimate;
@@ -41,7 +41,9 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Followe
     let mut restarts = 0;
     loop {
         match pass(clip, follow, &config, &camera, rig, watch)? {
-            Pass::Finished(followed) => return Ok(Followed { restarts, ..followed }),
+            Pass::Finished(followed) => {
+                return Ok(Followed { restarts: restarts + followed.restarts, ..followed });
+            }
             Pass::Again(found) => {
                 rig = found.rig(&rig);
                 camera = found.camera(&camera);
@@ -65,6 +67,8 @@ fn pass(
         odometry.tell_keyframes();
         (Mapper::new(camera, rig, config, LoopClosureConfig::default()), MemoryImages::default())
     });
+    let mut online = (follow == Follow::Live && config.motion.model == MotionModel::Auto)
+        .then(|| OnlineCalibration::new(camera, &rig, false));
     let mut followed = Followed::default();
     let mut references = Vec::new();
     for (time_s, image) in &clip.frames {
@@ -72,6 +76,11 @@ fn pass(
         let image = image.clone();
         let begun = busy_ms();
         let frame = odometry.process(image, *time_s)?;
+        if let Some(online) = &mut online
+            && online.watch(&frame, &mut odometry)?
+        {
+            followed.restarts += 1;
+        }
         followed.times_ms.push(busy_ms() - begun);
         if let Some(found) = watch.as_mut().and_then(|watch| watch.watch(&frame, &odometry)) {
             return Ok(Pass::Again(Box::new(found)));

@@ -137,6 +137,7 @@ impl Finishing<'_> {
     /// Warns where mount, lens or readout time were found to differ from the plan.
     fn tell_camera(&mut self) -> Result<()> {
         let told = match &self.tracked.mount {
+            Some(found) if self.tracked.live.is_some() => Some(found.sentence_live()),
             Some(found) => Some(found.sentence()),
             None => tilt::untold(&mut self.tracked.frames, &self.plan.rig, self.plan.odometry.motion.model)?,
         };

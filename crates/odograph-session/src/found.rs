@@ -63,6 +63,15 @@ impl FoundMount {
         }
     }
 
+    /// What a person should know of it after a live run, which used it as soon as it was known.
+    pub fn sentence_live(&self) -> String {
+        format!(
+            "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as given: found while \
+             driving and used from then on; the path before that is bent. Give them with --rig",
+            self.roll_deg, self.pitch_deg, self.told_roll_deg, self.told_pitch_deg
+        )
+    }
+
     /// What a person should know of it.
     pub fn sentence(&self) -> String {
         format!(

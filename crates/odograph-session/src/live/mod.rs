@@ -61,8 +61,11 @@ use mcap::McapLog;
 use odograph::error::Result;
 use odograph::filter::fusion::Sensors;
 use odograph::formats::camera_file;
+use odograph::motion::MotionModel;
+use odograph::mounting::OnlineCalibration;
 use odograph_live::capture::{Watch, without_credentials};
 use odograph_live::{Hub, Introduction};
+use odograph_map::MapFile;
 use odograph_video::SourceInfo;
 use recorder::Recorder;
 use sinks::LiveSinks;
@@ -205,6 +208,10 @@ impl LiveRun {
         // Removed after all else is closed: what is declared first is dropped last.
         let _temporary = self.temporary;
         let Self { plan, info, input, watch, folder, ground, hub, mcap, output, reporter, .. } = self;
+        // Of a map that is continued the lens is the map's.
+        let lens_is_known = output.map.path().is_some_and(MapFile::is_there);
+        let calibration = (plan.odometry.motion.model == MotionModel::Auto)
+            .then(|| OnlineCalibration::new(&plan.camera, &plan.rig, lens_is_known));
         let mapping = Mapping::new(&plan, &folder, &output.map)?;
         let recorder = Recorder::new(folder, &plan)?;
         let log = mcap.map(|path| McapLog::new(&path, &info.description, input.policy)).transpose()?;
@@ -217,6 +224,6 @@ impl LiveRun {
             started: Instant::now(),
         };
         let sinks = LiveSinks { poses, log: log.as_ref() };
-        pipeline::follow(&plan, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
+        pipeline::follow(&plan, calibration, input, &watch, &ground, &hub, mapping, recorder, sinks, &ending)
     }
 }

@@ -11,7 +11,7 @@ use super::sinks::{LiveSinks, PoseSink};
 use super::source::LiveInput;
 use super::straight::{self, Straightening};
 use crate::finish::{Ending, finish};
-use crate::found::{FixedInImage, FoundReadout};
+use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
@@ -22,6 +22,7 @@ use crate::statistics::LiveStatistics;
 use crate::views::Posed;
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
+use odograph::mounting::OnlineCalibration;
 use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
@@ -44,6 +45,7 @@ const BEHIND: usize = 8;
 /// Follows a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
     plan: &RunPlan,
+    calibration: Option<OnlineCalibration>,
     opened: LiveInput,
     watch: &Watch,
     ground: &LiveGround,
@@ -58,6 +60,7 @@ pub fn follow(
     odometry.tell_keyframes();
     let mut following = Following {
         odometry,
+        calibration,
         frames: KeptFrames::new(recorder.path()),
         times: StageTimes::default(),
         latencies: Latencies::default(),
@@ -90,6 +93,7 @@ pub fn follow(
     };
     following.times.map = times;
     let live = following.statistics();
+    let found = following.calibration.as_ref().and_then(OnlineCalibration::found);
     let tracked = Tracked {
         readout: FoundReadout::of(&plan.camera, &following.odometry),
         keyframes: following.odometry.keyframes(),
@@ -104,8 +108,8 @@ pub fn follow(
         live: Some(live),
         failure: outcome.err().or(farewell.failure).or(not_kept),
         unmapped: following.unmapped,
-        mount: None,
-        lens: None,
+        mount: found.and_then(|found| found.tilt.as_ref()).map(|tilt| FoundMount::new(&plan.rig, tilt)),
+        lens: found.and_then(|found| found.lens.as_ref()).map(|lens| FoundLens::new(&plan.camera, lens)),
     };
     let mut folder = following.recorder.into_folder();
     finish(plan, tracked, &mut folder, ending)
@@ -148,6 +152,7 @@ struct Sight {
 /// The middle of the pipeline.
 struct Following<'a, 'p> {
     odometry: Odometry,
+    calibration: Option<OnlineCalibration>,
     frames: KeptFrames,
     times: StageTimes,
     latencies: Latencies,
@@ -252,6 +257,9 @@ impl Following<'_, '_> {
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
         let mut events = self.odometry.take_keyframe_events();
+        if let Some(calibration) = &mut self.calibration {
+            calibration.watch(&estimate, &mut self.odometry)?;
+        }
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
         self.times.track.push(begun.elapsed());

@@ -138,6 +138,11 @@ pub fn nadir_from_camera() -> Matrix3<f64> {
 }
 
 impl GroundPose {
+    /// The same place and heading at the height and tilt of another pose.
+    pub fn with_mount_of(self, mount: &Self) -> Self {
+        Self { x_m: self.x_m, y_m: self.y_m, heading_rad: self.heading_rad, ..*mount }
+    }
+
     /// A level camera at `height_m` above the world origin.
     pub fn level(height_m: f64) -> Self {
         Self { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, height_m, roll_rad: 0.0, pitch_rad: 0.0 }

@@ -33,7 +33,7 @@ pub use sharing::Neighbours;
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
-use nalgebra::{Matrix2, Matrix3, Matrix6, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Matrix6x2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// What may change between frames.
@@ -198,6 +198,8 @@ pub struct MotionEstimate {
     /// How the pose changes with (x, y, heading, height, roll, pitch) of the pose from which the ground points were laid: their uncertainty is carried
     /// over by it.
     pub by_keyframe: Matrix6<f64>,
+    /// How the pose changes with the roll and the pitch about which the prior scatters.
+    pub by_prior_tilt: Matrix6x2<f64>,
     /// What the tracks say of the keyframe's height and tilt; `None` where these were known before.
     pub keyframe_error: Option<KeyframeError>,
     /// For each observation, whether it agrees.

@@ -10,7 +10,7 @@ use super::{
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, wrap_angle};
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, Matrix6x2, Vector3};
 
 /// Which of (x, y, heading, height, roll, pitch) are solved for: the first `count` of them.
 #[derive(Debug, Clone, Copy)]
@@ -570,6 +570,7 @@ pub fn refine(
         pose,
         covariance: own + shared_errors(camera, &pose, &unknowns, shared_px),
         by_keyframe: solutions(&given, &slopes, &unknowns),
+        by_prior_tilt: by_prior_tilt(&given, &pull, &unknowns),
         keyframe_error,
         inliers,
         residual_px: (squares / count as f64).sqrt(),
@@ -616,6 +617,16 @@ fn solutions(factor: &Factor, slopes: &[Row; POSE], unknowns: &Unknowns) -> Matr
         (0..POSE).for_each(|k| solutions[(k, i)] = solution[k]);
     }
     solutions
+}
+
+/// How the pose changes with the mean of the prior of roll and pitch.
+fn by_prior_tilt(factor: &Factor, pull: &Pull, unknowns: &Unknowns) -> Matrix6x2<f64> {
+    let mut by_tilt = Matrix6x2::zeros();
+    for i in [1, 2].into_iter().filter(|i| 3 + i < unknowns.count) {
+        let column = factor.column(3 + i);
+        (0..POSE).for_each(|k| by_tilt[(k, i - 1)] = pull.weight[i] * column[k]);
+    }
+    by_tilt
 }
 
 /// The error of a track in the directions in which it is held, pixels: along the joints between tiles tracks are off by far more, and hold nothing there.

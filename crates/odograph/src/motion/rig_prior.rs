@@ -3,7 +3,7 @@
 use super::sharing::Neighbours;
 use super::{MotionConfig, MotionEstimate, MotionModel};
 use crate::geometry::GroundPose;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix2, Matrix6, Vector2};
 
 /// A Gaussian over height (metres), roll and pitch (radians).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,6 +12,8 @@ pub struct RigPrior {
     pub mean: [f64; 3],
     /// One standard deviation.
     pub sigma: [f64; 3],
+    /// How much of the mean is the mount's; the rest is that of the pose before.
+    pub mount_share: [f64; 3],
     /// The part of its error that a track shares with all the others, 0 to 1.
     pub shared_part: f64,
 }
@@ -24,7 +26,8 @@ impl RigPrior {
         for i in 0..3 {
             let (of_mount, of_step) = (self.sigma[i].powi(-2), 1.0 / steps[i].variance(least[i]));
             if of_step > 0.0 && of_step.is_finite() {
-                self.mean[i] = (of_mount * self.mean[i] + of_step * last[i]) / (of_mount + of_step);
+                self.mount_share[i] = of_mount / (of_mount + of_step);
+                self.mean[i] += (1.0 - self.mount_share[i]) * (last[i] - self.mean[i]);
                 self.sigma[i] = (of_mount + of_step).sqrt().recip();
             }
         }
@@ -171,6 +174,11 @@ impl MountTilt {
         self.keyframes += 1;
     }
 
+    /// Mean squared error of the tilt that is taken for it.
+    fn squared_error(&self, sway: f64) -> f64 {
+        (self.mean - self.found(sway)).powi(2) + self.variance
+    }
+
     /// The correction that is applied: none unless the mean is significant and the sway is smaller.
     fn found(&self, sway: f64) -> f64 {
         let is_beyond_doubt =
@@ -224,11 +232,13 @@ impl RigWander {
                 let wander = self.wander();
                 let mut sigma = [0, 1, 2].map(|i| wander[i].sqrt().max(smallest[i]));
                 sigma[0] = sigma[0].hypot(self.unevenness_m2.sqrt());
-                RigPrior { mean: self.mount(), sigma, shared_part }.after(self.last.as_ref(), &self.steps)
+                RigPrior { mean: self.mount(), sigma, mount_share: [1.0; 3], shared_part }
+                    .after(self.last.as_ref(), &self.steps)
             }
             _ => RigPrior {
                 mean: [last.height_m, last.roll_rad, last.pitch_rad],
                 sigma: [config.height_prior * last.height_m, config.tilt_prior_rad, config.tilt_prior_rad],
+                mount_share: [0.0; 3],
                 shared_part,
             },
         }
@@ -256,8 +266,20 @@ impl RigWander {
         [1, 2].map(|i| if is_mounted { doubt(i) } else { 0.0 })
     }
 
+    /// Mean squared errors of the roll and pitch that are taken for the mount's.
+    pub fn tilt_errors(&self) -> Matrix2<f64> {
+        let [_, of_roll, of_pitch] = self.sway();
+        let [roll, pitch] = &self.tilt;
+        Matrix2::from_diagonal(&Vector2::new(roll.squared_error(of_roll), pitch.squared_error(of_pitch)))
+    }
+
+    /// Takes the covariance of the mount's roll and pitch, radians², where they were measured.
+    pub fn set_tilt_covariance(&mut self, covariance: &Matrix2<f64>) {
+        (0..2).for_each(|i| self.tilt[i].variance = covariance[(i, i)]);
+    }
+
     /// Height, roll and pitch of the mount, as far as they are known.
-    fn mount(&self) -> [f64; 3] {
+    pub fn mount(&self) -> [f64; 3] {
         let ([height_m, roll_rad, pitch_rad], [_, of_roll, of_pitch]) = (self.nominal, self.sway());
         let [roll, pitch] = &self.tilt;
         [height_m + self.level_m, roll_rad + roll.found(of_roll), pitch_rad + pitch.found(of_pitch)]

@@ -160,7 +160,8 @@ fn the_pose_moves_with_that_of_its_keyframe_as_is_said() {
     };
     for model in [MotionModel::Rigid, MotionModel::Similarity, MotionModel::Free] {
         let config = MotionConfig { model, ..Default::default() };
-        let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3], shared_part: 0.0 };
+        let prior =
+            RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3], mount_share: [1.0; 3], shared_part: 0.0 };
         let found = measured(&seen, &to, &prior, &config, 1).unwrap();
         for number in 0..6 {
             let mut off = numbers(&from);
@@ -189,7 +190,7 @@ fn a_wrong_tilt_of_the_keyframe_is_found_with_the_pose() {
     // Height has no error: from two pictures alone its scale cannot be told.
     let laid_covariance = &Matrix3::from_diagonal(&nalgebra::Vector3::new(0.0, 9e-4, 9e-4));
     let config = MotionConfig { model: MotionModel::Free, ..Default::default() };
-    let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], shared_part: 0.0 };
+    let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], mount_share: [1.0; 3], shared_part: 0.0 };
     let (mut squares, runs) = (0.0, 60);
     for seed in 0..runs {
         let lay = |seen: &Observation| {

@@ -17,7 +17,7 @@ use crate::motion::{
     ShutterPrior, Sighting, ViewingPose, estimate, mean_displacement, whitened,
 };
 use crate::trajectory::LossReason;
-use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Matrix6x2, Vector2, Vector3};
 
 /// A frame measured against a keyframe.
 #[derive(Debug, Clone)]
@@ -595,6 +595,7 @@ fn mean(
         pose: GroundPose { x_m: last.x_m + x_m, y_m: last.y_m + y_m, ..*last },
         covariance,
         by_keyframe: Matrix6::identity(),
+        by_prior_tilt: Matrix6x2::zeros(),
         keyframe_error: None,
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,

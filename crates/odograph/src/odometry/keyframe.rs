@@ -15,7 +15,7 @@ use crate::motion::{
     Axes, BEYOND_CHANCE, CoarseRegistration, Elevation, GroundFromRay, GroundPatch, GroundView, HIGHEST_KERB,
     MeasuredElevation, MotionEstimate, PoseRates, RollingShutter, Roughness, ViewingPose,
 };
-use nalgebra::{Matrix3, Matrix6, Vector2, Vector6};
+use nalgebra::{Matrix3, Matrix6, Matrix6x2, Vector2, Vector6};
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
 
@@ -41,6 +41,8 @@ pub struct Keyframe {
     /// How the pose changes with the readout time, metres and radians per second: what a readout time
     /// that is off has done to it since the start.
     pub by_readout: PoseRates,
+    /// How the pose changes with roll and pitch of the mount.
+    pub by_mount_tilt: Matrix6x2<f64>,
     /// Mean elevation of its corners where no earlier keyframe saw them, metres.
     level_m: f64,
     /// Whether the ground undulates, so that its level is its elevation below the camera.
@@ -242,6 +244,7 @@ impl Keyframe {
             },
             rate_variance: PoseRates::zeros(),
             by_readout: PoseRates::zeros(),
+            by_mount_tilt: Matrix6x2::zeros(),
             surface: None,
             mask: mask.cloned(),
             places: Vec::new(),
@@ -270,6 +273,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            by_mount_tilt,
             surface,
             mask,
             places,
@@ -287,6 +291,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            by_mount_tilt,
             level_m: 0.0,
             undulates: surface.as_ref().is_some_and(Surface::is_smooth),
             surface,
@@ -358,6 +363,24 @@ impl Keyframe {
     pub fn expose(&mut self, camera: &Camera, shutter: RollingShutter) {
         self.shutter = shutter;
         self.lay_again(camera);
+    }
+
+    /// Lays its corners on the ground again as a better calibration has it: the camera has the height
+    /// and tilt of `mount`, where given, and its images this readout time.
+    pub fn recalibrate(&mut self, camera: &Camera, mount: Option<&GroundPose>, readout_s: Option<f64>) {
+        if let Some(mount) = mount {
+            self.pose = self.pose.with_mount_of(mount);
+            self.covariance.fixed_rows_mut::<3>(3).fill(0.0);
+            self.covariance.fixed_columns_mut::<3>(3).fill(0.0);
+            (self.level_m, self.undulates, self.surface) = (0.0, false, None);
+        }
+        self.shutter.readout_s = readout_s.unwrap_or(self.shutter.readout_s);
+        self.dense = OnceLock::new();
+        self.view = None;
+        self.lay_again(camera);
+        for corner in &mut self.corners {
+            (corner.measured, corner.seen_before, corner.confirmations) = (None, None, 0);
+        }
     }
 
     /// Sets the mean elevation of its corners so that the ground below the camera is on the plane
@@ -548,6 +571,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            by_mount_tilt,
             surface,
             mask,
             places,
@@ -563,6 +587,7 @@ impl Keyframe {
             shutter,
             rate_variance,
             by_readout,
+            by_mount_tilt,
             surface,
             mask,
             places,
@@ -582,6 +607,7 @@ pub struct KeyframeRecord {
     shutter: RollingShutter,
     rate_variance: PoseRates,
     by_readout: PoseRates,
+    by_mount_tilt: Matrix6x2<f64>,
     surface: Option<Surface>,
     mask: Option<Arc<ImageMask>>,
     places: Vec<(usize, usize)>,
@@ -624,6 +650,17 @@ impl KeyframeMemory {
             .filter(|(overlap, _)| *overlap >= least)
             .max_by(|a, b| a.0.total_cmp(&b.0))?;
         self.take(best.1, camera)
+    }
+
+    /// The camera had the height and tilt of `mount` all the while, where given.
+    pub fn recalibrate(&mut self, mount: Option<&GroundPose>) {
+        for record in &mut self.records {
+            record.view = None;
+            if let Some(mount) = mount {
+                record.pose = record.pose.with_mount_of(mount);
+                record.surface = None;
+            }
+        }
     }
 
     /// More is known about what is not ground.

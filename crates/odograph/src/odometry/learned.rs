@@ -9,7 +9,7 @@ use crate::geometry::GroundPose;
 use crate::motion::{
     MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, Roughness, ShutterPrior, ViewingPose,
 };
-use nalgebra::{Matrix2, Matrix6, Vector2};
+use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2};
 
 /// What is learned on the way.
 #[derive(Debug, Clone)]
@@ -70,6 +70,22 @@ impl Learned {
         let may_roll = model != MotionModel::Mean;
         let shutter = may_roll.then(|| ShutterState::new(camera, first.height_m));
         Self { shutter, ..Self::new(first) }
+    }
+
+    /// Takes over what is known of a better calibration, with the mount or without. How the camera moves
+    /// and what of the image is found is still known.
+    pub fn recalibrate(&mut self, fresh: Self, with_mount: bool) {
+        let before = std::mem::replace(self, fresh);
+        if !with_mount {
+            self.wander = before.wander;
+        }
+        self.presence = before.presence;
+        self.scale_variance = before.scale_variance;
+        self.uneven_frames = before.uneven_frames;
+        self.path_m2 = before.path_m2;
+        if let (Some(shutter), Some(before)) = (&mut self.shutter, &before.shutter) {
+            shutter.move_as(before);
+        }
     }
 
     /// The shutter; `None` where it is taken to be global.
@@ -176,11 +192,26 @@ impl Learned {
         }
     }
 
+    /// The readout time that images are taken to have, seconds.
+    pub fn assumed_readout_s(&self) -> f64 {
+        self.shutter.as_ref().map_or(0.0, ShutterState::assumed_readout_s)
+    }
+
+    /// The mean square of what that may be off by, seconds².
+    pub fn readout_errors_s2(&self) -> f64 {
+        self.shutter.as_ref().map_or(0.0, ShutterState::readout_doubt_s2)
+    }
+
     /// What the uncertainty of the readout time adds to the covariance of a pose that changes with it by
     /// `by_readout`.
     pub fn readout_covariance(&self, by_readout: &PoseRates) -> Matrix6<f64> {
-        let variance_s2 = self.shutter.as_ref().map_or(0.0, |shutter| shutter.readout_doubt_s2());
-        by_readout * by_readout.transpose() * variance_s2
+        by_readout * by_readout.transpose() * self.readout_errors_s2()
+    }
+
+    /// What the uncertainty of the mount's roll and pitch adds to the covariance of a pose that changes
+    /// with them by `by_mount_tilt`.
+    pub fn mount_covariance(&self, by_mount_tilt: &Matrix6x2<f64>) -> Matrix6<f64> {
+        by_mount_tilt * self.wander.tilt_errors() * by_mount_tilt.transpose()
     }
 
     /// Another keyframe serves from here on.

@@ -16,6 +16,7 @@ pub(crate) mod learned;
 mod light_field;
 mod limits;
 mod loss;
+mod recalibration;
 mod recovery;
 mod repeated;
 mod shutter;
@@ -39,7 +40,7 @@ use keyframe::{Keyframe, KeyframeMemory};
 pub use keyframe_event::{FrameReference, KeyframeEvent, NewKeyframe};
 use last_pose::LastPose;
 use learned::Learned;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Matrix6x2};
 use recovery::Recovery;
 use standing::Standing;
 
@@ -81,6 +82,10 @@ pub struct Odometry {
     keyframes: u64,
     /// Change of the last pose by the estimated error of the keyframe's height and tilt.
     keyframe_off: PoseRates,
+    /// Change of the last pose by the readout time, the keyframe's left out.
+    own_by_readout: PoseRates,
+    /// Change of the last pose by roll and pitch of the mount.
+    by_mount_tilt: Matrix6x2<f64>,
     /// The frame from which the present keyframe is the reference.
     serves_since: u64,
     segment: usize,
@@ -134,6 +139,8 @@ impl Odometry {
             first_time_s: None,
             keyframes: 0,
             keyframe_off: PoseRates::zeros(),
+            own_by_readout: PoseRates::zeros(),
+            by_mount_tilt: Matrix6x2::zeros(),
             serves_since: 0,
             segment: 0,
             tracks: Vec::new(),
@@ -373,9 +380,11 @@ impl Odometry {
             .as_ref()
             .map(|(_, covariance)| by_keyframe * covariance * by_keyframe.transpose());
         let (by_skew, by_readout) = self.shutter_errors(&estimate);
+        let by_mount_tilt = self.by_mount_tilt(&estimate);
         let covariance = carried.unwrap_or_default() + estimate.covariance + by_skew;
         let known_covariance = covariance
             + self.learned.readout_covariance(&by_readout)
+            + self.learned.mount_covariance(&by_mount_tilt)
             + self.learned.level_covariance(&estimate.pose);
         let inliers = estimate.inlier_count();
         let corners = self.keyframe.as_ref().map_or(&[][..], |keyframe| &keyframe.corners);
@@ -421,7 +430,7 @@ impl Odometry {
         }
         if keyframe {
             let moved = learned_keyframe.map_or_else(PoseRates::zeros, |(moved, _)| moved);
-            self.change_keyframe(pyramid, time_s, &estimate, (moved, covariance), by_readout);
+            self.change_keyframe(pyramid, time_s, &estimate, (moved, covariance), by_readout, by_mount_tilt);
         } else {
             self.spare = Some(pyramid);
         }
@@ -440,18 +449,37 @@ impl Odometry {
 
     /// What the skew of the keyframe adds to the covariance of a frame, and how the frame's pose changes
     /// with the readout time.
-    fn shutter_errors(&self, estimate: &MotionEstimate) -> (Matrix6<f64>, PoseRates) {
-        let (Some(keyframe), Some(seen)) = (&self.keyframe, &estimate.shutter) else {
-            let by_readout =
-                self.keyframe.as_ref().map(|keyframe| estimate.by_keyframe * keyframe.by_readout);
-            return (Matrix6::zeros(), by_readout.unwrap_or_default());
+    fn shutter_errors(&mut self, estimate: &MotionEstimate) -> (Matrix6<f64>, PoseRates) {
+        let Some(keyframe) = &self.keyframe else { return Default::default() };
+        let of_keyframe = estimate.by_keyframe * keyframe.by_readout;
+        let Some(seen) = &estimate.shutter else {
+            return (Matrix6::zeros(), of_keyframe + self.own_by_readout);
         };
         let by_skew = &seen.pose_by_keyframe_skew;
         let variance = keyframe.rate_variance * keyframe.shutter.readout_s.powi(2);
-        let by_readout = estimate.by_keyframe * keyframe.by_readout
-            + by_skew * keyframe.shutter.rates
-            + seen.pose_by_expected_skew * seen.expected_rates;
-        (by_skew * Matrix6::from_diagonal(&variance) * by_skew.transpose(), by_readout)
+        self.own_by_readout =
+            by_skew * keyframe.shutter.rates + seen.pose_by_expected_skew * seen.expected_rates;
+        let by_rates = by_skew * Matrix6::from_diagonal(&variance) * by_skew.transpose();
+        (by_rates, of_keyframe + self.own_by_readout)
+    }
+
+    /// How the frame's pose changes with roll and pitch of the mount.
+    fn by_mount_tilt(&mut self, estimate: &MotionEstimate) -> Matrix6x2<f64> {
+        if self.config.motion.model != MotionModel::Auto {
+            return Matrix6x2::zeros();
+        }
+        let [_, of_roll, of_pitch] =
+            self.learned.wander.prior(&estimate.pose, &self.config.motion).mount_share;
+        let share = [of_roll, of_pitch];
+        let mut by_prior = self.by_mount_tilt.fixed_rows::<2>(4).into_owned();
+        for i in 0..2 {
+            by_prior.row_mut(i).scale_mut(1.0 - share[i]);
+            by_prior[(i, i)] += share[i];
+        }
+        let of_keyframe =
+            self.keyframe.as_ref().map_or_else(Matrix6x2::zeros, |keyframe| keyframe.by_mount_tilt);
+        self.by_mount_tilt = estimate.by_keyframe * of_keyframe + estimate.by_prior_tilt * by_prior;
+        self.by_mount_tilt
     }
 
     /// The first frame that shows ground is where the world begins.
@@ -460,6 +488,8 @@ impl Odometry {
         let (mask, detection) = (self.fixed.mask(), &self.config.detection);
         let mut keyframe = Keyframe::new(pyramid, pose, covariance, mask, &self.camera, detection);
         self.expose_first(&mut keyframe);
+        keyframe.by_mount_tilt.fixed_rows_mut::<2>(4).fill_with_identity();
+        self.by_mount_tilt = keyframe.by_mount_tilt;
         self.number(&mut keyframe, (self.frames, time_s), None);
         self.reference = keyframe.id.map(|keyframe| FrameReference { keyframe, next: None });
         let corners = keyframe.corners.len();

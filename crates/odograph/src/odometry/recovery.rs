@@ -254,6 +254,7 @@ mod tests {
             pose,
             covariance: Matrix6::identity(),
             by_keyframe: Matrix6::identity(),
+            by_prior_tilt: nalgebra::Matrix6x2::zeros(),
             keyframe_error: None,
             inliers: Buffer::of(true, inliers),
             residual_px: 0.1,

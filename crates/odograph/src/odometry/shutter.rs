@@ -109,9 +109,22 @@ impl ShutterState {
         }
     }
 
+    /// Takes over how the camera has moved so far.
+    pub fn move_as(&mut self, before: &Self) {
+        self.steps_seen = before.steps_seen;
+        self.moved = before.moved;
+        self.rate_variance = before.rate_variance;
+        self.history.clone_from(&before.history);
+    }
+
     /// The readout time as it is known now.
     pub fn readout(&self) -> Readout {
         self.readout
+    }
+
+    /// The readout time that images are taken to have, seconds.
+    pub fn assumed_readout_s(&self) -> f64 {
+        if self.phase == Phase::TakenGlobal { 0.0 } else { self.readout.mean_s }
     }
 
     /// The mean square of what the readout time that is taken may be off by, seconds².

@@ -7,7 +7,7 @@ use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use crate::keyframe::{EdgeKind, KeyframeId};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Matrix6x2};
 
 /// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
@@ -37,6 +37,7 @@ impl Odometry {
         estimate: &MotionEstimate,
         (moved, covariance): (PoseRates, Matrix6<f64>),
         by_readout: PoseRates,
+        by_mount_tilt: Matrix6x2<f64>,
     ) {
         let pose = estimate.pose;
         self.learned.wander.settle();
@@ -57,6 +58,7 @@ impl Odometry {
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
         next.by_readout = by_readout;
+        next.by_mount_tilt = by_mount_tilt;
         let relief_m2 = self.learned.relief_m2();
         next.set_surface(self.keyframe.as_ref().and_then(|before| before.surface_now(relief_m2)));
         self.expose(&mut next, estimate);
@@ -129,6 +131,7 @@ impl Odometry {
     pub(super) fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
         self.serves_since = self.frames;
         self.keyframe_off = PoseRates::zeros();
+        self.own_by_readout = PoseRates::zeros();
         self.learned.settle_shutter();
         if let (Some(reference), Some(keyframe)) = (&mut self.reference, keyframe) {
             reference.next = Some((keyframe, pose));

@@ -15,12 +15,14 @@
 
 mod bundle;
 mod lens;
+mod online;
 mod rates;
 mod readout;
 mod untold;
 
 use bundle::{READOUT, Solved, TILT};
 pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
+pub use online::OnlineCalibration;
 pub use readout::ReadoutMeasurement;
 pub use untold::{Found, Untold};
 

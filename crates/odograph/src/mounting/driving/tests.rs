@@ -345,3 +345,43 @@ fn a_tilt_that_was_told_or_changes_is_left_alone() {
     let swaying = drive(RIG, swaying, EIGHT);
     assert_eq!(noticed(&swaying, RIG, Untold::new(camera, &RIG)), None);
 }
+
+#[test]
+fn a_live_run_is_recalibrated_and_its_covariance_covers_what_was_before() {
+    let simulation = drive(RIG, Effects::default(), PathKind::Straight { length_m: 6.0 });
+    let camera = &simulation.config().camera;
+    let level = Rig { roll_rad: 0.0, pitch_rad: 0.0, ..RIG };
+    let mut odometry = Odometry::new(camera.clone(), level, OdometryConfig::default()).unwrap();
+    let mut calibration = OnlineCalibration::new(camera, &level, false);
+    let mut since = None;
+    for frame in simulation.frames() {
+        let estimate = odometry.process(frame.image, frame.time_s).unwrap();
+        let is_recalibrated = calibration.watch(&estimate, &mut odometry).unwrap();
+        let known = estimate.estimate.expect("tracked");
+        let (pose, truth) = (known.pose, frame.truth);
+        if is_recalibrated && since.is_none() {
+            since = Some((pose, truth));
+            continue;
+        }
+        let Some((first, truth_first)) = since else { continue };
+        // The part before is bent, by 6 % at this tilt, and the stated deviation says so.
+        let off_m = (pose.x_m - truth.x_m).hypot(pose.y_m - truth.y_m);
+        let deviation_m = (known.covariance[(0, 0)] + known.covariance[(1, 1)]).sqrt();
+        assert!(off_m < 3.0 * deviation_m, "{off_m} m ± {deviation_m} m");
+        // From there on lengths are right. Measured: 0.04 % of them.
+        let length_m = (pose.x_m - first.x_m).hypot(pose.y_m - first.y_m);
+        let true_m = (truth.x_m - truth_first.x_m).hypot(truth.y_m - truth_first.y_m);
+        assert!((length_m - true_m).abs() < 0.002 * true_m.max(0.5), "{length_m} m of {true_m} m");
+    }
+    let tilt = calibration.found().and_then(|found| found.tilt.clone()).expect("found");
+    assert!(off(&tilt).norm() < 0.05f64.to_radians(), "{tilt:?}");
+}
+
+#[test]
+fn a_calibration_of_another_size_is_refused() {
+    let camera = barrel(&LENS);
+    let mut odometry = Odometry::new(camera, RIG, OdometryConfig::default()).unwrap();
+    let other = Camera::new((64, 48), (50.0, 50.0), (31.5, 23.5), Distortion::from_opencv(&[]).unwrap());
+    let error = odometry.recalibrate(other.unwrap(), None).unwrap_err();
+    assert!(error.to_string().contains("64x48"), "{error}");
+}

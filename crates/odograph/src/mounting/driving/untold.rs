@@ -131,17 +131,37 @@ impl Untold {
     /// Takes the next frame: what [`Odometry::process`] gave, and its tracks. The camera as it is, where by now it is sure that it is not as it
     /// was told, or known better than what was found before.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<Found> {
-        if self.next_look > LAST_LOOK {
+        self.collect(frame, odometry);
+        if !self.is_due() {
             return None;
         }
-        self.driven.watch(frame, odometry);
-        self.doubted |= odometry.readout().is_some_and(seems_to_roll);
-        self.doubted |= frame.estimate.as_ref().is_some_and(|known| self.differs(&known.pose));
-        if self.driven.pairs() < self.next_look {
-            return None;
-        }
-        self.next_look *= if self.before.is_nothing() { 2 } else { AGAIN };
+        self.put_off();
         self.look()
+    }
+
+    /// Takes the next frame, as [`Untold::watch`] does, without a look.
+    pub(super) fn collect(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
+        if self.next_look <= LAST_LOOK {
+            self.driven.watch(frame, odometry);
+            self.doubted |= odometry.readout().is_some_and(seems_to_roll);
+            self.doubted |= frame.estimate.as_ref().is_some_and(|known| self.differs(&known.pose));
+        }
+    }
+
+    /// Whether there are enough pairs of views for the next look.
+    pub(super) fn is_due(&self) -> bool {
+        self.next_look <= LAST_LOOK && self.driven.pairs() >= self.next_look
+    }
+
+    /// Sets when the look after this one is due.
+    pub(super) fn put_off(&mut self) {
+        self.next_look *= if self.before.is_nothing() { 2 } else { AGAIN };
+    }
+
+    /// What watches the rest of a recording that goes on with what was found.
+    pub(super) fn after(&self, camera: &Camera, rig: &Rig, found: &Found) -> Self {
+        let watch = Self::found(camera, rig, found);
+        Self { lens: self.lens, ..watch }
     }
 
     /// The same at the end of the recording, where that is not far enough for the next look: with all of it the short way is followed once more.
@@ -151,7 +171,8 @@ impl Untold {
         worth.then(|| self.look()).flatten()
     }
 
-    fn look(&self) -> Option<Found> {
+    /// The camera as it is, where it is surely not as it was given.
+    pub(super) fn look(&self) -> Option<Found> {
         if !self.doubted {
             return None;
         }

@@ -1,0 +1,81 @@
+//! Self-calibration of a camera that is followed live, where nothing can be read again.
+
+use super::{Found, Untold};
+use crate::camera::{Camera, Rig};
+use crate::error::Result;
+use crate::odometry::Odometry;
+use crate::trajectory::FrameEstimate;
+use std::thread::JoinHandle;
+
+/// Watches a live recording as [`Untold`] does, and recalibrates the odometry with what it finds: from
+/// the next keyframe on, so that the pose is continuous. A recording that can be read again is tracked
+/// again instead.
+///
+/// The bundle is solved on a thread of its own. Its result is used a fixed number of frames later, so
+/// that the trajectory does not depend on how fast it was.
+#[derive(Debug)]
+pub struct OnlineCalibration {
+    camera: Camera,
+    rig: Rig,
+    watch: Untold,
+    solving: Option<Solving>,
+    found: Option<Found>,
+}
+
+/// A bundle that is being solved.
+#[derive(Debug)]
+struct Solving {
+    /// Frames until its result is due.
+    frames: usize,
+    result: JoinHandle<Option<Found>>,
+}
+
+/// Pairs of views that are solved within the time of one frame: a pair takes two to four milliseconds.
+const PAIRS_PER_FRAME: usize = 4;
+
+impl OnlineCalibration {
+    /// Nothing seen yet of a camera that is given as `camera` and `rig`; the lens is that of the camera
+    /// where `lens_is_known`.
+    pub fn new(camera: &Camera, rig: &Rig, lens_is_known: bool) -> Self {
+        let watch = Untold::new(camera, rig);
+        let watch = if lens_is_known { watch.with_lens_known() } else { watch };
+        Self { camera: camera.clone(), rig: *rig, watch, solving: None, found: None }
+    }
+
+    /// Takes the next frame: what [`Odometry::process`] gave. Whether the odometry was recalibrated.
+    ///
+    /// # Errors
+    ///
+    /// Where the odometry does not take the calibration; see [`Odometry::recalibrate`].
+    pub fn watch(&mut self, frame: &FrameEstimate, odometry: &mut Odometry) -> Result<bool> {
+        self.watch.collect(frame, odometry);
+        match &mut self.solving {
+            Some(solving) => solving.frames = solving.frames.saturating_sub(1),
+            None => self.solving = self.watch.is_due().then(|| self.begin()),
+        }
+        let Some(solving) = self.solving.take_if(|solving| solving.frames == 0 && frame.keyframe) else {
+            return Ok(false);
+        };
+        // A solver that panicked has found nothing.
+        let Some(found) = solving.result.join().ok().flatten() else { return Ok(false) };
+        self.camera = found.camera(&self.camera);
+        self.rig = found.rig(&self.rig);
+        let tilt = found.tilt.as_ref().map(|tilt| (&self.rig, tilt.covariance));
+        odometry.recalibrate(self.camera.clone(), tilt)?;
+        self.watch = self.watch.after(&self.camera, &self.rig, &found);
+        self.found = Some(found);
+        Ok(true)
+    }
+
+    fn begin(&mut self) -> Solving {
+        self.watch.put_off();
+        let watch = self.watch.clone();
+        let frames = watch.pairs().div_ceil(PAIRS_PER_FRAME);
+        Solving { frames, result: std::thread::spawn(move || watch.look()) }
+    }
+
+    /// What was found and is in use.
+    pub fn found(&self) -> Option<&Found> {
+        self.found.as_ref()
+    }
+}

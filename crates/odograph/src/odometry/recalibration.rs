@@ -1,0 +1,81 @@
+//! A camera that becomes known better while it is followed: mount tilt, lens, readout time
+//! (docs/math/calibration-errors.md).
+
+use super::Odometry;
+use super::learned::Learned;
+use super::recovery::Recovery;
+use crate::camera::{Camera, Rig};
+use crate::error::{Error, Result};
+use crate::geometry::pose_index::ROLL;
+use crate::motion::PoseRates;
+use nalgebra::{Matrix2, Matrix6x2, Vector2};
+
+impl Odometry {
+    /// Goes on with a better calibration of the same camera. What was measured before stays; the
+    /// present keyframe lies on the ground as the new calibration has it.
+    ///
+    /// To be called right after a frame that became a keyframe ([`crate::trajectory::FrameEstimate`]):
+    /// then the pose is continuous. With `rig`, height and tilt of the camera are that rig's from here on;
+    /// without, they stay as they were measured.
+    ///
+    /// # Errors
+    ///
+    /// Where the camera has another image size, or the rig is not possible.
+    pub fn recalibrate(&mut self, camera: Camera, rig: Option<(&Rig, Matrix2<f64>)>) -> Result<()> {
+        let (known, given) = (&self.camera, &camera);
+        if (known.width(), known.height()) != (given.width(), given.height()) {
+            return Err(Error::input(format!(
+                "the calibration is for {}x{} pixels but the images have {}x{}",
+                given.width(),
+                given.height(),
+                known.width(),
+                known.height()
+            )));
+        }
+        let mount = rig.map(|(rig, _)| rig.validated().map(|rig| rig.first_pose())).transpose()?;
+        if let Some(mount) = mount {
+            self.first_pose = mount;
+        }
+        let before = (self.learned.wander.mount(), self.learned.assumed_readout_s());
+        let mut fresh = Learned::behind_shutter(&self.first_pose, &camera, self.config.motion.model);
+        if let Some((_, covariance)) = rig {
+            fresh.wander.set_tilt_covariance(&covariance);
+        }
+        self.learned.recalibrate(fresh, mount.is_some());
+        self.charge_errors(before, mount.is_some());
+        let readout_s = self.learned.shutter().map(|shutter| shutter.readout().mean_s);
+        if let Some(keyframe) = &mut self.keyframe {
+            keyframe.recalibrate(&camera, mount.as_ref(), readout_s);
+        }
+        if let (Some(mount), Some(last)) = (&mount, &mut self.last) {
+            last.pose = last.pose.with_mount_of(mount);
+        }
+        self.memory.recalibrate(mount.as_ref());
+        self.recovery = Recovery::new(&camera);
+        self.camera = camera;
+        Ok(())
+    }
+
+    /// Adds to the covariance of the present keyframe what the calibration before has done to its place
+    /// and heading: the path stays as it was measured.
+    fn charge_errors(&mut self, (mount, readout_s): ([f64; 3], f64), with_mount: bool) {
+        let [_, roll_rad, pitch_rad] = self.learned.wander.mount();
+        let off_rad = Vector2::new(roll_rad - mount[1], pitch_rad - mount[2]);
+        let tilt_errors = self.learned.wander.tilt_errors() + off_rad * off_rad.transpose();
+        let off_s = self.learned.assumed_readout_s() - readout_s;
+        let readout_errors_s2 = self.learned.readout_errors_s2() + off_s * off_s;
+        let Some(keyframe) = &mut self.keyframe else { return };
+        let by_readout = keyframe.by_readout.fixed_rows::<3>(0);
+        let mut errors = by_readout * by_readout.transpose() * readout_errors_s2;
+        keyframe.by_readout = PoseRates::zeros();
+        if with_mount {
+            let by_tilt = keyframe.by_mount_tilt.fixed_rows::<3>(0);
+            errors += by_tilt * tilt_errors * by_tilt.transpose();
+            keyframe.by_mount_tilt = Matrix6x2::zeros();
+            keyframe.by_mount_tilt.fixed_rows_mut::<2>(ROLL).fill_with_identity();
+            self.by_mount_tilt = keyframe.by_mount_tilt;
+        }
+        let mut placed = keyframe.covariance.fixed_view_mut::<3, 3>(0, 0);
+        placed += errors;
+    }
+}
