@@ -384,9 +384,9 @@ fn agreement(
     let observations = observations(keyframe, found, camera, prediction, shutter, learned.relief_m2());
     let prior = learned.wander.prior(prediction, &config.motion);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-    let laid_covariance = &keyframe.rig_covariance();
+    let keyframe_covariance = &keyframe.rig_covariance();
     let observations =
-        Observations { seen: &observations, laid_from: &keyframe.pose, laid_covariance, shutter };
+        Observations { seen: &observations, keyframe_pose: &keyframe.pose, keyframe_covariance, shutter };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let scouts = scouts.map(|index| &keyframe.corners[index]);
     let expected = in_view(keyframe, scouts, camera, &estimate.pose);
@@ -486,9 +486,13 @@ fn judge(
             let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
             let observations = observations(keyframe, &found, camera, near, shutter, plane.relief_m2);
             let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-            let laid_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
-            let observations =
-                Observations { seen: &observations, laid_from: &keyframe.pose, laid_covariance, shutter };
+            let keyframe_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
+            let observations = Observations {
+                seen: &observations,
+                keyframe_pose: &keyframe.pose,
+                keyframe_covariance,
+                shutter,
+            };
             estimate(camera, observations, near, prior, &config.motion, random)
         };
         let near = settled.unwrap_or(*prediction);
@@ -598,7 +602,7 @@ fn mean(
         keyframe_error: None,
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
-        neighbours: Default::default(),
+        residual_correlation: Default::default(),
         rig_evidence: None,
         elevations: Buffer::new(),
         needs_relief: false,

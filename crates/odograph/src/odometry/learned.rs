@@ -7,7 +7,8 @@ use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
-    MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, Roughness, ShutterPrior, ViewingPose,
+    MotionEstimate, MotionModel, PoseRates, RigPriorEstimator, RollingShutter, Roughness, ShutterPrior,
+    ViewingPose,
 };
 use nalgebra::{Matrix2, Matrix6, Vector2};
 
@@ -15,7 +16,7 @@ use nalgebra::{Matrix2, Matrix6, Vector2};
 #[derive(Debug, Clone)]
 pub struct Learned {
     /// How much height and tilt are seen to move.
-    pub wander: RigWander,
+    pub wander: RigPriorEstimator,
     /// The part of the corners in view that agreed in the last frames: below 1 where not everything in view is ground, or where corners are noise.
     presence: Option<f64>,
     /// The shutter; `None` where it is taken to be global.
@@ -53,7 +54,7 @@ impl Learned {
     /// Nothing yet, of a camera that begins here.
     pub fn new(first: &GroundPose) -> Self {
         Self {
-            wander: RigWander::new(first),
+            wander: RigPriorEstimator::new(first),
             presence: None,
             shutter: None,
             roughness: Roughness::default(),
@@ -66,7 +67,7 @@ impl Learned {
     }
 
     /// The same with a shutter that may roll.
-    pub fn behind_shutter(first: &GroundPose, camera: &Camera, model: MotionModel) -> Self {
+    pub fn with_rolling_shutter(first: &GroundPose, camera: &Camera, model: MotionModel) -> Self {
         let may_roll = model != MotionModel::Mean;
         let shutter = may_roll.then(|| ShutterState::new(camera, first.height_m));
         Self { shutter, ..Self::new(first) }
@@ -100,7 +101,7 @@ impl Learned {
         }
         if was_flat && self.relief_m2() > 0.0 {
             // What was taken for a movement of the rig was the shape of the ground.
-            self.wander.forget_movement();
+            self.wander.reset();
         }
         let (mut level, mut weights) = (0.0, 0.0);
         let mut quadrants = [(0.0, 0.0); 4];
@@ -116,7 +117,7 @@ impl Learned {
         let level_m = if weights > 0.0 { level / weights } else { 0.0 };
         let means = quadrants.iter().filter(|(_, count)| *count > 0.0).map(|(sum, count)| sum / count);
         let squares = means.map(|mean_m| (mean_m - level_m).powi(2)).sum::<f64>();
-        self.wander.stand_on(level_m, 0.25 * squares);
+        self.wander.set_ground_level(level_m, 0.25 * squares);
         let relative =
             if keyframe.undulates() { 0.25 * squares / estimate.pose.height_m.powi(2) } else { 0.0 };
         self.uneven_frames += 1.0;
@@ -213,7 +214,7 @@ impl Learned {
     /// The present frame's view from `pose`.
     pub fn viewing(&self, camera: &Camera, pose: &GroundPose) -> ViewingPose {
         match self.shutter_at(camera, pose) {
-            Some(shutter) => ViewingPose::behind_shutter(*pose, &shutter),
+            Some(shutter) => ViewingPose::with_rolling_shutter(*pose, &shutter),
             None => ViewingPose::new(*pose),
         }
     }

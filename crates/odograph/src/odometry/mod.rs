@@ -119,7 +119,7 @@ impl Odometry {
             recovery: Recovery::new(&camera),
             config,
             first_pose,
-            learned: Learned::behind_shutter(&first_pose, &camera, config.motion.model),
+            learned: Learned::with_rolling_shutter(&first_pose, &camera, config.motion.model),
             camera,
             keyframe: None,
             memory: KeyframeMemory::new(config.keyframe.remembered),
@@ -355,7 +355,7 @@ impl Odometry {
         let mut learned_keyframe = self.keyframe.as_ref().map(|keyframe| keyframe.improved_by(&estimate));
         if let Some((_, covariance)) = learned_keyframe.as_mut().filter(|_| self.keyframes == 1) {
             // The first keyframe was taken to stand as the mount was said to.
-            let [of_roll, of_pitch] = self.learned.wander.mount_doubt();
+            let [of_roll, of_pitch] = self.learned.wander.mount_tilt_variance();
             covariance[(4, 4)] += of_roll;
             covariance[(5, 5)] += of_pitch;
             // The height of the rig is above the mean of the few elevations in view.

@@ -39,7 +39,7 @@ impl Odometry {
         by_readout: PoseRates,
     ) {
         let pose = estimate.pose;
-        self.learned.wander.settle();
+        self.learned.wander.change_keyframe();
         let pyramid = match self.revisit(pyramid, estimate, &covariance) {
             Ok(()) => return,
             Err(pyramid) => pyramid,

@@ -104,8 +104,8 @@ pub fn refine(
     let mut best: Option<DenseEstimate> = None;
     for (halvings, tiles) in reference.levels.iter().rev() {
         let Some(plane) = image.planes.get(*halvings) else { continue };
-        let laid_from = &reference.pose;
-        let level = Level { camera, tiles, laid_from, image, plane, halvings: *halvings, prior, config };
+        let keyframe_pose = &reference.pose;
+        let level = Level { camera, tiles, keyframe_pose, image, plane, halvings: *halvings, prior, config };
         let Some(found) = level.settle(&pose) else { continue };
         if *halvings >= OVERLAPPING {
             // Too few tiles to be sure of; the next level will tell.
@@ -149,7 +149,7 @@ fn is_masked(image: &DenseImage, centre: Pixel, plane: &Plane) -> bool {
 struct Level<'a> {
     camera: &'a Camera,
     tiles: &'a [Tile],
-    laid_from: &'a GroundPose,
+    keyframe_pose: &'a GroundPose,
     image: &'a DenseImage,
     plane: &'a Plane,
     halvings: usize,
@@ -206,8 +206,8 @@ impl Level<'_> {
         let agreeing = vec![true; observations.len()];
         let observations = Observations {
             seen: &observations,
-            laid_from: self.laid_from,
-            laid_covariance: &Matrix3::zeros(),
+            keyframe_pose: self.keyframe_pose,
+            keyframe_covariance: &Matrix3::zeros(),
             shutter: None,
         };
         let estimate =
@@ -234,13 +234,16 @@ impl Level<'_> {
         let linear = look.warp.warp.linear * self.plane.pixels_per_sample;
         let step = linear * inverse * look.slope / (gain * light.answer);
         let position = look.warp.warp.position;
-        let bend = look.warp.bend;
+        let curvature_offset = look.warp.curvature_offset;
         let covariance_px2: Matrix2<f64> =
             linear * inverse * linear.transpose() * (noise / (light.answer * light.answer));
         Some(Sighting {
             ground: tile.patch.ground,
             elevation: Elevation::FLAT,
-            pixel: Pixel::new(position.x - bend.x - step.x, position.y - bend.y - step.y),
+            pixel: Pixel::new(
+                position.x - curvature_offset.x - step.x,
+                position.y - curvature_offset.y - step.y,
+            ),
             covariance_px2,
             row_fraction: 0.0,
             keyframe_row_fraction: 0.0,
@@ -260,7 +263,7 @@ const SHARED_PX2: f64 = 2.5e-5;
 /// The gains of tiles scatter about that of the image by so much, one standard deviation.
 const GAIN_SPREAD: f64 = 0.1;
 
-/// A tile that answers with less than this part of the image's gain shows something else.
+/// A tile that slopes_sum with less than this part of the image's gain shows something else.
 const LEAST_GAIN: f64 = 0.3;
 
 /// How the light and the noise of two images are related.
@@ -292,7 +295,7 @@ impl Light {
         let noise = ((energy - product / gain) / (tiles * NOISE_OF_CONTRAST)).max(LEAST_NOISE);
         // Smoothed samples and smoothed derivatives have the same noise.
         let answer = ((squares - 2.0 * tiles * NOISE_OF_GRADIENT * noise) / squares).min(1.0);
-        (answer > LEAST_ANSWER).then_some(Self { gain, noise, answer })
+        (answer > MIN_SIGNAL_FRACTION).then_some(Self { gain, noise, answer })
     }
 }
 
@@ -303,7 +306,7 @@ const FEWEST_TILES: usize = 12;
 const LEAST_NOISE: f64 = 0.02;
 
 /// Where less of the derivatives than this is ground, a coarser level knows more.
-const LEAST_ANSWER: f64 = 0.05;
+const MIN_SIGNAL_FRACTION: f64 = 0.05;
 
 /// The sum of the tiles' correlations over the root of the sum of their squares: about one standard deviation where the images are unrelated, whatever
 /// their textures; the root of the number of tiles where all of them agree.

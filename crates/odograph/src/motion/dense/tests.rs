@@ -1,7 +1,7 @@
 use super::*;
 use crate::camera::Distortion;
 use crate::image::GrayImage;
-use crate::motion::{MotionModel, Random, RigWander};
+use crate::motion::{MotionModel, Random, RigPriorEstimator};
 use crate::simulation::{Ground, Renderer, Texture};
 use nalgebra::{Matrix3, Vector3};
 
@@ -49,7 +49,7 @@ impl World {
     ) -> Option<DenseEstimate> {
         let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
         let reference = DenseReference::new(&self.camera, &DenseImage::new(reference), from, 0);
-        let prior = RigWander::new(from).prior(from, &config);
+        let prior = RigPriorEstimator::new(from).prior(from, &config);
         refine(&self.camera, &reference, &DenseImage::new(image), guess, &prior, &config)
     }
 
@@ -152,9 +152,9 @@ fn noise_is_not_taken_for_ground() {
     let from = GroundPose::level(HEIGHT_M);
     let truth = GroundPose { x_m: 0.081, y_m: -0.043, heading_rad: 0.07, ..from };
     let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
-    let prior = RigWander::new(&from).prior(&from, &config);
+    let prior = RigPriorEstimator::new(&from).prior(&from, &config);
     for (texture, noise) in [("asphalt", 12.0), ("concrete", 4.0)] {
-        let (mut answers, mut normalised, pairs) = (0.0, 0.0, 24);
+        let (mut slopes_sum, mut normalised, pairs) = (0.0, 0.0, 24);
         for seed in 0..pairs {
             let world = World::new(texture, 3 + seed);
             let mut random = Random::new(seed);
@@ -162,18 +162,18 @@ fn noise_is_not_taken_for_ground() {
             let (reference, image) = (dense(&from), dense(&truth));
             let reference = DenseReference::new(&world.camera, &reference, &from, 0);
             let (tiles, plane) = (&reference.levels[0].1, &image.planes[0]);
-            let (camera, laid_from) = (&world.camera, &from);
+            let (camera, keyframe_pose) = (&world.camera, &from);
             let (image, prior, config) = (&image, &prior, &config);
-            let level = Level { camera, tiles, laid_from, image, plane, halvings: 0, prior, config };
-            let beside = |by: f64| GroundPose { x_m: truth.x_m + 0.3 * by * PIXEL_M, ..truth };
-            let from_beside = |by: f64| level.step(&beside(by)).unwrap().estimate.pose.x_m;
-            answers += 1.0 - (from_beside(1.0) - from_beside(-1.0)) / (0.6 * PIXEL_M);
+            let level = Level { camera, tiles, keyframe_pose, image, plane, halvings: 0, prior, config };
+            let nuisance = |by: f64| GroundPose { x_m: truth.x_m + 0.3 * by * PIXEL_M, ..truth };
+            let from_beside = |by: f64| level.step(&nuisance(by)).unwrap().estimate.pose.x_m;
+            slopes_sum += 1.0 - (from_beside(1.0) - from_beside(-1.0)) / (0.6 * PIXEL_M);
             let found = level.settle(&truth).unwrap();
             let off = error(&found, &truth);
             let covariance = found.estimate.covariance.fixed_view::<3, 3>(0, 0).into_owned();
             normalised += off.dot(&(covariance.try_inverse().unwrap() * off));
         }
-        let (answer, nees) = (answers / pairs as f64, normalised / pairs as f64);
+        let (answer, nees) = (slopes_sum / pairs as f64, normalised / pairs as f64);
         println!("{texture}: of a step {answer:.3} is answered, NEES {nees:.2}");
         assert!((0.9..1.1).contains(&answer), "{texture}: {answer}");
         // 95 % of the means over 24 pairs lie within 0.7 of 3; how much is ground is itself told from the noise, which adds some.
