@@ -2,9 +2,9 @@
 //! M. Irani and P. Anandan, 1996).
 //!
 //! In two views of a point the parallax along the epipolar line determines its elevation, the rest
-//! of the residual the pose. The elevation of every point is an unknown of the fit that is eliminated at once
-//! (Schur complement): along its parallax a residual counts less the less the elevation is known.
-//! Derivation: `docs/math/elevation.md`.
+//! of the residual the pose. The elevation of every point is an unknown of the fit that is
+//! eliminated at once (Schur complement): the less the elevation is known, the less a residual
+//! weighs along its parallax. Derivation: `docs/math/elevation.md`.
 
 use crate::buffer::stored;
 
@@ -119,8 +119,8 @@ impl Parallax {
     }
 }
 
-/// The roughness of the ground, from elevations of the same points in two frames: relief is the same
-/// in both, noise is not.
+/// The roughness of the ground, from elevations of the same points in two frames: relief is the
+/// same in both, noise is not.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Roughness {
     /// Products of the two elevations in units of their standard deviations, and how many.

@@ -1,10 +1,10 @@
 //! Normal equations of a frame's fit: its pose and the nuisance parameters.
 //!
-//! The unknowns, in this order: the six numbers of the pose; the errors of height, roll and pitch of
-//! the keyframe; and the six numbers of the *skew*, the change of the pose from the first row of the
-//! image to the last (readout time × rates), as a difference from the assumed one. Keyframe errors
-//! and skew are *whitened*: in units of their prior standard deviation, so that a known quantity has
-//! a column of zeros and needs no special case.
+//! The unknowns, in this order: the six numbers of the pose; the errors of height, roll and pitch
+//! of the keyframe; and the six numbers of the *skew*, the change of the pose from the first row of
+//! the image to the last (readout time × rates), as a difference from the assumed one. Keyframe
+//! errors and skew are *whitened*: in units of their prior standard deviation, so that a known
+//! quantity has a column of zeros and needs no special case.
 
 use super::MotionModel;
 

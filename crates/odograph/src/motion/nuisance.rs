@@ -1,5 +1,5 @@
-//! Nuisance parameters of a frame's fit: height and tilt of the keyframe, skew of a rolling shutter,
-//! elevations of the points. Derivation: `docs/math/frame-pose.md`.
+//! Nuisance parameters of a frame's fit: height and tilt of the keyframe, skew of a rolling
+//! shutter, elevations of the points. Derivation: `docs/math/frame-pose.md`.
 
 use super::elevation::Parallax;
 use super::normal_equations::{NormalEquations, POSE, Row, WITH_KEYFRAME, WITH_SKEW};

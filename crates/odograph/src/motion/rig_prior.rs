@@ -71,7 +71,8 @@ impl Steps {
 /// Minimum number of steps before their mean square is used. Not derived; chosen.
 const MIN_STEPS: usize = 10;
 
-/// Prior standard deviation of a step over the root mean square of earlier ones. Not derived; chosen.
+/// Prior standard deviation of a step over the root mean square of earlier ones. Not derived;
+/// chosen.
 const STEP_SIGMAS: f64 = 3.0;
 
 /// Lower bound of the prior standard deviation of a step, as a fraction of the height and radians

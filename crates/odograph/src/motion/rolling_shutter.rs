@@ -90,7 +90,8 @@ pub struct ShutterPrior {
     pub rate_offset: PoseRates,
     /// Variances of the rates.
     pub rate_variance: PoseRates,
-    /// The accelerations of the pose are expected at these times the pose plus `acceleration_offset`.
+    /// The accelerations of the pose are expected at these times the pose plus
+    /// `acceleration_offset`.
     pub acceleration_by_pose: PoseRates,
     /// See `acceleration_by_pose`.
     pub acceleration_offset: PoseRates,
