@@ -7,7 +7,7 @@ use super::light_field::LightField;
 use super::texture::Texture;
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
-use crate::flow::{Noise, REACH_PX, Track, Warp, dissimilarity, forward_backward_px, track};
+use crate::flow::{Noise, SEARCH_RADIUS_PX, Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
 use crate::motion::RigPrior;
@@ -64,7 +64,7 @@ fn observations(
         let corner = &keyframe.corners[found.corner];
         let Warp { position, linear } = &found.warp;
         let pulled = light.as_ref().map_or_else(Vector2::zeros, |light| {
-            corner.template.response(found.noise).to_light(linear, light.slope(*position))
+            corner.template.model_bias(found.noise).by_illumination(linear, light.slope(*position))
         });
         let pixel = Pixel::new(position.x - pulled.x, position.y - pulled.y);
         let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, pixel, 0.0);
@@ -337,8 +337,8 @@ fn follow(
     let scouts = (0..corners).step_by(every);
     let mut settled = None;
     // Mostly the prediction is better than it need be, and the full image is enough: the coarser levels are not even made.
-    let likely_near = off_px > REACH_PX && off_px <= LIKELY_NEAR_PX;
-    let reaches: &[f64] = if likely_near { &[REACH_PX, off_px] } else { &[off_px] };
+    let likely_near = off_px > SEARCH_RADIUS_PX && off_px <= LIKELY_NEAR_PX;
+    let reaches: &[f64] = if likely_near { &[SEARCH_RADIUS_PX, off_px] } else { &[off_px] };
     for &off_px in reaches {
         found.clear();
         found.extend(scouts.clone().filter_map(|index| find(index, &from, off_px)));
@@ -416,7 +416,7 @@ fn find(
     if keyframe.is_masked(warp.position) {
         return None;
     }
-    if off_px > REACH_PX {
+    if off_px > SEARCH_RADIUS_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
     let (warp, found) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
@@ -430,7 +430,7 @@ fn find(
         }
         Ok(_) | Err(_) => return None,
     };
-    let bend = corner.template.response(found.noise).to_curvature(&warp.linear, &curvature);
+    let bend = corner.template.model_bias(found.noise).by_curvature(&warp.linear, &curvature);
     let position = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
     let Track { covariance_px2, light, noise, .. } = found;
     Some(Found { corner: index, warp: Warp { position, ..warp }, covariance_px2, light, noise })
