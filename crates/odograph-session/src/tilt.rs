@@ -1,22 +1,21 @@
-//! A tilt of the camera that nobody told.
+//! Warning about an unknown mount tilt.
 
 use crate::kept_frames::KeptFrames;
 use odograph::camera::Rig;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 
-/// Fewer posed frames than this, in the second half of a recording, tell nothing.
+/// Minimum number of posed frames in the second half of a recording. Not derived; chosen.
 const LEAST_FRAMES: usize = 60;
-/// A smaller tilt than this is not worth a word: from a metre up it turns the path by a tenth of a
-/// degree a metre, radians.
+/// Smallest tilt that is reported, radians: at a height of 1 m it rotates the path by 0.1° per
+/// metre.
 const WORTH_TELLING_RAD: f64 = 0.0035;
-/// A tilt is that of the mount, and not of a hand, where it scatters by less than this part of
-/// itself.
+/// Largest scatter of a mount's tilt relative to itself; a hand scatters more. Not derived; chosen.
 const STEADY: f64 = 1.0 / 3.0;
 
-/// A sentence where the camera sat otherwise than was told, all through the second half of a
-/// recording. While that is learned, in the first metres, it bends and stretches the path, and
-/// nothing that comes later makes that good. Fails where the frames cannot be read back.
+/// A warning where the mount differed from the plan all through the second half of a recording.
+/// While a tilt is estimated, in the first metres, it distorts the path, and nothing later corrects
+/// that. Fails where the frames cannot be read back.
 pub fn untold(frames: &mut KeptFrames, rig: &Rig, model: MotionModel) -> Result<Option<String>> {
     if model != MotionModel::Auto {
         return Ok(None); // either held, or the recording's own affair
@@ -35,7 +34,7 @@ pub fn untold(frames: &mut KeptFrames, rig: &Rig, model: MotionModel) -> Result<
     Ok(steady(&later))
 }
 
-/// A sentence where these tilts against what was told are those of a mount.
+/// A warning where these deviations from the plan are a mount's.
 fn steady(later: &[[f64; 2]]) -> Option<String> {
     if later.len() < LEAST_FRAMES {
         return None;
