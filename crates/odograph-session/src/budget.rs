@@ -42,10 +42,10 @@ struct Cost {
 
 /// Minimum number of corners: below it outliers on other surfaces cannot be recognised. Not
 /// derived; chosen.
-const FEWEST_CORNERS: usize = 60;
+const MIN_CORNERS: usize = 60;
 
 /// Minimum number of levels: enough for predicted motion. Not derived; chosen.
-const FEWEST_LEVELS: usize = 2;
+const MIN_LEVELS: usize = 2;
 
 /// Fraction of the budget reserved for variation between frames. Not derived; chosen.
 const SPARE: f64 = 0.2;
@@ -59,15 +59,15 @@ pub fn fit(config: &mut OdometryConfig, size: (usize, usize), frame_ms: f64) -> 
         )));
     }
     let (corners_without, levels_without) = (config.detection.corners, config.flow.levels);
-    let (corners, levels) = (FEWEST_LEVELS.min(levels_without)..=levels_without)
+    let (corners, levels) = (MIN_LEVELS.min(levels_without)..=levels_without)
         .rev()
         .find_map(|levels| {
             let corners = affordable(&measured(size, levels), frame_ms);
-            (corners >= FEWEST_CORNERS.min(corners_without)).then_some((corners, levels))
+            (corners >= MIN_CORNERS.min(corners_without)).then_some((corners, levels))
         })
         .ok_or_else(|| {
-            let cost = measured(size, FEWEST_LEVELS);
-            let least_ms = (cost.image_ms + FEWEST_CORNERS as f64 * cost.corner_ms) / (1.0 - SPARE);
+            let cost = measured(size, MIN_LEVELS);
+            let least_ms = (cost.image_ms + MIN_CORNERS as f64 * cost.corner_ms) / (1.0 - SPARE);
             Error::usage(format!(
                 "a budget of {frame_ms} ms a frame cannot be kept here at {}x{}: about {least_ms:.1} ms is the least; give more, or smaller frames",
                 size.0, size.1
@@ -94,7 +94,7 @@ fn measured(size: (usize, usize), levels: usize) -> Cost {
         black_box(detect(pyramid.base(), &DetectionConfig::default(), 9));
     };
     let (from, to) = (Pyramid::new(first.clone(), levels), Pyramid::new(second, levels));
-    let corners = detect(from.base(), &DetectionConfig { corners: FEWEST_CORNERS, ..Default::default() }, 9);
+    let corners = detect(from.base(), &DetectionConfig { corners: MIN_CORNERS, ..Default::default() }, 9);
     let flow = FlowConfig { levels, ..Default::default() };
     let follow = || {
         for corner in &corners {

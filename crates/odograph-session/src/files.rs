@@ -43,7 +43,7 @@ pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Re
 
 /// Reads a text file made by a person: at most 16 MiB of UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
-    read_text_within(path, MOST_TEXT)
+    read_text_within(path, MAX_TEXT)
 }
 
 /// Reads a text file of at most `most` bytes of UTF-8.
@@ -63,7 +63,7 @@ pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
 }
 
 /// Largest size of camera, rig and parameter files, bytes.
-const MOST_TEXT: u64 = 16 << 20;
+const MAX_TEXT: u64 = 16 << 20;
 
 /// The temporary name under which `path` is written.
 pub fn beside(path: &Path) -> PathBuf {

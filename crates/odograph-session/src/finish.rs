@@ -55,8 +55,8 @@ pub fn finish(
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
     let frames = improved.summaries(&mut run.tracked)?;
-    let Improved { mut laid, sensors, loops, .. } = improved;
-    run.draw(laid.as_mut(), &frames, &sensors)?;
+    let Improved { mut corrected, sensors, loops, .. } = improved;
+    run.draw(corrected.as_mut(), &frames, &sensors)?;
     run.end(frames, &sensors, loops)
 }
 
@@ -80,7 +80,7 @@ struct Finishing<'a> {
 /// The frames after sensor fusion and loop closure.
 struct Improved {
     /// The final frames; `None` if they equal the odometry's.
-    laid: Option<KeptFrames>,
+    corrected: Option<KeptFrames>,
     /// Frames without a measured pose, as dead-reckoned from the sensors.
     reckoned: Reckoned,
     sensors: Vec<SensorReport>,
@@ -90,7 +90,7 @@ struct Improved {
 impl Improved {
     /// Their summaries for drawings.
     fn summaries(&mut self, tracked: &mut Tracked) -> Result<Vec<FrameSummary>> {
-        let frames = self.laid.as_mut().unwrap_or(&mut tracked.frames);
+        let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         let mut summaries = Vec::with_capacity(frames.count());
         frames.each(|frame, _| {
             summaries.push(frame.into());
@@ -136,11 +136,15 @@ impl Finishing<'_> {
 
     /// Warns where the estimated mount, lens or readout time differs from the plan.
     fn tell_camera(&mut self) -> Result<()> {
-        let told = match &self.tracked.mount {
+        let warning = match &self.tracked.mount {
             Some(found) => Some(found.sentence()),
-            None => tilt::untold(&mut self.tracked.frames, &self.plan.rig, self.plan.odometry.motion.model)?,
+            None => tilt::mount_warning(
+                &mut self.tracked.frames,
+                &self.plan.rig,
+                self.plan.odometry.motion.model,
+            )?,
         };
-        self.warn(told);
+        self.warn(warning);
         let bends = self.tracked.lens.as_ref().map(FoundLens::sentence);
         self.warn(bends);
         let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
@@ -170,12 +174,12 @@ impl Finishing<'_> {
         let loops = tracked.mapping.statistics(&straight);
         tracked.warnings.extend(tracked.mapping.warning());
         tracked.warnings.extend(self.plan.sensors.warnings(&reports));
-        Ok(Improved { laid: straight.frames.or(fused), reckoned, sensors: reports, loops })
+        Ok(Improved { corrected: straight.frames.or(fused), reckoned, sensors: reports, loops })
     }
 
     /// Writes the trajectories, the map's keyframes, and the paths derived from the frames.
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
-        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let text = self.plan.text_in(self.folder.path())?;
         self.folder.write_trajectories(frames, &text)?;
         let camera = camera_file::write(&self.plan.camera);
@@ -198,7 +202,7 @@ impl Finishing<'_> {
         })?;
         // The map comes after the trajectories because it may not fit on the disk; later outputs
         // are written even then.
-        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         if let Err(error) = self.tracked.mapping.save(frames) {
             self.fail("the map is not where the trajectories are", error);
         }
@@ -208,7 +212,7 @@ impl Finishing<'_> {
     /// Computes the smoothed path and the carrier's path from a few numbers per frame, and writes
     /// them frame by frame.
     fn write_smoothed(&mut self, improved: &mut Improved) -> Result<()> {
-        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let mut smoother = Smoother::for_frames(frames.count());
         frames.each(|frame, _| {
             smoother.push(frame);
@@ -238,16 +242,16 @@ impl Finishing<'_> {
     /// The mosaic, the map and the page.
     fn draw(
         &mut self,
-        laid: Option<&mut KeptFrames>,
+        corrected: Option<&mut KeptFrames>,
         frames: &[FrameSummary],
         sensors: &[SensorReport],
     ) -> Result<()> {
         let Ending { description, reporter, observer, .. } = *self.ending;
         let threads = self.ending.output.threads();
         let tracked = &mut self.tracked;
-        let laid = laid.unwrap_or(&mut tracked.frames);
-        let laid = tracked.views.lay(&self.plan.camera, laid, &mut tracked.mapping, threads);
-        let mosaic = laid.unwrap_or_else(|error| {
+        let corrected = corrected.unwrap_or(&mut tracked.frames);
+        let rendered = tracked.views.lay(&self.plan.camera, corrected, &mut tracked.mapping, threads);
+        let mosaic = rendered.unwrap_or_else(|error| {
             self.fail("there is no picture of the ground", error);
             Mosaic::new(Default::default())
         });

@@ -34,7 +34,7 @@ pub struct Mapping {
 const COARSER: f64 = 2.0;
 
 /// Largest ratio of the map's keyframes to this run's for which the mosaic is rendered again.
-const MOST_OLD: usize = 4;
+const MAX_OLD: usize = 4;
 
 impl Mapping {
     /// Opens the map to be continued, or creates a new one. Fails where the file is not a map of
@@ -247,7 +247,7 @@ impl Mapping {
         let mut heights_m: Vec<f64> = map.keyframes.iter().map(|keyframe| keyframe.pose.height_m).collect();
         let height_m = median(&mut heights_m).unwrap_or(map.rig.height_m);
         let coarse_m = COARSER * height_m / map.camera.focal_px().0;
-        let (short, alone) = (map.keyframes.len() > MOST_OLD * own, map.keyframes.len() == own);
+        let (short, alone) = (map.keyframes.len() > MAX_OLD * own, map.keyframes.len() == own);
         let writable = self.file.kept.is_none();
         let Some(file) = self.file.file.as_mut().filter(|_| writable && own > 0) else { return Ok(None) };
         let before = file.mosaic()?;

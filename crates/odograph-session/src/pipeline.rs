@@ -88,7 +88,7 @@ pub fn track(
     source: Source,
     folder: &mut OutputFolder,
     output: &Output,
-    untold: Option<Untold>,
+    self_calibration: Option<Untold>,
     observer: &dyn Observer,
 ) -> Result<Ended> {
     let mut odometry = plan.odometry()?;
@@ -100,7 +100,7 @@ pub fn track(
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
         calibration_times: Timings::default(),
-        untold,
+        self_calibration,
         found: None,
         observer,
         folder,
@@ -116,7 +116,7 @@ pub fn track(
     };
     observer.tracking_ends();
     let to_the_end = outcome.is_ok() && tracking.found.is_none() && !observer.is_stop_asked();
-    let at_end = tracking.untold.as_ref().filter(|_| to_the_end).and_then(Untold::at_end);
+    let at_end = tracking.self_calibration.as_ref().filter(|_| to_the_end).and_then(Untold::at_end);
     if let Some(found) = tracking.found.or(at_end) {
         ground.mapping.discard()?;
         return Ok(Ended::IsAnother(Box::new(found)));
@@ -238,7 +238,7 @@ struct Tracking<'a> {
     frames: KeptFrames,
     times: Timings,
     calibration_times: Timings,
-    untold: Option<Untold>,
+    self_calibration: Option<Untold>,
     /// Its result: the pass ends there.
     found: Option<Found>,
     observer: &'a dyn Observer,
@@ -261,8 +261,8 @@ impl Tracking<'_> {
         let mut events = self.odometry.take_keyframe_events();
         self.times.push(started.elapsed());
         let started = Instant::now();
-        if let Some(untold) = &mut self.untold {
-            self.found = untold.watch(&estimate, &self.odometry);
+        if let Some(self_calibration) = &mut self.self_calibration {
+            self.found = self_calibration.watch(&estimate, &self.odometry);
             if self.found.is_some() {
                 return Ok(None);
             }

@@ -68,11 +68,11 @@ pub struct AlikePlace {
 }
 
 /// Minimum number of features of a keyframe. Not derived; chosen.
-const LEAST_FEATURES: usize = 40;
+const MIN_FEATURES: usize = 40;
 
 /// With less evidence no place is listed: pictures of ground outside the map had at most 2.5 (49
 /// pictures, six textures), pictures of mapped ground that were not recognised at least 10 (64).
-const LEAST_EVIDENCE: f64 = 5.0;
+const MIN_EVIDENCE: f64 = 5.0;
 
 /// Logarithm of the odds for each unit of evidence. Evidence also grows with the overlap with the
 /// nearest keyframe, which proves nothing where ground repeats exactly; this value fits 155
@@ -86,10 +86,10 @@ const REPEATED_FEATURES: usize = 20;
 const REPEATED_SHARE: f64 = 0.15;
 
 /// Keyframes of the recording that are looked up, spread over it. Not derived; chosen.
-const MOST_LOOKED_UP: usize = 16;
+const MAX_LOOKED_UP: usize = 16;
 
 /// Keyframes of the map that are returned. Not derived; chosen.
-const MOST_HYPOTHESES: usize = 8;
+const MAX_HYPOTHESES: usize = 8;
 
 /// Places closer than this fraction of the camera's height, and with headings closer than this
 /// angle, are merged. Not derived; chosen.
@@ -110,9 +110,9 @@ impl Resemblance {
             old.insert(keyframe.id, keyframe);
         }
         let new: Vec<_> = map.keyframes.iter().filter(is_new).collect();
-        let every = new.len().div_ceil(MOST_LOOKED_UP).max(1);
+        let every = new.len().div_ceil(MAX_LOOKED_UP).max(1);
         let looked_up = new.into_iter().step_by(every).map(|keyframe| {
-            let hypotheses = index.query(&keyframe.signature, MOST_HYPOTHESES);
+            let hypotheses = index.query(&keyframe.signature, MAX_HYPOTHESES);
             (keyframe.signature.features.len(), hypotheses)
         });
         let most = |hypotheses: &[PlaceHypothesis]| {
@@ -127,7 +127,7 @@ impl Resemblance {
         let verdict = match places.first() {
             Some(_) => Verdict::Ambiguous,
             None if hypotheses.iter().any(repeats) => Verdict::Repeats,
-            None if features < LEAST_FEATURES => Verdict::TooFewFeatures,
+            None if features < MIN_FEATURES => Verdict::TooFewFeatures,
             None => Verdict::NeverSeen,
         };
         Some(Self { verdict, places })
@@ -141,7 +141,7 @@ fn evidence_of(hypothesis: &PlaceHypothesis) -> f64 {
 /// The distinct places of the hypotheses with enough evidence.
 fn places(hypotheses: &[PlaceHypothesis], keyframes: &BTreeMap<KeyframeId, &MapKeyframe>) -> Vec<AlikePlace> {
     let mut places: Vec<AlikePlace> = Vec::new();
-    let mut evident: Vec<_> = hypotheses.iter().filter(|one| evidence_of(one) >= LEAST_EVIDENCE).collect();
+    let mut evident: Vec<_> = hypotheses.iter().filter(|one| evidence_of(one) >= MIN_EVIDENCE).collect();
     evident.sort_by(|a, b| evidence_of(b).total_cmp(&evidence_of(a)));
     for hypothesis in evident {
         let Some(keyframe) = keyframes.get(&hypothesis.keyframe) else { continue };

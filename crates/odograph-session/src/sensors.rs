@@ -36,7 +36,7 @@ pub struct SensorFiles {
 }
 
 /// Largest size of a sensor file, bytes: days of a gyroscope at 100 Hz.
-const MOST_BYTES: u64 = 256 << 20;
+const MAX_BYTES: u64 = 256 << 20;
 
 impl SensorFiles {
     /// Whether there is no sensor.
@@ -61,7 +61,7 @@ impl SensorFiles {
                 return odograph_video::recorded_sensor(recording, topic, sensor).map(Some);
             }
             let Some(path) = path else { return Ok(None) };
-            let text = files::read_text_within(path, MOST_BYTES)?;
+            let text = files::read_text_within(path, MAX_BYTES)?;
             let record = sensor_file::parse(&text, sensor).map_err(|error| error.at(path.display()))?;
             Ok(Some(record))
         };

@@ -33,7 +33,7 @@ pub struct Posed {
 const WAITS_WHERE_NEW: f64 = 0.08;
 const KEPT_WHERE_NEW: f64 = 0.01;
 /// Most frames waiting for a keyframe; more mean that none is coming. Not derived; chosen.
-const MOST_WAITING: usize = 8;
+const MAX_WAITING: usize = 8;
 
 /// The frames of the mosaic.
 pub struct Views {
@@ -74,7 +74,7 @@ impl Views {
         self.waiting_covers.add(&posed.pose);
         self.waiting.push(posed);
         self.before = None;
-        if self.waiting.len() > MOST_WAITING { self.keep_waiting() } else { Ok(()) }
+        if self.waiting.len() > MAX_WAITING { self.keep_waiting() } else { Ok(()) }
     }
 
     /// Renders keyframes and kept frames at the poses of `frames`, decoding concurrently where

@@ -90,10 +90,10 @@ impl NormalEquations {
         }
     }
 
-    /// Adds a prior on unknown `i`, which is `off` from its mean, with this weight.
-    pub fn add_prior(&mut self, i: usize, off: f64, weight: f64) {
+    /// Adds a prior on unknown `i`, which is `deviation` from its mean, with this weight.
+    pub fn add_prior(&mut self, i: usize, deviation: f64, weight: f64) {
         self.matrix[i][i] += weight;
-        self.slope[i] += weight * off;
+        self.slope[i] += weight * deviation;
     }
 
     /// The information times a factor.

@@ -55,14 +55,14 @@ pub fn consensus(
                 let point = camera_from_world * from_camera(observation, pose);
                 match ray {
                     Some(ray) if point.z > 1e-9 => {
-                        let off = [fx * (point.x / point.z - ray.x), fy * (point.y / point.z - ray.y)];
+                        let error_px = [fx * (point.x / point.z - ray.x), fy * (point.y / point.z - ray.y)];
                         squared_distance(
                             observation,
                             keyframe_pose,
                             &point,
                             &camera_from_world,
                             (fx, fy),
-                            off,
+                            error_px,
                         )
                     }
                     _ => f64::INFINITY,
@@ -112,9 +112,9 @@ fn inliers_of(
         }
         let seen = camera.pixel_from_ray(Ray::new(point.x / point.z, point.y / point.z));
         seen.is_some_and(|seen| {
-            let off = [seen.x - observation.pixel.x, seen.y - observation.pixel.y];
+            let error_px = [seen.x - observation.pixel.x, seen.y - observation.pixel.y];
             let focal_px = camera.focal_px();
-            squared_distance(observation, keyframe_pose, &point, &camera_from_world, focal_px, off)
+            squared_distance(observation, keyframe_pose, &point, &camera_from_world, focal_px, error_px)
                 < limit_px2
         })
     };

@@ -52,9 +52,9 @@ pub fn evidence(
 pub fn widen(prior: &mut RigPrior, evidence: &[(f64, f64); 3]) -> bool {
     let mut widened = false;
     for (i, (value, variance)) in evidence.iter().enumerate() {
-        let off = (value - prior.mean[i]).abs();
-        if off > 4.0 * (variance + prior.sigma[i] * prior.sigma[i]).sqrt() {
-            prior.sigma[i] = off;
+        let deviation = (value - prior.mean[i]).abs();
+        if deviation > 4.0 * (variance + prior.sigma[i] * prior.sigma[i]).sqrt() {
+            prior.sigma[i] = deviation;
             widened = true;
         }
     }

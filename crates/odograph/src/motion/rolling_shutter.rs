@@ -79,7 +79,7 @@ pub struct Readout {
     pub variance_s2: f64,
 }
 
-/// What is known of how an image is exposed before its pose is measured.
+/// Prior of an image's exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShutterPrior {
     /// The readout time.

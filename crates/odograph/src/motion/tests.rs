@@ -153,12 +153,12 @@ fn the_derivative_by_the_keyframe_pose_is_right() {
     let seen = observations(&to, 0.0, 0.0, 5);
     // The same rays from a keyframe with a small pose error.
     let keyframe_pose = |keyframe: &GroundPose| -> Vec<Observation> {
-        let lay = |seen: &Observation| {
+        let reproject = |seen: &Observation| {
             let pixel = ViewingPose::new(from).pixel(&camera(), seen.ground, 0.0).unwrap();
             let ground = keyframe.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
             Observation { ground, ..*seen }
         };
-        seen.iter().map(lay).collect()
+        seen.iter().map(reproject).collect()
     };
     for model in [MotionModel::Rigid, MotionModel::Similarity, MotionModel::Free] {
         let config = MotionConfig { model, ..Default::default() };
@@ -194,24 +194,24 @@ fn a_tilt_error_of_the_keyframe_is_estimated_with_the_pose() {
     let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], shared_fraction: 0.0 };
     let (mut squares, runs) = (0.0, 60);
     for seed in 0..runs {
-        let lay = |seen: &Observation| {
+        let reproject = |seen: &Observation| {
             let pixel = ViewingPose::new(keyframe).pixel(&camera(), seen.ground, 0.0).unwrap();
             let ground = taken_for.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
             Observation { ground, ..*seen }
         };
-        let seen: Vec<Observation> = observations(&to, 0.2, 0.1, seed).iter().map(lay).collect();
+        let seen: Vec<Observation> = observations(&to, 0.2, 0.1, seed).iter().map(reproject).collect();
         let measure = |keyframe_covariance| {
             let observations =
                 Observations { seen: &seen, keyframe_pose: &taken_for, keyframe_covariance, shutter: None };
             estimate(&camera(), observations, &to, &prior, &config, &mut Random::new(seed)).unwrap()
         };
-        let (found, held) = (measure(keyframe_covariance), measure(&Matrix3::zeros()));
-        assert!(held.keyframe_error.is_none());
+        let (found, fixed) = (measure(keyframe_covariance), measure(&Matrix3::zeros()));
+        assert!(fixed.keyframe_error.is_none());
         // With the keyframe fixed as level, the frame is nearly level too.
         let off = |found: &MotionEstimate| {
             (found.pose.roll_rad - to.roll_rad).hypot(found.pose.pitch_rad - to.pitch_rad)
         };
-        assert!(off(&found) < 0.5 * off(&held), "{} {}", off(&found), off(&held));
+        assert!(off(&found) < 0.5 * off(&fixed), "{} {}", off(&found), off(&fixed));
         let error = found.keyframe_error.unwrap();
         let off = (error.mean - nalgebra::Vector3::new(0.0, 0.02, -0.015)).fixed_rows::<2>(1).into_owned();
         let covariance = error.covariance.fixed_view::<2, 2>(1, 1).into_owned();
