@@ -31,12 +31,12 @@ pub fn error(sentence: &str) {
     to_person("error", sentence);
 }
 
-/// Tells what may be wrong with a result that is there.
+/// Prints a warning about a result.
 pub fn warn(sentence: &str) {
     to_person("warning", sentence);
 }
 
-/// Tells what a person may want to know; nothing is wrong.
+/// Prints a note; nothing is wrong.
 pub fn note(sentence: &str) {
     to_person("note", sentence);
 }

@@ -1,9 +1,9 @@
-//! A bound on the time of a frame, kept by following fewer corners.
+//! An upper bound on the time per frame, kept by tracking fewer corners.
 //!
-//! How fast the machine is, is measured once before the run, on a picture of the recording's size,
-//! and rounded to steps of √2. What follows from it is a number of corners and of pyramid levels,
-//! which stand in `run.toml` as any other parameter: the run itself never looks at a clock, and
-//! repeated from its `run.toml` it gives the same bytes on any machine.
+//! The speed of the machine is measured once before the run, on an image of the recording's size,
+//! and rounded to steps of √2. It determines the number of corners and of pyramid levels, which are
+//! in `run.toml` like any other parameter: the run itself reads no clock, and repeated from its
+//! `run.toml` it gives the same bytes on any machine.
 
 use odograph::detection::{DetectionConfig, detect};
 use odograph::error::{Error, Result};
@@ -14,11 +14,11 @@ use serde::{Deserialize, Serialize};
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-/// A budget and what was given up for it.
+/// A time budget and the parameters reduced for it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Budget {
-    /// What a frame may take, milliseconds.
+    /// Largest time per frame, milliseconds.
     pub frame_ms: f64,
     /// Corners of a keyframe.
     pub corners: usize,
@@ -30,26 +30,27 @@ pub struct Budget {
     pub levels_without: usize,
 }
 
-/// How long things take on this machine, milliseconds.
+/// Times on this machine, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Cost {
-    /// Of a frame that becomes a keyframe, whatever the number of its corners.
+    /// Of a frame that becomes a keyframe, independent of the number of corners.
     image_ms: f64,
-    /// Of a corner in such a frame: it is followed, twice where the first time was not enough,
-    /// back, and one more is prepared.
+    /// Of a corner in such a frame: tracked forward, possibly a second time, and backward, and one
+    /// new corner prepared.
     corner_ms: f64,
 }
 
-/// Fewer corners than this are not enough to see what is not ground.
-const FEWEST_CORNERS: usize = 60;
+/// Minimum number of corners: below it outliers on other surfaces cannot be recognised. Not
+/// derived; chosen.
+const MIN_CORNERS: usize = 60;
 
-/// The fewest levels: reach enough for movements that are foreseen.
-const FEWEST_LEVELS: usize = 2;
+/// Minimum number of levels: enough for predicted motion. Not derived; chosen.
+const MIN_LEVELS: usize = 2;
 
-/// Parts of the budget that are left for what differs from frame to frame.
+/// Fraction of the budget reserved for variation between frames. Not derived; chosen.
 const SPARE: f64 = 0.2;
 
-/// Makes the parameters such that a frame of `size` takes at most `frame_ms`, keyframes included.
+/// Chooses the parameters so that a frame of `size` takes at most `frame_ms`, keyframes included.
 /// Fails where no parameters do.
 pub fn fit(config: &mut OdometryConfig, size: (usize, usize), frame_ms: f64) -> Result<Budget> {
     if !(frame_ms.is_finite() && frame_ms > 0.0) {
@@ -58,15 +59,15 @@ pub fn fit(config: &mut OdometryConfig, size: (usize, usize), frame_ms: f64) -> 
         )));
     }
     let (corners_without, levels_without) = (config.detection.corners, config.flow.levels);
-    let (corners, levels) = (FEWEST_LEVELS.min(levels_without)..=levels_without)
+    let (corners, levels) = (MIN_LEVELS.min(levels_without)..=levels_without)
         .rev()
         .find_map(|levels| {
             let corners = affordable(&measured(size, levels), frame_ms);
-            (corners >= FEWEST_CORNERS.min(corners_without)).then_some((corners, levels))
+            (corners >= MIN_CORNERS.min(corners_without)).then_some((corners, levels))
         })
         .ok_or_else(|| {
-            let cost = measured(size, FEWEST_LEVELS);
-            let least_ms = (cost.image_ms + FEWEST_CORNERS as f64 * cost.corner_ms) / (1.0 - SPARE);
+            let cost = measured(size, MIN_LEVELS);
+            let least_ms = (cost.image_ms + MIN_CORNERS as f64 * cost.corner_ms) / (1.0 - SPARE);
             Error::usage(format!(
                 "a budget of {frame_ms} ms a frame cannot be kept here at {}x{}: about {least_ms:.1} ms is the least; give more, or smaller frames",
                 size.0, size.1
@@ -77,13 +78,13 @@ pub fn fit(config: &mut OdometryConfig, size: (usize, usize), frame_ms: f64) -> 
     Ok(Budget { frame_ms, corners: config.detection.corners, corners_without, levels, levels_without })
 }
 
-/// How many corners there is time for, in steps of ten.
+/// Number of corners that fit into the budget, in steps of ten.
 fn affordable(cost: &Cost, frame_ms: f64) -> usize {
     let left_ms = (1.0 - SPARE) * frame_ms - cost.image_ms;
     (left_ms / cost.corner_ms / 10.0).max(0.0) as usize * 10
 }
 
-/// What frames of this size cost on this machine, in steps of √2, the best of a few.
+/// Times for frames of this size on this machine, in steps of √2, the best of several.
 fn measured(size: (usize, usize), levels: usize) -> Cost {
     let picture = |shift: usize| texture(size, shift);
     let (first, second) = (picture(0), picture(3));
@@ -93,7 +94,7 @@ fn measured(size: (usize, usize), levels: usize) -> Cost {
         black_box(detect(pyramid.base(), &DetectionConfig::default(), 9));
     };
     let (from, to) = (Pyramid::new(first.clone(), levels), Pyramid::new(second, levels));
-    let corners = detect(from.base(), &DetectionConfig { corners: FEWEST_CORNERS, ..Default::default() }, 9);
+    let corners = detect(from.base(), &DetectionConfig { corners: MIN_CORNERS, ..Default::default() }, 9);
     let flow = FlowConfig { levels, ..Default::default() };
     let follow = || {
         for corner in &corners {
@@ -108,7 +109,7 @@ fn measured(size: (usize, usize), levels: usize) -> Cost {
     }
 }
 
-/// The shortest of a few times.
+/// The shortest of several times.
 fn best_ms(work: impl Fn()) -> f64 {
     let once = |_| {
         let started = Instant::now();
@@ -118,12 +119,12 @@ fn best_ms(work: impl Fn()) -> f64 {
     1e3 * (0..7).map(once).min().unwrap_or(Duration::ZERO).as_secs_f64()
 }
 
-/// Rounded up to a power of √2, so that the same machine comes to the same answer.
+/// Rounded up to a power of √2, so that repeated measurements on a machine agree.
 fn stepped(ms: f64) -> f64 {
     2f64.powf((2.0 * ms.max(1e-6).log2()).ceil() / 2.0)
 }
 
-/// A picture with corners everywhere, moved `shift` pixels to the left: blurred noise.
+/// An image with corners everywhere, shifted `shift` pixels to the left: blurred noise.
 fn texture((width, height): (usize, usize), shift: usize) -> GrayImage {
     let noise = |x: usize, y: usize| {
         let mixed = ((x / 4 + 1) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)

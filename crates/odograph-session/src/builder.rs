@@ -1,4 +1,4 @@
-//! What is to be run.
+//! Configuration of a run.
 
 use crate::output::{MapUse, Output};
 use crate::plan::SourcePlan;
@@ -10,29 +10,28 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Where the camera comes from, as a builder is told it.
+/// Source of the camera calibration.
 #[derive(Debug, Clone)]
 pub(crate) enum CameraChoice {
     File(PathBuf),
     Known(Box<Camera>),
     /// Width and height of the ground in the image, metres.
     FieldOfView(f64, f64),
-    /// That of the map, which must be there.
+    /// The camera of the map, which must exist.
     OfMap,
 }
 
-/// How the camera is mounted, as a builder is told it.
+/// Source of the mount.
 #[derive(Debug, Clone)]
 pub(crate) enum MountChoice {
     File(PathBuf),
     Known(Rig),
 }
 
-/// What is to be run: source, camera, mount, sensors, map and outputs.
+/// Configuration of a run: source, camera, mount, sensors, map and outputs.
 ///
-/// A camera and its height over the ground are needed, unless a map that is continued has them; all
-/// else has a default. Nothing is read or opened before [`RunBuilder::open`] or
-/// [`RunBuilder::run`].
+/// Camera and height above the ground are required, unless a continued map has them; all else has a
+/// default. Nothing is read or opened before [`RunBuilder::open`] or [`RunBuilder::run`].
 #[derive(Clone)]
 pub struct RunBuilder {
     pub(crate) source: SourcePlan,
@@ -63,7 +62,7 @@ impl fmt::Debug for RunBuilder {
 }
 
 impl RunBuilder {
-    /// A run over a video, a folder of pictures, a stream's address, or `-` for Y4M on standard
+    /// A run over a video, a folder of images, the address of a stream, or `-` for Y4M on standard
     /// input.
     pub fn new(source: impl Into<String>) -> Self {
         Self::over(SourcePlan::new(source))
@@ -88,27 +87,27 @@ impl RunBuilder {
         }
     }
 
-    /// A run that repeats an earlier one by its `run.toml`, which says everything but where to
-    /// write.
+    /// A run that repeats an earlier one by its `run.toml`, which has all settings but the output
+    /// folder.
     pub fn repeating(run_toml: impl Into<String>) -> Self {
         Self { repeats: true, ..Self::new(run_toml) }
     }
 
-    /// A run that finds out where a picture or a recording was taken in a map. Camera and mount are
-    /// those of the map, which stays as it is.
+    /// A run that localizes an image or a recording in a map. Camera and mount are those of the
+    /// map, which is not changed.
     pub fn localizing(source: SourcePlan, map: impl Into<PathBuf>) -> Self {
         let output = Output { map: MapUse::LookInto(map.into()), least_frames: 1, ..Output::default() };
         Self { camera: Some(CameraChoice::OfMap), output, ..Self::over(source) }
     }
 
-    /// The camera is that of a file: OpenCV YAML, ROS `camera_info`, Kalibr, EuRoC or COLMAP.
+    /// Camera from a file: OpenCV YAML, ROS `camera_info`, Kalibr, EuRoC or COLMAP.
     #[must_use]
     pub fn camera_file(mut self, path: impl Into<PathBuf>) -> Self {
         self.camera = Some(CameraChoice::File(path.into()));
         self
     }
 
-    /// The camera is this one.
+    /// Camera from a value.
     #[must_use]
     pub fn camera(mut self, camera: Camera) -> Self {
         self.camera = Some(CameraChoice::Known(Box::new(camera)));
@@ -116,29 +115,28 @@ impl RunBuilder {
     }
 
     /// Instead of a camera: width and height of the ground in the image, metres. Height and tilt
-    /// are then taken as steady.
+    /// are then taken as constant.
     #[must_use]
     pub fn field_of_view_m(mut self, width_m: f64, height_m: f64) -> Self {
         self.camera = Some(CameraChoice::FieldOfView(width_m, height_m));
         self
     }
 
-    /// The camera is this high above the ground, metres, and looks straight down. A tilt is found
-    /// in the recording.
+    /// Height of the camera above the ground, metres; it looks straight down. A tilt is estimated
+    /// from the recording.
     #[must_use]
     pub fn height_m(self, height_m: f64) -> Self {
         self.rig(Rig::level(height_m))
     }
 
-    /// The camera is mounted like this.
+    /// Mount from a value.
     #[must_use]
     pub fn rig(mut self, rig: Rig) -> Self {
         self.mount = Some(MountChoice::Known(rig));
         self
     }
 
-    /// The camera is mounted as a rig file says (TOML: `height_m`, `roll_deg`, `pitch_deg`,
-    /// `yaw_deg`).
+    /// Mount from a rig file (TOML: `height_m`, `roll_deg`, `pitch_deg`, `yaw_deg`).
     #[must_use]
     pub fn rig_file(mut self, path: impl Into<PathBuf>) -> Self {
         self.mount = Some(MountChoice::File(path.into()));
@@ -153,21 +151,21 @@ impl RunBuilder {
         self
     }
 
-    /// A picture of what is not ground (black), of the size of the frames.
+    /// Mask of what is not ground (black), of the size of the frames.
     #[must_use]
     pub fn mask(mut self, path: impl Into<PathBuf>) -> Self {
         self.mask = Some(path.into());
         self
     }
 
-    /// What may change between frames; [`MotionModel::Auto`] by default.
+    /// Degrees of freedom between frames; [`MotionModel::Auto`] by default.
     #[must_use]
     pub fn motion(mut self, model: MotionModel) -> Self {
         self.motion = model;
         self
     }
 
-    /// Sensors beside the camera.
+    /// Sensors other than the camera.
     #[must_use]
     pub fn sensors(mut self, files: SensorFiles) -> Self {
         self.sensors = files;
@@ -182,50 +180,49 @@ impl RunBuilder {
         self
     }
 
-    /// The path is what odometry alone has: ground that was seen before is not looked for.
+    /// Disables loop closure: the path is the odometry's.
     #[must_use]
     pub fn without_loops(mut self) -> Self {
         self.loops = false;
         self
     }
 
-    /// A path from elsewhere (TUM), for the report to show beside that of the run.
+    /// Reference trajectory (TUM), which the report shows beside that of the run.
     #[must_use]
     pub fn reference(mut self, path: impl Into<PathBuf>) -> Self {
         self.reference = Some(path.into());
         self
     }
 
-    /// The folder for the results. By default they are written into a temporary one, which is
-    /// removed at the end.
+    /// Output folder. The default is a temporary one, which is removed at the end.
     #[must_use]
     pub fn folder(mut self, path: impl Into<PathBuf>) -> Self {
         self.output.folder = Some(path.into());
         self
     }
 
-    /// Results that are already in the folder are overwritten.
+    /// Overwrites existing results in the folder.
     #[must_use]
     pub fn overwriting(mut self, overwrites: bool) -> Self {
         self.output.force = overwrites;
         self
     }
 
-    /// What the run does with a map; by default it makes a new one in its folder.
+    /// Use of a map; by default a new one in the output folder.
     #[must_use]
     pub fn map(mut self, map: MapUse) -> Self {
         self.output.map = map;
         self
     }
 
-    /// Threads to use; the results are the same for any number. As many as help by default.
+    /// Number of threads; results do not depend on it. By default as many as are useful.
     #[must_use]
     pub fn threads(mut self, threads: usize) -> Self {
         self.output.threads = Some(threads.max(1));
         self
     }
 
-    /// Who makes `map.png` and `report.html`; without one they are not written.
+    /// Renders `map.png` and `report.html`; without a reporter they are not written.
     #[must_use]
     pub fn reporter(mut self, reporter: impl RunReporter + 'static) -> Self {
         self.reporter = Some(Arc::new(reporter));

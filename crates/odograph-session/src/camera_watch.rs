@@ -1,4 +1,4 @@
-//! A camera that is not as it was told: it sits otherwise, or its lens bends otherwise.
+//! Detection of a mount or lens that differs from the plan.
 
 use crate::found::{FoundLens, FoundMount};
 use crate::observer::Observer;
@@ -10,24 +10,25 @@ use odograph::motion::MotionModel;
 use odograph::mounting::{Found, Untold};
 use odograph_map::MapFile;
 
-/// Looks after the camera while a recording is followed, which is begun again when the camera is
-/// known better.
+/// Watches for a different mount or lens during a recording, which is then tracked again with the
+/// corrected plan.
 pub struct CameraWatch {
     camera: Camera,
     rig: Rig,
-    /// Whether it may be begun again.
+    /// Whether the recording can be tracked again.
     again: bool,
-    /// Whether the lens is that of a map.
+    /// Whether the lens is a map's.
     lens_is_known: bool,
     found: Option<Found>,
 }
 
-/// Where a map is continued the recording is looked at beforehand, for so many pairs of views.
+/// Number of pairs of views from the beginning of the recording that are examined before a map is
+/// continued. Not derived; chosen.
 const LOOKED_AT: usize = 32;
 
 impl CameraWatch {
-    /// Of a recording that is followed by a plan. Where the plan says what may move, or the
-    /// recording can be read only once, nothing is looked for.
+    /// For a recording with this plan. Nothing is watched where the plan fixes the motion model, or
+    /// where the recording can be read only once.
     pub fn new(plan: &RunPlan) -> Self {
         let chosen = plan.odometry.motion.model == MotionModel::Auto;
         let readable_again =
@@ -36,7 +37,7 @@ impl CameraWatch {
         Self { camera, rig, again: chosen && readable_again, lens_is_known: false, found: None }
     }
 
-    /// What watches the run that now begins.
+    /// The self-calibration for the next pass.
     pub fn watch(&self, plan: &RunPlan) -> Option<Untold> {
         self.again.then(|| {
             let watch = match &self.found {
@@ -47,27 +48,27 @@ impl CameraWatch {
         })
     }
 
-    /// How the camera was found to sit, where not as told.
+    /// The mount, where found to differ from the plan.
     pub fn mount(&self) -> Option<FoundMount> {
         let tilt = self.found.as_ref()?.tilt.as_ref()?;
         Some(FoundMount::new(&self.rig, tilt))
     }
 
-    /// How the lens was found to bend, where not as told.
+    /// The lens, where found to differ from the plan.
     pub fn lens(&self) -> Option<FoundLens> {
         let lens = self.found.as_ref()?.lens.as_ref()?;
         Some(FoundLens::new(&self.camera, lens))
     }
 
-    /// Takes what was found into the plan.
+    /// Applies the estimates to the plan.
     pub fn take(&mut self, found: Found, plan: &mut RunPlan) {
         plan.rig = found.rig(&plan.rig);
         plan.camera = found.camera(&plan.camera);
         self.found = Some(found);
     }
 
-    /// A map that is continued holds what a run has put into it: there the beginning of the
-    /// recording is looked at before the run. The lens is that of the map.
+    /// A continued map keeps what a run adds, so the beginning of the recording is examined before
+    /// the run. The lens is the map's.
     pub fn look_first(&mut self, plan: &mut RunPlan, map: &MapUse, observer: &dyn Observer) -> Result<()> {
         if !map.path().is_some_and(MapFile::is_there) {
             return Ok(());
@@ -83,7 +84,7 @@ impl CameraWatch {
     }
 }
 
-/// What the beginning of a recording shows of the camera that is not the plan's.
+/// Differences of the camera from the plan at the beginning of the recording.
 fn look(plan: &RunPlan, mut untold: Untold, observer: &dyn Observer) -> Result<Option<Found>> {
     let mut source = plan.source.open()?;
     let mut odometry = plan.odometry()?;

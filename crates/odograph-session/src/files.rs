@@ -1,5 +1,5 @@
-//! Files as every part of the system writes and reads them: written under a temporary name and then
-//! renamed, so that no half-written file is seen; read up to a limit of bytes.
+//! Atomic writing and bounded reading of files: written under a temporary name and then renamed, so
+//! that no half-written file is visible; read up to a limit of bytes.
 
 use odograph::error::{Error, Result};
 use odograph::image::{GrayImage, RgbImage};
@@ -8,7 +8,7 @@ use std::fs;
 use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Writes a whole file under a temporary name and renames it. On failure nothing is left behind.
+/// Writes a whole file under a temporary name and renames it. A failure leaves no file.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     let beside = beside(path);
     let written = fs::File::create(&beside)
@@ -25,8 +25,8 @@ pub(crate) fn cannot_be_written(path: &Path, error: io::Error) -> Error {
     Error::output(format!("{} cannot be written: {error}", path.display())).caused_by(error)
 }
 
-/// Writes a file that need not fit into memory: `fill` writes it under a temporary name, then it is
-/// renamed. On failure nothing is left behind.
+/// Writes a file that may exceed memory: `fill` writes it under a temporary name, then it is
+/// renamed. A failure leaves no file.
 pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Result<()>) -> Result<()> {
     let beside = beside(path);
     let cannot = |error| cannot_be_written(path, error);
@@ -41,12 +41,12 @@ pub fn write_with(path: &Path, fill: impl FnOnce(&mut BufWriter<fs::File>) -> Re
     })
 }
 
-/// A text file a person made: at most 16 MiB of UTF-8.
+/// Reads a text file made by a person: at most 16 MiB of UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
-    read_text_within(path, MOST_TEXT)
+    read_text_within(path, MAX_TEXT)
 }
 
-/// A text file of at most `most` bytes of UTF-8.
+/// Reads a text file of at most `most` bytes of UTF-8.
 pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     let mut text = String::new();
     fs::File::open(path).and_then(|file| file.take(most + 1).read_to_string(&mut text)).map_err(|error| {
@@ -62,8 +62,8 @@ pub fn read_text_within(path: &Path, most: u64) -> Result<String> {
     Ok(text)
 }
 
-/// Greatest size of camera, rig and parameter files, bytes.
-const MOST_TEXT: u64 = 16 << 20;
+/// Largest size of camera, rig and parameter files, bytes.
+const MAX_TEXT: u64 = 16 << 20;
 
 /// The temporary name under which `path` is written.
 pub fn beside(path: &Path) -> PathBuf {
@@ -89,19 +89,18 @@ pub fn png_from_rgb(image: &RgbImage) -> Result<Vec<u8>> {
     encode_png(image.width(), image.height(), png::ColorType::Rgb, image.samples(), None)
 }
 
-/// Interleaved red, green and blue in row order as the bytes of a PNG file.
+/// Interleaved RGB in row order as the bytes of a PNG file.
 pub fn png_from_rgb_samples(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
     encode_png(width, height, png::ColorType::Rgb, rgb, None)
 }
 
-/// A picture with opacity, interleaved red, green, blue and opacity in row order, as the bytes of a
-/// PNG file.
+/// An image with alpha channel, interleaved RGBA in row order, as the bytes of a PNG file.
 pub fn png_from_rgba(width: usize, height: usize, rgba: &[u8]) -> Result<Vec<u8>> {
     encode_png(width, height, png::ColorType::Rgba, rgba, None)
 }
 
-/// A picture with opacity that comes in bands of whole rows from top to bottom, as the bytes of a
-/// PNG file.
+/// An image with alpha channel that arrives in bands of whole rows from top to bottom, as the bytes
+/// of a PNG file.
 pub fn png_from_rgba_bands(
     width: usize,
     height: usize,

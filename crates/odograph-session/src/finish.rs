@@ -1,6 +1,6 @@
-//! The end of a run: what was tracked is improved by what came after it, written, and drawn. The
-//! trajectories come first: they are what cannot be had again without the recording. Whatever else
-//! fails is told in the end, when all the rest is there.
+//! The end of a run: smoothing, sensor fusion and loop correction, output files and drawings.
+//! Trajectories are written first, because they cannot be recovered without the recording. Later
+//! failures are reported at the end, after everything else is written.
 
 use crate::budget::Budget;
 use crate::folder::OutputFolder;
@@ -30,9 +30,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// What finishing a run needs beside what was tracked.
+/// Inputs for finishing a run.
 pub struct Ending<'a> {
-    /// What the recording is, in words.
+    /// Description of the recording.
     pub description: &'a str,
     pub sensors: &'a Sensors,
     pub output: &'a Output,
@@ -42,7 +42,7 @@ pub struct Ending<'a> {
     pub started: Instant,
 }
 
-/// Improves what was tracked and writes everything into the folder.
+/// Improves the trajectory and writes everything into the folder.
 pub fn finish(
     plan: &RunPlan,
     mut tracked: Tracked,
@@ -55,32 +55,32 @@ pub fn finish(
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
     let frames = improved.summaries(&mut run.tracked)?;
-    let Improved { mut laid, sensors, loops, .. } = improved;
-    run.draw(laid.as_mut(), &frames, &sensors)?;
+    let Improved { mut corrected, sensors, loops, .. } = improved;
+    run.draw(corrected.as_mut(), &frames, &sensors)?;
     run.end(frames, &sensors, loops)
 }
 
-/// The camera file with the lens as it was found, where not as told.
+/// The camera file with the estimated lens, where it differs from the plan.
 const FOUND_CAMERA: &str = "camera-found.yaml";
 
-/// What was ignored because it does not move with the ground.
+/// The mask of what is static in the image.
 const MASK: &str = "mask.png";
 
 /// A run that is being finished.
 struct Finishing<'a> {
     plan: &'a RunPlan,
-    /// Its frames are those in the odometry frame.
+    /// Frames in the odometry frame.
     tracked: Tracked,
     folder: &'a mut OutputFolder,
     ending: &'a Ending<'a>,
-    /// What ended the recording early, or the first thing that could not be made.
+    /// The error that ended the recording early, or the first that prevented an output.
     failure: Option<Error>,
 }
 
 /// The frames after sensor fusion and loop closure.
 struct Improved {
     /// The final frames; `None` if they equal the odometry's.
-    laid: Option<KeptFrames>,
+    corrected: Option<KeptFrames>,
     /// Frames without a measured pose, as dead-reckoned from the sensors.
     reckoned: Reckoned,
     sensors: Vec<SensorReport>,
@@ -88,9 +88,9 @@ struct Improved {
 }
 
 impl Improved {
-    /// What is shown of them.
+    /// Their summaries for drawings.
     fn summaries(&mut self, tracked: &mut Tracked) -> Result<Vec<FrameSummary>> {
-        let frames = self.laid.as_mut().unwrap_or(&mut tracked.frames);
+        let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         let mut summaries = Vec::with_capacity(frames.count());
         frames.each(|frame, _| {
             summaries.push(frame.into());
@@ -100,7 +100,7 @@ impl Improved {
     }
 }
 
-/// Fails if there are too few frames for a movement.
+/// Fails if there are too few frames for a trajectory.
 fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &Output) -> Result<()> {
     if tracked.frames.count() >= output.least_frames || tracked.interrupted {
         return Ok(());
@@ -114,7 +114,7 @@ fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &Output) -> Result<()> 
     }))
 }
 
-/// What ended the recording or its map early, with a warning of each.
+/// The errors that ended the recording or its map early, each with a warning.
 fn ended_early(tracked: &mut Tracked) -> Option<Error> {
     let recording = tracked.failure.take();
     tracked.warnings.extend(recording.as_ref().map(|error| format!("the recording ended early: {error}")));
@@ -128,20 +128,24 @@ impl Finishing<'_> {
         self.tracked.warnings.extend(warning);
     }
 
-    /// Something beside the trajectories could not be made: the run goes on, and fails in the end.
+    /// An output other than the trajectories failed: the run continues and fails at the end.
     fn fail(&mut self, what: &str, error: Error) {
         self.warn([format!("{what}: {error}")]);
         self.failure.get_or_insert(error);
     }
 
-    /// Warns where mount, lens or readout time were found to differ from the plan.
+    /// Warns where the estimated mount, lens or readout time differs from the plan.
     fn tell_camera(&mut self) -> Result<()> {
-        let told = match &self.tracked.mount {
-            Some(found) if self.tracked.live.is_some() => Some(found.sentence_live()),
+        let warning = match &self.tracked.mount {
+            Some(found) if self.tracked.live.is_some() => Some(found.live_sentence()),
             Some(found) => Some(found.sentence()),
-            None => tilt::untold(&mut self.tracked.frames, &self.plan.rig, self.plan.odometry.motion.model)?,
+            None => tilt::mount_warning(
+                &mut self.tracked.frames,
+                &self.plan.rig,
+                self.plan.odometry.motion.model,
+            )?,
         };
-        self.warn(told);
+        self.warn(warning);
         let bends = self.tracked.lens.as_ref().map(FoundLens::sentence);
         self.warn(bends);
         let reads = self.tracked.readout.as_ref().and_then(FoundReadout::sentence);
@@ -154,7 +158,7 @@ impl Finishing<'_> {
         let tracked = &mut self.tracked;
         let (mut fused, mut reckoned, mut reports) = (None, Reckoned::default(), Vec::new());
         if *sensors != Sensors::default() {
-            // Sensor fusion needs the whole recording at once; only then is all of it in memory.
+            // Sensor fusion needs the whole recording in memory; no other step does.
             let (raw, mut references) = tracked.frames.all()?;
             let fusion = fusion::fuse(&raw, sensors);
             if fusion.moved {
@@ -171,16 +175,16 @@ impl Finishing<'_> {
         let loops = tracked.mapping.statistics(&straight);
         tracked.warnings.extend(tracked.mapping.warning());
         tracked.warnings.extend(self.plan.sensors.warnings(&reports));
-        Ok(Improved { laid: straight.frames.or(fused), reckoned, sensors: reports, loops })
+        Ok(Improved { corrected: straight.frames.or(fused), reckoned, sensors: reports, loops })
     }
 
-    /// The trajectories, the map's keyframes, and the paths that are made of the frames.
+    /// Writes the trajectories, the map's keyframes, and the paths derived from the frames.
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
-        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let text = self.plan.text_in(self.folder.path())?;
         self.folder.write_trajectories(frames, &text)?;
         let camera = camera_file::write(&self.plan.camera);
-        // The camera file of an earlier run may be the one that this run was given: that stays.
+        // The camera file of an earlier run may be the input of this one; it is kept.
         let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
         match self.tracked.lens {
             Some(_) => self.folder.write(FOUND_CAMERA, camera.as_bytes())?,
@@ -197,19 +201,19 @@ impl Finishing<'_> {
                 .frames
                 .each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
-        // The map comes after the trajectories, because it may not fit on the disk; what follows is
-        // written even then.
-        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        // The map comes after the trajectories because it may not fit on the disk; later outputs
+        // are written even then.
+        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         if let Err(error) = self.tracked.mapping.save(frames) {
             self.fail("the map is not where the trajectories are", error);
         }
         self.write_smoothed(improved)
     }
 
-    /// Computes the smoothed path and the carrier's path in memory, from few numbers a frame, and
-    /// writes them frame by frame.
+    /// Computes the smoothed path and the carrier's path from a few numbers per frame, and writes
+    /// them frame by frame.
     fn write_smoothed(&mut self, improved: &mut Improved) -> Result<()> {
-        let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
+        let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let mut smoother = Smoother::for_frames(frames.count());
         frames.each(|frame, _| {
             smoother.push(frame);
@@ -225,7 +229,7 @@ impl Finishing<'_> {
             let mut before_s = f64::NEG_INFINITY;
             smoothed.each(|frame| {
                 carrier.push(frame);
-                // Of frames at the same moment the first counts.
+                // Of frames with equal times the first is used.
                 let later = frame.time_s > before_s;
                 before_s = before_s.max(frame.time_s);
                 if later { put(&frame.stamped()) } else { Ok(()) }
@@ -239,16 +243,16 @@ impl Finishing<'_> {
     /// The mosaic, the map and the page.
     fn draw(
         &mut self,
-        laid: Option<&mut KeptFrames>,
+        corrected: Option<&mut KeptFrames>,
         frames: &[FrameSummary],
         sensors: &[SensorReport],
     ) -> Result<()> {
         let Ending { description, reporter, observer, .. } = *self.ending;
         let threads = self.ending.output.threads();
         let tracked = &mut self.tracked;
-        let laid = laid.unwrap_or(&mut tracked.frames);
-        let laid = tracked.views.lay(&self.plan.camera, laid, &mut tracked.mapping, threads);
-        let mosaic = laid.unwrap_or_else(|error| {
+        let corrected = corrected.unwrap_or(&mut tracked.frames);
+        let rendered = tracked.views.lay(&self.plan.camera, corrected, &mut tracked.mapping, threads);
+        let mosaic = rendered.unwrap_or_else(|error| {
             self.fail("there is no picture of the ground", error);
             Mosaic::new(Default::default())
         });
@@ -298,7 +302,7 @@ impl Finishing<'_> {
         Ok(())
     }
 
-    /// Closes the map and writes the statistics, last of all.
+    /// Closes the map and writes the statistics, the last file.
     fn end(
         mut self,
         frames: Vec<FrameSummary>,
@@ -386,7 +390,7 @@ fn statistics_of(
     }
 }
 
-/// A smoothed path with what the sensors tell of its gaps, along the frames that it was made of.
+/// A smoothed path, its gaps filled from the sensors, along the frames.
 struct Smoothed<'a> {
     frames: &'a mut KeptFrames,
     path: &'a SmoothedPath,

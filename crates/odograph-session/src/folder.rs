@@ -1,5 +1,5 @@
-//! The output folder: nothing is overwritten unasked, nothing is half written, and what was
-//! computed is on disk if the program is killed.
+//! The output folder: nothing is overwritten without permission, no file is half-written, and
+//! computed frames are on disk if the program is killed.
 
 use crate::files;
 use crate::kept_frames::KeptFrames;
@@ -44,17 +44,17 @@ pub struct OutputFolder {
     started: bool,
     /// Whether a map of an earlier run is there.
     had_map: bool,
-    /// Folders that were made for this run, the innermost first.
+    /// Folders created for this run, the innermost first.
     made: Vec<PathBuf>,
-    /// On the folder's own map, which keeps other runs out of the folder, and on the one that is
-    /// continued.
+    /// Claims on the folder's map, which keeps other runs out of the folder, and on the continued
+    /// map.
     claims: Vec<MapClaim>,
     /// The files that were written, in order.
     written: Vec<PathBuf>,
 }
 
 impl Drop for OutputFolder {
-    /// A run that ended without a frame on disk leaves nothing behind.
+    /// A run without a frame on disk leaves no files.
     fn drop(&mut self) {
         if !self.started {
             let _ = fs::remove_file(files::beside(&self.path.join("trajectory.csv")));
@@ -67,20 +67,19 @@ impl Drop for OutputFolder {
     }
 }
 
-/// Removes folders where they are empty, the innermost first.
+/// Removes empty folders, the innermost first.
 fn remove_folders(folders: &[PathBuf]) {
     for folder in folders {
         let _ = fs::remove_dir(folder);
     }
 }
 
-/// Frames are put on disk in groups of so many: a second of video.
+/// Frames per write to disk: a second of video.
 const GROUP: usize = 30;
 
 impl OutputFolder {
-    /// Makes the folder ready, and claims the map that is to be written. Fails where results are
-    /// already there that may not be replaced, where another program writes there, or where nothing
-    /// can be written.
+    /// Prepares the folder and claims the map that will be written. Fails where results exist that
+    /// may not be replaced, where another program writes, or where nothing can be written.
     pub fn new(path: &Path, output: &Output) -> Result<Self> {
         let force = output.force;
         if path.exists() && !path.is_dir() {
@@ -123,7 +122,7 @@ impl OutputFolder {
         })
     }
 
-    /// The claim on a map that this run writes, where it has one.
+    /// The claim on the map that this run writes, if any.
     pub fn claim_on(&self, map: &Path) -> Option<&MapClaim> {
         self.claims.iter().find(|claim| claim.is_on(map))
     }
@@ -139,24 +138,24 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Takes a frame; at least once a second of video what was computed goes to disk.
+    /// Adds a frame; frames are written to disk at least once per second of video.
     pub fn record(&mut self, frame: &FrameEstimate) -> Result<()> {
         self.pending.push(frame.clone());
         if self.pending.len() >= GROUP { self.flush() } else { Ok(()) }
     }
 
-    /// Puts on disk what was recorded.
+    /// Writes recorded frames to disk.
     pub fn flush(&mut self) -> Result<()> {
         if self.pending.is_empty() {
             return Ok(());
         }
         let text = trajectory_file::csv_from_frames(&self.pending);
-        // The header stands once.
+        // The header is written once.
         let body = if self.started { text.split_once('\n').map_or("", |(_, body)| body) } else { &text };
         self.pending.clear();
         self.growing
@@ -190,7 +189,7 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Takes note of a file that was written.
+    /// Records the name of a written file.
     fn is_written(&mut self, path: PathBuf) {
         if !self.written.contains(&path) {
             self.written.push(path);
@@ -202,7 +201,7 @@ impl OutputFolder {
         std::mem::take(&mut self.written)
     }
 
-    /// Writes a file that begins with `header` line by line, as `fill` puts them.
+    /// Writes a file with a `header` and the lines that `fill` gives.
     pub fn write_lines(
         &mut self,
         name: &str,
@@ -215,7 +214,7 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Writes a trajectory as TUM text pose by pose, as `fill` puts them.
+    /// Writes a trajectory as TUM text from the poses that `fill` gives.
     pub fn write_tum(
         &mut self,
         name: &str,
@@ -224,11 +223,11 @@ impl OutputFolder {
         self.write_lines(name, TUM_HEADER, |put| fill(&mut |pose| put(&tum_line(pose))))
     }
 
-    /// Writes the trajectories and the parameters: what cannot be had again without the recording
-    /// comes before any picture. Takes away what was only there in case of a crash.
+    /// Writes trajectories and parameters, before any drawing, because they cannot be recovered
+    /// without the recording. Removes the incremental record, which exists only in case of a crash.
     pub fn write_trajectories(&mut self, frames: &mut KeptFrames, run_toml: &str) -> Result<()> {
-        // Written under a third name: on a full disk the incremental record must stay, with as much
-        // of its last second as fits.
+        // Written under a third name: on a full disk the incremental record must remain, with as
+        // much of its last second as fits.
         let _ = self.flush();
         let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
         write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(frame))))?;
@@ -242,7 +241,7 @@ impl OutputFolder {
         self.write("run.toml", run_toml.as_bytes())
     }
 
-    /// Writes the statistics, last of all: where they are, everything is.
+    /// Writes the statistics, the last file: if it exists the output is complete.
     pub fn finish(&mut self, statistics: &Statistics) -> Result<()> {
         self.write("stats.json", (statistics.json()? + "\n").as_bytes())
     }

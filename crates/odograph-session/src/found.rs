@@ -1,5 +1,4 @@
-//! What a recording said of its camera that was not as it was told, for people and for
-//! `stats.json`.
+//! Results of self-calibration that differ from the plan, as sentences and for `stats.json`.
 
 use odograph::camera::{Camera, Rig};
 use odograph::image::GrayImage;
@@ -7,10 +6,10 @@ use odograph::mounting::{LensMeasurement, TiltMeasurement};
 use odograph::odometry::Odometry;
 use serde::Serialize;
 
-/// What of the image was ignored because it does not move with the ground.
+/// The part of the image that was ignored because it is static.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FixedInImage {
-    /// The part of the image, 0 to 1.
+    /// Fraction of the image, 0 to 1.
     pub share: f64,
     /// White is ground.
     #[serde(skip)]
@@ -23,7 +22,7 @@ impl FixedInImage {
         Self { share: fixed.share(), picture: fixed.picture() }
     }
 
-    /// For people, a line; nothing where it is next to nothing.
+    /// One line; empty where the fraction is negligible.
     pub fn sentence(&self) -> String {
         const WORTH_TELLING: f64 = 0.01;
         if self.share <= WORTH_TELLING {
@@ -34,16 +33,16 @@ impl FixedInImage {
     }
 }
 
-/// How the camera was found to sit.
+/// Estimated mount of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FoundMount {
-    /// Roll against straight down as it was told, degrees.
+    /// Nominal roll from the vertical, degrees.
     pub told_roll_deg: f64,
-    /// Pitch against straight down as it was told, degrees.
+    /// Nominal pitch from the vertical, degrees.
     pub told_pitch_deg: f64,
-    /// Roll as the recording has it, degrees.
+    /// Estimated roll, degrees.
     pub roll_deg: f64,
-    /// Pitch as the recording has it, degrees.
+    /// Estimated pitch, degrees.
     pub pitch_deg: f64,
     /// Standard deviation of that roll, degrees.
     pub roll_deviation_deg: f64,
@@ -63,16 +62,17 @@ impl FoundMount {
         }
     }
 
-    /// What a person should know of it after a live run, which used it as soon as it was known.
-    pub fn sentence_live(&self) -> String {
+    /// A warning for people after a live run.
+    pub fn live_sentence(&self) -> String {
         format!(
-            "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as given: found while \
-             driving and used from then on; the path before that is bent. Give them with --rig",
+            "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as \
+             given; this was estimated while driving and used from then on, and the path before it is \
+             bent: give them with --rig",
             self.roll_deg, self.pitch_deg, self.told_roll_deg, self.told_pitch_deg
         )
     }
 
-    /// What a person should know of it.
+    /// A warning for people.
     pub fn sentence(&self) -> String {
         format!(
             "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as was told: the path was followed with the \
@@ -82,12 +82,12 @@ impl FoundMount {
     }
 }
 
-/// How the lens was found to bend.
+/// Estimated lens distortion.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FoundLens {
-    /// The coefficients that were looked for.
+    /// The estimated coefficients.
     pub coefficients: Vec<FoundCoefficient>,
-    /// By how much the calibration was off at the edge of the image where it was most, pixels.
+    /// Largest error of the nominal calibration at the edge of the image, pixels.
     pub off_px: f64,
     /// Standard deviation of that, pixels.
     pub deviation_px: f64,
@@ -96,13 +96,13 @@ pub struct FoundLens {
 /// A coefficient of the lens.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FoundCoefficient {
-    /// Which one.
+    /// Its name.
     pub name: &'static str,
-    /// As the camera file has it.
+    /// Nominal value.
     pub told: f64,
-    /// As the recording has it.
+    /// Estimated value.
     pub found: f64,
-    /// Standard deviation of what was found.
+    /// Standard deviation of the estimate.
     pub deviation: f64,
 }
 
@@ -122,7 +122,7 @@ impl FoundLens {
         }
     }
 
-    /// What a person should know of it.
+    /// A warning for people.
     pub fn sentence(&self) -> String {
         let of = |value: fn(&FoundCoefficient) -> f64| {
             let all = self.coefficients.iter().map(|known| match known.name {
@@ -147,29 +147,29 @@ impl FoundLens {
 pub struct FoundReadout {
     /// From the exposure of the first row to that of the last, milliseconds.
     pub readout_ms: f64,
-    /// One standard deviation; 0 where it was given, or is that of a global shutter.
+    /// Standard deviation; 0 where it was given or the shutter is global.
     pub deviation_ms: f64,
-    /// Whether it was given, and not learned.
+    /// Whether it was given rather than estimated.
     pub given: bool,
 }
 
-/// A readout time whose standard deviation is larger than this is not known, milliseconds: at half
-/// a metre a second over a view of half a metre it makes distances uncertain by a thousandth.
+/// Largest standard deviation of a known readout time, milliseconds: at 0.5 m/s over a view of 0.5
+/// m it makes distances uncertain by 0.1 %.
 const UNKNOWN_MS: f64 = 1.0;
 
 impl FoundReadout {
-    /// What a run knows of it in the end; `None` where the shutter was taken to be global.
+    /// The readout time at the end of a run; `None` where the shutter was taken to be global.
     pub(crate) fn of(camera: &Camera, odometry: &Odometry) -> Option<Self> {
         let readout = odometry.readout().filter(|_| odometry.readout_matters())?;
         Some(Self {
             readout_ms: 1e3 * readout.mean_s,
             deviation_ms: 1e3 * readout.variance_s2.sqrt(),
-            // One that the recording showed has a deviation.
+            // An estimated readout time has a standard deviation.
             given: camera.readout_s().is_some() && camera.readout_deviation_s() == 0.0,
         })
     }
 
-    /// What a person should know of it.
+    /// A warning for people.
     pub fn sentence(&self) -> Option<String> {
         let Self { readout_ms, deviation_ms, given } = *self;
         if given || (readout_ms == 0.0 && deviation_ms == 0.0) {

@@ -1,5 +1,4 @@
-//! The frames of a run until it ends: in a file without a name, so that memory does not grow with
-//! the hours.
+//! The frames of a run, in an unnamed file, so that memory does not grow with the duration.
 
 use nalgebra::{Matrix3, Matrix6};
 use odograph::error::{Error, Result};
@@ -14,25 +13,24 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// A frame, and what it was measured against.
+/// A frame, and its reference keyframe.
 type Kept = (FrameEstimate, Option<FrameReference>);
 
-/// So many frames go to disk at a time.
+/// Frames per write to disk.
 const CHUNK: usize = 256;
-/// The numbers of so many frames are at hand: more than go by before a frame can become a keyframe.
+/// Frame numbers kept in memory: more frames than pass before a frame can become a keyframe.
 const NUMBERS: usize = 1024;
 
-/// Frames in the order in which they came, on disk but for the last. Where that cannot be written
-/// the rest stays in memory.
+/// Frames in order, on disk except the last ones; in memory where the file cannot be written.
 #[derive(Debug)]
 pub struct KeptFrames {
     folder: PathBuf,
-    /// Made with the first chunk.
+    /// Created with the first chunk.
     file: Option<File>,
     /// Bytes in the file.
     end: u64,
     full: bool,
-    /// Those that are not on disk yet.
+    /// Frames that are not on disk yet.
     rest: Vec<Kept>,
     count: u64,
     posed: u64,
@@ -42,7 +40,7 @@ pub struct KeptFrames {
 }
 
 impl KeptFrames {
-    /// On the disk that has `folder`. Nothing is written yet.
+    /// On the file system of `folder`. Nothing is written yet.
     pub fn new(folder: &Path) -> Self {
         Self {
             folder: folder.to_owned(),
@@ -58,7 +56,7 @@ impl KeptFrames {
         }
     }
 
-    /// Keeps the next frame.
+    /// Adds the next frame.
     pub fn push(&mut self, frame: FrameEstimate, reference: Option<FrameReference>) {
         self.count += 1;
         self.posed += u64::from(frame.estimate.is_some());
@@ -74,12 +72,12 @@ impl KeptFrames {
         }
     }
 
-    /// How many there are.
+    /// Number of frames.
     pub fn count(&self) -> usize {
         self.count as usize
     }
 
-    /// How many of them have a pose.
+    /// Number of frames with a pose.
     pub fn posed(&self) -> usize {
         self.posed as usize
     }
@@ -96,15 +94,14 @@ impl KeptFrames {
         self.last.as_ref()
     }
 
-    /// Which number a frame has in the source, of which it was the `index`th that was kept; of the
-    /// last thousand.
+    /// Source number of the `index`th frame, one of the last thousand.
     pub fn number_in_source(&self, index: u64) -> Option<u64> {
         let first = self.count - self.numbers.len() as u64;
         self.numbers.get(index.checked_sub(first)? as usize).copied()
     }
 
-    /// Goes through all frames in order, each with what it was measured against. Fails where they
-    /// cannot be read back, and with what `take` fails with.
+    /// Visits all frames in order, each with its reference. Fails where they cannot be read back,
+    /// or if `take` fails.
     pub fn each(
         &mut self,
         mut take: impl FnMut(&FrameEstimate, Option<&FrameReference>) -> Result<()>,
@@ -134,7 +131,7 @@ impl KeptFrames {
         rest.iter().try_for_each(|(frame, reference)| take(frame, reference.as_ref()))
     }
 
-    /// All frames, and what each was measured against. Fails where they cannot be read back.
+    /// All frames with their references. Fails where they cannot be read back.
     pub fn all(&mut self) -> Result<(Vec<FrameEstimate>, Vec<Option<FrameReference>>)> {
         let (mut frames, mut references) = (Vec::new(), Vec::new());
         frames.reserve_exact(self.count());
@@ -164,12 +161,11 @@ impl KeptFrames {
     }
 }
 
-/// Nine of the frame, its pose, velocity, covariance and measurement, and ten of what it was
-/// measured against.
+/// Numbers of a frame, its pose, velocity, covariance and measurement, and ten of its reference.
 const NUMBERS_OF_A_FRAME: usize = 9 + 6 + 3 + 36 + 12 + 10;
 const FRAME_BYTES: usize = 8 * NUMBERS_OF_A_FRAME;
 
-/// Why a frame may be lost, in the order of their codes from 1 on; 0 is not lost.
+/// Reasons of loss in the order of their codes from 1 on; 0 is not lost.
 const REASONS: [LossReason; 6] = [
     LossReason::Bare,
     LossReason::Dark,
@@ -187,7 +183,7 @@ fn pose_of([x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad]: [f64; 6]) -> 
     GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad }
 }
 
-/// A frame as numbers, exactly: whole ones are far below 2⁵³.
+/// A frame as numbers, exact: integers are far below 2⁵³.
 fn encoded((frame, reference): &Kept) -> Vec<f64> {
     let status = match frame.status {
         TrackStatus::Tracked => 0,

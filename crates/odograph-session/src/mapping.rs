@@ -1,5 +1,4 @@
-//! The map of a run: grows in its file while the run goes on, and pulls the path straight at the
-//! end.
+//! The map of a run: written during the run, and applied to the path at the end.
 
 use crate::folder::OutputFolder;
 use crate::kept_frames::KeptFrames;
@@ -31,15 +30,14 @@ pub struct Mapping {
     times: Timings,
 }
 
-/// Ground pixel of the mosaic of a continued map, in footprints of a pixel in the middle of an
-/// image.
+/// Ground sampling distance of the mosaic of a continued map, in ground pixels at the image centre.
 const COARSER: f64 = 2.0;
 
-/// A map with more than so many times the keyframes of this run is not laid anew.
-const MOST_OLD: usize = 4;
+/// Largest ratio of the map's keyframes to this run's for which the mosaic is rendered again.
+const MAX_OLD: usize = 4;
 
 impl Mapping {
-    /// Opens the map to be continued, or begins a new one. Fails where the file is not a map of
+    /// Opens the map to be continued, or creates a new one. Fails where the file is not a map of
     /// this camera.
     pub fn new(plan: &RunPlan, folder: &OutputFolder, map: &MapUse) -> Result<Self> {
         let path = map.path().map_or_else(|| folder.path().join("map.gpkg"), Path::to_owned);
@@ -49,7 +47,7 @@ impl Mapping {
             (false, Some(claim)) => Some(claim.clone()),
             (false, None) => Some(MapClaim::on(&path)?),
         };
-        // What the map keeps is what a global shutter would have seen.
+        // The map stores images corrected to a global shutter.
         let global = plan.camera.clone().with_readout_s(None)?;
         let mut file = GrowingFile {
             file: None,
@@ -89,7 +87,7 @@ impl Mapping {
         Ok(Self { mapper, file, times: Timings::default() })
     }
 
-    /// Takes what happened to the keyframes with a frame.
+    /// Adds the keyframe events of a frame.
     pub fn take(&mut self, events: Vec<KeyframeEvent>, frame: Option<&Frame>) -> Result<()> {
         for event in events {
             let color = match &event {
@@ -105,30 +103,29 @@ impl Mapping {
         Ok(())
     }
 
-    /// Whether keyframes are taken without looking for loops, until there is time again.
+    /// Whether loop search is suspended until there is time again.
     #[cfg_attr(not(feature = "live"), allow(dead_code))]
     pub fn hurry(&mut self, hurried: bool) {
         self.mapper.hurry(hurried);
     }
 
-    /// What has been made of the keyframes so far.
+    /// The pose graph so far.
     pub fn mapper(&self) -> &Mapper {
         &self.mapper
     }
 
-    /// Where the map file is, or will be.
+    /// Path of the map file.
     #[cfg_attr(not(feature = "live"), allow(dead_code))]
     pub fn path(&self) -> &Path {
         &self.file.path
     }
 
-    /// How long each keyframe took.
+    /// Processing time of each keyframe.
     pub fn times(&self) -> &Timings {
         &self.times
     }
 
-    /// Takes over the path as fused with other sensors: the frames before and after, and their
-    /// references, which are moved along.
+    /// Applies the fused path: frames before and after, and their references, which move with them.
     pub fn take_over(
         &mut self,
         raw: &[FrameEstimate],
@@ -138,8 +135,9 @@ impl Mapping {
         self.mapper.take_over(raw, fused, references);
     }
 
-    /// Ends the map, and lays the frames where it has them; with how each moves where `moves` are
-    /// asked for. Of the output nothing is written. Fails where the frames cannot be read back.
+    /// Finishes the map and transforms the frames into the map frame; with the correction of each
+    /// where `moves` are requested. Writes no output file. Fails where the frames cannot be read
+    /// back.
     pub fn straighten(&mut self, frames: &mut KeptFrames, moves: bool, folder: &Path) -> Result<Straight> {
         self.mapper.finish();
         let kept = self.mapper.is_straightened().then(|| KeptFrames::new(folder));
@@ -163,14 +161,14 @@ impl Mapping {
         Ok(straight)
     }
 
-    /// Puts into the file where the keyframes lie in the end, and the path of the run.
+    /// Writes the final poses of the keyframes and the path of the run.
     pub fn save(&mut self, frames: &mut KeptFrames) -> Result<()> {
         self.file.set_poses(&self.mapper.map().keyframes)?;
         self.write_path(frames)
     }
 
-    /// A sentence where the run could not be tied to the map that it continues; whoever only looks
-    /// into a map asked that, and is told otherwise.
+    /// A warning where the run could not be connected to the map that it continues; a localization
+    /// reports this otherwise.
     pub fn warning(&self) -> Option<String> {
         (self.file.kept.is_none() && !self.mapper.is_recognised()).then(|| {
             format!(
@@ -180,7 +178,7 @@ impl Mapping {
         })
     }
 
-    /// What the loops did to the frames.
+    /// Effect of the loops on the frames.
     pub fn statistics(&self, straight: &Straight) -> LoopStatistics {
         let closed = self.mapper.closures().len();
         let session = self.mapper.session();
@@ -210,7 +208,7 @@ impl Mapping {
         self.file.load(keyframe)
     }
 
-    /// The places that were recognised: where the camera was, and where it had been.
+    /// The recognised places: pose of the camera, and the earlier pose.
     pub fn loops(&self) -> Vec<[GroundPoint; 2]> {
         let map = self.mapper.map();
         let place = |id: KeyframeId| {
@@ -238,11 +236,10 @@ impl Mapping {
         })
     }
 
-    /// Lays the ground into the file, so that who opens it sees the floor: twice as coarse as the
-    /// camera sees it. Where all ground is this run's, that is its `mosaic`, which is laid already.
-    /// Gives a sentence where the file has no picture of all of its ground: because the run was
-    /// interrupted, or because most of a map that was continued is ground of earlier runs, which is
-    /// not to be laid again for every short one.
+    /// Writes the mosaic into the file, at twice the ground sampling distance of the camera. Where
+    /// all ground is this run's, its `mosaic` is reused. Returns a warning where the file lacks the
+    /// mosaic of some ground: because the run was interrupted, or because most of a continued map
+    /// is of earlier runs, which are not rendered again for every short one.
     pub fn lay_ground(&mut self, mosaic: &Mosaic, observer: &dyn Observer) -> Result<Option<String>> {
         let map = self.mapper.map();
         let session = self.mapper.session();
@@ -250,7 +247,7 @@ impl Mapping {
         let mut heights_m: Vec<f64> = map.keyframes.iter().map(|keyframe| keyframe.pose.height_m).collect();
         let height_m = median(&mut heights_m).unwrap_or(map.rig.height_m);
         let coarse_m = COARSER * height_m / map.camera.focal_px().0;
-        let (short, alone) = (map.keyframes.len() > MOST_OLD * own, map.keyframes.len() == own);
+        let (short, alone) = (map.keyframes.len() > MAX_OLD * own, map.keyframes.len() == own);
         let writable = self.file.kept.is_none();
         let Some(file) = self.file.file.as_mut().filter(|_| writable && own > 0) else { return Ok(None) };
         let before = file.mosaic()?;
@@ -270,7 +267,7 @@ impl Mapping {
         }))
     }
 
-    /// Takes away the new map file of a run that is begun again.
+    /// Removes the new map file of a run that starts again.
     pub fn discard(self) -> Result<()> {
         let GrowingFile { file, claim, .. } = self.file;
         match file {
@@ -279,7 +276,7 @@ impl Mapping {
         }
     }
 
-    /// The map file, where this run has put something into it.
+    /// The map file, if this run has written to it.
     pub fn written(&self) -> Option<&Path> {
         (self.file.file.is_some() && self.file.kept.is_none()).then_some(self.file.path.as_path())
     }
@@ -295,15 +292,14 @@ impl Mapping {
     }
 }
 
-/// Frames as the map has them.
+/// Frames in the map frame.
 #[derive(Default)]
 pub struct Straight {
-    /// `None` where they are what they were.
+    /// `None` if they are unchanged.
     pub frames: Option<KeptFrames>,
-    /// The times of the frames with a pose, each with that pose before and after, where that was
-    /// asked for.
+    /// Times of the frames with a pose, each with that pose before and after, where requested.
     pub moves: Vec<(f64, GroundPose, GroundPose)>,
-    /// How far the poses moved: squares and the most, metres.
+    /// Displacement of the poses: sum of squares and largest, metres.
     squares_m2: f64,
     most_m: f64,
     posed: usize,
@@ -322,11 +318,10 @@ impl Straight {
     }
 }
 
-/// A map file that is made with its first keyframe: a run that shows nothing leaves none.
+/// A map file that is created with its first keyframe: a run without one leaves no file.
 struct GrowingFile {
     file: Option<MapFile>,
-    /// Whether a map of an earlier run may be in its place: that it may be overwritten was asked
-    /// for when the folder was made ready.
+    /// Whether a map of an earlier run may be replaced; permission was checked with the folder.
     replaces: bool,
     /// `None` where the file is not to be written.
     claim: Option<MapClaim>,

@@ -1,11 +1,11 @@
-//! The picture of what is not ground.
+//! The mask of what is not ground.
 
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use odograph_video::SourceOptions;
 use std::path::Path;
 
-/// Reads a picture in any format that recordings of pictures may have.
+/// Reads a mask in any image format that recordings may have.
 pub fn read(path: &Path) -> Result<GrayImage> {
     let mut source = odograph_video::open(path.display().to_string(), &SourceOptions::default())?;
     let frame = source.next_frame()?;

@@ -1,12 +1,12 @@
-//! What a run tells while it goes on, and how it is asked to end.
+//! Progress of a run, and requests to end it.
 
 use odograph::trajectory::FrameEstimate;
 
-/// Watches a run. Every method has an empty default: `()` is an observer that wants to know
-/// nothing.
+/// Observes a run. Every method has an empty default, so `()` is an observer that ignores
+/// everything.
 ///
-/// Methods are called from the run's own threads and should return soon. Nothing that an observer
-/// does changes what is written, except a request to stop.
+/// Methods are called from the run's threads and should return soon. An observer does not influence
+/// results, except by a request to stop.
 pub trait Observer: Sync {
     /// Tracking begins; `frames` is the number of frames to come, where the source knows it. Called
     /// again if the recording is tracked anew because camera or mount turned out to be different.

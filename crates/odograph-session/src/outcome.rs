@@ -1,4 +1,4 @@
-//! What a run gives.
+//! The result of a run.
 
 use crate::place::PlaceInMap;
 use crate::resemblance::Resemblance;
@@ -9,12 +9,12 @@ use std::path::PathBuf;
 /// Why a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunEnd {
-    /// With its source.
+    /// The source ended.
     Completed,
-    /// Early, because its observer asked for it. What there is has been written.
+    /// The observer asked for it. Results so far are written.
     Interrupted,
-    /// With its source, but less than half of the frames have a pose: the path is not the
-    /// recording's path. What there is has been written.
+    /// The source ended, but less than half of the frames have a pose: the path is not that of the
+    /// recording. Results are written.
     TrackingFailed,
 }
 
@@ -23,7 +23,7 @@ impl RunEnd {
         if statistics.interruption().is_some() {
             return Self::Interrupted;
         }
-        // With less than half of the frames posed the path is not the recording's path.
+        // With less than half of the frames posed the path is not that of the recording.
         if 2 * statistics.frames_with_pose < statistics.frames {
             Self::TrackingFailed
         } else {
@@ -32,25 +32,25 @@ impl RunEnd {
     }
 }
 
-/// What a run gives, beside what it has written.
+/// The result of a run, in addition to its files.
 #[derive(Debug)]
 pub struct RunOutcome {
     /// Why it ended.
     pub end: RunEnd,
     /// All frames in order, with loops closed and other sensors used, as `trajectory.csv` has them.
     pub trajectory: Vec<FrameSummary>,
-    /// The figures that are in `stats.json`.
+    /// The statistics of `stats.json`.
     pub statistics: Statistics,
-    /// What may be wrong with the result, a sentence each.
+    /// Warnings about the result, one sentence each.
     pub warnings: Vec<String>,
-    /// The folder that was written into.
+    /// The output folder.
     pub folder: PathBuf,
-    /// The files that were written, in order; the map file last. With a temporary folder they are
-    /// gone already, but for a map that was continued.
+    /// The files in the order of writing, the map file last. With a temporary folder they no longer
+    /// exist, except a continued map.
     pub written: Vec<PathBuf>,
-    /// Where the camera was last in the map that was continued; `None` where none was, or nothing
-    /// of it was recognised.
+    /// The last pose of the camera in the continued map; `None` without such a map, or if none of
+    /// it was recognised.
     pub place: Option<PlaceInMap>,
-    /// What it looks like there, where the map was only looked into and nothing of it recognised.
+    /// Similar places of the map, where localization found no certain one.
     pub resemblance: Option<Resemblance>,
 }

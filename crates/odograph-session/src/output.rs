@@ -1,24 +1,23 @@
-//! Where a run writes.
+//! Output of a run.
 
 use odograph::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// What a run does with a map.
+/// Use of a map by a run.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum MapUse {
-    /// Makes a new one, `map.gpkg` in the run's folder.
+    /// Creates a new one, `map.gpkg` in the output folder.
     #[default]
     New,
-    /// Continues the map in this file, or begins it where there is none.
+    /// Continues the map in this file, or creates it.
     Continue(PathBuf),
-    /// Looks into the map in this file, which stays as it is: the run only finds out where the
-    /// camera is.
+    /// Localizes in the map in this file, which is not changed.
     LookInto(PathBuf),
 }
 
 impl MapUse {
-    /// The file, unless the map is a new one in the run's folder.
+    /// The file, unless it is a new one in the output folder.
     pub fn path(&self) -> Option<&Path> {
         match self {
             Self::New => None,
@@ -26,22 +25,22 @@ impl MapUse {
         }
     }
 
-    /// Whether the map stays as it is.
+    /// Whether the map is read-only.
     pub fn is_read_only(&self) -> bool {
         matches!(self, Self::LookInto(_))
     }
 }
 
-/// Where a run writes, how much it may overwrite, and how many threads it takes.
+/// Output folder, permission to overwrite, and number of threads.
 #[derive(Debug, Clone)]
 pub(crate) struct Output {
     /// `None`: a temporary folder, which is removed at the end.
     pub folder: Option<PathBuf>,
     pub force: bool,
     pub map: MapUse,
-    /// `None`: as many as help.
+    /// `None`: as many as are useful.
     pub threads: Option<usize>,
-    /// Fewer frames than this are no recording.
+    /// Minimum number of frames of a recording.
     pub least_frames: usize,
 }
 
@@ -57,7 +56,7 @@ impl Output {
         self.threads.unwrap_or(3)
     }
 
-    /// The folder, with the guard that removes it where it is temporary.
+    /// The folder, with a guard that removes a temporary one.
     pub fn place(&self) -> Result<(PathBuf, Option<TempDir>)> {
         match &self.folder {
             Some(folder) => Ok((folder.clone(), None)),

@@ -1,4 +1,4 @@
-//! The pictures and the page of a run.
+//! Drawings and report of a run.
 
 use crate::files;
 use crate::folder::OutputFolder;
@@ -17,31 +17,30 @@ use odograph::trajectory::FrameSummary;
 use std::panic::resume_unwind;
 use std::thread;
 
-/// What is drawn.
+/// Inputs of the drawings.
 pub struct Shown<'a> {
-    /// What the recording is, in words.
+    /// Description of the recording.
     pub description: &'a str,
     pub frames: &'a [FrameSummary],
-    /// Where the camera was when it recognised a place, and where it had been.
+    /// Poses of the camera at recognised places, and the earlier poses.
     pub loops: &'a [[GroundPoint; 2]],
     pub mosaic: &'a Mosaic,
     pub sensors: &'a [SensorReport],
-    /// A path from elsewhere, to be set beside.
+    /// Reference trajectory for comparison.
     pub reference: Option<&'a ComparedReference>,
 }
 
-/// What was drawn, as far as the page shows it.
+/// Drawings for the report.
 pub struct Drawn {
-    /// The mosaic made small, its PNG, and where the large one lies.
+    /// Downscaled mosaic as PNG, and the file name of the full one.
     small: Option<(MosaicPicture, Vec<u8>, Placement)>,
-    /// The path on plain paper: the mosaic has its own place on the page.
+    /// The path without the mosaic, which the report shows separately.
     path_svg: String,
-    /// What came of putting the ground into the map: a sentence where not all of it is there.
+    /// A warning where the map file lacks the mosaic of some ground.
     pub ground: Result<Option<String>>,
 }
 
-/// Writes mosaic and map, and puts the ground into the map file: the ground beside the drawings
-/// where there are `threads` for both.
+/// Writes mosaic and drawing, and the mosaic into the map file, concurrently where `threads` allow.
 pub fn write(
     plan: &RunPlan,
     shown: &Shown<'_>,
@@ -72,15 +71,15 @@ pub fn write(
         folder.write("mosaic.png", &png)?;
         folder.write("mosaic.pgw", placement.world_file().as_bytes())?;
     } else {
-        // One of an earlier drive would show other ground.
+        // A mosaic of an earlier run would show other ground.
         folder.remove("mosaic.png")?;
         folder.remove("mosaic.pgw")?;
     }
     Ok(Drawn { small, path_svg, ground })
 }
 
-/// Writes the map, with a small picture of the mosaic that lies at this placement. Gives that, and
-/// the map without it.
+/// Writes the drawing with a downscaled mosaic of this georeference. Returns both, and the drawing
+/// without the mosaic.
 #[expect(clippy::type_complexity, reason = "two parts of `Drawn`")]
 fn draw(
     plan: &RunPlan,
@@ -92,7 +91,7 @@ fn draw(
     let small = shown.mosaic.picture_within(LONGEST_SIDE_PX).zip(placement);
     let encode = |(mosaic, placement): (MosaicPicture, Placement)| {
         let png = files::png_from_rgba(mosaic.width, mosaic.height, &mosaic.rgba)?;
-        // The page tells of the picture in the folder, though it shows a smaller one.
+        // The report names the full-size file, though it shows a smaller image.
         Ok((mosaic, png, placement))
     };
     let small = small.map(encode).transpose()?;
@@ -113,7 +112,7 @@ fn draw(
     Ok((small, drawing.svg(shown.frames)))
 }
 
-/// Writes the page, where there is a reporter.
+/// Writes the report, if there is a reporter.
 pub fn write_page(
     plan: &RunPlan,
     shown: &Shown<'_>,
@@ -147,14 +146,14 @@ pub fn write_page(
     folder.write("report.html", page.as_bytes())
 }
 
-/// The recording's name without its folders.
+/// File name of the recording without its folders.
 fn title(plan: &RunPlan) -> &str {
     let name = plan.source.path.trim_end_matches(['/', '\\']);
     name.rsplit(['/', '\\']).next().unwrap_or(name)
 }
 
-/// The mosaic in the map and on the page: sharp on any screen, a few megabytes at most.
+/// Largest size of the mosaic in drawing and report: sharp on any screen, a few megabytes at most.
 const LONGEST_SIDE_PX: usize = 1600;
 
-/// The path must stay the strongest thing on the map.
+/// Opacity of the mosaic, so that the path stays the most prominent element.
 const BACKDROP_OPACITY: f64 = 0.55;

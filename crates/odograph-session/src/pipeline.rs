@@ -1,5 +1,5 @@
-//! Decode | track | map, side by side, joined by short queues. The order of frames is kept, so any
-//! number of threads gives the same bytes.
+//! The pipeline decode | track | map, on threads connected by short queues. The order of frames is
+//! kept, so any number of threads gives the same bytes.
 
 use crate::folder::OutputFolder;
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
@@ -21,30 +21,31 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Instant;
 
-/// What came out of the pipeline.
+/// Result of the pipeline.
 pub struct Tracked {
-    /// With what each was measured against.
+    /// Frames, each with its reference.
     pub frames: KeptFrames,
-    /// Of which frames the mosaic is laid.
+    /// Frames of the mosaic.
     pub views: Views,
     pub mapping: Mapping,
     pub keyframes: u64,
-    /// What of the image does not move with the ground.
+    /// Mask of what is static in the image.
     pub fixed: FixedInImage,
     pub warnings: Vec<String>,
     pub times: StageTimes,
     pub interrupted: bool,
-    /// How many frames the source says it has.
+    /// Number of frames that the source states.
     pub announced: Option<u64>,
-    /// How a live run kept up with its source.
+    /// Drops and latencies of a live run.
     pub live: Option<LiveStatistics>,
-    /// What ended the recording before its end, if anything did.
+    /// The error that ended the recording early, if any.
     pub failure: Option<Error>,
-    /// What ended the mapping early, such as a full disk. The path does not need the map.
+    /// The error that ended mapping early, such as a full disk. The path does not depend on the
+    /// map.
     pub unmapped: Option<Error>,
-    /// How the camera sits, where that is not what was told.
+    /// The mount, where it differs from the plan.
     pub mount: Option<FoundMount>,
-    /// How the lens bends, where not as told.
+    /// The lens, where it differs from the plan.
     pub lens: Option<FoundLens>,
     /// The readout time of the image.
     pub readout: Option<FoundReadout>,
@@ -52,13 +53,13 @@ pub struct Tracked {
 
 /// How the pipeline ended.
 pub enum Ended {
-    /// With all of the source that there was.
+    /// At the end of the source.
     Tracked(Box<Tracked>),
-    /// At a frame from which on it is sure that the camera is not as the plan says.
+    /// At a frame where self-calibration is certain that the camera differs from the plan.
     IsAnother(Box<Found>),
 }
 
-/// How long each frame took in each stage.
+/// Processing times of each frame per stage.
 #[derive(Debug, Default)]
 pub struct StageTimes {
     pub decode: Timings,
@@ -67,27 +68,27 @@ pub struct StageTimes {
     pub map: Timings,
 }
 
-/// Frames that wait between two stages: enough to even out a keyframe, which takes as long as
-/// decoding ten frames, and few enough to need little memory.
+/// Length of the queue between two stages: enough to even out a keyframe, which takes as long as
+/// decoding ten frames, and short enough to need little memory.
 const LONGEST_QUEUE: usize = 24;
 const SHORTEST_QUEUE: usize = 4;
-/// Bytes of samples that the frames of a queue may have, in gray and colour.
+/// Largest memory of a queue's frames, gray and colour, bytes.
 const QUEUE_BYTES: usize = 12 << 20;
 
-/// How many frames of a camera may wait.
+/// Longest queue of a camera's frames.
 fn queue(camera: &Camera) -> usize {
     let frame_bytes = 3 * camera.width() * camera.height() / 2;
     (QUEUE_BYTES / frame_bytes.max(1)).clamp(SHORTEST_QUEUE, LONGEST_QUEUE)
 }
 
-/// Follows every frame of the source, or until `untold` is sure. Each frame's result is in the
-/// folder within a second of video.
+/// Tracks every frame of the source, or until self-calibration is certain of a different camera.
+/// Each frame's result is in the folder within a second of video.
 pub fn track(
     plan: &RunPlan,
     source: Source,
     folder: &mut OutputFolder,
     output: &Output,
-    untold: Option<Untold>,
+    self_calibration: Option<Untold>,
     observer: &dyn Observer,
 ) -> Result<Ended> {
     let mut odometry = plan.odometry()?;
@@ -99,7 +100,7 @@ pub fn track(
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
         calibration_times: Timings::default(),
-        untold,
+        self_calibration,
         found: None,
         observer,
         folder,
@@ -115,13 +116,13 @@ pub fn track(
     };
     observer.tracking_ends();
     let to_the_end = outcome.is_ok() && tracking.found.is_none() && !observer.is_stop_asked();
-    let at_end = tracking.untold.as_ref().filter(|_| to_the_end).and_then(Untold::at_end);
+    let at_end = tracking.self_calibration.as_ref().filter(|_| to_the_end).and_then(Untold::at_end);
     if let Some(found) = tracking.found.or(at_end) {
         ground.mapping.discard()?;
         return Ok(Ended::IsAnother(Box::new(found)));
     }
     let Ground { views, mapping, unmapped, times: map_times } = ground;
-    // An interrupt that comes when all frames are there already changes nothing of them.
+    // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(Ended::Tracked(Box::new(Tracked {
         readout: FoundReadout::of(&plan.camera, &tracking.odometry),
@@ -147,7 +148,7 @@ pub fn track(
     })))
 }
 
-/// The three stages in turn.
+/// The three stages in one thread.
 fn one_by_one(decoding: &mut Decoding<'_>, tracking: &mut Tracking<'_>, ground: &mut Ground) -> Result<()> {
     while let Some(frame) = decoding.next()? {
         match tracking.next(frame)? {
@@ -199,7 +200,7 @@ fn side_by_side(
         let outcome = follow();
         drop((frames_out, followed_in));
         let died = |_| ended();
-        // What ended the mapping ended the tracking after it.
+        // An error of mapping ended tracking.
         let mapped = mapper.map_or(Ok(Ok(())), |mapper| mapper.join()).map_err(died)?;
         let decoded = decoder.join().map_err(died)?;
         mapped.and(outcome).and(decoded)
@@ -210,7 +211,7 @@ fn ended() -> Error {
     Error::input("a stage of the pipeline ended unexpectedly; please report this recording")
 }
 
-/// Stage one: frames from the source, until its end or until the run is asked to end.
+/// Stage one: decodes frames until the end of the source or a request to stop.
 struct Decoding<'a> {
     source: Source,
     times: Timings,
@@ -231,28 +232,28 @@ impl Decoding<'_> {
     }
 }
 
-/// Stage two: poses.
+/// Stage two: tracking.
 struct Tracking<'a> {
     odometry: Odometry,
     frames: KeptFrames,
     times: Timings,
     calibration_times: Timings,
-    untold: Option<Untold>,
-    /// What that has found: the run ends there.
+    self_calibration: Option<Untold>,
+    /// Its result: the pass ends there.
     found: Option<Found>,
     observer: &'a dyn Observer,
     folder: &'a mut OutputFolder,
 }
 
-/// What stage two makes of a frame.
+/// Result of stage two for a frame.
 struct Followed {
-    /// Where it has a pose.
+    /// Present where it has a pose.
     posed: Option<Posed>,
     events: Vec<KeyframeEvent>,
 }
 
 impl Tracking<'_> {
-    /// Nothing once it is sure that the camera is not as it was told.
+    /// `None` once self-calibration is certain of a different camera.
     fn next(&mut self, frame: Frame) -> Result<Option<Followed>> {
         let started = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
@@ -260,8 +261,8 @@ impl Tracking<'_> {
         let mut events = self.odometry.take_keyframe_events();
         self.times.push(started.elapsed());
         let started = Instant::now();
-        if let Some(untold) = &mut self.untold {
-            self.found = untold.watch(&estimate, &self.odometry);
+        if let Some(self_calibration) = &mut self.self_calibration {
+            self.found = self_calibration.watch(&estimate, &self.odometry);
             if self.found.is_some() {
                 return Ok(None);
             }
@@ -294,7 +295,7 @@ pub fn is_made(events: &[KeyframeEvent], frame: u64) -> bool {
     events.iter().any(|event| matches!(event, KeyframeEvent::Made(new) if new.frame == frame))
 }
 
-/// Stage three: what is made of the ground.
+/// Stage three: mapping.
 struct Ground {
     views: Views,
     mapping: Mapping,

@@ -1,4 +1,4 @@
-//! Where a camera is in a map that was made before.
+//! Pose of a camera in an existing map.
 
 use odograph::geometry::wrap_angle;
 use odograph::keyframe::KeyframeId;
@@ -7,8 +7,7 @@ use odograph::trajectory::FrameSummary;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Where a camera was at a frame, in the frame of a map that was made before, with one standard
-/// deviation of each.
+/// Pose of a camera at a frame, in the frame of an existing map, with standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PlaceInMap {
     /// Number of the frame in its source.
@@ -29,17 +28,17 @@ pub struct PlaceInMap {
     pub sd_heading_deg: f64,
     /// The nearest keyframe of earlier sessions.
     pub keyframe: u64,
-    /// How far it is, metres.
+    /// Distance to it, metres.
     pub keyframe_distance_m: f64,
-    /// The session that it is of.
+    /// Session of that keyframe.
     pub session: u32,
 }
 
 impl PlaceInMap {
-    /// The last frame that measurements tie to keyframes of earlier sessions.
+    /// The last frame that measurements connect to keyframes of earlier sessions.
     pub(crate) fn last(frames: &[FrameSummary], mapper: &Mapper) -> Option<Self> {
         let map = mapper.map();
-        // Keyframes of a segment are tied to each other by measurement: one of them tells.
+        // Keyframes of a segment are connected by measurements: one of them suffices.
         let own = map.keyframes.iter().filter(|keyframe| keyframe.session == mapper.session());
         let firsts: BTreeMap<usize, KeyframeId> = own.rev().map(|first| (first.segment, first.id)).collect();
         let tied: BTreeSet<usize> = firsts

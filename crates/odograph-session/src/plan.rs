@@ -1,4 +1,4 @@
-//! Everything that decides the bytes of a run, in one value that is also the file `run.toml`.
+//! Everything that determines the bytes of a run, in one value that is also the file `run.toml`.
 
 use crate::budget::Budget;
 use crate::sensors::SensorFiles;
@@ -12,22 +12,22 @@ use odograph_video::{Source, SourceOptions};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What is run: the source, the camera over it, and every parameter of the pipeline.
+/// Source, camera and all parameters of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunPlan {
     /// The version of the program that made the plan.
     pub odograph: String,
-    /// A path to be seen beside that of the run; it changes nothing of the run.
+    /// Reference trajectory for the report; it changes no result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<PathBuf>,
     /// Which frames are taken from where.
     pub source: SourcePlan,
     /// The camera.
     pub camera: Camera,
-    /// How it is mounted over the ground.
+    /// The mount above the ground.
     pub rig: Rig,
-    /// A picture of what is not ground.
+    /// Mask of what is not ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<PathBuf>,
     #[serde(default, skip_serializing_if = "SensorFiles::is_empty")]
@@ -55,24 +55,24 @@ pub struct SourcePlan {
     /// A file with the times of the frames.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub timestamps: Option<PathBuf>,
-    /// Frames a second, where the source does not say.
+    /// Frames per second, where the source does not state it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fps: Option<f64>,
-    /// The first frame is taken so many seconds after the source's first.
+    /// Time of the first frame after the source's first, seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_s: Option<f64>,
-    /// The last frame is taken at most so many seconds after the source's first.
+    /// Largest time of the last frame after the source's first, seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub end_s: Option<f64>,
-    /// Every n-th frame is taken.
+    /// Every n-th frame is used.
     pub every: u64,
-    /// At most so many frames are taken.
+    /// Largest number of frames.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_frames: Option<u64>,
 }
 
 impl SourcePlan {
-    /// Every frame of a source.
+    /// All frames of a source.
     pub fn new(path: impl Into<String>) -> Self {
         Self {
             path: path.into(),
@@ -131,7 +131,7 @@ impl RunPlan {
             let why = error.message().replace('\n', ", ");
             Error::input(format!("{} is not the run.toml of a run: {why}", path.display())).caused_by(error)
         })?;
-        // The file is at fault, not who gave it.
+        // The error names the file, not the option.
         let at_fault = |error: Error| Error::input(format!("{}: {error}", path.display())).caused_by(error);
         plan.rig.validated().map_err(at_fault)?;
         plan.odometry.validated().map_err(at_fault)?;
@@ -139,9 +139,9 @@ impl RunPlan {
         Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
     }
 
-    /// Takes the camera of a map that is continued where it is the plan's with a lens that an
-    /// earlier run has found. A run that finds a lens leaves the focal length as it is, to the bit,
-    /// and no two calibrations agree in that.
+    /// Uses the camera of a continued map where it is the plan's with a lens that an earlier run
+    /// estimated. Such a run keeps the focal length to the bit, and no two calibrations agree in
+    /// that.
     pub(crate) fn take_lens_of(&mut self, map: Option<&Path>) -> Result<()> {
         let Some(map) = map.filter(|map| MapFile::is_there(map)) else { return Ok(()) };
         let found = MapFile::open_read_only(map)?.camera().clone();

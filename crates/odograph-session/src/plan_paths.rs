@@ -1,28 +1,28 @@
-//! The files that a plan names, in `run.toml` as seen from that file's folder: so it can be
-//! repeated from any working directory, and moved together with its recording.
+//! Paths of a plan, in `run.toml` relative to that file's folder, so that it can be repeated from
+//! any working directory and moved together with its recording.
 
 use crate::plan::RunPlan;
 use std::path::{Component, Path, PathBuf};
 
 impl RunPlan {
-    /// The plan as it stands in a file in `folder`.
+    /// The plan for a file in `folder`.
     pub(crate) fn seen_from(&self, folder: &Path) -> Self {
         let mut plan = self.clone();
         plan.each_path(|path| relative(path, folder));
         plan
     }
 
-    /// A plan that was read from a file in `folder`, as seen from the working directory.
+    /// A plan from a file in `folder`, with paths relative to the working directory.
     pub(crate) fn brought_from(mut self, folder: &Path) -> Self {
         self.each_path(|path| {
             let joined = folder.join(path);
-            // A file of an earlier version has paths as they were typed.
+            // Earlier versions wrote paths as they were typed.
             joined.exists().then(|| shortened(&joined))
         });
         self
     }
 
-    /// Changes every path to a file for which `change` has another; a source that is no file stays.
+    /// Applies `change` to every path of a file; a source that is no file is not changed.
     fn each_path(&mut self, change: impl Fn(&Path) -> Option<PathBuf>) {
         let source = &mut self.source.path;
         if let Some(other) = change(Path::new(source.as_str()))
@@ -49,8 +49,8 @@ impl RunPlan {
     }
 }
 
-/// A path as seen from a folder; `None` where it is whole already, where nothing is there (a
-/// stream's address, standard input), and where no way leads from one to the other.
+/// A path relative to a folder; `None` where it is absolute, where nothing exists there (address of
+/// a stream, standard input), and where there is no relative path.
 fn relative(path: &Path, folder: &Path) -> Option<PathBuf> {
     if path.is_absolute() || !path.exists() {
         return None;
@@ -66,7 +66,7 @@ fn relative(path: &Path, folder: &Path) -> Option<PathBuf> {
     Some(up.map(|_| Component::ParentDir).chain(down).collect())
 }
 
-/// A path from the root, its own name kept where that is a link.
+/// The absolute path; a link keeps its own name.
 fn whole(path: &Path) -> Option<PathBuf> {
     match path.file_name() {
         Some(name) => {
@@ -78,7 +78,7 @@ fn whole(path: &Path) -> Option<PathBuf> {
     }
 }
 
-/// A path without the detours `name/..` in it, where it leads to the same place.
+/// A path without components `name/..`, where it leads to the same place.
 fn shortened(path: &Path) -> PathBuf {
     let mut short = PathBuf::new();
     for component in path.components() {

@@ -1,4 +1,4 @@
-//! From what a builder is told to the plan of a run: reads the files that it names.
+//! Makes the plan of a run from a builder; reads the named files.
 
 use crate::builder::{CameraChoice, MountChoice, RunBuilder};
 use crate::observer::Observer;
@@ -21,7 +21,7 @@ impl RunBuilder {
         observer: &dyn Observer,
         open: impl FnOnce(&SourcePlan) -> Result<(S, (usize, usize))>,
     ) -> Result<(RunPlan, S)> {
-        // A camera or map that cannot be read is told before a source that may take long to open.
+        // An unreadable camera or map is reported before a source that may take long to open.
         let told = ToldCamera::by(self)?;
         let rig = told.rig(self, observer)?;
         let (source, size) = open(&self.source)?;
@@ -75,22 +75,22 @@ impl RunBuilder {
             odometry,
             slam,
         };
-        // A mask that does not fit is told before all the work.
+        // A mask of the wrong size is reported before tracking.
         plan.odometry()?;
         Ok((plan, source))
     }
 }
 
-/// Where the camera is told, with what had to be read for it.
+/// Source of the camera, with the files already read.
 enum ToldCamera<'a> {
-    /// The file and what is in it.
+    /// The file and its content.
     File(&'a Path, String),
     Known(&'a Camera),
-    /// Width and height of the ground that it sees, metres.
+    /// Width and height of the ground in view, metres.
     Field((f64, f64)),
-    /// That of the map that is continued.
+    /// The camera of the continued map.
     Map(Box<MapFile>),
-    /// That which a robot recording describes.
+    /// The camera of a robot recording.
     Recording(&'a SourcePlan),
 }
 
@@ -130,7 +130,7 @@ impl<'a> ToldCamera<'a> {
         }
     }
 
-    /// The camera of images of this size, pixels.
+    /// The camera for images of this size, pixels.
     fn camera(self, size: (usize, usize), height_m: f64) -> Result<Camera> {
         match self {
             Self::File(path, text) => {

@@ -1,4 +1,4 @@
-//! A path from elsewhere, such as that of a satellite receiver, to be seen beside that of the run.
+//! Reference trajectory, such as a satellite receiver's, shown beside that of the run.
 
 use crate::plan::RunPlan;
 use crate::trajectory_input::read_trajectory;
@@ -7,7 +7,7 @@ use odograph::evaluation::{Alignment, Evaluation, EvaluationOptions, evaluate};
 use odograph::formats::trajectory_file::Trajectory;
 use std::path::Path;
 
-/// The path that the plan names, where it names one. Fails where it cannot be read.
+/// The reference trajectory of the plan, if any. Fails where it cannot be read.
 pub fn read(plan: &RunPlan) -> Result<Option<Trajectory>> {
     plan.reference.as_deref().map(trajectory_in).transpose()
 }
@@ -16,19 +16,19 @@ fn trajectory_in(path: &Path) -> Result<Trajectory> {
     read_trajectory(path, None, None).map(|read| read.trajectory)
 }
 
-/// The path of a run compared with a path from elsewhere.
+/// Comparison of a run with a reference trajectory.
 #[derive(Debug)]
 pub struct ComparedReference {
-    /// Name of the file with the other path.
+    /// File name of the reference.
     pub name: String,
-    /// The other path.
+    /// The reference.
     pub reference: Trajectory,
-    /// Where the run's path lies from it, after alignment by rotation, shift and scale.
+    /// Errors of the run, after alignment by rotation, shift and scale.
     pub evaluation: Evaluation,
 }
 
-/// The path of the run in `folder` and that one, laid onto each other by a turn, a shift and a
-/// scale. Fails where they have no times in common.
+/// The trajectory of the run in `folder` and the reference, aligned by a similarity transform.
+/// Fails where they have no times in common.
 pub fn compared(path: &Path, reference: Trajectory, folder: &Path) -> Result<ComparedReference> {
     let estimate = trajectory_in(&folder.join("trajectory.tum"))?;
     let options = EvaluationOptions {
@@ -41,6 +41,6 @@ pub fn compared(path: &Path, reference: Trajectory, folder: &Path) -> Result<Com
     Ok(ComparedReference { name, reference, evaluation })
 }
 
-/// A receiver's second and a camera's frame belong together where they are no further apart than
-/// this, seconds: half of the time between the fixes of a receiver that gives ten a second.
+/// Largest time difference of associated poses, seconds: half of the interval of a receiver with
+/// ten fixes a second.
 const TOLERANCE_S: f64 = 0.05;

@@ -1,4 +1,4 @@
-//! What the report of a run shows, and who makes it.
+//! Contents of a run's report, and the trait that renders it.
 
 use crate::reference::ComparedReference;
 use odograph::camera::{Camera, Rig};
@@ -7,10 +7,10 @@ use odograph::filter::fusion::SensorReport;
 use odograph::geometry::Placement;
 use odograph::trajectory::FrameSummary;
 
-/// Makes what a person looks at after a run: `map.png` and `report.html`.
+/// Renders `map.png` and `report.html`.
 ///
-/// A run without one writes neither. The crate `odograph-report` has the one that the program uses;
-/// it needs a text and drawing stack that whoever only wants poses should not have to build.
+/// A run without a reporter writes neither. The crate `odograph-report` has the program's one; it
+/// needs a text and drawing stack that users of poses should not have to build.
 pub trait RunReporter: Send + Sync {
     /// The drawing of the map, an SVG document, as the bytes of a PNG file.
     ///

@@ -1,4 +1,4 @@
-//! What a recording that was not recognised looks like in the map that it was looked for in.
+//! Similar places of a map for a recording that was not localized.
 
 use odograph::geometry::wrap_angle;
 use odograph::ground_map::MapKeyframe;
@@ -9,7 +9,7 @@ use odograph::slam::Mapper;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Places of the map that one keyframe of the recording looks like, and what follows from them.
+/// Places of the map that one keyframe of the recording resembles, and the conclusion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resemblance {
     /// Why it was not recognised.
@@ -32,7 +32,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// What JSON calls it.
+    /// Name in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::NeverSeen => "never-seen",
@@ -43,36 +43,36 @@ impl Verdict {
     }
 }
 
-/// A place of the map that looks like the recording.
+/// A place of the map that resembles the recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AlikePlace {
     /// Probability of this place, if it is one of those listed.
     pub probability: f64,
-    /// Where the camera would be along x of the map, metres.
+    /// Position along x of the map, metres.
     pub x_m: f64,
-    /// Where it would be along y, metres.
+    /// Position along y, metres.
     pub y_m: f64,
     /// Counter-clockwise from x of the map.
     pub heading_deg: f64,
-    /// The keyframe that looks alike.
+    /// The similar keyframe.
     pub keyframe: u64,
     /// The session that it is of.
     pub session: u32,
-    /// Features found there, each weighted by how rare it is, less those of the best other pose
-    /// over the same keyframe.
+    /// Matched features weighted by distinctiveness, less those of the best other pose over the
+    /// same keyframe.
     pub evidence: f64,
-    /// Features found there.
+    /// Matched features.
     pub matches: usize,
-    /// Features on the ground that both pictures show.
+    /// Features on the common ground of both images.
     pub shared: usize,
 }
 
-/// A keyframe with fewer features cannot be recognised.
-const LEAST_FEATURES: usize = 40;
+/// Minimum number of features of a keyframe. Not derived; chosen.
+const MIN_FEATURES: usize = 40;
 
 /// With less evidence no place is listed: pictures of ground outside the map had at most 2.5 (49
 /// pictures, six textures), pictures of mapped ground that were not recognised at least 10 (64).
-const LEAST_EVIDENCE: f64 = 5.0;
+const MIN_EVIDENCE: f64 = 5.0;
 
 /// Logarithm of the odds for each unit of evidence. Evidence also grows with the overlap with the
 /// nearest keyframe, which proves nothing where ground repeats exactly; this value fits 155
@@ -85,20 +85,20 @@ const LOG_ODDS_PER_EVIDENCE: f64 = 0.05;
 const REPEATED_FEATURES: usize = 20;
 const REPEATED_SHARE: f64 = 0.15;
 
-/// So many keyframes of the recording are looked up, spread over it.
-const MOST_LOOKED_UP: usize = 16;
+/// Keyframes of the recording that are looked up, spread over it. Not derived; chosen.
+const MAX_LOOKED_UP: usize = 16;
 
-/// So many keyframes of the map are asked for.
-const MOST_HYPOTHESES: usize = 8;
+/// Keyframes of the map that are returned. Not derived; chosen.
+const MAX_HYPOTHESES: usize = 8;
 
-/// Places closer than this part of the camera's height, and with headings closer than this angle,
-/// are one.
+/// Places closer than this fraction of the camera's height, and with headings closer than this
+/// angle, are merged. Not derived; chosen.
 const SAME_PLACE_HEIGHTS: f64 = 0.25;
 const SAME_HEADING_RAD: f64 = 0.3;
 
 impl Resemblance {
-    /// Compares the keyframes that were made in this run with those that were in the map before;
-    /// the one that looks most like the map counts. `None` where no keyframe was made.
+    /// Compares this run's keyframes with those of the map; the most similar one counts. `None`
+    /// without a keyframe.
     pub(crate) fn of(mapper: &Mapper) -> Option<Self> {
         let map = mapper.map();
         let is_new = |keyframe: &&MapKeyframe| keyframe.session == mapper.session();
@@ -110,9 +110,9 @@ impl Resemblance {
             old.insert(keyframe.id, keyframe);
         }
         let new: Vec<_> = map.keyframes.iter().filter(is_new).collect();
-        let every = new.len().div_ceil(MOST_LOOKED_UP).max(1);
+        let every = new.len().div_ceil(MAX_LOOKED_UP).max(1);
         let looked_up = new.into_iter().step_by(every).map(|keyframe| {
-            let hypotheses = index.query(&keyframe.signature, MOST_HYPOTHESES);
+            let hypotheses = index.query(&keyframe.signature, MAX_HYPOTHESES);
             (keyframe.signature.features.len(), hypotheses)
         });
         let most = |hypotheses: &[PlaceHypothesis]| {
@@ -127,7 +127,7 @@ impl Resemblance {
         let verdict = match places.first() {
             Some(_) => Verdict::Ambiguous,
             None if hypotheses.iter().any(repeats) => Verdict::Repeats,
-            None if features < LEAST_FEATURES => Verdict::TooFewFeatures,
+            None if features < MIN_FEATURES => Verdict::TooFewFeatures,
             None => Verdict::NeverSeen,
         };
         Some(Self { verdict, places })
@@ -138,10 +138,10 @@ fn evidence_of(hypothesis: &PlaceHypothesis) -> f64 {
     hypothesis.worth - hypothesis.rival_worth
 }
 
-/// The different places that hypotheses put a picture at, those with evidence enough.
+/// The distinct places of the hypotheses with enough evidence.
 fn places(hypotheses: &[PlaceHypothesis], keyframes: &BTreeMap<KeyframeId, &MapKeyframe>) -> Vec<AlikePlace> {
     let mut places: Vec<AlikePlace> = Vec::new();
-    let mut evident: Vec<_> = hypotheses.iter().filter(|one| evidence_of(one) >= LEAST_EVIDENCE).collect();
+    let mut evident: Vec<_> = hypotheses.iter().filter(|one| evidence_of(one) >= MIN_EVIDENCE).collect();
     evident.sort_by(|a, b| evidence_of(b).total_cmp(&evidence_of(a)));
     for hypothesis in evident {
         let Some(keyframe) = keyframes.get(&hypothesis.keyframe) else { continue };

@@ -59,14 +59,14 @@ impl RunBuilder {
     }
 }
 
-/// A run that is ready to begin. Dropped before that it leaves nothing behind.
+/// A prepared run. Dropped before it begins it leaves no files.
 pub struct Run {
     plan: RunPlan,
     source: Source,
     folder: OutputFolder,
     output: Output,
     reporter: Option<Arc<dyn RunReporter>>,
-    /// Last, so that the folder is removed after all else is closed.
+    /// The last field, so that the folder is removed after all else is closed.
     temporary: Option<TempDir>,
 }
 
@@ -77,17 +77,17 @@ impl fmt::Debug for Run {
 }
 
 impl Run {
-    /// Everything that decides what is computed.
+    /// Everything that determines the result.
     pub fn plan(&self) -> &RunPlan {
         &self.plan
     }
 
-    /// What the source is.
+    /// Description of the source.
     pub fn source(&self) -> &SourceInfo {
         self.source.info()
     }
 
-    /// Where the results will be.
+    /// The output folder.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
@@ -98,12 +98,12 @@ impl Run {
     /// If the source has no frame, or results cannot be written. What ends the recording early,
     /// such as a damaged file, is an error only after all that was computed has been written.
     pub fn follow(self, observer: &dyn Observer) -> Result<RunOutcome> {
-        // Removed after all else is closed: what is declared first is dropped last.
+        // Removed after all else is closed: variables are dropped in reverse order of declaration.
         let _temporary = self.temporary;
         let Self { mut plan, source, mut folder, output, reporter, .. } = self;
         let started = Instant::now();
         let sensors = plan.sensors.read(&plan.source.path)?;
-        // What cannot be read is told before all the work.
+        // Unreadable inputs are reported before tracking.
         reference::read(&plan)?;
         let description = source.info().description.clone();
         let tracked = track(&mut plan, source, &mut folder, &output, observer)?;

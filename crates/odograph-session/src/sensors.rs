@@ -1,4 +1,4 @@
-//! The sensors beside the camera: their files, and what is reported of them.
+//! Sensors other than the camera: their files and reports.
 
 use crate::files;
 use odograph::error::Result;
@@ -35,11 +35,11 @@ pub struct SensorFiles {
     pub range_topic: Option<String>,
 }
 
-/// Days of a gyroscope at a hundred readings a second, bytes.
-const MOST_BYTES: u64 = 256 << 20;
+/// Largest size of a sensor file, bytes: days of a gyroscope at 100 Hz.
+const MAX_BYTES: u64 = 256 << 20;
 
 impl SensorFiles {
-    /// Whether there is none.
+    /// Whether there is no sensor.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -54,14 +54,14 @@ impl SensorFiles {
         }
     }
 
-    /// Reads the files there are, and the topics of the recording.
+    /// Reads the files, and the topics of the recording.
     pub(crate) fn read(&self, recording: &str) -> Result<Sensors> {
         let read = |path: &Option<PathBuf>, sensor: SensorKind| -> Result<Option<SensorRecord>> {
             if let Some(topic) = self.topic(sensor) {
                 return odograph_video::recorded_sensor(recording, topic, sensor).map(Some);
             }
             let Some(path) = path else { return Ok(None) };
-            let text = files::read_text_within(path, MOST_BYTES)?;
+            let text = files::read_text_within(path, MAX_BYTES)?;
             let record = sensor_file::parse(&text, sensor).map_err(|error| error.at(path.display()))?;
             Ok(Some(record))
         };

@@ -1,4 +1,4 @@
-//! The figures of a run: `stats.json` and the summary.
+//! Statistics of a run: `stats.json` and the summary.
 
 use crate::budget::Budget;
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
@@ -9,30 +9,30 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// The figures of a run, as `stats.json` has them. Documented in `docs/output.md`.
+/// Statistics of a run, as in `stats.json`. Documented in `docs/output.md`.
 #[derive(Debug, Clone, Serialize)]
 pub struct Statistics {
     /// Frames taken from the source.
     pub frames: u64,
     /// Frames whose pose was measured.
     pub frames_with_pose: u64,
-    /// From the first to the last frame, seconds of the recording.
+    /// Duration from the first to the last frame, seconds of the recording.
     pub duration_s: f64,
     /// Length of the measured path, metres; gaps do not count.
     pub distance_m: f64,
-    /// Frames a second of the whole run, writing included.
+    /// Frames per second of the whole run, including writing.
     pub fps: f64,
-    /// Frames a second had decoding cost nothing.
+    /// Frames per second without decoding.
     pub fps_without_decoding: f64,
-    /// Time a frame by stage.
+    /// Time per frame by stage.
     pub stages: BTreeMap<&'static str, StageTime>,
-    /// Keyframes made.
+    /// Number of keyframes.
     pub keyframes: u64,
-    /// Stretches without a pose.
+    /// Gaps without a pose.
     pub losses: u64,
-    /// Ground that was seen again, and what it did to the path.
+    /// Loop closures and their effect on the path.
     pub loops: LoopStatistics,
-    /// The most memory the program had, bytes; `null` where the system does not tell.
+    /// Peak memory of the program, bytes; `null` where the system does not report it.
     pub peak_memory_bytes: Option<u64>,
     /// What was reduced for a time budget, and whether it was kept; left out without a budget.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -46,15 +46,15 @@ pub struct Statistics {
     /// The readout time of the image, and whether it was given or learned; left out where neither.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub readout: Option<FoundReadout>,
-    /// What of the image does not move with the ground.
+    /// Mask of what is static in the image.
     pub fixed_in_image: FixedInImage,
     /// Whether the run was ended early by a signal.
     pub interrupted: bool,
-    /// How many frames an interrupted run would have had; left out where the source does not say,
-    /// and of whole runs.
+    /// Number of frames that an interrupted run would have had; left out where the source does not
+    /// state it, and of complete runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames_announced: Option<u64>,
-    /// How the run kept up with its source; left out of runs over recordings.
+    /// Drops and latencies of a live run; left out of runs over recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveStatistics>,
     /// Results of the other sensors; left out if there are none.
@@ -62,35 +62,35 @@ pub struct Statistics {
     pub sensors: Vec<SensorStatistics>,
 }
 
-/// What was seen again, and what that did.
+/// Loop closures and their effect.
 #[derive(Debug, Clone, Serialize)]
 pub struct LoopStatistics {
-    /// Places that the map recognised.
+    /// Loop closures of the map.
     pub closed: u64,
-    /// Keyframes that odometry itself came back to.
+    /// Revisited keyframes of the odometry.
     pub revisited: u64,
-    /// How far poses were moved by it, root mean square over the frames, metres.
+    /// Displacement of the poses by loops, root mean square over the frames, metres.
     pub correction_rms_m: f64,
-    /// The same, the most.
+    /// Largest displacement, metres.
     pub correction_most_m: f64,
     /// Heading drift for each metre ahead and to the left as the loops show it, radians.
     pub turn_per_m: [f64; 2],
-    /// Time a keyframe.
+    /// Time per keyframe.
     pub keyframe: StageTime,
 }
 
-/// How a live run kept up with its source.
+/// Drops and latencies of a live run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LiveStatistics {
-    /// Frames that came from the source.
+    /// Frames from the source.
     pub frames_captured: u64,
-    /// Frames that gave way to newer ones because tracking was too slow.
+    /// Frames dropped because tracking was too slow.
     pub frames_dropped: u64,
-    /// Posed frames that were not looked at for the mosaic because laying was too slow.
+    /// Posed frames left out of the mosaic because rendering was too slow.
     pub frames_not_laid: u64,
-    /// Keyframes that were not compared with older ones because the map was behind.
+    /// Keyframes without loop search because the map was behind.
     pub keyframes_not_compared: u64,
-    /// How often the source went away and came back.
+    /// Number of reconnections of the source.
     pub reconnects: u64,
     /// From capture to pose, milliseconds, median.
     pub latency_median_ms: f64,
@@ -101,7 +101,7 @@ pub struct LiveStatistics {
 }
 
 impl LoopStatistics {
-    /// For people, a line; empty without loops.
+    /// One line; empty without loops.
     pub fn summary(&self) -> String {
         match self.closed + self.revisited {
             0 => String::new(),
@@ -113,13 +113,13 @@ impl LoopStatistics {
     }
 }
 
-/// A budget for the time of a frame, and what became of it.
+/// The time budget of a frame, and whether it was met.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct BudgetStatistics {
-    /// The budget, and what was given up for it.
+    /// The budget and the parameters reduced for it.
     #[serde(flatten)]
     pub given_up: Budget,
-    /// Frames that took longer to track than that by more than a hundredth.
+    /// Frames that exceeded the budget by more than 1 %.
     pub frames_over: u64,
 }
 
@@ -130,27 +130,27 @@ impl BudgetStatistics {
     }
 }
 
-/// The result of a sensor beside the camera.
+/// Result of a sensor other than the camera.
 #[derive(Debug, Clone, Serialize)]
 pub struct SensorStatistics {
-    /// Which one.
+    /// Its name.
     pub sensor: SensorKind,
-    /// Whether it was believed.
+    /// Whether it passed its consistency test and was used.
     pub used: bool,
-    /// Why not.
+    /// The reason if it was not used.
     pub reason: Option<String>,
-    /// Its clock less the recording's, seconds; 0 where the movement does not tell.
+    /// Its clock minus the recording's, seconds; 0 where the motion does not determine it.
     pub time_offset_s: Option<f64>,
-    /// One standard deviation of it; `null` where the movement does not tell.
+    /// Standard deviation of the clock difference; `null` where the motion does not determine it.
     pub time_offset_sigma_s: Option<f64>,
-    /// Scale, bias and mounting as found.
+    /// Estimated scale, bias and mounting.
     pub parameters: Vec<SensorParameter>,
     /// Standard deviation of its integral over a second (gyro, wheel) or of a second's reading
     /// (heading, range), radians or metres.
     pub noise: Option<f64>,
-    /// Seconds in which it was compared with the camera.
+    /// Duration of its comparison with the camera, seconds.
     pub seconds: usize,
-    /// In how many of them it contradicts the camera.
+    /// Number of these seconds in which it contradicts the camera.
     pub contradictions: usize,
     /// Mean normalised innovation squared.
     pub nis: Option<f64>,
@@ -174,12 +174,12 @@ impl SensorStatistics {
     }
 }
 
-/// How long a stage takes.
+/// Processing times of a stage.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct StageTime {
     /// Mean over all frames, milliseconds.
     pub mean_ms: f64,
-    /// 99 of 100 frames take at most this long, milliseconds.
+    /// 99th percentile, milliseconds.
     pub p99_ms: f64,
 }
 
@@ -200,14 +200,13 @@ impl Statistics {
         })
     }
 
-    /// Where an interrupted run ended, for people; `None` where it was not interrupted, or ended as
-    /// live runs do.
+    /// State of an interrupted run; `None` if it was not interrupted, or ended as live runs do.
     pub fn interruption(&self) -> Option<String> {
         let interrupted = self.interrupted && self.live.is_none();
         interrupted.then(|| interruption(self.frames, self.frames_announced))
     }
 
-    /// For people, a few lines.
+    /// A summary of a few lines.
     pub fn summary(&self) -> String {
         let lost = match self.losses {
             0 => "never lost".to_owned(),
@@ -235,7 +234,7 @@ impl Statistics {
     }
 }
 
-/// Where a run of so many frames was interrupted.
+/// State of an interrupted run with this number of frames.
 pub(crate) fn interruption(frames: u64, announced: Option<u64>) -> String {
     match announced {
         Some(announced) => format!("interrupted after {frames} of {announced} frames"),

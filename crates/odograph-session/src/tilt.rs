@@ -1,43 +1,44 @@
-//! A tilt of the camera that nobody told.
+//! Warning about an unknown mount tilt.
 
 use crate::kept_frames::KeptFrames;
 use odograph::camera::Rig;
 use odograph::error::Result;
 use odograph::motion::MotionModel;
 
-/// Fewer posed frames than this, in the second half of a recording, tell nothing.
-const LEAST_FRAMES: usize = 60;
-/// A smaller tilt than this is not worth a word: from a metre up it turns the path by a tenth of a
-/// degree a metre, radians.
+/// Minimum number of posed frames in the second half of a recording. Not derived; chosen.
+const MIN_FRAMES: usize = 60;
+/// Smallest tilt that is reported, radians: at a height of 1 m it rotates the path by 0.1° per
+/// metre.
 const WORTH_TELLING_RAD: f64 = 0.0035;
-/// A tilt is that of the mount, and not of a hand, where it scatters by less than this part of
-/// itself.
+/// Largest scatter of a mount's tilt relative to itself; a hand scatters more. Not derived; chosen.
 const STEADY: f64 = 1.0 / 3.0;
 
-/// A sentence where the camera sat otherwise than was told, all through the second half of a
-/// recording. While that is learned, in the first metres, it bends and stretches the path, and
-/// nothing that comes later makes that good. Fails where the frames cannot be read back.
-pub fn untold(frames: &mut KeptFrames, rig: &Rig, model: MotionModel) -> Result<Option<String>> {
+/// A warning where the mount differed from the plan all through the second half of a recording.
+/// While a tilt is estimated, in the first metres, it distorts the path, and nothing later corrects
+/// that. Fails where the frames cannot be read back.
+pub fn mount_warning(frames: &mut KeptFrames, rig: &Rig, model: MotionModel) -> Result<Option<String>> {
     if model != MotionModel::Auto {
         return Ok(None); // either held, or the recording's own affair
     }
-    let told = rig.first_pose();
+    let nominal = rig.first_pose();
     let mut earlier = frames.posed() / 2;
     let mut later = Vec::with_capacity(frames.posed() - earlier);
     frames.each(|frame, _| {
         let Some(known) = &frame.estimate else { return Ok(()) };
         match earlier.checked_sub(1) {
             Some(left) => earlier = left,
-            None => later.push([known.pose.roll_rad - told.roll_rad, known.pose.pitch_rad - told.pitch_rad]),
+            None => {
+                later.push([known.pose.roll_rad - nominal.roll_rad, known.pose.pitch_rad - nominal.pitch_rad])
+            }
         }
         Ok(())
     })?;
     Ok(steady(&later))
 }
 
-/// A sentence where these tilts against what was told are those of a mount.
+/// A warning where these deviations from the plan are a mount's.
 fn steady(later: &[[f64; 2]]) -> Option<String> {
-    if later.len() < LEAST_FRAMES {
+    if later.len() < MIN_FRAMES {
         return None;
     }
     let count = later.len() as f64;
@@ -49,7 +50,7 @@ fn steady(later: &[[f64; 2]]) -> Option<String> {
     (size > WORTH_TELLING_RAD && variance.sqrt() < STEADY * size).then(|| {
         let [roll, pitch] = mean.map(f64::to_degrees);
         format!(
-            "the camera seems to sit otherwise than was told, by {roll:+.1}° of roll and {pitch:+.1}° of pitch: until that was learned the path was bent and \
+            "the camera seems to sit otherwise than was nominal, by {roll:+.1}° of roll and {pitch:+.1}° of pitch: until that was learned the path was bent and \
              stretched; odograph ground measures how it sits, and --rig tells it"
         )
     })
@@ -86,20 +87,22 @@ mod tests {
     fn told_as(frames: &[FrameEstimate], model: MotionModel) -> Option<String> {
         let mut kept = KeptFrames::new(&std::env::temp_dir());
         frames.iter().for_each(|frame| kept.push(frame.clone(), None));
-        untold(&mut kept, &Rig::level(1.0), model).unwrap()
+        mount_warning(&mut kept, &Rig::level(1.0), model).unwrap()
     }
 
-    fn told(frames: &[FrameEstimate]) -> Option<String> {
+    fn nominal(frames: &[FrameEstimate]) -> Option<String> {
         told_as(frames, MotionModel::Auto)
     }
 
     #[test]
     fn a_tilt_that_was_learned_and_stayed_is_told_and_that_of_a_hand_is_not() {
         let learned = frames(|k| 0.0175 * (k / 60.0).min(1.0) + 2e-4 * (0.7 * k).sin());
-        assert!(told(&learned).is_some_and(|sentence| sentence.contains("+1.0° of roll and +0.0° of pitch")));
-        assert_eq!(told(&frames(|k| 0.01 + 0.02 * (0.05 * k).sin())), None);
-        assert_eq!(told(&frames(|k| 1e-3 * (0.05 * k).sin())), None);
-        assert_eq!(told(&learned[..100]), None);
+        assert!(
+            nominal(&learned).is_some_and(|sentence| sentence.contains("+1.0° of roll and +0.0° of pitch"))
+        );
+        assert_eq!(nominal(&frames(|k| 0.01 + 0.02 * (0.05 * k).sin())), None);
+        assert_eq!(nominal(&frames(|k| 1e-3 * (0.05 * k).sin())), None);
+        assert_eq!(nominal(&learned[..100]), None);
         assert_eq!(told_as(&learned, MotionModel::Free), None);
     }
 }

@@ -1,12 +1,11 @@
-//! How long things took, however often they were done: counted, not listed, so that an hour needs
-//! no more memory than a minute.
+//! A histogram of durations, whose memory does not grow with their number.
 
 use std::time::Duration;
 
-/// Durations, counted in classes that are a hundredth wide. Sum and most are exact.
+/// Durations in classes of 1 %. Sum and maximum are exact.
 #[derive(Debug, Clone, Default)]
 pub struct Timings {
-    /// Of each class, as many as there are up to that of the longest.
+    /// Counts of the classes up to the longest duration.
     counts: Vec<u64>,
     count: u64,
     sum: Duration,
@@ -17,7 +16,7 @@ pub struct Timings {
 const CLASSES: f64 = 64.0;
 
 impl Timings {
-    /// Takes one more.
+    /// Adds a duration.
     pub fn push(&mut self, duration: Duration) {
         let class = class_of(duration);
         if self.counts.len() <= class {
@@ -29,22 +28,22 @@ impl Timings {
         self.most = self.most.max(duration);
     }
 
-    /// All of them together.
+    /// Sum.
     pub fn sum(&self) -> Duration {
         self.sum
     }
 
-    /// Their mean, milliseconds; zero of none.
+    /// Mean, milliseconds; zero if empty.
     pub fn mean_ms(&self) -> f64 {
         ms(self.sum) / self.count.max(1) as f64
     }
 
-    /// The longest, milliseconds; zero of none.
+    /// Maximum, milliseconds; zero if empty.
     pub fn most_ms(&self) -> f64 {
         ms(self.most)
     }
 
-    /// What this share of them takes at most, milliseconds, to half a hundredth; zero of none.
+    /// Quantile, milliseconds, to 0.5 %; zero if empty.
     pub fn quantile_ms(&self, share: f64) -> f64 {
         let rank = ((share * self.count as f64).ceil() as u64).clamp(1, self.count.max(1));
         let mut below = 0;
@@ -56,7 +55,7 @@ impl Timings {
         class.map_or(0.0, |class| middle(class).min(self.most_ms()))
     }
 
-    /// How many took longer than this, to a hundredth of it.
+    /// Number of durations above this one, to 1 %.
     pub fn longer_than(&self, duration: Duration) -> u64 {
         self.counts.iter().skip(class_of(duration) + 1).sum()
     }

@@ -1,4 +1,4 @@
-//! Trajectory files of either form, as people have them.
+//! Reading trajectory files.
 
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{
@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// A trajectory, and whether its times are seconds rather than numbers of poses.
+/// A trajectory, and whether its times are seconds or pose numbers.
 #[derive(Debug)]
 pub struct LoadedTrajectory {
     /// The poses with their times.
@@ -17,8 +17,8 @@ pub struct LoadedTrajectory {
     pub timed: bool,
 }
 
-/// A trajectory in TUM's or KITTI's form; where `format` is `None` the number of columns says
-/// which. KITTI's files have no times of their own: `times_s` gives them, seconds.
+/// Reads a trajectory in TUM's or KITTI's format; where `format` is `None` the number of columns
+/// decides. KITTI's files have no times: `times_s` gives them, seconds.
 ///
 /// # Errors
 /// If the file cannot be read, or is no trajectory.
@@ -43,8 +43,7 @@ pub fn read_trajectory(
     parse().map_err(|error: Error| error.at(path.display()))
 }
 
-/// No trajectory of text is larger: a day at a thousand poses a second is 10 GB, an hour at 100 is
-/// 40 MB.
+/// Largest size of a trajectory file, bytes: an hour at 100 poses a second is 40 MB.
 const MAX_BYTES: u64 = 1 << 30;
 
 /// The text of a trajectory file, or of a file with its times.

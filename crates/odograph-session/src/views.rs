@@ -1,8 +1,8 @@
-//! Of which frames the mosaic is made.
+//! Selection of the frames of the mosaic.
 //!
-//! The keyframes show nearly all of the ground and are in the map anyway; besides them a few frames
-//! are kept that show what no keyframe does. So a frame costs a look at what is covered, and the
-//! mosaic is laid once, at the end, where loops and other sensors say that the frames are.
+//! Keyframes show nearly all of the ground and are in the map anyway; a few more frames are kept
+//! that show what no keyframe does. So a frame only costs a test of coverage, and the mosaic is
+//! rendered once, at the end, at the final poses.
 
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
@@ -24,29 +24,29 @@ pub struct Posed {
     pub frame: Frame,
     pub pose: GroundPose,
     pub segment: usize,
-    /// Whether it became a keyframe: then the map has its image.
+    /// Whether it became a keyframe; its image is then in the map.
     pub is_keyframe: bool,
 }
 
-/// A frame waits for the next keyframe where so much of it is new, and is kept where so much of it
-/// still is new then: on a bend that is the strip along its outer side that no keyframe reaches.
+/// New fraction of a frame for which it waits for the next keyframe, and that at which it is kept
+/// then: in a curve that is the strip on its outer side. Not derived; chosen.
 const WAITS_WHERE_NEW: f64 = 0.08;
 const KEPT_WHERE_NEW: f64 = 0.01;
-/// Frames that wait for a keyframe; more of them than this means that none is coming.
-const MOST_WAITING: usize = 8;
+/// Most frames waiting for a keyframe; more mean that none is coming. Not derived; chosen.
+const MAX_WAITING: usize = 8;
 
-/// The frames of which the mosaic will be made.
+/// The frames of the mosaic.
 pub struct Views {
     covered: Coverage,
     waiting: Vec<Posed>,
     waiting_covers: Coverage,
-    /// The frame before, where it neither waits nor is a keyframe.
+    /// The previous frame, unless it waits or is a keyframe.
     before: Option<Posed>,
     images: FrameImages,
 }
 
 impl Views {
-    /// Of a run that writes into `folder`.
+    /// For a run with this output folder.
     pub fn new(camera: &Camera, folder: &Path) -> Self {
         Self {
             covered: Coverage::new(camera),
@@ -57,7 +57,7 @@ impl Views {
         }
     }
 
-    /// Takes the next frame that has a pose. Fails where one cannot be kept.
+    /// Adds the next frame with a pose. Fails where one cannot be stored.
     pub fn next(&mut self, posed: Posed) -> Result<()> {
         if self.segment().is_some_and(|segment| segment != posed.segment) {
             self.end_stretch()?;
@@ -74,11 +74,11 @@ impl Views {
         self.waiting_covers.add(&posed.pose);
         self.waiting.push(posed);
         self.before = None;
-        if self.waiting.len() > MOST_WAITING { self.keep_waiting() } else { Ok(()) }
+        if self.waiting.len() > MAX_WAITING { self.keep_waiting() } else { Ok(()) }
     }
 
-    /// Lays the keyframes and the frames kept, where `frames` now has them: one is decoded while
-    /// another is laid where there are `threads` for both.
+    /// Renders keyframes and kept frames at the poses of `frames`, decoding concurrently where
+    /// `threads` allow.
     pub fn lay(
         &mut self,
         camera: &Camera,
@@ -128,12 +128,12 @@ impl Views {
         Ok(mosaic)
     }
 
-    /// The stretch that the last frame belongs to.
+    /// Segment of the last frame.
     fn segment(&self) -> Option<usize> {
         self.before.as_ref().or(self.waiting.last()).map(|posed| posed.segment)
     }
 
-    /// Keeps what waits and the last frame, as far as they show what nothing else does.
+    /// Keeps the waiting frames and the last one, as far as they show new ground.
     fn end_stretch(&mut self) -> Result<()> {
         self.keep_waiting()?;
         match self.before.take() {

@@ -77,7 +77,7 @@ Ends with 0 when the place was found, 2 on wrong usage, 3 on bad input, 4 when i
 
 /// Runs the command.
 pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
-    // A map that cannot be read is told before anything is made for the results.
+    // An unreadable map is reported before any output is created.
     drop(MapFile::open_read_only(&arguments.map)?);
     let source = SourcePlan {
         timestamps: arguments.timestamps.clone(),

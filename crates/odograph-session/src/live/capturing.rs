@@ -1,4 +1,4 @@
-//! The thread that takes frames from a source.
+//! The capture thread.
 
 use odograph::error::Error;
 use odograph_live::capture::{Captured, LiveSource, Newest};
@@ -6,27 +6,26 @@ use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Frames that wait for tracking: one that is next, and one for the time in which it is taken.
+/// Length of the queue to tracking: the next frame, and one that arrives while it is taken.
 pub const FRAMES_WAITING: usize = 2;
-/// How long to wait for a frame before looking at everything else.
+/// Longest wait for a frame before other work is done.
 pub const PATIENCE: Duration = Duration::from_millis(100);
-/// How often the page hears how the run goes.
+/// Interval of status updates of the page.
 pub const STATUS_EVERY: Duration = Duration::from_millis(250);
-/// A source that is asked to end is waited for so long; one that hangs in the system is left
-/// behind.
+/// Longest wait for a source to end; one that hangs in the system is abandoned.
 pub const FAREWELL: Duration = Duration::from_secs(2);
 
-/// What a source left when it ended.
+/// State of a source at its end.
 #[derive(Debug, Default)]
 pub struct Farewell {
-    /// What a person should know of it, a sentence each.
+    /// Warnings, one sentence each.
     pub warnings: Vec<String>,
-    /// What ended it early.
+    /// The error that ended it early.
     pub failure: Option<Error>,
 }
 
-/// Takes frames from the source on a thread of its own, which ends with the queue or the source. It
-/// is not joined: reading a pipe or a device may hang as long as its other end wills.
+/// Captures frames on a thread, which ends with the queue or the source. It is not joined: reading
+/// a pipe or a device may block indefinitely.
 pub fn capture(
     mut source: Box<dyn LiveSource>,
     queue: Arc<Newest<(Captured, Duration)>>,
@@ -45,7 +44,7 @@ pub fn capture(
                 Err(error) => break Some(error),
             }
         };
-        // Nobody may be waiting any more.
+        // The receiver may be gone.
         let _ = ended.send(Farewell { warnings: source.take_warnings(), failure });
         queue.close();
     });

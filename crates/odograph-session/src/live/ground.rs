@@ -1,4 +1,4 @@
-//! The mosaic while it grows under the page's eyes.
+//! The mosaic of a live run, shown while it grows.
 
 use super::laying::{Kept, Laying};
 use crate::views::Posed;
@@ -15,8 +15,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The ground of a live run: laid by one thread, looked at by those of the page, and laid anew by a
-/// third.
+/// The mosaic of a live run: rendered by one thread, read by those of the page, and rendered again
+/// by a third.
 #[derive(Clone)]
 pub struct LiveGround {
     camera: Camera,
@@ -26,30 +26,29 @@ pub struct LiveGround {
 
 struct State {
     mosaic: Stage,
-    /// How often all was laid anew; the revisions of each time begin beyond those of the time
-    /// before.
+    /// Number of complete renderings; the revisions of each are larger than all before.
     generation: u64,
-    /// Squares of the time before that have no ground any more.
+    /// Tiles of the previous rendering that are now empty.
     bare: BTreeSet<MosaicSquare>,
 }
 
 enum Stage {
     Growing(Box<Laying>),
-    /// Neither, for a moment.
+    /// Neither, temporarily.
     Away,
     Finished(Box<Mosaic>),
 }
 
-/// A ground to be laid anew.
+/// A mosaic to be rendered again.
 pub struct Relaying {
     /// The file with the keyframes' images.
     pub file: PathBuf,
     pub keyframes: Vec<(KeyframeId, GroundPose)>,
-    /// Of the newest keyframe: frames that come are laid under it from now on.
+    /// Correction of the newest keyframe: subsequent frames are rendered with it.
     pub correction: Sim2,
 }
 
-/// Revisions of one generation: more than frames are laid in a run.
+/// Revisions of one rendering: more than frames in a run.
 const REVISIONS: u64 = 1 << 40;
 
 impl State {
@@ -63,7 +62,7 @@ impl State {
 }
 
 impl LiveGround {
-    /// Of a run that writes into `folder`. Where nobody can look (`shown` is false) nothing is laid
+    /// For a run with this output folder. Without viewers (`shown` is false) nothing is rendered
     /// before the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         let laying = Laying::new(camera.clone(), folder, shown);
@@ -75,20 +74,20 @@ impl LiveGround {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether somebody can look.
+    /// Whether there may be viewers.
     pub fn is_shown(&self) -> bool {
         self.shown
     }
 
-    /// Lays a frame where it shows something new.
+    /// Renders a frame where it shows new ground.
     pub fn lay(&self, posed: Posed) {
         if let Stage::Growing(laying) = &mut self.state().mosaic {
             laying.next(posed);
         }
     }
 
-    /// Lays everything anew from the keyframes in the map file, and what comes where the newest of
-    /// them is. Meanwhile the old ground is there.
+    /// Renders everything again from the keyframes in the map file, and subsequent frames relative
+    /// to the newest of them. Until then the old mosaic is shown.
     pub fn lay_again(&self, relaying: &Relaying) -> Result<()> {
         let mut file = MapFile::open_read_only(&relaying.file)?;
         let mut fresh = Mosaic::new(Default::default());
@@ -109,8 +108,7 @@ impl LiveGround {
         Ok(())
     }
 
-    /// Ends the laying: nothing grows any more, and those who look see the ground as it is. `None`
-    /// where it has ended before.
+    /// Finishes rendering; viewers see the mosaic as it is. `None` if it is finished already.
     pub fn finish(&self) -> Option<Kept> {
         let mut state = self.state();
         let Stage::Growing(laying) = std::mem::replace(&mut state.mosaic, Stage::Away) else { return None };
@@ -134,7 +132,7 @@ impl Ground for LiveGround {
         if revision / REVISIONS == state.generation {
             return mosaic.changed_since(revision % REVISIONS).collect();
         }
-        // Who asks for a square without ground is told that there is none.
+        // An empty tile has a reply of its own.
         mosaic.changed_since(0).chain(state.bare.iter().copied()).collect()
     }
 
@@ -170,7 +168,7 @@ mod tests {
         Posed { frame: Frame::new(number, number as f64, picture), pose, segment: 0, is_keyframe: false }
     }
 
-    /// The shade of the ground at x on the x axis.
+    /// Gray level of the ground at x on the x axis.
     fn shade(ground: &LiveGround, x_m: f64) -> Option<u8> {
         let metres_per_pixel = Ground::state(ground)?.metres_per_pixel;
         let column = (x_m / metres_per_pixel).floor() as i64;
@@ -225,13 +223,13 @@ mod tests {
         let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
         let correction = second.map_from_odometry();
         ground.lay_again(&Relaying { file: path, keyframes, correction }).unwrap();
-        // Who looked before hears of every square, of those too that are bare now.
+        // Viewers are told of every changed tile, including empty ones.
         let changed = ground.changed_since(before);
         let (there, bare): (Vec<_>, Vec<_>) =
             changed.into_iter().partition(|tile| ground.tile_rgba(*tile).is_some());
         assert!(!there.is_empty() && !bare.is_empty(), "{there:?} {bare:?}");
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), Some(90), None]);
-        // What odometry has fifteen metres too far is laid where it is.
+        // Frames that odometry has fifteen metres too far are rendered at their corrected poses.
         let revision = Ground::state(&ground).unwrap().revision;
         ground.lay(posed(2, 130, at(40.0)));
         assert_eq!([25.1, 40.1].map(|x_m| shade(&ground, x_m)), [Some(130), None]);

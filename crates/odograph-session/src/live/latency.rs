@@ -1,10 +1,10 @@
-//! How long poses take, from capture on.
+//! Latency of poses, from capture on.
 
 use crate::timings::Timings;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// What the page shows is of the last so many seconds.
+/// Averaging window of the page, seconds.
 const WINDOW: Duration = Duration::from_secs(5);
 
 /// Latencies of all frames, and of the last seconds.
@@ -15,7 +15,7 @@ pub struct Latencies {
 }
 
 impl Latencies {
-    /// Takes the latency of a frame that was finished now. Gives it in milliseconds.
+    /// Adds the latency of a frame that was finished now. Returns it in milliseconds.
     pub fn add(&mut self, latency: Duration) -> f64 {
         self.all.push(latency);
         self.recent.push_back((Instant::now(), latency));
@@ -23,7 +23,7 @@ impl Latencies {
         1e3 * latency.as_secs_f64()
     }
 
-    /// Frames a second, median and 99th percentile in milliseconds of the last seconds.
+    /// Frames per second, median and 99th percentile in milliseconds over the last seconds.
     pub fn recent(&mut self) -> (f64, f64, f64) {
         self.forget();
         let mut timings = Timings::default();
@@ -33,7 +33,7 @@ impl Latencies {
         (fps, timings.quantile_ms(0.5), timings.quantile_ms(0.99))
     }
 
-    /// Median, 99th percentile and most of all frames, milliseconds.
+    /// Median, 99th percentile and maximum over all frames, milliseconds.
     pub fn overall(&self) -> [f64; 3] {
         [self.all.quantile_ms(0.5), self.all.quantile_ms(0.99), self.all.most_ms()]
     }

@@ -1,4 +1,4 @@
-//! The mosaic as it is laid while the frames come.
+//! Incremental rendering of the mosaic.
 
 use crate::timings::Timings;
 use crate::views::{Posed, Views};
@@ -9,34 +9,35 @@ use odograph::mosaic::Mosaic;
 use std::path::Path;
 use std::time::Instant;
 
-/// The mosaic so far, and the frames of which it is laid again at the end, where they then are.
+/// The mosaic so far, and the frames from which it is rendered again at the end, at their final
+/// poses.
 pub struct Laying {
     camera: Camera,
-    /// Whether somebody can look at the mosaic.
+    /// Whether there may be viewers.
     shown: bool,
     mosaic: Mosaic,
-    /// Where frames are laid: as odometry has them, until a loop has moved that.
+    /// Correction of the poses: identity until a loop moves the map.
     correction: Sim2,
     views: Views,
-    /// Of the first frame that could not be kept.
+    /// Error of the first frame that could not be stored.
     failure: Option<Error>,
     times: Timings,
-    /// The frame before, where it was not laid: laid after all when it turns out to be the last of
-    /// its stretch.
+    /// The previous frame if it was not rendered: rendered if it turns out to be the last of its
+    /// segment.
     before: Option<Posed>,
 }
 
-/// What laying leaves beside the mosaic.
+/// Results besides the mosaic.
 pub struct Kept {
     pub views: Views,
-    /// Why not all frames could be kept of which the mosaic is laid again.
+    /// Why not all frames for the final mosaic could be stored.
     pub failure: Option<Error>,
-    /// How long each frame took.
+    /// Rendering time of each frame.
     pub times: Timings,
 }
 
 impl Laying {
-    /// Of a run that writes into `folder`. Where nobody can look, frames are only kept for the end.
+    /// For a run with this output folder. Without viewers frames are only stored for the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         Self {
             views: Views::new(&camera, folder),
@@ -50,17 +51,17 @@ impl Laying {
         }
     }
 
-    /// The ground so far.
+    /// The mosaic so far.
     pub fn mosaic(&self) -> &Mosaic {
         &self.mosaic
     }
 
-    /// Goes on upon a ground that was laid anew, with frames corrected from now on.
+    /// Continues on a newly rendered mosaic, with corrected frames.
     pub fn go_on(&mut self, mosaic: Mosaic, correction: Sim2) {
         (self.mosaic, self.correction) = (mosaic, correction);
     }
 
-    /// Lays a frame where it shows something new.
+    /// Renders a frame where it shows new ground.
     pub fn next(&mut self, posed: Posed) {
         let started = Instant::now();
         if let Some(before) = self.before.take().filter(|before| before.segment != posed.segment) {
@@ -88,7 +89,7 @@ impl Laying {
         }
     }
 
-    /// The mosaic with the last frame on it, and the rest.
+    /// The mosaic with the last frame, and the rest.
     pub fn finished(mut self) -> (Mosaic, Kept) {
         if let Some(before) = self.before.take() {
             self.lay(&before);

@@ -5,7 +5,7 @@ use odograph::ground_map::GroundMap;
 use odograph::keyframe::EdgeKind;
 use serde_json::{Value, json};
 
-/// Where the keyframes are, and between which of them ground was seen again; metres.
+/// Keyframes and loop closures; metres.
 pub fn map_graph(map: &GroundMap) -> Value {
     let thousandths = |metres: f64| (1e3 * metres).round() / 1e3;
     let place = |pose: &GroundPose| [thousandths(pose.x_m), thousandths(pose.y_m)];

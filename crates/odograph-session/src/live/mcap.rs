@@ -1,4 +1,4 @@
-//! A run as an MCAP file, written beside tracking.
+//! Recording of a run as an MCAP file, concurrent with tracking.
 
 use odograph::error::{Error, Result};
 use odograph::trajectory::FrameEstimate;
@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// Frames that wait to be written: a disk may pause for two seconds.
+/// Length of the queue: a disk may pause for two seconds.
 const QUEUE: usize = 64;
-/// A picture every so often, seconds of the recording: each takes some 50 kB, so ten a second are 2
-/// GB an hour.
+/// Interval of images, seconds of the recording: each takes about 50 kB, so ten a second are 2 GB
+/// an hour.
 const PICTURE_EVERY_S: f64 = 0.1;
 
-/// The file of a run, if one was asked for.
+/// The file of a run, if requested.
 pub struct McapLog {
     path: PathBuf,
     file: Mutex<Option<McapFile>>,
@@ -31,7 +31,7 @@ struct Entry {
 }
 
 impl McapLog {
-    /// A file at `path`, of a run over a source that is described in words.
+    /// A file at `path`, for a run over a source with this description.
     pub fn new(path: &Path, source: &str, policy: Policy) -> Result<Self> {
         let file = McapFile::create(path, source).map_err(|error| Error::usage(error.to_string()))?;
         Ok(Self {
@@ -43,8 +43,7 @@ impl McapLog {
         })
     }
 
-    /// Whether a file may be written there; told before anything else is
-    /// begun.
+    /// Whether a file may be written there; checked before anything else.
     pub fn check(path: &Path, force: bool) -> Result<()> {
         if path.exists() && !force {
             return Err(Error::usage(format!(
@@ -55,11 +54,11 @@ impl McapLog {
         Ok(())
     }
 
-    /// Takes a frame without waiting longer than the run's policy allows; `picture` is asked only
-    /// where one is due.
+    /// Adds a frame without waiting longer than the run's policy allows; `picture` is only called
+    /// where an image is due.
     pub fn give(&self, frame: &FrameEstimate, latency_ms: f64, picture: impl FnOnce() -> Picture) {
         let mut next_s = self.next_picture_s.lock().unwrap_or_else(PoisonError::into_inner);
-        // Frames do not come evenly: one that is nearly due is due.
+        // Frame times jitter: a frame that is nearly due is taken.
         let due = next_s.is_none_or(|next_s| frame.time_s >= next_s - 0.2 * PICTURE_EVERY_S);
         if due {
             *next_s = Some(
@@ -72,13 +71,12 @@ impl McapLog {
         self.queue.give(Entry { frame: frame.clone(), latency_ms, picture });
     }
 
-    /// No more frames will come.
+    /// Ends the input.
     pub fn close(&self) {
         self.queue.close();
     }
 
-    /// Writes what comes until no more does, then ends the file. Where the disk is full it stops,
-    /// and tracking goes on.
+    /// Writes all input, then finishes the file. On a full disk it stops, and tracking continues.
     pub fn write_all(&self) {
         let Some(mut file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         loop {
@@ -86,7 +84,7 @@ impl McapLog {
                 Taken::Item(Entry { frame, latency_ms, picture }) => {
                     if let Err(error) = file.add(&frame, latency_ms, picture.as_ref()) {
                         self.fail(&error);
-                        // Who gives is not kept waiting for who has stopped.
+                        // The sender must not wait for a stopped writer.
                         self.queue.close();
                         return;
                     }
@@ -109,12 +107,12 @@ impl McapLog {
         *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(told);
     }
 
-    /// What a person should know of it.
+    /// Warning.
     pub fn message(&self) -> Option<String> {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// What a person should know of it when all is over.
+    /// Warning at the end.
     pub fn warnings(&self) -> Vec<String> {
         let dropped = match self.queue.counts().1 {
             0 => None,

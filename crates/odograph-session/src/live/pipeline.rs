@@ -1,5 +1,5 @@
-//! Capture | track | map and show, side by side. Only tracking is waited for; everything else gets
-//! what it can carry.
+//! The live pipeline capture | track | map and show, on threads. Only tracking is waited for; other
+//! stages get what they can handle.
 
 use super::capturing::{FAREWELL, FRAMES_WAITING, PATIENCE, STATUS_EVERY, capture};
 use super::ground::{LiveGround, Relaying};
@@ -33,16 +33,16 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Frames that wait to be laid on the ground.
+/// Length of the queue to rendering.
 const LAYING_QUEUE: usize = 4;
-/// Keyframes that wait for the map. None of them may be left out; a map that is so many behind is
-/// waited for.
+/// Longest queue to the map. No keyframe may be dropped; tracking waits for a map that is this far
+/// behind.
 const MAPPING_QUEUE: usize = 32;
-/// With so many waiting, the map of a camera takes keyframes without looking for loops, until none
-/// waits any more: in that it is faster than keyframes can come.
+/// Queue length from which the map of a camera suspends loop search until the queue is empty:
+/// without it the map is faster than keyframes can come.
 const BEHIND: usize = 8;
 
-/// Follows a source until it ends or the run is asked to end, then writes everything.
+/// Tracks a source until it ends or the run is asked to end, then writes everything.
 pub fn follow(
     plan: &RunPlan,
     calibration: Option<OnlineCalibration>,
@@ -115,7 +115,7 @@ pub fn follow(
     finish(plan, tracked, &mut folder, ending)
 }
 
-/// Closes the queues of the threads beside however tracking ends, so that they end too.
+/// Closes the queues of the other threads however tracking ends, so that they end too.
 struct Closing<'a>(&'a Beside, Option<&'a McapLog>);
 
 impl Drop for Closing<'_> {
@@ -127,14 +127,14 @@ impl Drop for Closing<'_> {
     }
 }
 
-/// What happened to the keyframes with a frame, and the frame, whose colours the map keeps.
+/// The keyframe event of a frame, and the frame, whose colours the map stores.
 struct Happened {
     events: Vec<KeyframeEvent>,
-    /// Where it became a keyframe.
+    /// Present if it became a keyframe.
     frame: Option<Frame>,
 }
 
-/// The queues to the threads beside tracking.
+/// The queues to the other threads.
 struct Beside {
     laying: Newest<Posed>,
     mapping: Newest<Happened>,
@@ -142,14 +142,14 @@ struct Beside {
     relaying: Newest<Relaying>,
 }
 
-/// A picture to be shown.
+/// An image for the page.
 struct Sight {
     record: usize,
     gray: GrayImage,
     tracks: Vec<TrackView>,
 }
 
-/// The middle of the pipeline.
+/// The tracking stage.
 struct Following<'a, 'p> {
     odometry: Odometry,
     calibration: Option<OnlineCalibration>,
@@ -162,7 +162,7 @@ struct Following<'a, 'p> {
     observer: &'a dyn Observer,
     log: Option<&'a McapLog>,
     hub: &'a Hub,
-    /// Whether somebody can look.
+    /// Whether there may be viewers.
     shown: bool,
     watch: &'a Watch,
     queue: Arc<Newest<(Captured, Duration)>>,
@@ -174,7 +174,7 @@ struct Following<'a, 'p> {
 }
 
 impl Following<'_, '_> {
-    /// Tracks until the end. What was measured stays, whatever ends it.
+    /// Tracks until the end; an error keeps what was measured.
     fn run(&mut self, ground: &LiveGround, mapping: &mut Mapping) -> Result<()> {
         let beside = Beside {
             laying: Newest::new(self.policy, LAYING_QUEUE),
@@ -207,7 +207,7 @@ impl Following<'_, '_> {
                     not_compared +=
                         if hurried { happened.events.iter().filter(made).count() as u64 } else { 0 };
                     mapping.hurry(hurried);
-                    // A map that cannot be written (the disk is full) ends; tracking does not.
+                    // A map that cannot be written (full disk) ends; tracking continues.
                     if failure.is_none() {
                         failure = mapping.take(happened.events, happened.frame.as_ref()).err();
                         if ground.is_shown() {
@@ -275,7 +275,7 @@ impl Following<'_, '_> {
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
         let reference = self.odometry.reference();
         let keyframe = reference.map(|reference| reference.keyframe.0);
-        // A robot that nobody looks at need not remember its way.
+        // Without viewers the path need not be kept in memory.
         if self.shown {
             let record =
                 TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
@@ -300,7 +300,7 @@ impl Following<'_, '_> {
         Ok(())
     }
 
-    /// How far the camera went since the frame before, where both are known and connected, metres.
+    /// Distance since the previous frame, where both have connected poses, metres.
     fn step_m(&self, next: &FrameEstimate) -> f64 {
         let before = self.frames.last().filter(|before| before.segment == next.segment);
         match (before.and_then(|before| before.estimate.as_ref()), &next.estimate) {
@@ -347,7 +347,7 @@ impl Following<'_, '_> {
     }
 }
 
-/// Takes everything from a queue until its end.
+/// Empties a queue until its end.
 fn each<T>(queue: &Newest<T>, mut take: impl FnMut(T)) {
     loop {
         match queue.take(Duration::from_secs(1)) {

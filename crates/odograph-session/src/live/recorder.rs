@@ -1,4 +1,4 @@
-//! What is seen goes to disk as it comes; where the disk is full tracking goes on without.
+//! Recording to disk during a run; on a full disk tracking continues.
 
 use crate::folder::OutputFolder;
 use crate::plan::RunPlan;
@@ -9,19 +9,18 @@ use std::fmt::Write;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// At most so much is lost when the program is killed.
+/// Longest time of results lost if the program is killed.
 const FLUSHED_EVERY: Duration = Duration::from_millis(500);
-/// How often to look how full the disk is.
+/// Interval of checks of free disk space.
 const SPACE_EVERY: Duration = Duration::from_secs(10);
-/// With less left on the disk than this it is time to say so, bytes: the pictures at the end of a
-/// run take tens of megabytes.
+/// Free disk space below which a warning is given, bytes: the drawings at the end take tens of
+/// megabytes.
 const LITTLE_SPACE: u64 = 200 << 20;
 
-/// The folder of a live run.
+/// The output folder of a live run.
 pub struct Recorder {
     folder: OutputFolder,
-    /// `run.toml`, until it is written with the first frame: a run without any leaves nothing
-    /// behind.
+    /// `run.toml`, until it is written with the first frame: a run without frames leaves no files.
     plan: Option<String>,
     flushed: Instant,
     space_looked: Option<Instant>,
@@ -44,7 +43,7 @@ impl Recorder {
         })
     }
 
-    /// Takes a frame.
+    /// Adds a frame.
     pub fn record(&mut self, frame: &FrameEstimate) {
         if self.stopped.is_some() {
             return;
@@ -63,7 +62,7 @@ impl Recorder {
         }
     }
 
-    /// Takes marks that were set since.
+    /// Adds marks set since the last call.
     pub fn mark(&mut self, marks: Vec<Mark>) {
         if marks.is_empty() {
             return;
@@ -74,12 +73,12 @@ impl Recorder {
         }
     }
 
-    /// How many marks were taken.
+    /// Number of marks.
     pub fn marks(&self) -> usize {
         self.marks.len()
     }
 
-    /// What a person should know of the disk.
+    /// Warning about the disk.
     pub fn message(&mut self) -> Option<String> {
         if self.space_looked.is_none_or(|looked| looked.elapsed() >= SPACE_EVERY) {
             self.space_looked = Some(Instant::now());
@@ -99,7 +98,7 @@ impl Recorder {
         self.stopped.is_none()
     }
 
-    /// Where the folder is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }

@@ -1,19 +1,19 @@
-//! Where the poses of a live run go.
+//! Outputs for the poses of a live run.
 
 use super::mcap::McapLog;
 use odograph::error::Result;
 use odograph::trajectory::FrameEstimate;
 
-/// Takes poses as soon as they are known.
+/// Receives poses as soon as they are known.
 pub trait PoseSink {
-    /// Takes a frame, tracked or lost, so long after its capture, milliseconds.
+    /// Receives a tracked or lost frame, with its latency since capture, milliseconds.
     ///
     /// # Errors
     /// An error ends the run, which then fails with it once all results are written.
     fn take(&mut self, frame: &FrameEstimate, latency_ms: f64) -> Result<()>;
 }
 
-/// Where the poses of a live run go beside folder and hub.
+/// Outputs of poses besides folder and hub.
 pub struct LiveSinks<'a, 'p> {
     pub poses: Option<&'a mut (dyn PoseSink + 'p)>,
     pub log: Option<&'a McapLog>,

@@ -1,4 +1,4 @@
-//! What a source's name means, and whether it waits for us.
+//! Interpretation of a source's name, and its drop policy.
 
 use crate::plan::SourcePlan;
 use odograph::error::{Error, Result};
@@ -9,40 +9,40 @@ use odograph_live::capture::{
 use std::path::Path;
 use std::time::Duration;
 
-/// How frames are had from a source that gives them as they come.
+/// How frames are captured from a live source.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CaptureOptions {
-    /// A recording is played at so many times its own pace, and frames that come too fast are
-    /// dropped. Without this every frame is taken, as fast as possible. Of frames on standard input
-    /// the newest win.
+    /// Playback speed of a recording relative to its own pace; frames that come too fast are
+    /// dropped. Without it every frame is taken, as fast as possible; of frames on standard input
+    /// the newest are taken.
     pub realtime: Option<f64>,
-    /// Frame rate asked of a camera.
+    /// Frame rate requested from a camera.
     pub fps: Option<f64>,
-    /// Image size asked of a camera, pixels; the calibrated one by default.
+    /// Image size requested from a camera, pixels; the calibrated one by default.
     pub size_px: Option<(u32, u32)>,
-    /// Pixel format asked of a camera.
+    /// Pixel format requested from a camera.
     pub format: Option<PixelFormat>,
-    /// A camera's exposure is left to itself; otherwise it is held once it has settled.
+    /// Leaves automatic exposure on; otherwise it is fixed once it has settled.
     pub auto_exposure: bool,
-    /// Standard input has bare frames of this form.
+    /// Format of raw frames on standard input.
     pub raw: Option<RawFormat>,
-    /// How long to wait for a network camera to come back; a minute by default.
+    /// Longest wait for a network camera to reconnect; a minute by default.
     pub patience: Option<Duration>,
 }
 
-/// A network camera may be away so long.
+/// Default longest wait for a network camera.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A source and what happens to frames that come too fast.
+/// A source and its drop policy.
 pub struct LiveInput {
     /// Frames as they come.
     pub source: Box<dyn LiveSource>,
-    /// What happens to frames that come too fast.
+    /// Drop policy.
     pub policy: Policy,
 }
 
-/// Opens a source by its name. Of a camera, pictures of the size `calibrated` are wanted where
-/// nothing else is wished.
+/// Opens a source by its name. A camera is asked for images of the size `calibrated` unless the
+/// options request another.
 ///
 /// # Errors
 /// If the source cannot be opened, or an option does not fit it.
@@ -79,7 +79,7 @@ pub fn open_live_input(
         return Ok(never_late(Box::new(stream)));
     }
     let streams = name == "-";
-    // A pipe has a pace of its own already; what it has is what there is now.
+    // A pipe has its own pace: its newest frame is the present one.
     let speed = options.realtime.filter(|_| !streams);
     let policy = if speed.is_some() || streams { Policy::NewestWins } else { Policy::Wait };
     Ok(LiveInput { source: Box::new(Recording::new(plan.open()?, speed, watch.clone())), policy })

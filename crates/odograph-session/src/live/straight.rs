@@ -1,7 +1,7 @@
-//! The path and the ground on the page where loops have put them.
+//! Path and mosaic of the page in the map frame.
 //!
-//! Odometry's own path never jumps: what is printed, sent and recorded stays as it was measured.
-//! The page shows the map frame instead, in which a loop moves what lies behind.
+//! Odometry's own path never jumps: what is printed, sent and recorded stays as measured. The page
+//! shows the map frame instead, in which a loop closure moves earlier poses.
 
 use super::ground::{LiveGround, Relaying};
 use super::map_graph::map_graph;
@@ -14,20 +14,21 @@ use odograph_live::capture::{Newest, Taken};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
-/// A correction as the page takes it: scale times cosine and sine of the turn in millionths, the
-/// translation in tenths of a millimetre.
+/// A correction in the page's format: scale times cosine and sine of the rotation in millionths,
+/// the translation in tenths of a millimetre.
 fn numbers(correction: &Sim2) -> [f64; 4] {
     let rounded = |value: f64, steps: f64| (value * steps).round() / steps;
     let (cos, sin) = correction.rotate(1.0, 0.0);
     [rounded(cos, 1e6), rounded(sin, 1e6), rounded(correction.x_m, 1e4), rounded(correction.y_m, 1e4)]
 }
 
-/// Between two tellings at least, for each thousand keyframes besides.
+/// Shortest interval between updates, plus the same per thousand keyframes.
 const TOLD_EVERY: Duration = Duration::from_secs(1);
-/// Laying anew takes at most so much of a core: after it nine times as long nothing is laid anew.
+/// Largest share of a core for rendering again: each rendering is followed by a pause of nine times
+/// its duration.
 const REST: u32 = 9;
 
-/// Who watches the map for loops.
+/// Watches the map for loops.
 pub struct Straightening<'a> {
     hub: &'a Hub,
     relaying: &'a Newest<Relaying>,
@@ -40,8 +41,7 @@ impl<'a> Straightening<'a> {
         Self { hub, relaying, loops: 0, told: None }
     }
 
-    /// Looks whether ground was seen again since the last time, and tells where everything lies
-    /// now.
+    /// Publishes the corrected poses if there was a loop closure since the last call.
     pub fn look(&mut self, mapping: &Mapping) {
         let mapper = mapping.mapper();
         let map = mapper.map();
@@ -65,8 +65,8 @@ impl<'a> Straightening<'a> {
     }
 }
 
-/// Keyframes and loops, and what takes the frames of each keyframe of a session from the odometry
-/// frame to the map.
+/// Keyframes and loop closures, and the correction from the odometry frame to the map frame at each
+/// keyframe of a session.
 fn told(map: &GroundMap, session: u32) -> Value {
     let mut value = map_graph(map);
     let own = map.keyframes.iter().filter(|keyframe| keyframe.session == session);
@@ -75,8 +75,7 @@ fn told(map: &GroundMap, session: u32) -> Value {
     value
 }
 
-/// Lays the ground anew whenever that is asked for, but for its rests, until nothing more is asked
-/// for.
+/// Renders the mosaic again on request, with pauses, until the requests end.
 pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
     let (mut waiting, mut rest_until) = (None, Instant::now());
     loop {
@@ -89,7 +88,7 @@ pub fn relay(queue: &Newest<Relaying>, ground: &LiveGround) {
             && let Some(relaying) = waiting.take()
         {
             let begun = Instant::now();
-            // Where the file cannot be read the ground stays where it lies.
+            // If the file cannot be read the mosaic stays as it is.
             let _ = ground.lay_again(&relaying);
             rest_until = Instant::now() + REST * begun.elapsed();
         }
@@ -125,7 +124,7 @@ mod tests {
             differences.iter().all(|difference| difference.abs() < 1e-12)
         };
         assert!(near(&correction.apply_to_pose(&odometry_pose), &pose));
-        // A frame a metre ahead of it stays ahead of it, by a metre in the map's scale.
+        // A frame one metre ahead of it stays one metre ahead, in the map's scale.
         let (sin, cos) = 0.4_f64.sin_cos();
         let ahead = GroundPose { x_m: 3.0 + cos, y_m: -1.0 + sin, ..odometry_pose };
         let moved = correction.apply_to_pose(&ahead);

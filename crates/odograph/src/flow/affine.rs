@@ -1,29 +1,30 @@
-//! The dissimilarity of Shi and Tomasi: is this still what was first seen, up to an affine change?
+//! Dissimilarity of Shi and Tomasi: comparison with the first appearance under an affine warp.
 
-use super::noise::Noise;
+use super::level_template::LevelTemplate;
 use super::patch::{AREA, SIDE, Samples, TO_CENTRE, sample};
-use super::template::{LevelTemplate, Template};
-use super::track::Likeness;
+use super::template::Template;
+use super::track::PatchSimilarity;
 use super::{Track, Warp};
 use crate::geometry::Pixel;
 use crate::image::Pyramid;
 use crate::image::simd::{dot, mean_and_energy};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// Steps of the affine search; it starts within a pixel of the answer.
+/// Most Gauss–Newton steps; the start is within a pixel of the solution. Not derived; chosen.
 const ITERATIONS: usize = 8;
 
-/// Compares a found template with its first appearance under the best affine change of its neighbourhood (J. Shi and C. Tomasi, 1994, equation 5)
-/// with free gain and offset, starting from `start`. Gives the refined warp and what is left unexplained.
+/// Registers a tracked template against its first appearance under an affine warp (J. Shi and C.
+/// Tomasi, 1994, equation 5) with unknown gain and offset, from `start`. Returns the refined warp
+/// and the match. Its interpolation bias is not corrected.
 ///
-/// `None` where the patch leaves the image or is deformed so much that it is not the same surface.
+/// `None` where the patch leaves the image or is deformed too much to be the same surface.
 pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Option<(Warp, Track)> {
     let patch = template.finest();
     let inverse_hessian = affine_hessian(patch).try_inverse()?;
     let mut warp = *start;
     let mut samples: Samples = [0.0; AREA];
     for _ in 0..ITERATIONS {
-        // On level 0 the patch's own centre is the template's centre.
+        // On level 0 the patch and the template have the same centre.
         if !sample(image.base(), Vector2::new(warp.position.x, warp.position.y), &warp.linear, &mut samples) {
             return None;
         }
@@ -51,15 +52,16 @@ pub fn dissimilarity(template: &Template, image: &Pyramid, start: &Warp) -> Opti
             break;
         }
     }
-    let Likeness { dissimilarity, light } =
-        Likeness::of(patch, dot(&patch.appearance().contrast, &samples), &samples);
+    let PatchSimilarity { dissimilarity, light } =
+        PatchSimilarity::of(patch, dot(&patch.appearance().contrast, &samples), &samples);
     let position = warp.position;
-    let noise = Noise::new(template, Vector2::new(position.x, position.y), &warp.linear, dissimilarity);
+    let noise = template.noise(Vector2::new(position.x, position.y), &warp.linear, dissimilarity);
     let covariance_px2 = noise.covariance(&warp.linear);
     Some((warp, Track { position, dissimilarity, covariance_px2, light, noise }))
 }
 
-/// How sample `at` changes with a shift (x, y) and with the four affine terms (xx, xy, yx, yy).
+/// Steepest-descent image at sample `at`: derivative by the shift (x, y) and the affine terms (xx,
+/// xy, yx, yy).
 fn steepest_descent(patch: &LevelTemplate, at: usize) -> SVector<f64, 6> {
     let (gx, gy) =
         (f64::from(patch.appearance().gradient_x[at]), f64::from(patch.appearance().gradient_y[at]));

@@ -1,27 +1,33 @@
-//! Subsystem 4: optical flow. Each corner is found again in a later frame by pyramidal Lucas–Kanade, and given up when it has become too
-//! dissimilar from its first appearance.
+//! Subsystem 4: optical flow. Each corner is tracked into a later frame by pyramidal Lucas–Kanade,
+//! and dropped when it has become too dissimilar from its first appearance.
 //!
-//! A corner's first appearance is its [`Template`]: patches of the keyframe on every pyramid level. It is searched for under
-//! an affine [`Warp`] which the motion prediction gives, so that a patch that has turned or grown is still compared with itself
-//! and not with its neighbour of a frame ago: nothing accumulates between keyframes.
+//! A corner's first appearance is its [`Template`]: patches of the keyframe on every pyramid level.
+//! It is tracked under an affine [`Warp`] from the motion prediction, so that a rotated or scaled
+//! patch is still compared with the keyframe and not with the previous frame: errors do not
+//! accumulate between keyframes. Interpolation bias, noise-induced bias and the biases by curvature
+//! and illumination are corrected; derivation: `docs/math/interpolation-bias.md`.
 //!
-//! Sources: B. Lucas and T. Kanade, "An iterative image registration technique", 1981; J.-Y. Bouguet, "Pyramidal implementation
-//! of the Lucas Kanade feature tracker", 2000; S. Baker and I. Matthews, "Lucas–Kanade 20 years on" (inverse compositional), 2004;
-//! Z. Kalal et al., "Forward–backward error", 2010; J. Shi and C. Tomasi, "Good features to track", 1994 (dissimilarity).
+//! Sources: B. Lucas and T. Kanade, "An iterative image registration technique", 1981; J.-Y.
+//! Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker", 2000; S. Baker and I.
+//! Matthews, "Lucas–Kanade 20 years on" (inverse compositional), 2004; Z. Kalal et al.,
+//! "Forward–backward error", 2010; J. Shi and C. Tomasi, "Good features to track", 1994
+//! (dissimilarity).
 
 mod affine;
+mod interpolation_bias;
+mod level_template;
+mod model_bias;
 mod noise;
 mod patch;
-mod response;
-mod sampling_pull;
+mod subpixel_phase;
 mod template;
 mod track;
 
 pub use affine::dissimilarity;
+pub use model_bias::ModelBias;
 pub use noise::Noise;
-pub use response::Response;
 pub use template::Template;
-pub use track::{REACH_PX, Track, TrackFailure, forward_backward_px, track};
+pub use track::{SEARCH_RADIUS_PX, Track, TrackFailure, forward_backward_px, track};
 
 use crate::geometry::Pixel;
 use nalgebra::{Matrix2, Vector2};
@@ -30,20 +36,20 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 mod tests;
 
-/// How corners are followed.
+/// Configuration of optical flow.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlowConfig {
-    /// Pyramid levels, the full image counted.
+    /// Pyramid levels, including the full image.
     pub levels: usize,
-    /// At most this many steps on each level.
+    /// Most iterations per level.
     pub iterations: usize,
-    /// A level ends when the steps still to come would lead less than this far, pixels of the full image.
+    /// Convergence of a level: the remaining displacement is below this, pixels of the full image.
     pub step_px: f64,
-    /// Largest distance between a corner and where it comes back to when it is followed forward and then backward, pixels.
+    /// Largest forward–backward error, pixels.
     pub forward_backward_px: f64,
-    /// Largest dissimilarity from the first appearance: the part of the patch's contrast that is left unexplained after gain and
-    /// offset, 0 (identical) to 1 (unrelated).
+    /// Largest dissimilarity from the first appearance: the root of the fraction of the patch's
+    /// contrast that gain and offset leave unexplained, 0 (identical) to 1 (unrelated).
     pub dissimilarity: f64,
 }
 
@@ -53,18 +59,18 @@ impl Default for FlowConfig {
     }
 }
 
-/// Where the neighbourhood of a keyframe point is expected, or was found, in another image: the keyframe point `centre + d`
-/// is at `position + linear · d`.
+/// Affine warp of a patch: the keyframe point `centre + d` is at `position + linear · d` in another
+/// image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Warp {
-    /// Where the template's centre is.
+    /// Position of the template's centre.
     pub position: Pixel,
-    /// How its neighbourhood is turned, stretched and sheared.
+    /// Rotation, scale and shear.
     pub linear: Matrix2<f64>,
 }
 
 impl Warp {
-    /// A neighbourhood that has only moved.
+    /// A pure translation.
     pub fn translation(position: Pixel) -> Self {
         Self { position, linear: Matrix2::identity() }
     }

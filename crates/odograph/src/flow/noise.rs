@@ -1,110 +1,123 @@
-//! What the noise of two images does to where a template is found in one of them.
+//! Covariance and bias of a match by image noise.
 //!
-//! It scatters, and more along an edge that is only straight; that is the covariance of a track. It also pulls. The gradients of a template are made
-//! orthogonal to its contrast, which is squared to that end with the noise in it, though no other image has that noise: of what its gradients have in common
-//! with its contrast too little is taken off. That is what the squared contrast has more at one border than at the other, and since a patch has an even side and a
-//! corner is not in its middle, one border has more in most patches: no number of corners averages it away.
+//! Noise scatters the match, more along an edge that is nearly straight: that is the covariance of
+//! a track. It also biases the match: the gradients of a template are made orthogonal to its noisy
+//! contrast, though the other image does not have that noise, so that their projection onto the
+//! true contrast is not zero. The projection is the difference of the squared contrast between
+//! opposite borders; since a patch has an even side and a corner is not at its centre, it has a
+//! preferred sign, and no number of corners averages it out (Y. Wang et al., 2009; Y. Su et al.,
+//! 2016). Derivation: `docs/math/interpolation-bias.md`.
 
-use super::Template;
+use super::level_template::LevelTemplate;
 use super::patch::AREA;
-use super::sampling_pull::alike;
-use super::template::LevelTemplate;
+use super::subpixel_phase::{fraction, phase_coherence};
 use nalgebra::{Matrix2, Vector2};
 
-/// The noise of a template and of what was found, as far as what is left unexplained tells it.
+/// Noise of a template and its match, from the unexplained contrast.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Noise {
-    /// Variance of a sample of the template, gray levels²; no more than the image has.
+    /// Noise variance of a template sample, gray levels², at most that of the image.
     pub(super) variance: f64,
-    /// The same for all that is unexplained: also what does not come from noise scatters.
+    /// Variance of all unexplained contrast, gray levels²: also what is not noise scatters the
+    /// match.
     unexplained: f64,
-    /// The inverse of the products of the template's gradients without those of its noise, which hold nothing.
+    /// Inverse Hessian of the template after the noise of its gradients is subtracted.
     pub(super) inverse_hessian: Matrix2<f64>,
 }
 
-/// What is unexplained counts as noise up to this part of the contrast: beyond, it is something else.
-const MOST_UNEXPLAINED: f64 = 0.9;
+/// Upper bound of the unexplained fraction of the squared contrast in the noise estimate. Not
+/// derived; chosen.
+const MAX_UNEXPLAINED: f64 = 0.9;
 
-/// A patch tells its noise to a tenth; what is more than so many times the noise of its image is something else.
-const CERTAINLY_MORE: f64 = 1.25;
+/// Upper bound of a patch's noise variance over that of the image; a patch estimates it to about a
+/// tenth. Not derived; chosen.
+const MAX_NOISE_RATIO: f64 = 1.25;
 
 /// Variance of a central difference over that of the samples.
-const OF_DIFFERENCE: f64 = 0.5;
+const DIFFERENCE_VARIANCE: f64 = 0.5;
 
-/// The part of the squared gradients in a direction that counts even where noise alone would have made as many.
-const LEAST_HELD: f64 = 0.05;
+/// Least fraction of an eigenvalue of the Hessian that counts as signal. Not derived; chosen.
+const MIN_SIGNAL: f64 = 0.05;
 
-/// The part of the variance that is left between two samples, a mean over all fractions.
-const LEFT_BETWEEN: f64 = 2.0 / 3.0;
+/// Variance of a linear interpolation over that of the samples, mean over all subpixel phases.
+const MEAN_VARIANCE_RATIO: f64 = 2.0 / 3.0;
 
 impl Noise {
-    /// Where a template was found at `position` under a warp with this linear part, so that `dissimilarity` was left.
+    /// From a match at `position` under a warp with this linear part, and its dissimilarity.
     ///
-    /// Both images have the same noise, but samples between pixels are means and have less of it. If that were not counted, what happens to be found nearer to the
-    /// middle between pixels would seem better than its neighbours, and would draw a weighted mean there.
+    /// Both images have the same noise, but interpolated samples have less of it. Without this
+    /// correction matches near the middle between pixels would appear better and would bias
+    /// weighted means.
     pub(super) fn new(
-        template: &Template,
+        patch: &LevelTemplate,
+        max_noise_variance: f64,
         position: Vector2<f64>,
         linear: &Matrix2<f64>,
         dissimilarity: f64,
     ) -> Self {
-        let explained = 1.0 - (dissimilarity * dissimilarity).min(MOST_UNEXPLAINED);
-        // With the noise n of the template over what both have in common, and c n that of the image, the squared correlation is 1 / ((1 + n) (1 + c n)).
-        let left = left_in_samples(position, linear);
+        let explained = 1.0 - (dissimilarity * dissimilarity).min(MAX_UNEXPLAINED);
+        // With the noise n of the template relative to the common signal, and κ n that of the
+        // image, the squared correlation is 1 / ((1 + n) (1 + κ n)).
+        let left = variance_ratio(position, linear);
         let n = {
             let (sum, product) = (1.0 + left, 4.0 * left * (1.0 / explained - 1.0));
             ((sum * sum + product).sqrt() - sum) / (2.0 * left)
         };
-        let patch = template.finest();
         let unexplained = n / (1.0 + n) * patch.contrast_energy / AREA as f64;
-        let variance = unexplained.min(CERTAINLY_MORE * template.most_noise());
-        Self { variance, unexplained, inverse_hessian: held(&patch.hessian, of_gradients(variance)) }
+        let variance = unexplained.min(MAX_NOISE_RATIO * max_noise_variance);
+        Self {
+            variance,
+            unexplained,
+            inverse_hessian: noise_corrected_inverse(&patch.hessian, gradient_noise(variance)),
+        }
     }
 
-    /// What noise makes of the sum of the template's squared gradients, in every direction.
-    pub(super) fn of_gradients(&self) -> f64 {
-        of_gradients(self.variance)
+    /// Expected contribution of noise to the sum of squared gradients in any direction.
+    pub(super) fn gradient_noise(&self) -> f64 {
+        gradient_noise(self.variance)
     }
 
-    /// The covariance of where the template was found, pixels².
+    /// Covariance of the match, pixels².
     pub(super) fn covariance(&self, linear: &Matrix2<f64>) -> Matrix2<f64> {
-        let both = self.unexplained * (1.0 + LEFT_BETWEEN * LEFT_BETWEEN);
+        let both = self.unexplained * (1.0 + MEAN_VARIANCE_RATIO * MEAN_VARIANCE_RATIO);
         linear * (self.inverse_hessian * both) * linear.transpose()
     }
 
-    /// How far from its place the template is found for its own noise, pixels of the template.
-    pub(super) fn pull(&self, patch: &LevelTemplate) -> Vector2<f64> {
-        -(self.inverse_hessian * patch.shares * (self.variance * AREA as f64))
+    /// Noise-induced bias of the match, pixels of the template.
+    pub(super) fn bias(&self, patch: &LevelTemplate) -> Vector2<f64> {
+        -(self.inverse_hessian * patch.contrast_projection * (self.variance * AREA as f64))
     }
 }
 
-fn of_gradients(variance: f64) -> f64 {
-    OF_DIFFERENCE * AREA as f64 * variance
+fn gradient_noise(variance: f64) -> f64 {
+    DIFFERENCE_VARIANCE * AREA as f64 * variance
 }
 
-/// The inverse of the products of gradients of which noise makes that much in every direction.
-fn held(hessian: &Matrix2<f64>, of_noise: f64) -> Matrix2<f64> {
+/// Inverse of a Hessian after isotropic noise is subtracted from its eigenvalues.
+fn noise_corrected_inverse(hessian: &Matrix2<f64>, noise_part: f64) -> Matrix2<f64> {
     let [[xx, xy], [_, yy]] = hessian.data.0;
-    // Eigenvalues. What is left of the matrix without its mean, over half their difference, is the projection onto the direction of the larger one less that onto
-    // the other; the two add up to the identity.
+    // Spectral decomposition: the traceless part over half the difference of the eigenvalues is the
+    // difference of the two projections, whose sum is the identity.
     let difference = 0.5 * (xx - yy);
-    let (middle, half) = (0.5 * (xx + yy), (difference * difference + xy * xy).sqrt());
-    let part = if half > 0.0 { 1.0 / half } else { 0.0 };
-    let apart = Matrix2::new(difference, xy, xy, -difference) * part;
-    let inverse = |held: f64| 1.0 / (held - of_noise).max(LEAST_HELD * held);
-    let (across, along) = (inverse(middle + half), inverse((middle - half).max(1e-9)));
-    Matrix2::identity() * (0.5 * (across + along)) + apart * (0.5 * (across - along))
+    let (mean, half) = (0.5 * (xx + yy), (difference * difference + xy * xy).sqrt());
+    let inverse_half = if half > 0.0 { 1.0 / half } else { 0.0 };
+    let traceless = Matrix2::new(difference, xy, xy, -difference) * inverse_half;
+    let inverse = |noise_corrected_inverse: f64| {
+        1.0 / (noise_corrected_inverse - noise_part).max(MIN_SIGNAL * noise_corrected_inverse)
+    };
+    let (larger, axis) = (inverse(mean + half), inverse((mean - half).max(1e-9)));
+    Matrix2::identity() * (0.5 * (larger + axis)) + traceless * (0.5 * (larger - axis))
 }
 
-/// The part of the variance that is left in samples between pixels, for a patch about `position`.
-fn left_in_samples(position: Vector2<f64>, linear: &Matrix2<f64>) -> f64 {
-    let along = |centre: f64, alike: f64| {
-        // A patch has an even side: its samples lie on pixels when its centre lies between them.
-        let fraction = (centre - 0.5).rem_euclid(1.0);
-        LEFT_BETWEEN + (1.0 - LEFT_BETWEEN - 2.0 * fraction * (1.0 - fraction)) * alike
+/// Variance of interpolated samples over that of pixels, for a patch at `position`.
+fn variance_ratio(position: Vector2<f64>, linear: &Matrix2<f64>) -> f64 {
+    let axis = |centre: f64, phase_coherence: f64| {
+        let fraction = fraction(centre);
+        MEAN_VARIANCE_RATIO
+            + (1.0 - MEAN_VARIANCE_RATIO - 2.0 * fraction * (1.0 - fraction)) * phase_coherence
     };
-    let [x, y] = alike(linear);
-    along(position.x, x) * along(position.y, y)
+    let [x, y] = phase_coherence(linear);
+    axis(position.x, x) * axis(position.y, y)
 }
 
 #[cfg(test)]
@@ -117,12 +130,13 @@ mod tests {
 
     const NOISE_GRAY: f64 = 4.0;
 
-    /// Means over many noises, along x: how far a mound about a corner is found from its place, what was taken off before, and the same with each
-    /// weighed by its covariance; pixels. Then the variance found over the one that is stated.
-    fn off_px(fraction: f64) -> [f64; 4] {
+    /// Means over many noise samples, along x, pixels: error of a match of a Gaussian blob, the
+    /// correction applied, and the error weighted by covariance. Then the actual variance over the
+    /// stated one.
+    fn errors_px(fraction: f64) -> [f64; 4] {
         let linear = Matrix2::identity();
         let mut random = Random::new(7);
-        // Twelve uniform numbers make a normal one.
+        // The sum of twelve uniform numbers is nearly normal.
         let mut normal = || (0..12).map(|_| random.below(1 << 16) as f64 / 65536.0).sum::<f64>() - 6.0;
         let mut picture = |shift: f64| {
             let sample = |at: usize| {
@@ -132,7 +146,7 @@ mod tests {
             Pyramid::new(GrayImage::from_samples(64, 64, (0..64 * 64).map(sample).collect()).unwrap(), 1)
         };
         let count = 4000;
-        let (mut off, mut taken, mut weighed, mut weights, mut squares, mut stated) =
+        let (mut error, mut corrected, mut weighted, mut weights, mut squares, mut stated) =
             (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         for _ in 0..count {
             let (keyframe, image) = (picture(0.0), picture(fraction));
@@ -140,28 +154,28 @@ mod tests {
             let there = template.centre().x + fraction;
             let prediction = Warp { position: Pixel::new(there, template.centre().y), linear };
             let found = track(&template, &image, &prediction, 0.5, &FlowConfig::default()).unwrap();
-            let (is_off, variance) = (found.position.x - there, found.covariance_px2[(0, 0)]);
-            off += is_off / f64::from(count);
-            taken -= found.noise.pull(template.finest()).x / f64::from(count);
-            weighed += is_off / variance;
+            let (match_error, variance) = (found.position.x - there, found.covariance_px2[(0, 0)]);
+            error += match_error / f64::from(count);
+            corrected -= found.noise.bias(template.finest()).x / f64::from(count);
+            weighted += match_error / variance;
             weights += 1.0 / variance;
-            squares += is_off * is_off;
+            squares += match_error * match_error;
             stated += variance;
         }
-        [off, taken, weighed / weights, squares / stated]
+        [error, corrected, weighted / weights, squares / stated]
     }
 
     #[test]
-    fn noise_draws_what_is_found_neither_to_a_border_nor_between_pixels() {
+    fn noise_biases_neither_matches_nor_weighted_means() {
         for fraction in [0.0, 0.25, 0.5, 0.75] {
-            let [off, taken, weighed, of_stated] = off_px(fraction);
-            println!("{fraction}: {off:.4} px ({weighed:.4} weighed), {taken:.4} px were taken off");
-            println!("variance {of_stated:.2} times that stated");
-            // The mean of so many is known to 0.002 px.
-            assert!(taken > 0.02 && off.abs() < 0.006, "{fraction}: {off} {taken}");
-            assert!((weighed - off).abs() < 0.002, "{fraction}: {off} {weighed}");
-            // The second order of the noise, of which there is a tenth as much as of contrast, is not counted.
-            assert!((1.0..2.0).contains(&of_stated), "{fraction}: {of_stated}");
+            let [error, corrected, weighted, variance_over_stated] = errors_px(fraction);
+            println!("{fraction}: {error:.4} px ({weighted:.4} weighted), {corrected:.4} px were corrected");
+            println!("variance {variance_over_stated:.2} times that stated");
+            // The mean of 4000 matches is known to 0.002 px.
+            assert!(corrected > 0.02 && error.abs() < 0.006, "{fraction}: {error} {corrected}");
+            assert!((weighted - error).abs() < 0.002, "{fraction}: {error} {weighted}");
+            // The second order of the noise, a tenth of the contrast, is neglected.
+            assert!((1.0..2.0).contains(&variance_over_stated), "{fraction}: {variance_over_stated}");
         }
     }
 }

@@ -12,13 +12,15 @@ pub const AREA: usize = SIDE * SIDE;
 /// From the first sample of a row or column to the centre of the patch.
 pub const TO_CENTRE: f64 = (SIDE as f64 - 1.0) / 2.0;
 
-/// Samples `image` bilinearly on a grid of [`SIDE`]² points around `centre` whose steps along its rows and columns are the columns
-/// of `linear`. `false`, with `samples` as they were, unless the whole grid lies inside the image.
+/// Samples `image` bilinearly on a grid of [`SIDE`]² points around `centre`; the steps along its
+/// rows and columns are the columns of `linear`. Returns `false` and leaves `samples` unchanged
+/// unless the whole grid lies inside the image.
 pub fn sample(image: &GrayImage, centre: Vector2<f64>, linear: &Matrix2<f64>, samples: &mut Samples) -> bool {
     grid_inside(image, centre, linear).map(|grid| sample_patch(image, &grid, samples)).is_some()
 }
 
-/// [`sample`], and the products of the samples with contrast and gradients; `None` unless the whole grid lies inside the image.
+/// [`sample`], and the products of the samples with contrast and gradients. `None` unless the whole
+/// grid lies inside the image.
 pub fn sample_products(
     image: &GrayImage,
     centre: Vector2<f64>,
@@ -40,7 +42,7 @@ pub struct Products {
 fn grid_inside(image: &GrayImage, centre: Vector2<f64>, linear: &Matrix2<f64>) -> Option<Grid> {
     let extent = TO_CENTRE * Vector2::new(linear.row(0).abs().sum(), linear.row(1).abs().sum());
     let (width, height) = (image.width(), image.height());
-    // Not so either where the centre is not a number.
+    // Also false for NaN.
     let inside = centre.x - extent.x >= 0.0
         && centre.y - extent.y >= 0.0
         && centre.x + extent.x < width as f64 - 1.0

@@ -2,8 +2,8 @@ use super::*;
 use crate::image::{GrayImage, Pyramid};
 use proptest::prelude::*;
 
-/// Value noise in four octaves: smooth, known everywhere, and nowhere like itself. What is rendered under a warp is exact up to
-/// rounding to gray levels.
+/// Value noise in four octaves: smooth, known everywhere and without repetition. Its renderings are
+/// exact up to rounding to gray levels.
 fn pattern(x: f64, y: f64) -> f64 {
     let lattice = |i: i64, j: i64, octave: u64| {
         let mut h = (i as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
@@ -31,7 +31,7 @@ fn pattern(x: f64, y: f64) -> f64 {
         + 128.0
 }
 
-/// The pattern seen so that keyframe point `centre + d` is at `warp(d)`, with gain and offset.
+/// Renders the pattern so that keyframe point `centre + d` is at `warp(d)`, with gain and offset.
 fn rendered(centre: Pixel, warp: &Warp, gain: f64, offset: f64) -> GrayImage {
     let inverse = warp.linear.try_inverse().unwrap();
     let mut image = GrayImage::new(200, 200);
@@ -46,8 +46,8 @@ fn rendered(centre: Pixel, warp: &Warp, gain: f64, offset: f64) -> GrayImage {
 }
 
 fn keyframe() -> (Pyramid, Template) {
-    let still = Warp::translation(Pixel::new(0.0, 0.0));
-    let pyramid = Pyramid::new(rendered(Pixel::new(0.0, 0.0), &still, 1.0, 0.0), 4);
+    let identity = Warp::translation(Pixel::new(0.0, 0.0));
+    let pyramid = Pyramid::new(rendered(Pixel::new(0.0, 0.0), &identity, 1.0, 0.0), 4);
     let template = Template::new(&pyramid, (100, 95)).unwrap();
     (pyramid, template)
 }
@@ -56,7 +56,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn a_moved_and_turned_patch_is_found_where_it_is(
+    fn a_translated_and_rotated_patch_is_tracked(
         dx in -6.0..6.0f64, dy in -6.0..6.0f64, angle in -3.0..3.0f64, gain in 0.8..1.2f64, offset in -15.0..15.0f64,
     ) {
         let (_, template) = keyframe();
@@ -66,13 +66,14 @@ proptest! {
         let image = Pyramid::new(rendered(centre, &truth, gain, offset), 4);
         let prediction = Warp { position: centre, linear };
         let found = track(&template, &image, &prediction, f64::INFINITY, &FlowConfig::default()).expect("found");
-        // Rounding to gray levels allows about 0.29 / (gradient · √256) px; bilinear interpolation of this pattern a little more.
+        // Rounding to gray levels allows about 0.29 / (gradient · √256) px; bilinear interpolation
+        // of this pattern a little more.
         prop_assert!(found.position.distance(truth.position) < 0.03, "{found:?} {truth:?}");
         prop_assert!(found.dissimilarity < 0.1);
     }
 
     #[test]
-    fn the_affine_search_finds_a_stretched_patch(xx in -0.1..0.1f64, xy in -0.1..0.1f64, yx in -0.1..0.1f64, yy in -0.1..0.1f64) {
+    fn an_affine_deformation_is_registered(xx in -0.1..0.1f64, xy in -0.1..0.1f64, yx in -0.1..0.1f64, yy in -0.1..0.1f64) {
         let (_, template) = keyframe();
         let centre = template.centre();
         let truth = Warp { position: Pixel::new(centre.x + 0.4, centre.y - 0.3), linear: Matrix2::new(1.0 + xx, xy, yx, 1.0 + yy) };
@@ -103,7 +104,7 @@ fn another_surface_is_dissimilar() {
 }
 
 #[test]
-fn a_patch_outside_the_image_is_said_to_be_outside() {
+fn a_patch_outside_the_image_fails_as_outside() {
     let (pyramid, template) = keyframe();
     let gone = Warp::translation(Pixel::new(-20.0, 50.0));
     assert_eq!(
@@ -121,7 +122,7 @@ fn a_blank_patch_makes_no_template() {
 }
 
 #[test]
-fn following_back_returns_to_the_start_or_says_how_far_it_is() {
+fn the_forward_backward_error_is_that_of_the_match() {
     let (keyframe, template) = keyframe();
     let centre = template.centre();
     let moved = Warp::translation(Pixel::new(centre.x + 7.3, centre.y - 4.6));

@@ -202,7 +202,7 @@ impl Matcher {
             return None;
         }
         let image = DenseImage::new(pictured.pyramid.base()).without(self.mask.clone());
-        let prior = learned.wander.prior(&found.prediction, motion);
+        let prior = learned.rig_prior.prior(&found.prediction, motion);
         let whole = dense::refine(camera, keyframe.dense(camera), &image, &corners.pose, &prior, motion)?;
         let off_m =
             (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);

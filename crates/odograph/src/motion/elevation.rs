@@ -1,10 +1,10 @@
 //! Ground that is not flat: elevations of ground points above the plane z = 0 (plane plus parallax,
 //! M. Irani and P. Anandan, 1996).
 //!
-//! Two views of a point tell its elevation by the parallax along the epipolar line, and the pose by
-//! the rest. The elevation of every point is an unknown of the fit that is eliminated at once
-//! (Schur complement): along its parallax a residual counts less the less the elevation is known.
-//! Derivation: `docs/math/elevation.md`.
+//! In two views of a point the parallax along the epipolar line determines its elevation, the rest
+//! of the residual the pose. The elevation of every point is an unknown of the fit that is
+//! eliminated at once (Schur complement): the less the elevation is known, the less a residual
+//! weighs along its parallax. Derivation: `docs/math/elevation.md`.
 
 use crate::buffer::stored;
 
@@ -24,21 +24,21 @@ impl Elevation {
     pub const FLAT: Self = Self { mean_m: 0.0, variance_m2: 0.0 };
 }
 
-/// What a frame tells of the elevation of a point, given the pose of the frame.
+/// Measurement of the elevation of a point by a frame, given the pose of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredElevation {
     /// The posterior.
     pub elevation: Elevation,
-    /// The elevation that the residual alone tells, metres.
+    /// Elevation from the residual alone, without the prior, metres.
     pub alone_m: f64,
     /// The inverse of its variance, 1/metres².
     pub information: f64,
     /// The parallax of a metre of elevation, squared, pixels².
     pub parallax_squared: f64,
-    /// Whether an elevation explains the residual, and one that ground can have.
+    /// Whether an elevation within the highest allowed one explains the residual.
     pub is_plausible: bool,
-    /// Whether the prior does not explain it.
-    pub is_off: bool,
+    /// Whether it differs significantly from the prior.
+    pub is_significant: bool,
 }
 
 stored!(MeasuredElevation);
@@ -56,10 +56,10 @@ pub struct Parallax {
 }
 
 impl Parallax {
-    /// Of a point that is not seen.
+    /// Of a point behind the camera.
     pub const NONE: Self = Self { by_elevation: [0.0; 2], squared: 0.0, along: 0.0, across_squared: 0.0 };
 
-    /// Of a residual, and what a metre of elevation changes about it.
+    /// Of a residual and its derivative by the elevation.
     pub fn new(error: [f64; 2], by_elevation: [f64; 2]) -> Self {
         let [x, y] = by_elevation;
         let squared = x * x + y * y;
@@ -68,8 +68,8 @@ impl Parallax {
         Self { by_elevation, squared, along, across_squared: length_squared - along * along }
     }
 
-    /// Multiplies a row of two whitened coordinates with the inverse square root of the covariance
-    /// that the elevation's variance makes of the noise's.
+    /// Multiplies two whitened coordinates by the inverse square root of the covariance that noise
+    /// and variance of the elevation give.
     pub fn whitener(&self, variance_m2: f64, noise_px2: f64) -> impl Fn(&mut f64, &mut f64) + use<> {
         let [x, y] = self.by_elevation;
         // I − (1 − s / √(s² + P |d|²)) d dᵀ / |d|²
@@ -82,23 +82,28 @@ impl Parallax {
         }
     }
 
-    /// The elevation given the pose, of ground no higher above its prior than `highest_m`.
+    /// Posterior elevation given the pose. It is plausible up to `highest_m` above or below its
+    /// prior.
     pub fn measured(&self, prior: Elevation, noise_px2: f64, highest_m: f64) -> MeasuredElevation {
         let information = self.squared / noise_px2;
-        let off_m = if self.squared > 0.0 { -self.along / self.squared.sqrt() } else { 0.0 };
+        let difference_m = if self.squared > 0.0 { -self.along / self.squared.sqrt() } else { 0.0 };
         let part = prior.variance_m2 * information / (1.0 + prior.variance_m2 * information);
-        let elevation =
-            Elevation { mean_m: prior.mean_m + part * off_m, variance_m2: prior.variance_m2 * (1.0 - part) };
-        let is_plausible = off_m.abs() < highest_m && self.across_squared < BEYOND_CHANCE * noise_px2;
-        let is_off = is_plausible
-            && off_m * off_m * information > BEYOND_CHANCE * (1.0 + prior.variance_m2 * information);
+        let elevation = Elevation {
+            mean_m: prior.mean_m + part * difference_m,
+            variance_m2: prior.variance_m2 * (1.0 - part),
+        };
+        let is_plausible =
+            difference_m.abs() < highest_m && self.across_squared < SIGNIFICANT_SQUARED * noise_px2;
+        let is_significant = is_plausible
+            && difference_m * difference_m * information
+                > SIGNIFICANT_SQUARED * (1.0 + prior.variance_m2 * information);
         MeasuredElevation {
             elevation,
-            alone_m: prior.mean_m + off_m,
+            alone_m: prior.mean_m + difference_m,
             information,
             parallax_squared: self.squared,
             is_plausible,
-            is_off,
+            is_significant,
         }
     }
 
@@ -107,15 +112,15 @@ impl Parallax {
         self.across_squared
     }
 
-    /// The length of the residual that the elevation leaves, pixels.
-    pub fn left_px(&self, variance_m2: f64, noise_px2: f64) -> f64 {
-        let left = self.along * noise_px2 / (variance_m2 * self.squared + noise_px2);
-        (left * left + self.across_squared).sqrt()
+    /// Length of the residual after the elevation is estimated, pixels.
+    pub fn remaining_px(&self, variance_m2: f64, noise_px2: f64) -> f64 {
+        let remaining = self.along * noise_px2 / (variance_m2 * self.squared + noise_px2);
+        (remaining * remaining + self.across_squared).sqrt()
     }
 }
 
-/// The roughness of the ground, from elevations of the same points in two frames: relief is the same
-/// in both, noise is not.
+/// The roughness of the ground, from elevations of the same points in two frames: relief is the
+/// same in both, noise is not.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Roughness {
     /// Products of the two elevations in units of their standard deviations, and how many.
@@ -138,9 +143,10 @@ impl Roughness {
         self.weight += second.1;
     }
 
-    /// Adds the points of a frame, of which there must be some; earlier frames are forgotten.
+    /// Adds the points of a frame if it has enough of them; earlier frames are forgotten
+    /// exponentially.
     pub fn learn(&mut self, now: &Self) {
-        if now.count < LEAST_POINTS {
+        if now.count < MIN_POINTS {
             return;
         }
         for (sum, now) in [
@@ -149,20 +155,20 @@ impl Roughness {
             (&mut self.weighted, now.weighted),
             (&mut self.weight, now.weight),
         ] {
-            *sum = REMEMBERED * *sum + now;
+            *sum = FORGETTING_FACTOR * *sum + now;
         }
-        let least = if self.is_rough { LEAST_REMAINING } else { LEAST_PRODUCT };
-        self.is_rough = self.products > least * self.count;
+        let threshold = if self.is_rough { SMOOTH_BELOW } else { ROUGH_ABOVE };
+        self.is_rough = self.products > threshold * self.count;
     }
 
-    /// The ground is rough: a frame cannot be explained otherwise.
+    /// Declares the ground rough, because nothing else explains a frame.
     pub fn begin(&mut self) {
         if !self.is_rough {
             *self = Self { is_rough: true, ..Self::default() };
         }
     }
 
-    /// The variance of elevations, metres²: zero unless it is clearly more than the noise.
+    /// Variance of the elevations, metres²: zero unless the ground is rough.
     pub fn variance_m2(&self) -> f64 {
         match (self.is_rough, self.weight > 0.0) {
             (false, _) => 0.0,
@@ -172,22 +178,26 @@ impl Roughness {
     }
 }
 
-/// Points that a frame must have, and how much a frame counts after the next one.
-const LEAST_POINTS: f64 = 20.0;
-const REMEMBERED: f64 = 0.7;
+/// Minimum number of points of a frame. Not derived; chosen.
+const MIN_POINTS: f64 = 20.0;
 
-/// The mean product of two elevations in units of their standard deviations above which the ground
-/// is rough. Noise that both share makes it 1; motion blur, compression and printed sheets that do
-/// not lie flat made it 11 at most; gravel of ±5 mm at a height of 0.75 m has 32, undulating ground
-/// hundreds.
-const LEAST_PRODUCT: f64 = 12.0;
+/// Weight of earlier frames relative to the present one. Not derived; chosen.
+const FORGETTING_FACTOR: f64 = 0.7;
 
-/// The same below which rough ground has ended.
-const LEAST_REMAINING: f64 = 3.0;
+/// Mean product of two elevations, in units of their standard deviations, above which the ground is
+/// rough. Noise that both share gives 1. Measured: 11 at most with motion blur, compression and
+/// printed sheets that do not lie flat; 32 on gravel of ±5 mm at a height of 0.75 m; hundreds on
+/// undulating ground.
+const ROUGH_ABOVE: f64 = 12.0;
 
-/// Squared residuals in units of their variance that do not come by chance: three standard
-/// deviations.
-pub const BEYOND_CHANCE: f64 = 9.0;
+/// Mean product below which rough ground ends (hysteresis). Not derived; chosen.
+const SMOOTH_BELOW: f64 = 3.0;
+
+/// Threshold of a squared residual over its variance: three standard deviations.
+pub const SIGNIFICANT_SQUARED: f64 = 9.0;
+
+/// Highest elevation of a kerb, as a fraction of the camera's height. Not derived; chosen.
+pub const MAX_KERB_HEIGHT: f64 = 0.15;
 
 #[cfg(test)]
 mod tests {
@@ -204,11 +214,11 @@ mod tests {
         assert!((x.hypot(y) - 0.1).abs() < 1e-4, "{x} {y}");
         let (mut x, mut y) = (-0.6, 0.8);
         whiten(&mut x, &mut y);
-        assert!((x + 0.6).abs() < 1e-12 && (y - 0.8).abs() < 1e-12, "across it nothing changes");
+        assert!((x + 0.6).abs() < 1e-12 && (y - 0.8).abs() < 1e-12, "across the parallax nothing changes");
     }
 
     #[test]
-    fn a_parallax_tells_the_elevation_as_far_as_the_prior_lets_it() {
+    fn a_parallax_gives_the_elevation_weighted_with_its_prior() {
         // A point 10 mm higher than thought, seen with 200 px per metre: predicted 2 px short.
         let parallax = Parallax::new([-2.0, 0.0], [200.0, 0.0]);
         let prior = Elevation { mean_m: 0.005, variance_m2: 1e-4 };
@@ -217,8 +227,8 @@ mod tests {
         // Information 1e6 against 1e4 of the prior.
         assert!((measured.elevation.mean_m - (0.005 + 0.01 * 1e6 / 1.01e6)).abs() < 1e-12);
         assert!((measured.elevation.variance_m2 - 1.0 / 1.01e6).abs() < 1e-15);
-        assert!(measured.is_plausible && !measured.is_off);
-        assert!(parallax.measured(Elevation::FLAT, 0.04, 0.1).is_off);
+        assert!(measured.is_plausible && !measured.is_significant);
+        assert!(parallax.measured(Elevation::FLAT, 0.04, 0.1).is_significant);
         assert!(!parallax.measured(Elevation::FLAT, 0.04, 0.005).is_plausible);
     }
 

@@ -1,15 +1,15 @@
-//! The image that a global shutter would have taken in place of a rolling one.
+//! Rolling-shutter correction of whole images.
 
 use super::{RollingShutter, ViewingPose};
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::GrayImage;
 
-/// Distance of the pixels for which the source is computed; between them it is interpolated. A lens of
-/// 90° bends the shift between two of them by less than a hundredth of a pixel.
-const STEP: usize = 16;
+/// Grid distance at which source pixels are computed; between them they are interpolated. With a
+/// lens of 90° the curvature of the shift between grid points is below 0.01 px.
+const GRID_STEP: usize = 16;
 
-/// What a global shutter at `pose` would have seen of level ground. Pixels without a source repeat the
+/// The image of a global shutter at `pose` of level ground. Pixels without a source repeat the
 /// border of the image.
 pub fn global_image(
     camera: &Camera,
@@ -21,35 +21,35 @@ pub fn global_image(
         return image.clone();
     }
     let (width, height) = (image.width(), image.height());
-    let view = ViewingPose::behind_shutter(*pose, shutter);
+    let view = ViewingPose::with_rolling_shutter(*pose, shutter);
     let source = |x: usize, y: usize| {
         let pixel = Pixel::new(x as f64, y as f64);
         let ground = camera.ray_from_pixel(pixel).and_then(|ray| pose.ground_from_ray(ray));
         let at = ground.and_then(|ground| view.pixel(camera, ground, 0.0)).unwrap_or(pixel);
         [(at.x - pixel.x) as f32, (at.y - pixel.y) as f32]
     };
-    let columns = width.div_ceil(STEP) + 1;
-    let shifts: Vec<Vec<[f32; 2]>> = (0..height.div_ceil(STEP) + 1)
-        .map(|row| (0..columns).map(|column| source(column * STEP, row * STEP)).collect())
+    let columns = width.div_ceil(GRID_STEP) + 1;
+    let shifts: Vec<Vec<[f32; 2]>> = (0..height.div_ceil(GRID_STEP) + 1)
+        .map(|row| (0..columns).map(|column| source(column * GRID_STEP, row * GRID_STEP)).collect())
         .collect();
     let mut corrected = GrayImage::new(width, height);
     for (y, line) in corrected.samples_mut().chunks_exact_mut(width).enumerate() {
-        let (above, below) = (&shifts[y / STEP], &shifts[y / STEP + 1]);
-        let down = (y % STEP) as f32 / STEP as f32;
-        let between = |a: [f32; 2], b: [f32; 2], share: f32| {
+        let (above, below) = (&shifts[y / GRID_STEP], &shifts[y / GRID_STEP + 1]);
+        let down = (y % GRID_STEP) as f32 / GRID_STEP as f32;
+        let interpolate = |a: [f32; 2], b: [f32; 2], share: f32| {
             [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]
         };
         for (x, sample) in line.iter_mut().enumerate() {
-            let right = (x % STEP) as f32 / STEP as f32;
-            let column = |i: usize| between(above[i], below[i], down);
-            let shift = between(column(x / STEP), column(x / STEP + 1), right);
+            let right = (x % GRID_STEP) as f32 / GRID_STEP as f32;
+            let column = |i: usize| interpolate(above[i], below[i], down);
+            let shift = interpolate(column(x / GRID_STEP), column(x / GRID_STEP + 1), right);
             *sample = cubic(image, x as f32 + shift[0], y as f32 + shift[1]);
         }
     }
     corrected
 }
 
-/// A sample between pixels by the cubic convolution of R. Keys, 1981 (a = −1/2).
+/// Cubic convolution interpolation (R. Keys, 1981; a = −1/2).
 fn cubic(image: &GrayImage, x: f32, y: f32) -> u8 {
     let weights = |t: f32| {
         let (t2, t3) = (t * t, t * t * t);

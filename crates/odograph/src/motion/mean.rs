@@ -1,15 +1,18 @@
-//! The paper's movement: the mean of the flow vectors that agree with each other.
+//! Motion estimation of the original paper: the mean of the flow vectors that agree.
 
 use super::{MotionConfig, Random};
 use crate::buffer::Buffer;
 use crate::geometry::GroundPoint;
 
-/// The displacement of the camera as the paper measures it: each track gives one vector from where its ground point seemed
-/// to be now to where it seemed to be a frame ago, RANSAC finds the vector that most agree with, and the mean of those is the movement.
+/// The displacement of the camera as in the paper: each track gives the vector from its present
+/// ground point to its previous one, RANSAC finds the vector with most inliers, and their mean is
+/// the displacement.
 ///
-/// `pairs` holds for each track its ground point a frame ago and now, both as seen from the same, unmoved camera; `within_m` is how far a vector may
-/// be from agreement. Gives displacement (x, y) in metres, the variance of each coordinate of that mean, and who agrees; `None` where
-/// too few do. Rotation is not modelled: where the camera turns, the vectors disagree, which is the known limit of this method.
+/// `pairs` holds the previous and the present ground point of each track, both from the same,
+/// unmoved camera; `within_m` is the inlier distance. Returns the displacement (x, y) in metres,
+/// the variance of each coordinate of that mean, and the inliers; `None` where there are too few.
+/// Rotation is not modelled: where the camera turns the vectors disagree, which is the known limit
+/// of this method.
 pub fn mean_displacement(
     pairs: &[(GroundPoint, GroundPoint)],
     within_m: f64,
@@ -46,7 +49,7 @@ pub fn mean_displacement(
     Some((mean, variance, best))
 }
 
-/// With half the vectors wrong, the chance that none of so many samples is right is 1e-15.
+/// Number of samples. With half the vectors wrong the probability that none is right is 10⁻¹⁵.
 const SAMPLES: usize = 50;
 
 #[cfg(test)]
@@ -54,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mean_of_the_agreeing_vectors_is_found_among_others() {
+    fn the_mean_of_the_inliers_is_the_displacement() {
         let mut random = Random::new(1);
         let mut pairs = Vec::new();
         for i in 0..60 {

@@ -1,9 +1,10 @@
-//! Subsystem 5: movement parameters. From corners whose place on the ground is known and that were found again, where the camera is
-//! now, with its covariance.
+//! Subsystem 5: motion estimation. The pose of the camera, with covariance, from corners whose
+//! positions on the ground are known and that were tracked into the present frame.
 //!
-//! The models are one estimator: the pose that re-projects the ground points onto their tracks (a planar PnP), found by RANSAC
-//! (M. Fischler and R. Bolles, 1981) and refined by robust Gauss–Newton, with a prior that says how far height and tilt may be from
-//! what they were. Only `mean` is different: it is the paper's mean vector, kept for comparison.
+//! All models but `mean` are one estimator, planar PnP: the pose that re-projects the ground points
+//! onto their tracks, found by RANSAC (M. Fischler and R. Bolles, 1981) and refined by robust
+//! Gauss–Newton, with a prior on height and tilt. `mean` is the mean vector of the paper, kept for
+//! comparison. Derivation: `docs/math/frame-pose.md`.
 
 mod coarse;
 pub mod dense;
@@ -12,23 +13,27 @@ mod global_image;
 mod ground_patch;
 mod mean;
 mod normal_equations;
+mod nuisance;
 mod planar_pose;
+mod pose_covariance;
 mod random;
 mod ransac;
+mod residual;
+mod rig_evidence;
 mod rig_prior;
 mod rolling_shutter;
-mod sharing;
+mod correlated_noise;
 
 pub use coarse::{CoarseOptions, CoarseRegistration, GroundView, Hypothesis};
-pub use elevation::{BEYOND_CHANCE, Elevation, MeasuredElevation, Roughness};
+pub use correlated_noise::ResidualCorrelation;
+pub use elevation::{Elevation, MAX_KERB_HEIGHT, MeasuredElevation, Roughness, SIGNIFICANT_SQUARED};
 pub use global_image::global_image;
 pub use ground_patch::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 pub use mean::mean_displacement;
-pub use planar_pose::{Axes, HIGHEST_KERB};
 pub use random::Random;
-pub use rig_prior::{RigPrior, RigWander};
+pub use residual::Axes;
+pub use rig_prior::{RigPrior, RigPriorEstimator};
 pub use rolling_shutter::{PoseRates, Readout, RollingShutter, ShutterEstimate, ShutterPrior};
-pub use sharing::Neighbours;
 
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
@@ -36,19 +41,19 @@ use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use nalgebra::{Matrix2, Matrix3, Matrix6, Matrix6x2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// What may change between frames.
+/// Degrees of freedom between frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionModel {
-    /// x, y and heading; height and tilt as far as the recording shows that they change.
+    /// x, y and heading; height and tilt with a prior that is learned from the recording.
     Auto,
-    /// The mean vector of the paper: x and y only, heading never. Kept for comparison and teaching.
+    /// The mean vector of the paper: x and y without heading. Kept for comparison and teaching.
     Mean,
-    /// x, y and heading; height and tilt are those of the rig.
+    /// x, y and heading; height and tilt are the rig's.
     Rigid,
-    /// x, y, heading and height; the tilt is that of the rig.
+    /// x, y, heading and height; the tilt is the rig's.
     Similarity,
-    /// All six: the camera is held by hand, or flies.
+    /// All six: a hand-held or flying camera.
     Free,
 }
 
@@ -65,7 +70,7 @@ impl std::fmt::Display for MotionModel {
 }
 
 impl MotionModel {
-    /// How many of (x, y, heading, height, roll, pitch), in this order, with height before tilt, are unknown.
+    /// Number of unknowns among (x, y, heading, height, roll, pitch), in this order.
     fn unknowns(self) -> usize {
         match self {
             Self::Mean => 2,
@@ -76,22 +81,23 @@ impl MotionModel {
     }
 }
 
-/// How movement is estimated.
+/// Configuration of motion estimation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionConfig {
-    /// What may change between frames.
+    /// Degrees of freedom between frames.
     pub model: MotionModel,
-    /// A track further than this from where a movement puts it speaks against that movement, pixels of an image 640 wide; the
-    /// pipeline takes more for wider ones, in proportion.
+    /// Largest re-projection error of an inlier, pixels of an image 640 wide; the pipeline scales
+    /// it in proportion to the width.
     pub inlier_px: f64,
-    /// Fewer agreeing tracks than this are no measurement.
+    /// Minimum number of inliers of a measurement.
     pub minimum_inliers: usize,
-    /// A smaller part of the tracks than this is no agreement.
+    /// Minimum inlier ratio of a measurement.
     pub minimum_inlier_fraction: f64,
-    /// Standard deviation of the height against the frame before, as a part of it (`similarity` and `free`).
+    /// Standard deviation of the height against the previous frame, as a fraction of the height
+    /// (`similarity` and `free`).
     pub height_prior: f64,
-    /// Standard deviation of roll and pitch against the frame before, radians (`free`).
+    /// Standard deviation of roll and pitch against the previous frame, radians (`free`).
     pub tilt_prior_rad: f64,
 }
 
@@ -108,62 +114,64 @@ impl Default for MotionConfig {
     }
 }
 
-/// A ground point and the pixel at which it is seen now.
+/// A 2D–3D correspondence: a ground point and the pixel at which it is seen in the present frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// Where the point lies, as its keyframe placed it.
+    /// The ground point, as its keyframe places it.
     pub ground: GroundPoint,
-    /// How high.
+    /// Elevation of the point.
     pub elevation: Elevation,
-    /// Where the track is in the present frame.
+    /// Pixel of the track in the present frame.
     pub pixel: Pixel,
-    /// What a distance from there is multiplied with to be as uncertain in every direction as that of a usual track: the identity weighs both
-    /// coordinates alike, a track on a straight edge counts across it only.
+    /// Whitening matrix: the inverse square root of the covariance of the pixel, relative to a
+    /// median track. The identity weighs both coordinates alike; a track on a straight edge has
+    /// weight across the edge only.
     pub whitening: Matrix2<f64>,
-    /// Where its row lies in the image, −1/2 to 1/2: when it was exposed, in units of the readout time.
+    /// Row of the pixel relative to the image, −1/2 at the top to 1/2 at the bottom: its exposure
+    /// time in units of the readout time.
     pub row_fraction: f64,
-    /// The same of its corner in the keyframe.
+    /// Row of the corner in the keyframe, in the same units.
     pub keyframe_row_fraction: f64,
 }
 
 stored!(Observation);
 
-/// All that was found again of what one keyframe shows.
+/// All correspondences with one keyframe.
 #[derive(Debug, Clone, Copy)]
 pub struct Observations<'a> {
-    /// Ground points where they are seen now.
+    /// The correspondences.
     pub seen: &'a [Observation],
-    /// The pose from which the keyframe laid them on the ground.
-    pub laid_from: &'a GroundPose,
-    /// Covariance of the height, roll and pitch of that, metres and radians.
-    pub laid_covariance: &'a Matrix3<f64>,
-    /// What is known of a rolling shutter, and the rates of the pose with which the pixels were brought
-    /// to a global one; `None` where the shutter is global.
+    /// Pose of the keyframe, which defines the ground points.
+    pub keyframe_pose: &'a GroundPose,
+    /// Covariance of height, roll and pitch of the keyframe, metres and radians.
+    pub keyframe_covariance: &'a Matrix3<f64>,
+    /// Prior of a rolling shutter, and the pose rates with which the pixels were corrected to a
+    /// global shutter; `None` for a global shutter.
     pub shutter: Option<(&'a ShutterPrior, PoseRates)>,
 }
 
-/// Where a ground point was found, and how exactly.
+/// A ground point found in an image, with the covariance of its pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
-    /// Where the point lies.
+    /// The ground point.
     pub ground: GroundPoint,
-    /// How high.
+    /// Elevation of the point.
     pub elevation: Elevation,
-    /// Where it was found.
+    /// Pixel at which it was found.
     pub pixel: Pixel,
-    /// Covariance of that, pixels².
+    /// Covariance of the pixel, pixels².
     pub covariance_px2: Matrix2<f64>,
-    /// As [`Observation::row_fraction`].
+    /// See [`Observation::row_fraction`].
     pub row_fraction: f64,
-    /// As [`Observation::keyframe_row_fraction`].
+    /// See [`Observation::keyframe_row_fraction`].
     pub keyframe_row_fraction: f64,
 }
 
 stored!(Sighting);
 
-/// The observations that sightings make, each weighed by how well it is known in each direction, and the standard deviation of a usual one (the
-/// median), pixels. `shared_px2` is the variance of what all are off by anyway, in either direction; where that is more than their noise all count
-/// alike. `None` without sightings.
+/// Whitened observations, and the standard deviation of the median track, pixels. `shared_px2` is
+/// added to the variance of each coordinate: noise that tracks share, so that no track dominates.
+/// `None` without sightings.
 pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Observation>, f64)> {
     let covariance = |seen: &Sighting| seen.covariance_px2 + shared_px2 * Matrix2::identity();
     let mut variances: Buffer<f64> = sightings.iter().map(|seen| 0.5 * covariance(seen).trace()).collect();
@@ -171,9 +179,9 @@ pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Obser
         return None;
     }
     let middle = variances.len() / 2;
-    let usual_px2 = *variances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let median_px2 = *variances.select_nth_unstable_by(middle, f64::total_cmp).1;
     let observation = |seen: &Sighting| {
-        let information = covariance(seen).try_inverse().map(|inverse| usual_px2 * inverse);
+        let information = covariance(seen).try_inverse().map(|inverse| median_px2 * inverse);
         let root = information.and_then(|information| information.cholesky());
         let whitening = root.map_or(Matrix2::identity(), |root| root.l().transpose());
         Observation {
@@ -185,70 +193,74 @@ pub fn whitened(sightings: &[Sighting], shared_px2: f64) -> Option<(Buffer<Obser
             keyframe_row_fraction: seen.keyframe_row_fraction,
         }
     };
-    Some((sightings.iter().map(observation).collect(), usual_px2.sqrt()))
+    Some((sightings.iter().map(observation).collect(), median_px2.sqrt()))
 }
 
-/// A measured pose.
+/// An estimated pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionEstimate {
-    /// Where the camera is.
+    /// The pose of the camera.
     pub pose: GroundPose,
-    /// Covariance of (x, y, heading, height, roll, pitch) given the ground points; zero rows for what the model holds fixed.
+    /// Covariance of (x, y, heading, height, roll, pitch) given the ground points; rows of fixed
+    /// unknowns are zero.
     pub covariance: Matrix6<f64>,
-    /// How the pose changes with (x, y, heading, height, roll, pitch) of the pose from which the ground points were laid: their uncertainty is carried
-    /// over by it.
+    /// Derivative of the pose by the pose of the keyframe, through which the keyframe's covariance
+    /// propagates.
     pub by_keyframe: Matrix6<f64>,
-    /// How the pose changes with the roll and the pitch about which the prior scatters.
+    /// Derivative of the pose by roll and pitch of the prior's mean.
     pub by_prior_tilt: Matrix6x2<f64>,
-    /// What the tracks say of the keyframe's height and tilt; `None` where these were known before.
+    /// Estimated error of the keyframe's height and tilt; `None` where these are known.
     pub keyframe_error: Option<KeyframeError>,
-    /// For each observation, whether it agrees.
+    /// For each observation, whether it is an inlier.
     pub inliers: Buffer<bool>,
-    /// Root mean square distance of the inliers from their re-projections, pixels.
+    /// Root mean square re-projection error of the inliers, pixels.
     pub residual_px: f64,
-    /// How alike the errors of neighbouring tracks are.
-    pub neighbours: Neighbours,
-    /// What the tracks alone say of height and tilt; only where all three were unknown.
+    /// Correlation of the residuals of neighbouring tracks.
+    pub residual_correlation: ResidualCorrelation,
+    /// Height and tilt from the tracks alone, without the prior; only where all three are unknowns
+    /// of the fit.
     pub rig_evidence: Option<RigEvidence>,
-    /// Elevation of each observation given the pose; empty where these are no single points.
+    /// Elevation of each observation given the pose; empty where observations are not single
+    /// points.
     pub elevations: Buffer<MeasuredElevation>,
-    /// Whether the tracks agree only on ground that is not flat.
+    /// Whether only ground that is not flat explains the tracks.
     pub needs_relief: bool,
-    /// What the tracks say of the shutter, where it may roll.
+    /// Estimate of the shutter's skew, where the shutter may roll.
     pub shutter: Option<ShutterEstimate>,
 }
 
-/// How far height (metres), roll and pitch (radians) of a keyframe are from what they were taken
-/// for, as a frame measured against it has them: a plane seen from two places tells how both stand
-/// over it.
+/// Error of a keyframe's height (metres), roll and pitch (radians), as a frame measured against it
+/// observes it: the homography of a plane determines its tilt in both views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeyframeError {
-    /// How far.
+    /// Mean.
     pub mean: Vector3<f64>,
-    /// The covariance that is left.
+    /// Posterior covariance.
     pub covariance: Matrix3<f64>,
 }
 
-/// What the tracks of a frame alone, without a prior, say of height (metres), roll and pitch (radians).
+/// Height (metres), roll and pitch (radians) from the tracks of a frame alone: the likelihood
+/// without the prior.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigEvidence {
-    /// What they say.
+    /// Maximum of the likelihood.
     pub value: [f64; 3],
-    /// The variance of each.
+    /// Variances.
     pub variance: [f64; 3],
-    /// How the three change with those of the pose from which the ground points were laid.
+    /// Derivative of the three by those of the keyframe's pose.
     pub by_keyframe: Matrix3<f64>,
 }
 
 impl MotionEstimate {
-    /// How many observations agree.
+    /// Number of inliers.
     pub fn inlier_count(&self) -> usize {
         self.inliers.iter().filter(|&&agrees| agrees).count()
     }
 }
 
-/// The pose of the camera from `observations`, near `prediction`, whose height and tilt are the truth in what the model holds fixed; of the
-/// rest, `prior` says what is known. `None` where too few observations agree on any movement.
+/// Estimates the pose of the camera from `observations`. `prediction` starts the search and has the
+/// height and tilt that the model holds fixed; `prior` is the prior of what it estimates. `None`
+/// where too few observations agree on any pose.
 ///
 /// `random` draws the samples of RANSAC: the same state gives the same result.
 pub fn estimate(
@@ -259,16 +271,16 @@ pub fn estimate(
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<MotionEstimate> {
-    let (start, agreeing) = ransac::consensus(camera, observations, prediction, prior, config, random)?;
-    let enough = |inliers: usize| {
-        inliers >= config.minimum_inliers
-            && inliers as f64 >= config.minimum_inlier_fraction * observations.seen.len() as f64
+    let (initial, inliers) = ransac::consensus(camera, observations, prediction, prior, config, random)?;
+    let are_enough = |count: usize| {
+        count >= config.minimum_inliers
+            && count as f64 >= config.minimum_inlier_fraction * observations.seen.len() as f64
     };
-    if !enough(agreeing.iter().filter(|&&agrees| agrees).count()) {
+    if !are_enough(inliers.iter().filter(|&&agrees| agrees).count()) {
         return None;
     }
-    let estimate = planar_pose::refine(camera, observations, &start, &agreeing, prediction, prior, config)?;
-    enough(estimate.inlier_count()).then_some(estimate)
+    let estimate = planar_pose::refine(camera, observations, &initial, &inliers, prediction, prior, config)?;
+    are_enough(estimate.inlier_count()).then_some(estimate)
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
-//! Normal equations of the unknowns of a frame: its pose, and what is uncertain beside it.
+//! Normal equations of a frame's fit: its pose and the nuisance parameters.
 //!
-//! The unknowns are, in this order, the six numbers of the pose; the errors of height, roll and
-//! pitch of the keyframe whose ground points are seen; and the six numbers of the *skew*, by how
-//! far the pose moves from the first row of the image to the last (readout time times rates) more
-//! than was assumed. The latter two are *whitened*: measured in standard deviations of their prior,
-//! so that one that is known has a column of zeros and needs no case of its own.
+//! The unknowns, in this order: the six numbers of the pose; the errors of height, roll and pitch
+//! of the keyframe; and the six numbers of the *skew*, the change of the pose from the first row of
+//! the image to the last (readout time × rates), as a difference from the assumed one. Keyframe
+//! errors and skew are *whitened*: in units of their prior standard deviation, so that a known
+//! quantity has a column of zeros and needs no special case.
+
+use super::MotionModel;
 
 /// Unknowns of a pose.
 pub const POSE: usize = 6;
@@ -12,6 +14,26 @@ pub const POSE: usize = 6;
 pub const WITH_KEYFRAME: usize = 9;
 /// Unknowns with those of the shutter.
 pub const WITH_SKEW: usize = 15;
+
+/// Which of (x, y, heading, height, roll, pitch) are estimated: the first `count` of them.
+#[derive(Debug, Clone, Copy)]
+pub struct Unknowns {
+    count: usize,
+}
+
+impl Unknowns {
+    /// All six.
+    pub const ALL: Self = Self { count: 6 };
+
+    pub fn new(model: MotionModel) -> Self {
+        Self { count: model.unknowns() }
+    }
+
+    /// Number of estimated unknowns.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+}
 
 /// Derivatives of one coordinate of a residual by the unknowns.
 pub type Row = [f64; WITH_SKEW];
@@ -28,17 +50,17 @@ pub struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// Nothing is known of `count` unknowns.
+    /// No information on `count` unknowns.
     pub fn new(count: usize) -> Self {
         Self { count, matrix: [[0.0; WITH_SKEW]; WITH_SKEW], slope: [0.0; WITH_SKEW] }
     }
 
-    /// How many unknowns there are.
+    /// Number of unknowns.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// What the unknowns are to be moved by, downward, along the slope.
+    /// Gradient of the cost; the step is minus the inverse of the matrix times it.
     pub fn slope(&self) -> &Row {
         &self.slope
     }
@@ -50,7 +72,7 @@ impl NormalEquations {
 
     /// Adds a residual.
     pub fn add(&mut self, row: &Row, error: f64, weight: f64) {
-        // The compiler unrolls what it knows the length of.
+        // Constant lengths let the compiler unroll the loops.
         match self.count {
             POSE => self.add_of::<POSE>(row, error, weight),
             WITH_KEYFRAME => self.add_of::<WITH_KEYFRAME>(row, error, weight),
@@ -68,10 +90,10 @@ impl NormalEquations {
         }
     }
 
-    /// Adds that unknown `i`, which is `off` its expectation, is known with this weight.
-    pub fn add_prior(&mut self, i: usize, off: f64, weight: f64) {
+    /// Adds a prior on unknown `i`, which is `deviation` from its mean, with this weight.
+    pub fn add_prior(&mut self, i: usize, deviation: f64, weight: f64) {
         self.matrix[i][i] += weight;
-        self.slope[i] += weight * off;
+        self.slope[i] += weight * deviation;
     }
 
     /// The information times a factor.
@@ -79,7 +101,7 @@ impl NormalEquations {
         self.matrix.iter_mut().flatten().for_each(|entry| *entry *= factor);
     }
 
-    /// Takes unknown `i` for known.
+    /// Fixes unknown `i` at its present value.
     pub fn hold(&mut self, i: usize) {
         self.matrix[i] = [0.0; WITH_SKEW];
         self.matrix.iter_mut().for_each(|row| row[i] = 0.0);
@@ -148,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_fitted_and_what_is_held_stays() {
+    fn a_line_is_fitted_and_fixed_unknowns_stay() {
         // y = 2 + 3 x, seen without noise from an estimate of zero: the residual is -y.
         let mut equations = NormalEquations::new(POSE);
         for x in 0..5 {

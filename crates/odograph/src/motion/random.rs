@@ -1,13 +1,14 @@
-//! Reproducible randomness.
+//! Reproducible random numbers.
 
-/// A small random number generator (SplitMix64; G. Steele et al., "Fast splittable pseudorandom number generators", 2014). The seed is all its state.
+/// SplitMix64 (G. Steele et al., "Fast splittable pseudorandom number generators", 2014). The seed
+/// is its whole state.
 #[derive(Debug, Clone)]
 pub struct Random {
     state: u64,
 }
 
 impl Random {
-    /// A generator that gives the same numbers for the same seed.
+    /// A generator; equal seeds give equal numbers.
     pub fn new(seed: u64) -> Self {
         Self { state: seed }
     }

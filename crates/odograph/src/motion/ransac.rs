@@ -1,6 +1,8 @@
-//! The movement that most tracks agree on.
+//! RANSAC with the score of MSAC: the pose that most tracks agree on. Derivation:
+//! `docs/math/frame-pose.md`.
 
-use super::planar_pose::{Unknowns, gauss_newton_step};
+use super::normal_equations::Unknowns;
+use super::planar_pose::gauss_newton_step;
 use super::{Elevation, MotionConfig, MotionModel, Observation, Observations, Random, RigPrior};
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
@@ -9,15 +11,16 @@ use nalgebra::{Matrix3, Vector3};
 
 stored!(Option<Ray>);
 
-/// At most so many samples are drawn.
-const MOST_SAMPLES: usize = 300;
-/// Chance of missing the right movement that is accepted.
-const MISS: f64 = 1e-4;
+/// Most samples that are drawn. Not derived; chosen.
+const MAX_SAMPLES: usize = 300;
+/// Accepted probability that no sample is free of outliers. Not derived; chosen.
+const MISS_PROBABILITY: f64 = 1e-4;
 
-/// The best hypothesis and who agrees with it; `None` where no sample gives a pose.
+/// The best hypothesis and its inliers; `None` where no sample gives a pose.
 ///
-/// Scores are those of MSAC (P. Torr and A. Zisserman, "MLESAC", 2000). Distances are measured on undistorted rays, scaled by the focal length:
-/// within the inlier distance this differs from pixels by the lens's local magnification only, and the refinement measures in pixels.
+/// Scores are those of MSAC (P. Torr and A. Zisserman, "MLESAC", 2000). Distances are measured on
+/// undistorted rays, scaled by the focal length: within the inlier distance this differs from
+/// pixels by the lens's local magnification only, and the refinement measures in pixels.
 pub fn consensus(
     camera: &Camera,
     observations: Observations<'_>,
@@ -26,14 +29,14 @@ pub fn consensus(
     config: &MotionConfig,
     random: &mut Random,
 ) -> Option<(GroundPose, Buffer<bool>)> {
-    let Observations { seen: observations, laid_from, .. } = observations;
-    // The refinement takes height and tilt along; until then they may be a little off.
-    let limit =
+    let Observations { seen: observations, keyframe_pose, .. } = observations;
+    // Height and tilt are not refined yet, so the threshold is wider.
+    let limit_px2 =
         if config.model == MotionModel::Auto { 2.0 * config.inlier_px } else { config.inlier_px }.powi(2);
-    let agreeing = agreeing(camera, observations, laid_from, prediction, limit);
-    let count = agreeing.iter().filter(|&&agrees| agrees).count();
-    if count >= config.minimum_inliers && count as f64 >= CLEAR * observations.len() as f64 {
-        return Some((*prediction, agreeing));
+    let predicted = inliers_of(camera, observations, keyframe_pose, prediction, limit_px2);
+    let count = predicted.iter().filter(|&&agrees| agrees).count();
+    if count >= config.minimum_inliers && count as f64 >= MIN_PREDICTED_INLIERS * observations.len() as f64 {
+        return Some((*prediction, predicted));
     }
     let model = sampled_model(prior, config.model);
     let rays: Buffer<Option<Ray>> = observations.iter().map(|o| camera.ray_from_pixel(o.pixel)).collect();
@@ -52,8 +55,15 @@ pub fn consensus(
                 let point = camera_from_world * from_camera(observation, pose);
                 match ray {
                     Some(ray) if point.z > 1e-9 => {
-                        let off = [fx * (point.x / point.z - ray.x), fy * (point.y / point.z - ray.y)];
-                        unexplained(observation, laid_from, &point, &camera_from_world, (fx, fy), off)
+                        let error_px = [fx * (point.x / point.z - ray.x), fy * (point.y / point.z - ray.y)];
+                        squared_distance(
+                            observation,
+                            keyframe_pose,
+                            &point,
+                            &camera_from_world,
+                            (fx, fy),
+                            error_px,
+                        )
                     }
                     _ => f64::INFINITY,
                 }
@@ -61,37 +71,38 @@ pub fn consensus(
             .collect()
     };
     let mut best: Option<(f64, GroundPose, Buffer<f64>)> = None;
-    let mut judge = |pose: GroundPose| -> usize {
+    let mut score = |pose: GroundPose| -> usize {
         let errors = squared_errors(&pose);
-        let cost: f64 = errors.iter().map(|e| e.min(limit)).sum();
+        let cost: f64 = errors.iter().map(|e| e.min(limit_px2)).sum();
         if best.as_ref().is_none_or(|(lowest, _, _)| cost < *lowest) {
             best = Some((cost, pose, errors));
         }
-        best.as_ref().map_or(0, |(_, _, errors)| errors.iter().filter(|e| **e < limit).count())
+        best.as_ref().map_or(0, |(_, _, errors)| errors.iter().filter(|e| **e < limit_px2).count())
     };
-    // What is predicted is a hypothesis too, and often already right.
-    let mut inliers = judge(*prediction);
-    let mut drawn = 0;
-    while drawn < samples_needed(inliers as f64 / usable.len() as f64, sample_size) {
-        drawn += 1;
+    // The prediction is the first hypothesis.
+    let mut inliers = score(*prediction);
+    let mut samples = 0;
+    while samples < samples_needed(inliers as f64 / usable.len() as f64, sample_size) {
+        samples += 1;
         let sample: Buffer<usize> = (0..sample_size).map(|_| usable[random.below(usable.len())]).collect();
         if let Some(pose) = hypothesis(camera, observations, &rays, &sample, prediction, model) {
-            inliers = judge(pose);
+            inliers = score(pose);
         }
     }
-    best.map(|(_, pose, errors)| (pose, errors.iter().map(|e| *e < limit).collect()))
+    best.map(|(_, pose, errors)| (pose, errors.iter().map(|e| *e < limit_px2).collect()))
 }
 
-/// Where at least this part agrees with what was predicted, nothing need be drawn: the refinement finds the rest from there.
-const CLEAR: f64 = 0.8;
+/// Inlier ratio of the prediction above which no samples are drawn: the refinement converges from
+/// there. Not derived; chosen.
+const MIN_PREDICTED_INLIERS: f64 = 0.8;
 
-/// Which observations lie within the limit, squared pixels, of where a pose has them.
-fn agreeing(
+/// Which observations are within the limit, pixels², of their projections at a pose.
+fn inliers_of(
     camera: &Camera,
     observations: &[Observation],
-    laid_from: &GroundPose,
+    keyframe_pose: &GroundPose,
     pose: &GroundPose,
-    limit: f64,
+    limit_px2: f64,
 ) -> Buffer<bool> {
     let camera_from_world = pose.world_from_camera_rotation().transpose();
     let agrees = |observation: &Observation| {
@@ -101,25 +112,25 @@ fn agreeing(
         }
         let seen = camera.pixel_from_ray(Ray::new(point.x / point.z, point.y / point.z));
         seen.is_some_and(|seen| {
-            let off = [seen.x - observation.pixel.x, seen.y - observation.pixel.y];
+            let error_px = [seen.x - observation.pixel.x, seen.y - observation.pixel.y];
             let focal_px = camera.focal_px();
-            unexplained(observation, laid_from, &point, &camera_from_world, focal_px, off) < limit
+            squared_distance(observation, keyframe_pose, &point, &camera_from_world, focal_px, error_px)
+                < limit_px2
         })
     };
     observations.iter().map(agrees).collect()
 }
 
-/// From the camera to an observed point, in world axes.
+/// Vector from the camera to an observed point, in world axes.
 fn from_camera(observation: &Observation, pose: &GroundPose) -> Vector3<f64> {
     let Observation { ground, elevation, .. } = observation;
     Vector3::new(ground.x_m - pose.x_m, ground.y_m - pose.y_m, elevation.mean_m - pose.height_m)
 }
 
-/// The squared distance, pixels², that an elevation within three standard deviations does not
-/// explain.
-fn unexplained(
+/// Squared re-projection error, pixels², after the best elevation within three standard deviations.
+fn squared_distance(
     observation: &Observation,
-    laid_from: &GroundPose,
+    keyframe_pose: &GroundPose,
     point: &Vector3<f64>,
     camera_from_world: &Matrix3<f64>,
     (fx, fy): (f64, f64),
@@ -129,18 +140,18 @@ fn unexplained(
     if variance_m2 <= 0.0 {
         return x * x + y * y;
     }
-    // A point that rises keeps to the ray of the keyframe.
-    let rise = from_camera(observation, laid_from) / (mean_m - laid_from.height_m);
-    let rise = camera_from_world * rise;
-    let by_x = fx * (rise.x - point.x / point.z * rise.z) / point.z;
-    let by_y = fy * (rise.y - point.y / point.z * rise.z) / point.z;
+    // As its elevation changes the point stays on the ray of the keyframe.
+    let by_elevation = from_camera(observation, keyframe_pose) / (mean_m - keyframe_pose.height_m);
+    let by_elevation = camera_from_world * by_elevation;
+    let by_x = fx * (by_elevation.x - point.x / point.z * by_elevation.z) / point.z;
+    let by_y = fy * (by_elevation.y - point.y / point.z * by_elevation.z) / point.z;
     let squared = (by_x * by_x + by_y * by_y).max(1e-12);
-    let most_m = 3.0 * variance_m2.sqrt();
-    let elevation_m = ((x * by_x + y * by_y) / squared).clamp(-most_m, most_m);
+    let limit_m = 3.0 * variance_m2.sqrt();
+    let elevation_m = ((x * by_x + y * by_y) / squared).clamp(-limit_m, limit_m);
     (x - elevation_m * by_x).powi(2) + (y - elevation_m * by_y).powi(2)
 }
 
-/// Which hypotheses are drawn: `auto` frees what the prior says may differ much from the frame before.
+/// The motion model of the samples: `auto` frees what the prior leaves uncertain.
 fn sampled_model(prior: &RigPrior, model: MotionModel) -> MotionModel {
     match model {
         MotionModel::Auto if prior.sigma[1].max(prior.sigma[2]) > 0.02 => MotionModel::Free,
@@ -150,19 +161,20 @@ fn sampled_model(prior: &RigPrior, model: MotionModel) -> MotionModel {
     }
 }
 
-/// How many samples are needed so that one without outliers is among them with probability 1 − [`MISS`].
+/// Number of samples so that one without outliers is among them with probability 1 −
+/// [`MISS_PROBABILITY`].
 fn samples_needed(inlier_fraction: f64, sample_size: usize) -> usize {
-    let all_right = inlier_fraction.powi(sample_size as i32);
-    if all_right <= 1e-9 {
-        return MOST_SAMPLES;
+    let all_inliers = inlier_fraction.powi(sample_size as i32);
+    if all_inliers <= 1e-9 {
+        return MAX_SAMPLES;
     }
-    if all_right >= 1.0 {
+    if all_inliers >= 1.0 {
         return 1;
     }
-    ((MISS.ln() / (1.0 - all_right).ln()).ceil() as usize).clamp(1, MOST_SAMPLES)
+    ((MISS_PROBABILITY.ln() / (1.0 - all_inliers).ln()).ceil() as usize).clamp(1, MAX_SAMPLES)
 }
 
-/// The pose that a minimal sample speaks for.
+/// The pose of a minimal sample.
 fn hypothesis(
     camera: &Camera,
     observations: &[Observation],
@@ -171,7 +183,7 @@ fn hypothesis(
     prediction: &GroundPose,
     model: MotionModel,
 ) -> Option<GroundPose> {
-    // Where the two points would lie under a camera of the predicted height and tilt at the origin.
+    // The two points as seen by a camera of the predicted height and tilt at the origin.
     let here = GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*prediction };
     let seen = |i: usize| rays[i].and_then(|ray| here.ground_from_ray(ray));
     let (first, second) = (sample[0], sample[1]);
@@ -184,18 +196,19 @@ fn hypothesis(
     if model != MotionModel::Free {
         return Some(pose);
     }
-    // Four points fix all six numbers: no homography is decomposed, the planar pose is solved for directly.
-    let few: Buffer<Observation> = sample.iter().map(|&i| observations[i]).collect();
+    // Four points determine all six unknowns; the planar pose is solved for directly, without
+    // decomposing a homography.
+    let minimal: Buffer<Observation> = sample.iter().map(|&i| observations[i]).collect();
     let mut pose = pose;
     for _ in 0..5 {
-        pose = gauss_newton_step(camera, &few, &pose, &Unknowns::new(model))?;
+        pose = gauss_newton_step(camera, &minimal, &pose, &Unknowns::new(model))?;
     }
-    let plausible = pose.height_m > 0.2 * prediction.height_m && pose.height_m < 5.0 * prediction.height_m;
-    plausible.then_some(pose)
+    let is_plausible = pose.height_m > 0.2 * prediction.height_m && pose.height_m < 5.0 * prediction.height_m;
+    is_plausible.then_some(pose)
 }
 
-/// The closed form of two points: the rotation and shift (and, where the height is free, scale) that take `seen`, placed by a camera at
-/// the origin, to `ground`.
+/// Closed-form pose from two points: the rotation and shift (and, where the height is free, scale)
+/// that map `seen`, placed by a camera at the origin, to `ground`.
 fn two_point_pose(
     ground: [GroundPoint; 2],
     seen: [GroundPoint; 2],
@@ -205,7 +218,7 @@ fn two_point_pose(
     let (ax, ay) = (ground[1].x_m - ground[0].x_m, ground[1].y_m - ground[0].y_m);
     let (bx, by) = (seen[1].x_m - seen[0].x_m, seen[1].y_m - seen[0].y_m);
     let (length, seen_length) = (length(ax, ay), length(bx, by));
-    // Points nearer than a tenth of the height tell little about the heading.
+    // Points closer than a tenth of the height determine the heading poorly.
     if length < 0.1 * prediction.height_m || seen_length < 1e-9 {
         return None;
     }

@@ -1,9 +1,10 @@
 //! Rolling shutters: each row of an image is exposed at its own time, while the camera moves.
+//! Derivation: `docs/math/rolling-shutter.md`.
 //!
-//! The time of an image is that of its middle row, and so is its pose. Within the image the pose
-//! changes at constant accelerations. A pixel is brought to where a global shutter would have seen the same
-//! ground ([`RollingShutter::global_pixel`]); rates and readout time that differ from what was
-//! assumed are unknowns beside the pose (`super::normal_equations`).
+//! Time and pose of an image are those of its middle row. Within the image the pose changes at
+//! constant accelerations. A pixel is corrected to where a global shutter would have seen the same
+//! ground ([`RollingShutter::global_pixel`]); errors of rates and readout time are nuisance
+//! parameters of the pose (`super::normal_equations`).
 
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
@@ -12,16 +13,16 @@ use nalgebra::{Matrix6, Vector6};
 /// Rates of (x, y, heading, height, roll, pitch), metres and radians per second.
 pub type PoseRates = Vector6<f64>;
 
-/// The time at which each row of an image is exposed, and how the camera moves meanwhile.
+/// Exposure time of each row of an image, and the motion of the camera meanwhile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RollingShutter {
-    /// From the exposure of the first row to that of the last, seconds.
+    /// Readout time: from the exposure of the first row to that of the last, seconds.
     pub readout_s: f64,
     /// Rows of the image.
     pub rows: usize,
     /// Rates of the pose in the middle of the image.
     pub rates: PoseRates,
-    /// How they change within the image, per second.
+    /// Accelerations of the pose, per second.
     pub accelerations: PoseRates,
 }
 
@@ -31,35 +32,35 @@ impl RollingShutter {
         Self { readout_s, rows: camera.height(), rates, accelerations: PoseRates::zeros() }
     }
 
-    /// Where a row lies in the image: −1/2 at its upper edge, 1/2 at its lower edge.
+    /// Row relative to the image: −1/2 at its upper edge, 1/2 at its lower edge.
     pub fn row_fraction(&self, y: f64) -> f64 {
         (y + 0.5) / self.rows as f64 - 0.5
     }
 
-    /// How much later than the middle row a row is exposed, seconds.
+    /// Exposure time of a row after that of the middle row, seconds.
     pub fn row_time_s(&self, y: f64) -> f64 {
         self.readout_s * self.row_fraction(y)
     }
 
     /// The pose at the time of a row; `pose` is that of the middle row.
     pub fn pose_at(&self, pose: &GroundPose, y: f64) -> GroundPose {
-        let later_s = self.row_time_s(y);
-        let moved = later_s * (self.rates + 0.5 * later_s * self.accelerations);
+        let dt_s = self.row_time_s(y);
+        let moved = dt_s * (self.rates + 0.5 * dt_s * self.accelerations);
         GroundPose::from_vector(&(pose.to_vector() + moved))
     }
 
-    /// Whether all rows see the same pose.
+    /// Whether all rows have the same pose.
     pub fn is_global(&self) -> bool {
         self.readout_s == 0.0 || self.rates == PoseRates::zeros()
     }
 
-    /// Whether the camera stands, so that it does not matter when a row is exposed.
+    /// Whether the camera stands, so that exposure times do not matter.
     pub fn is_static(&self) -> bool {
         self.rates == PoseRates::zeros()
     }
 
-    /// Where a global shutter at `pose` would have seen the ground that a pixel shows. `None` where
-    /// it shows no ground.
+    /// The pixel at which a global shutter at `pose` would have seen the ground of a pixel. `None`
+    /// where the pixel shows no ground.
     pub fn global_pixel(&self, camera: &Camera, pose: &GroundPose, pixel: Pixel) -> Option<Pixel> {
         if self.is_global() {
             return Some(pixel);
@@ -78,7 +79,7 @@ pub struct Readout {
     pub variance_s2: f64,
 }
 
-/// What is known of how an image is exposed before its pose is measured.
+/// Prior of an image's exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShutterPrior {
     /// The readout time.
@@ -89,16 +90,18 @@ pub struct ShutterPrior {
     pub rate_offset: PoseRates,
     /// Variances of the rates.
     pub rate_variance: PoseRates,
-    /// The accelerations of the pose are expected at these times the pose plus `acceleration_offset`.
+    /// The accelerations of the pose are expected at these times the pose plus
+    /// `acceleration_offset`.
     pub acceleration_by_pose: PoseRates,
     /// See `acceleration_by_pose`.
     pub acceleration_offset: PoseRates,
-    /// Whether the pose is fitted with a skew; otherwise what the tracks tell of it is only looked at.
+    /// Whether the skew is an unknown of the pose's fit; otherwise it is only estimated from its
+    /// end.
     pub applies: bool,
 }
 
 impl ShutterPrior {
-    /// The shutter of an image at `pose`, as it is expected.
+    /// The predicted shutter of an image at `pose`.
     pub fn shutter_at(&self, camera: &Camera, pose: &GroundPose) -> RollingShutter {
         let rates = self.rate_by_pose_hz * pose.to_vector() + self.rate_offset;
         let accelerations = self.acceleration_by_pose.component_mul(&pose.to_vector());
@@ -108,7 +111,7 @@ impl ShutterPrior {
         }
     }
 
-    /// Standard deviations of the skew of an image that is expected to move at `rates`.
+    /// Prior standard deviations of the skew of an image with predicted `rates`.
     pub fn skew_sigma(&self, rates: &PoseRates) -> PoseRates {
         let Readout { mean_s, variance_s2 } = self.readout;
         rates.zip_map(&self.rate_variance, |rate, variance| {
@@ -117,23 +120,23 @@ impl ShutterPrior {
     }
 }
 
-/// What a frame tells of its shutter. The skew is how far the pose moves from the first row to the last,
-/// metres and radians.
+/// Estimate of a frame's skew: the change of the pose from the first row to the last, metres and
+/// radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShutterEstimate {
-    /// The rates of the pose that were expected.
+    /// Predicted rates of the pose.
     pub expected_rates: PoseRates,
-    /// The skew, with the prior.
+    /// Skew, with the prior.
     pub skew: PoseRates,
     /// Its variances.
     pub skew_variance: PoseRates,
-    /// The skew as the tracks alone have it.
+    /// Skew from the tracks alone.
     pub evidence: PoseRates,
-    /// Its variances; infinite where the tracks tell nothing.
+    /// Its variances; infinite where the tracks contain no information.
     pub evidence_variance: PoseRates,
-    /// How the pose changes with the skew that was expected.
+    /// Derivative of the pose by the predicted skew.
     pub pose_by_expected_skew: Matrix6<f64>,
-    /// How the pose changes with the skew of the keyframe.
+    /// Derivative of the pose by the skew of the keyframe.
     pub pose_by_keyframe_skew: Matrix6<f64>,
 }
 
@@ -143,7 +146,7 @@ mod tests {
     use crate::camera::Distortion;
 
     #[test]
-    fn a_global_pixel_sees_the_ground_of_its_row() {
+    fn a_corrected_pixel_shows_the_same_ground() {
         let lens = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
         let camera = Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), lens).unwrap();
         let rates = PoseRates::new(0.5, -0.2, 0.7, 0.1, 0.2, -0.3);

@@ -7,7 +7,8 @@ fn camera() -> Camera {
     Camera::new((640, 480), (500.0, 503.0), (322.0, 236.0), distortion).unwrap()
 }
 
-/// What `truth` sees of ground points on a grid of pixels, with Gaussian noise and a part replaced by nonsense.
+/// Observations from `truth` of ground points on a grid of pixels, with Gaussian noise and a
+/// fraction of outliers.
 fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec<Observation> {
     let camera = camera();
     let mut random = Random::new(seed);
@@ -42,7 +43,7 @@ fn observations(truth: &GroundPose, noise_px: f64, wrong: f64, seed: u64) -> Vec
     seen
 }
 
-/// The estimate from ground that was laid from a metre above the middle of the world.
+/// The estimate with a keyframe one metre above the origin.
 fn measured(
     seen: &[Observation],
     prediction: &GroundPose,
@@ -52,21 +53,21 @@ fn measured(
 ) -> Option<MotionEstimate> {
     let observations = Observations {
         seen,
-        laid_from: &GroundPose::level(1.0),
-        laid_covariance: &nalgebra::Matrix3::zeros(),
+        keyframe_pose: &GroundPose::level(1.0),
+        keyframe_covariance: &nalgebra::Matrix3::zeros(),
         shutter: None,
     };
     estimate(&camera(), observations, prediction, prior, config, &mut Random::new(seed))
 }
 
-/// The estimate with the prior that a recording begins with.
+/// The estimate with the prior of the first frame of a recording.
 fn from(
     seen: &[Observation],
     prediction: &GroundPose,
     config: &MotionConfig,
     seed: u64,
 ) -> Option<MotionEstimate> {
-    let prior = RigWander::new(prediction).prior(prediction, config);
+    let prior = RigPriorEstimator::new(prediction).prior(prediction, config);
     measured(seen, prediction, &prior, config, seed)
 }
 
@@ -94,7 +95,7 @@ proptest! {
             let config = MotionConfig { model, ..Default::default() };
             let found = from(&seen, &rig.first_pose(), &config, 3).expect("a pose");
             for (a, b) in numbers(&found.pose).iter().zip(numbers(&truth)) {
-                // The prior pulls by less than a millionth.
+                // The bias by the prior is below 10⁻⁶.
                 prop_assert!((a - b).abs() < 1e-5, "{model:?} {:?} {truth:?}", found.pose);
             }
         }
@@ -102,15 +103,16 @@ proptest! {
 }
 
 #[test]
-fn the_covariance_is_that_of_the_errors() {
-    // Normalised estimation error squared over many seeds: its mean is the number of unknowns when the covariance is right.
+fn the_covariance_matches_the_errors() {
+    // The mean normalised estimation error squared (NEES) is the number of unknowns when the
+    // covariance is right.
     for (model, unknowns) in [(MotionModel::Rigid, 3), (MotionModel::Similarity, 4), (MotionModel::Free, 6)] {
         let truth = GroundPose { x_m: 0.1, y_m: -0.05, heading_rad: 0.2, ..GroundPose::level(1.0) };
         let config = MotionConfig { model, ..Default::default() };
         let runs = 200;
         let mut total = 0.0;
         for seed in 0..runs {
-            // Noise large enough that the allowance for shared errors is nothing beside it.
+            // Noise large enough that the floor for shared errors is negligible.
             let seen = observations(&truth, 0.5, 0.0, seed);
             let prediction = GroundPose::level(1.0);
             let found = from(&seen, &prediction, &config, seed).expect("a pose");
@@ -127,14 +129,14 @@ fn the_covariance_is_that_of_the_errors() {
 }
 
 #[test]
-fn nonsense_is_no_movement() {
+fn outliers_alone_give_no_pose() {
     let seen = observations(&GroundPose::level(1.0), 0.0, 1.0, 5);
     assert!(from(&seen, &GroundPose::level(1.0), &MotionConfig::default(), 1).is_none());
     assert!(from(&[], &GroundPose::level(1.0), &MotionConfig::default(), 1).is_none());
 }
 
 #[test]
-fn the_number_of_turns_is_kept() {
+fn the_heading_stays_unwrapped() {
     let truth = GroundPose { heading_rad: 13.0, ..GroundPose::level(1.0) };
     let prediction = GroundPose { heading_rad: 12.9, ..truth };
     let seen = observations(&truth, 0.1, 0.2, 2);
@@ -143,35 +145,35 @@ fn the_number_of_turns_is_kept() {
 }
 
 #[test]
-fn the_pose_moves_with_that_of_its_keyframe_as_is_said() {
+fn the_derivative_by_the_keyframe_pose_is_right() {
     let (from, to) = (
         GroundPose::level(1.0),
         GroundPose { x_m: 0.2, y_m: -0.1, heading_rad: 0.3, ..GroundPose::level(1.0) },
     );
     let seen = observations(&to, 0.0, 0.0, 5);
-    // The same rays from a keyframe that is a little off.
-    let laid_from = |keyframe: &GroundPose| -> Vec<Observation> {
-        let lay = |seen: &Observation| {
+    // The same rays from a keyframe with a small pose error.
+    let keyframe_pose = |keyframe: &GroundPose| -> Vec<Observation> {
+        let reproject = |seen: &Observation| {
             let pixel = ViewingPose::new(from).pixel(&camera(), seen.ground, 0.0).unwrap();
             let ground = keyframe.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
             Observation { ground, ..*seen }
         };
-        seen.iter().map(lay).collect()
+        seen.iter().map(reproject).collect()
     };
     for model in [MotionModel::Rigid, MotionModel::Similarity, MotionModel::Free] {
         let config = MotionConfig { model, ..Default::default() };
         let prior =
-            RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3], mount_share: [1.0; 3], shared_part: 0.0 };
+            RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.1; 3], mount_share: [1.0; 3], shared_fraction: 0.0 };
         let found = measured(&seen, &to, &prior, &config, 1).unwrap();
         for number in 0..6 {
             let mut off = numbers(&from);
             off[number] += 1e-4;
             let [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad] = off;
             let off = GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad };
-            let moved = measured(&laid_from(&off), &to, &prior, &config, 1).unwrap();
+            let moved = measured(&keyframe_pose(&off), &to, &prior, &config, 1).unwrap();
             for (i, (a, b)) in numbers(&moved.pose).into_iter().zip(numbers(&found.pose)).enumerate() {
                 let change = (a - b) / 1e-4;
-                // What a robust fit weighs down, and the second order, are a hundredth.
+                // Robust weights and second-order terms change it by about 0.01.
                 assert!(
                     (change - found.by_keyframe[(i, number)]).abs() < 0.02,
                     "{model:?}: {i} by {number}: {change} {}",
@@ -183,64 +185,67 @@ fn the_pose_moves_with_that_of_its_keyframe_as_is_said() {
 }
 
 #[test]
-fn a_wrong_tilt_of_the_keyframe_is_found_with_the_pose() {
+fn a_tilt_error_of_the_keyframe_is_estimated_with_the_pose() {
     let keyframe = GroundPose { roll_rad: 0.02, pitch_rad: -0.015, ..GroundPose::level(1.0) };
     let taken_for = GroundPose::level(1.0);
     let to = GroundPose { x_m: 0.25, y_m: -0.15, heading_rad: 0.4, ..keyframe };
-    // Height has no error: from two pictures alone its scale cannot be told.
-    let laid_covariance = &Matrix3::from_diagonal(&nalgebra::Vector3::new(0.0, 9e-4, 9e-4));
+    // The height has no error: scale is not observable from two images.
+    let keyframe_covariance = &Matrix3::from_diagonal(&nalgebra::Vector3::new(0.0, 9e-4, 9e-4));
     let config = MotionConfig { model: MotionModel::Free, ..Default::default() };
-    let prior = RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], mount_share: [1.0; 3], shared_part: 0.0 };
+    let prior =
+        RigPrior { mean: [1.0, 0.0, 0.0], sigma: [0.3; 3], mount_share: [1.0; 3], shared_fraction: 0.0 };
     let (mut squares, runs) = (0.0, 60);
     for seed in 0..runs {
-        let lay = |seen: &Observation| {
+        let reproject = |seen: &Observation| {
             let pixel = ViewingPose::new(keyframe).pixel(&camera(), seen.ground, 0.0).unwrap();
             let ground = taken_for.ground_from_ray(camera().ray_from_pixel(pixel).unwrap()).unwrap();
             Observation { ground, ..*seen }
         };
-        let seen: Vec<Observation> = observations(&to, 0.2, 0.1, seed).iter().map(lay).collect();
-        let measure = |laid_covariance| {
+        let seen: Vec<Observation> = observations(&to, 0.2, 0.1, seed).iter().map(reproject).collect();
+        let measure = |keyframe_covariance| {
             let observations =
-                Observations { seen: &seen, laid_from: &taken_for, laid_covariance, shutter: None };
+                Observations { seen: &seen, keyframe_pose: &taken_for, keyframe_covariance, shutter: None };
             estimate(&camera(), observations, &to, &prior, &config, &mut Random::new(seed)).unwrap()
         };
-        let (found, held) = (measure(laid_covariance), measure(&Matrix3::zeros()));
-        assert!(held.keyframe_error.is_none());
-        // With the keyframe held for level so is the frame, nearly.
+        let (found, fixed) = (measure(keyframe_covariance), measure(&Matrix3::zeros()));
+        assert!(fixed.keyframe_error.is_none());
+        // With the keyframe fixed as level, the frame is nearly level too.
         let off = |found: &MotionEstimate| {
             (found.pose.roll_rad - to.roll_rad).hypot(found.pose.pitch_rad - to.pitch_rad)
         };
-        assert!(off(&found) < 0.5 * off(&held), "{} {}", off(&found), off(&held));
+        assert!(off(&found) < 0.5 * off(&fixed), "{} {}", off(&found), off(&fixed));
         let error = found.keyframe_error.unwrap();
         let off = (error.mean - nalgebra::Vector3::new(0.0, 0.02, -0.015)).fixed_rows::<2>(1).into_owned();
         let covariance = error.covariance.fixed_view::<2, 2>(1, 1).into_owned();
-        assert!(covariance.trace() < 0.2 * laid_covariance.trace(), "{covariance}");
+        assert!(covariance.trace() < 0.2 * keyframe_covariance.trace(), "{covariance}");
         squares += off.dot(&(covariance.try_inverse().unwrap() * off));
     }
-    // Two numbers; 95 % bounds of the mean of as many runs, and a tenth for what the biweight costs.
+    // Two degrees of freedom: 95 % bounds of the mean over the runs, and a tenth for the biweight's
+    // loss of efficiency.
     let (mean, bound) = (squares / runs as f64, 1.96 * (4.0 / runs as f64).sqrt() + 0.2);
     assert!((mean - 2.0).abs() < bound, "NEES {mean}");
 }
 
 #[test]
-fn auto_is_rigid_on_a_steady_mount_and_free_where_the_mount_moves() {
+fn auto_is_rigid_on_a_steady_mount_and_opens_for_a_push() {
     let mount = GroundPose::level(1.0);
     let steady = GroundPose { x_m: 0.1, y_m: -0.05, heading_rad: 0.2, ..mount };
     let config = |model| MotionConfig { model, ..Default::default() };
-    let mut wander = RigWander::new(&mount);
+    let mut estimator = RigPriorEstimator::new(&mount);
     for seed in 0..40 {
         let seen = observations(&steady, 0.2, 0.1, seed);
-        let prior = wander.prior(&mount, &config(MotionModel::Auto));
+        let prior = estimator.prior(&mount, &config(MotionModel::Auto));
         let auto = measured(&seen, &mount, &prior, &config(MotionModel::Auto), seed).unwrap();
         let rigid = from(&seen, &mount, &config(MotionModel::Rigid), seed).unwrap();
-        wander.learn(&auto, &mount, &Matrix6::zeros());
-        // What is left of the freedom is worth a fraction of the noise of the rigid model's own position (0.3 mm here).
+        estimator.learn(&auto, &mount, &Matrix6::zeros());
+        // The remaining freedom costs a fraction of the noise of the rigid model's position (0.3 mm
+        // here).
         assert!((auto.pose.x_m - rigid.pose.x_m).abs() < 2e-4, "{:?} {:?}", auto.pose, rigid.pose);
         assert!(auto.pose.roll_rad.abs() < 5e-4 && (auto.pose.height_m - 1.0).abs() < 5e-4);
     }
     let pushed = GroundPose { roll_rad: 0.012, height_m: 1.006, ..steady };
     let seen = observations(&pushed, 0.2, 0.1, 99);
-    let prior = wander.prior(&mount, &config(MotionModel::Auto));
+    let prior = estimator.prior(&mount, &config(MotionModel::Auto));
     let found = measured(&seen, &mount, &prior, &config(MotionModel::Auto), 1).unwrap();
     assert!(
         (found.pose.roll_rad - 0.012).abs() < 5e-4 && (found.pose.x_m - 0.1).abs() < 1e-3,

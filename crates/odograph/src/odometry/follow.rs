@@ -7,7 +7,7 @@ use super::light_field::LightField;
 use super::texture::Texture;
 use crate::buffer::{Buffer, stored};
 use crate::camera::Camera;
-use crate::flow::{Noise, REACH_PX, Track, Warp, dissimilarity, forward_backward_px, track};
+use crate::flow::{Noise, SEARCH_RADIUS_PX, Track, Warp, dissimilarity, forward_backward_px, track};
 use crate::geometry::{GroundPoint, GroundPose, Pixel};
 use crate::image::Pyramid;
 use crate::motion::RigPrior;
@@ -64,7 +64,7 @@ fn observations(
         let corner = &keyframe.corners[found.corner];
         let Warp { position, linear } = &found.warp;
         let pulled = light.as_ref().map_or_else(Vector2::zeros, |light| {
-            corner.template.response(found.noise).to_light(linear, light.slope(*position))
+            corner.template.model_bias(found.noise).by_illumination(linear, light.slope(*position))
         });
         let pixel = Pixel::new(position.x - pulled.x, position.y - pulled.y);
         let (mut ground, mut pixel, mut row_fraction) = (corner.patch.ground, pixel, 0.0);
@@ -168,7 +168,7 @@ fn measure_whole(
     learned: &Learned,
 ) -> Result<Measurement, LossReason> {
     let image = DenseImage::new(pyramid.base()).without(keyframe.mask.clone());
-    let prior = learned.wander.prior(prediction, &config.motion);
+    let prior = learned.rig_prior.prior(prediction, &config.motion);
     let found = dense::refine(camera, keyframe.dense(camera), &image, prediction, &prior, &config.motion);
     let found = found.filter(|found| found.score >= DenseEstimate::LEAST_SCORE).ok_or(LossReason::Jump)?;
     if found.agreement < config.motion.minimum_inlier_fraction {
@@ -337,8 +337,8 @@ fn follow(
     let scouts = (0..corners).step_by(every);
     let mut settled = None;
     // Mostly the prediction is better than it need be, and the full image is enough: the coarser levels are not even made.
-    let likely_near = off_px > REACH_PX && off_px <= LIKELY_NEAR_PX;
-    let reaches: &[f64] = if likely_near { &[REACH_PX, off_px] } else { &[off_px] };
+    let likely_near = off_px > SEARCH_RADIUS_PX && off_px <= LIKELY_NEAR_PX;
+    let reaches: &[f64] = if likely_near { &[SEARCH_RADIUS_PX, off_px] } else { &[off_px] };
     for &off_px in reaches {
         found.clear();
         found.extend(scouts.clone().filter_map(|index| find(index, &from, off_px)));
@@ -382,11 +382,11 @@ fn agreement(
     let shutter = learned.shutter_at(camera, prediction);
     let shutter = learned.frame_shutter.as_ref().zip(shutter.as_ref());
     let observations = observations(keyframe, found, camera, prediction, shutter, learned.relief_m2());
-    let prior = learned.wander.prior(prediction, &config.motion);
+    let prior = learned.rig_prior.prior(prediction, &config.motion);
     let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-    let laid_covariance = &keyframe.rig_covariance();
+    let keyframe_covariance = &keyframe.rig_covariance();
     let observations =
-        Observations { seen: &observations, laid_from: &keyframe.pose, laid_covariance, shutter };
+        Observations { seen: &observations, keyframe_pose: &keyframe.pose, keyframe_covariance, shutter };
     let estimate = estimate(camera, observations, prediction, &prior, &config.motion, random)?;
     let scouts = scouts.map(|index| &keyframe.corners[index]);
     let expected = in_view(keyframe, scouts, camera, &estimate.pose);
@@ -416,7 +416,7 @@ fn find(
     if keyframe.is_masked(warp.position) {
         return None;
     }
-    if off_px > REACH_PX {
+    if off_px > SEARCH_RADIUS_PX {
         corner.template.add_coarser_levels(&keyframe.pyramid);
     }
     let (warp, found) = match track(&corner.template, pyramid, &warp, off_px, &config.flow) {
@@ -430,7 +430,7 @@ fn find(
         }
         Ok(_) | Err(_) => return None,
     };
-    let bend = corner.template.response(found.noise).to_curvature(&warp.linear, &curvature);
+    let bend = corner.template.model_bias(found.noise).by_curvature(&warp.linear, &curvature);
     let position = Pixel::new(warp.position.x - bend.x, warp.position.y - bend.y);
     let Track { covariance_px2, light, noise, .. } = found;
     Some(Found { corner: index, warp: Warp { position, ..warp }, covariance_px2, light, noise })
@@ -477,7 +477,7 @@ fn judge(
     let estimate = if config.motion.model == MotionModel::Mean {
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
-        let prior = learned.wander.prior(prediction, &config.motion);
+        let prior = learned.rig_prior.prior(prediction, &config.motion);
         let mut measure = |near: &GroundPose, prior: &RigPrior, plane: Plane| {
             let shutter = learned.shutter_at(camera, near);
             let frame_shutter = learned
@@ -486,9 +486,13 @@ fn judge(
             let shutter = frame_shutter.as_ref().zip(shutter.as_ref());
             let observations = observations(keyframe, &found, camera, near, shutter, plane.relief_m2);
             let shutter = shutter.map(|(prior, shutter)| (prior, shutter.rates));
-            let laid_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
-            let observations =
-                Observations { seen: &observations, laid_from: &keyframe.pose, laid_covariance, shutter };
+            let keyframe_covariance = &(keyframe.rig_covariance() + plane.tilt_covariance());
+            let observations = Observations {
+                seen: &observations,
+                keyframe_pose: &keyframe.pose,
+                keyframe_covariance,
+                shutter,
+            };
             estimate(camera, observations, near, prior, &config.motion, random)
         };
         let near = settled.unwrap_or(*prediction);
@@ -599,7 +603,7 @@ fn mean(
         keyframe_error: None,
         inliers,
         residual_px: (2.0 * variance * count).sqrt() / metres_per_pixel,
-        neighbours: Default::default(),
+        residual_correlation: Default::default(),
         rig_evidence: None,
         elevations: Buffer::new(),
         needs_relief: false,

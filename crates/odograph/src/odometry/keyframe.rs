@@ -12,8 +12,9 @@ use crate::image::{GrayImage, Pyramid};
 use crate::keyframe::KeyframeId;
 use crate::motion::dense::{DenseImage, DenseReference};
 use crate::motion::{
-    Axes, BEYOND_CHANCE, CoarseRegistration, Elevation, GroundFromRay, GroundPatch, GroundView, HIGHEST_KERB,
-    MeasuredElevation, MotionEstimate, PoseRates, RollingShutter, Roughness, ViewingPose,
+    Axes, CoarseRegistration, Elevation, GroundFromRay, GroundPatch, GroundView, MAX_KERB_HEIGHT,
+    MeasuredElevation, MotionEstimate, PoseRates, RollingShutter, Roughness, SIGNIFICANT_SQUARED,
+    ViewingPose,
 };
 use nalgebra::{Matrix3, Matrix6, Matrix6x2, Vector2, Vector6};
 use std::collections::VecDeque;
@@ -101,7 +102,7 @@ impl<'a> GroundOf<'a> {
             GroundPatch::new(self.camera, &from_ray, centre, 1.0)?
         } else {
             let pose = (self.pose, &self.axes);
-            GroundPatch::behind_shutter(self.camera, pose, self.shutter, elevation_m, centre)?
+            GroundPatch::with_rolling_shutter(self.camera, pose, self.shutter, elevation_m, centre)?
         };
         Some((patch, elevation))
     }
@@ -173,7 +174,8 @@ impl KeyCorner {
         self.seen_before = Some(*seen);
         let off_m = seen.alone_m - before.alone_m;
         let variance_m2 = 1.0 / seen.information + 1.0 / before.information;
-        let confirms = seen.is_off && before.is_off && off_m * off_m < BEYOND_CHANCE * variance_m2;
+        let confirms =
+            seen.is_significant && before.is_significant && off_m * off_m < SIGNIFICANT_SQUARED * variance_m2;
         self.confirmations = if confirms { self.confirmations + 1 } else { 0 };
         if let Some(highest_m) = highest_m
             && self.confirmations >= CONFIRMATIONS
@@ -451,7 +453,7 @@ impl Keyframe {
     ) -> Roughness {
         let mut roughness = Roughness::default();
         let level_m = self.surface.as_ref().map_or(self.level_m, Surface::mean_m);
-        let highest_m = HIGHEST_KERB * self.pose.height_m;
+        let highest_m = MAX_KERB_HEIGHT * self.pose.height_m;
         let is_exact = tells_kerbs && frame.residual_px < KERB_PX;
         for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
             let corner = &mut self.corners[found.corner];
@@ -462,7 +464,7 @@ impl Keyframe {
                 roughness.add([first, second]);
             }
             if *agrees
-                && !seen.is_off
+                && !seen.is_significant
                 && seen.elevation.variance_m2 > 0.0
                 && corner.measured.is_none_or(|known| seen.parallax_squared > known.parallax_squared)
             {

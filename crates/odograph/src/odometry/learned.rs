@@ -7,7 +7,8 @@ use super::shutter::ShutterState;
 use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{
-    MotionEstimate, MotionModel, PoseRates, RigWander, RollingShutter, Roughness, ShutterPrior, ViewingPose,
+    MotionEstimate, MotionModel, PoseRates, RigPriorEstimator, RollingShutter, Roughness, ShutterPrior,
+    ViewingPose,
 };
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2};
 
@@ -15,7 +16,7 @@ use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2};
 #[derive(Debug, Clone)]
 pub struct Learned {
     /// How much height and tilt are seen to move.
-    pub wander: RigWander,
+    pub rig_prior: RigPriorEstimator,
     /// The part of the corners in view that agreed in the last frames: below 1 where not everything in view is ground, or where corners are noise.
     presence: Option<f64>,
     /// The shutter; `None` where it is taken to be global.
@@ -53,7 +54,7 @@ impl Learned {
     /// Nothing yet, of a camera that begins here.
     pub fn new(first: &GroundPose) -> Self {
         Self {
-            wander: RigWander::new(first),
+            rig_prior: RigPriorEstimator::new(first),
             presence: None,
             shutter: None,
             roughness: Roughness::default(),
@@ -66,7 +67,7 @@ impl Learned {
     }
 
     /// The same with a shutter that may roll.
-    pub fn behind_shutter(first: &GroundPose, camera: &Camera, model: MotionModel) -> Self {
+    pub fn with_rolling_shutter(first: &GroundPose, camera: &Camera, model: MotionModel) -> Self {
         let may_roll = model != MotionModel::Mean;
         let shutter = may_roll.then(|| ShutterState::new(camera, first.height_m));
         Self { shutter, ..Self::new(first) }
@@ -77,7 +78,7 @@ impl Learned {
     pub fn recalibrate(&mut self, fresh: Self, with_mount: bool) {
         let before = std::mem::replace(self, fresh);
         if !with_mount {
-            self.wander = before.wander;
+            self.rig_prior = before.rig_prior;
         }
         self.presence = before.presence;
         self.scale_variance = before.scale_variance;
@@ -116,7 +117,7 @@ impl Learned {
         }
         if was_flat && self.relief_m2() > 0.0 {
             // What was taken for a movement of the rig was the shape of the ground.
-            self.wander.forget_movement();
+            self.rig_prior.reset();
         }
         let (mut level, mut weights) = (0.0, 0.0);
         let mut quadrants = [(0.0, 0.0); 4];
@@ -132,7 +133,7 @@ impl Learned {
         let level_m = if weights > 0.0 { level / weights } else { 0.0 };
         let means = quadrants.iter().filter(|(_, count)| *count > 0.0).map(|(sum, count)| sum / count);
         let squares = means.map(|mean_m| (mean_m - level_m).powi(2)).sum::<f64>();
-        self.wander.stand_on(level_m, 0.25 * squares);
+        self.rig_prior.set_ground_level(level_m, 0.25 * squares);
         let relative =
             if keyframe.undulates() { 0.25 * squares / estimate.pose.height_m.powi(2) } else { 0.0 };
         self.uneven_frames += 1.0;
@@ -211,7 +212,7 @@ impl Learned {
     /// What the uncertainty of the mount's roll and pitch adds to the covariance of a pose that changes
     /// with them by `by_mount_tilt`.
     pub fn mount_covariance(&self, by_mount_tilt: &Matrix6x2<f64>) -> Matrix6<f64> {
-        by_mount_tilt * self.wander.tilt_errors() * by_mount_tilt.transpose()
+        by_mount_tilt * self.rig_prior.mount_tilt_errors() * by_mount_tilt.transpose()
     }
 
     /// Another keyframe serves from here on.
@@ -244,7 +245,7 @@ impl Learned {
     /// The present frame's view from `pose`.
     pub fn viewing(&self, camera: &Camera, pose: &GroundPose) -> ViewingPose {
         match self.shutter_at(camera, pose) {
-            Some(shutter) => ViewingPose::behind_shutter(*pose, &shutter),
+            Some(shutter) => ViewingPose::with_rolling_shutter(*pose, &shutter),
             None => ViewingPose::new(*pose),
         }
     }

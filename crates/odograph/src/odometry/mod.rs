@@ -124,7 +124,7 @@ impl Odometry {
             recovery: Recovery::new(&camera),
             config,
             first_pose,
-            learned: Learned::behind_shutter(&first_pose, &camera, config.motion.model),
+            learned: Learned::with_rolling_shutter(&first_pose, &camera, config.motion.model),
             camera,
             keyframe: None,
             memory: KeyframeMemory::new(config.keyframe.remembered),
@@ -362,7 +362,7 @@ impl Odometry {
         let mut learned_keyframe = self.keyframe.as_ref().map(|keyframe| keyframe.improved_by(&estimate));
         if let Some((_, covariance)) = learned_keyframe.as_mut().filter(|_| self.keyframes == 1) {
             // The first keyframe was taken to stand as the mount was said to.
-            let [of_roll, of_pitch] = self.learned.wander.mount_doubt();
+            let [of_roll, of_pitch] = self.learned.rig_prior.mount_tilt_variance();
             covariance[(4, 4)] += of_roll;
             covariance[(5, 5)] += of_pitch;
             // The height of the rig is above the mean of the few elevations in view.
@@ -398,7 +398,7 @@ impl Odometry {
             (&self.keyframe, &carried, &learned_keyframe)
         {
             let keyframe = GroundPose::from_vector(&(keyframe.pose.to_vector() + moved));
-            self.learned.wander.learn(&estimate, &keyframe, carried);
+            self.learned.rig_prior.learn(&estimate, &keyframe, carried);
         }
         if let Some(keyframe) = &mut self.keyframe {
             self.learned.saw_relief(keyframe, &found, &estimate, self.last.as_ref());
@@ -469,7 +469,7 @@ impl Odometry {
             return Matrix6x2::zeros();
         }
         let [_, of_roll, of_pitch] =
-            self.learned.wander.prior(&estimate.pose, &self.config.motion).mount_share;
+            self.learned.rig_prior.prior(&estimate.pose, &self.config.motion).mount_share;
         let share = [of_roll, of_pitch];
         let mut by_prior = self.by_mount_tilt.fixed_rows::<2>(4).into_owned();
         for i in 0..2 {

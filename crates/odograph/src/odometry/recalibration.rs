@@ -36,10 +36,10 @@ impl Odometry {
         if let Some(mount) = mount {
             self.first_pose = mount;
         }
-        let before = (self.learned.wander.mount(), self.learned.assumed_readout_s());
-        let mut fresh = Learned::behind_shutter(&self.first_pose, &camera, self.config.motion.model);
+        let before = (self.learned.rig_prior.mount(), self.learned.assumed_readout_s());
+        let mut fresh = Learned::with_rolling_shutter(&self.first_pose, &camera, self.config.motion.model);
         if let Some((_, covariance)) = rig {
-            fresh.wander.set_tilt_covariance(&covariance);
+            fresh.rig_prior.set_mount_tilt_covariance(&covariance);
         }
         self.learned.recalibrate(fresh, mount.is_some());
         self.charge_errors(before, mount.is_some());
@@ -59,9 +59,9 @@ impl Odometry {
     /// Adds to the covariance of the present keyframe what the calibration before has done to its place
     /// and heading: the path stays as it was measured.
     fn charge_errors(&mut self, (mount, readout_s): ([f64; 3], f64), with_mount: bool) {
-        let [_, roll_rad, pitch_rad] = self.learned.wander.mount();
+        let [_, roll_rad, pitch_rad] = self.learned.rig_prior.mount();
         let off_rad = Vector2::new(roll_rad - mount[1], pitch_rad - mount[2]);
-        let tilt_errors = self.learned.wander.tilt_errors() + off_rad * off_rad.transpose();
+        let tilt_errors = self.learned.rig_prior.mount_tilt_errors() + off_rad * off_rad.transpose();
         let off_s = self.learned.assumed_readout_s() - readout_s;
         let readout_errors_s2 = self.learned.readout_errors_s2() + off_s * off_s;
         let Some(keyframe) = &mut self.keyframe else { return };

@@ -258,7 +258,7 @@ mod tests {
             keyframe_error: None,
             inliers: Buffer::of(true, inliers),
             residual_px: 0.1,
-            neighbours: Default::default(),
+            residual_correlation: Default::default(),
             rig_evidence: None,
             elevations: Buffer::new(),
             needs_relief: false,

@@ -40,7 +40,7 @@ impl Odometry {
         by_mount_tilt: Matrix6x2<f64>,
     ) {
         let pose = estimate.pose;
-        self.learned.wander.settle();
+        self.learned.rig_prior.change_keyframe();
         let pyramid = match self.revisit(pyramid, estimate, &covariance) {
             Ok(()) => return,
             Err(pyramid) => pyramid,

@@ -1,8 +1,8 @@
-//! Where a page is served, as a person types it, and how this machine can be reached.
+//! The address of a page: parsing, and the addresses at which this machine can be reached.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
-/// The port of a page for which none is named.
+/// Default port of a page.
 const PORT: u16 = 8080;
 
 /// An address to serve at: `8080`, `:8080` and `localhost:8080` are this machine only,
@@ -30,7 +30,7 @@ pub fn parse(text: &str) -> Result<SocketAddr, String> {
     Ok(SocketAddr::new(host, port))
 }
 
-/// The addresses at which a page bound to `address` can be reached: those of this machine where it
+/// The addresses at which a page bound to `address` can be reached; those of this machine where it
 /// is bound to all of them.
 pub fn reachable(address: SocketAddr) -> Vec<SocketAddr> {
     if !address.ip().is_unspecified() {
@@ -44,7 +44,7 @@ pub fn reachable(address: SocketAddr) -> Vec<SocketAddr> {
     own.chain([loopback]).map(|ip| SocketAddr::new(ip, address.port())).collect()
 }
 
-/// The IPv4 addresses of this machine without the loopback: from Linux's routing table, elsewhere
+/// The IPv4 addresses of this machine except loopback: from Linux's routing table, on other systems
 /// the one of the default route.
 fn own_addresses() -> Vec<Ipv4Addr> {
     if let Ok(table) = std::fs::read_to_string("/proc/net/fib_trie") {

@@ -1,4 +1,4 @@
-//! How frames are captured, as it is given on the command line.
+//! Command-line options of capturing.
 
 use odograph_live::capture::RawFormat;
 use odograph_live::capture::camera::PixelFormat;
@@ -52,14 +52,14 @@ fn pixels(text: &str) -> std::result::Result<(u32, u32), String> {
 }
 
 impl CaptureArguments {
-    /// Whether none of them is given.
+    /// Whether no option is given.
     pub fn is_empty(&self) -> bool {
         let Self { realtime, fps, size, format, auto_exposure, raw, patience } = self;
         let given = [realtime.is_some(), fps.is_some(), size.is_some(), format.is_some(), *auto_exposure];
         !given.contains(&true) && raw.is_none() && patience.is_none()
     }
 
-    /// The same, as a live run takes them.
+    /// The options for a live run.
     pub fn options(&self) -> CaptureOptions {
         let Self { realtime, fps, size, format, auto_exposure, raw, patience } = self.clone();
         let patience = patience.map(Duration::from_secs);

@@ -73,7 +73,7 @@ Examples:
   odograph live /dev/video0 --camera camera.yaml --rig rig.toml --print poses | robot
   odograph live drive.mp4 --camera camera.yaml --height 1.20 --mcap drive.mcap -o drive/";
 
-/// What can be printed for each frame.
+/// Formats of the line printed for each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Print {
     /// Pose, covariance and status.
@@ -81,7 +81,7 @@ pub enum Print {
 }
 
 impl LiveArguments {
-    /// The run that they ask for.
+    /// The run with these options.
     fn builder(&self) -> RunBuilder {
         let folder = self.output.clone().unwrap_or_else(|| PathBuf::from(folder_name_now()));
         let source = SourcePlan { fps: self.capture.fps, ..SourcePlan::new(&self.source) };
@@ -110,7 +110,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let outcome = match result {
         Ok(outcome) => outcome,
         Err(error) => {
-            // The page still shows what there was, and why it ended.
+            // The page still shows the last state, and the error.
             if !interrupt::asked() {
                 serving.linger(arguments.quiet);
             }

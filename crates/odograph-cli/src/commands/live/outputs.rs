@@ -1,4 +1,4 @@
-//! Poses for other programs, as they come.
+//! Output of poses to other programs during a run.
 
 use super::{LiveArguments, Print};
 use crate::console;
@@ -7,7 +7,7 @@ use odograph::trajectory::FrameEstimate;
 use odograph_live::stream::{Datagrams, json_line};
 use odograph_session::live::PoseSink;
 
-/// Where poses go beside the folder and the page.
+/// Outputs of poses besides folder and page.
 pub struct Outputs {
     print: bool,
     datagrams: Option<Datagrams>,

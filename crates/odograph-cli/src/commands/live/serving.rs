@@ -1,4 +1,4 @@
-//! The page of a run: begins, tells how it goes, and stays as long as somebody looks.
+//! The page of a run: started with it, and kept after it while there are viewers.
 
 use super::address;
 use crate::{console, interrupt};
@@ -36,24 +36,24 @@ pub struct Offer {
 }
 
 impl Offer {
-    /// Everything that a run writes into its folder.
+    /// All files of a run's folder.
     pub fn of_run(folder: &Path) -> Self {
         let files = RUN_FILES.iter().copied().chain(["marks.csv"]).map(str::to_owned).collect();
         Self { folder: folder.to_owned(), files }
     }
 }
 
-/// After the end the page stays for those who look, and so long for who only reloads it.
+/// Time for which the page stays after the end for a viewer that reloads it.
 const GRACE: Duration = Duration::from_secs(10);
 
-/// What there is to see, and the server where one was asked for.
+/// The hub of a run, and the server if requested.
 pub struct Serving {
     hub: Arc<Hub>,
     server: Option<Server>,
 }
 
 impl Serving {
-    /// Begins to show what is in a hub.
+    /// Serves a hub.
     pub fn start(arguments: &ServeArguments, hub: Arc<Hub>, offer: Offer) -> Result<Self> {
         let Some(address) = arguments.serve else {
             return Ok(Self { hub, server: None });
@@ -73,13 +73,12 @@ impl Serving {
         Ok(Self { hub, server: Some(server) })
     }
 
-    /// What there is to see.
+    /// The hub.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.hub
     }
 
-    /// Tells what to type into a browser, if anything: a line for each address of the page, the
-    /// first with `more` at its end.
+    /// Prints the addresses of the page, one per line, the first with `more` at its end.
     pub fn tell_where(&self, more: &str) {
         let Some(server) = &self.server else { return };
         for (number, url) in server.urls_at(&address::reachable(server.address())).iter().enumerate() {
@@ -90,7 +89,7 @@ impl Serving {
         }
     }
 
-    /// Tells where the run stands.
+    /// Prints the state of the run.
     pub fn set_phase(&self, phase: Phase, failure: Option<&Error>) {
         let mut status = self.hub.status();
         status.phase = phase;
@@ -100,7 +99,7 @@ impl Serving {
         self.hub.set_status(status);
     }
 
-    /// Stays while somebody looks.
+    /// Waits while there are viewers.
     pub fn linger(&self, quiet: bool) {
         if self.server.is_none() || self.hub.viewers() == 0 {
             return;
@@ -117,7 +116,7 @@ impl Serving {
         }
     }
 
-    /// Stays until the program is asked to end.
+    /// Waits until the program is asked to end.
     pub fn stay(&self) {
         while !interrupt::asked() {
             thread::sleep(Duration::from_millis(100));

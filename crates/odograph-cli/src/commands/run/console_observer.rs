@@ -1,4 +1,4 @@
-//! How a run goes on, on the console.
+//! Progress of a run on the console.
 
 use crate::{console, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -15,12 +15,12 @@ pub struct ConsoleObserver {
 }
 
 impl ConsoleObserver {
-    /// A `quiet` one says nothing.
+    /// A `quiet` observer prints nothing.
     pub fn new(quiet: bool) -> Self {
         Self { quiet, shows_progress: !quiet, bar: Mutex::new(ProgressBar::hidden()) }
     }
 
-    /// The same without a bar: for runs that have a page instead.
+    /// Without a progress bar, for runs that have a page instead.
     pub fn without_progress(quiet: bool) -> Self {
         Self { shows_progress: false, ..Self::new(quiet) }
     }

@@ -1,5 +1,5 @@
-//! Many recordings in one call: each gets a folder of its own and the result that it would have
-//! alone; as many run at a time as there are cores.
+//! Several recordings in one call: each has a folder of its own and the same result as alone; as
+//! many run concurrently as there are cores.
 
 use super::{ConsoleObserver, RunArguments};
 use crate::{Outcome, console, interrupt};
@@ -14,19 +14,19 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// How video files end, as a folder of recordings is looked through for them.
+/// Extensions of video files that are searched for in a folder of recordings.
 const VIDEO_EXTENSIONS: [&str; 15] = [
     "mp4", "m4v", "mov", "mkv", "webm", "avi", "y4m", "264", "h264", "avc", "265", "h265", "hevc", "mpg",
     "ts",
 ];
-/// How pictures end: a folder with any of them is one recording, a sequence of pictures.
+/// Extensions of images: a folder with any of them is one recording, a sequence of images.
 const PICTURE_EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm", "ppm", "pnm"];
 
-/// One of many recordings.
+/// One of several recordings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recording {
     source: String,
-    /// Name of its folder among the results.
+    /// Name of its output folder.
     name: String,
 }
 
@@ -146,7 +146,7 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments, folder: &Path) ->
     worst(&ends)
 }
 
-/// Runs one recording as it would run alone, but silently.
+/// Runs one recording as it would run alone, but without output.
 fn one(recording: &Recording, arguments: &RunArguments, folder: &Path, threads: usize) -> Result<RunOutcome> {
     let alone = arguments.builder(&recording.source, &folder.join(&recording.name))?.threads(threads);
     let run = || alone.run(&ConsoleObserver::new(true));
@@ -155,7 +155,7 @@ fn one(recording: &Recording, arguments: &RunArguments, folder: &Path, threads: 
     })
 }
 
-/// A recording among many, as `--json` tells it.
+/// One of several recordings in `--json`.
 #[derive(Serialize)]
 struct Told<'a> {
     source: &'a str,
@@ -217,8 +217,7 @@ fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments, result
 
 const NOT_BEGUN: &str = "not begun: the program was asked to end";
 
-/// The outcome of all together is the worst one: bad input, then wrong usage, then tracking that
-/// failed.
+/// The outcome of the call is the worst one: bad input, then wrong usage, then failed tracking.
 fn worst(ends: &[End]) -> Result<Outcome> {
     let failed = |kind: fn(ErrorKind) -> bool| {
         ends.iter().filter(|end| matches!(end, End::Failed(error) if kind(error.kind()))).count()

@@ -33,8 +33,8 @@ pub struct RunArguments {
     pub more: Vec<String>,
     /// Camera file (OpenCV YAML, ROS camera_info, Kalibr, EuRoC or COLMAP).
     ///
-    /// Not needed to continue a map, which has the camera and how it sits, nor for a robot recording
-    /// with a camera_info of its images.
+    /// Not needed to continue a map, which has the camera and how it sits, nor for a robot
+    /// recording with a camera_info of its images.
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
     #[command(flatten)]
@@ -86,7 +86,7 @@ pub struct RunArguments {
     pub output: OutputArguments,
 }
 
-/// Where results go and how much is said, alike for every command that tracks.
+/// Options of output and verbosity, common to all commands that track.
 #[derive(Debug, Clone, clap::Args)]
 pub struct OutputArguments {
     /// Overwrite results that are already there.
@@ -123,7 +123,7 @@ Ends with 0 when done, 2 on wrong usage, 3 on bad input, 4 when the movement cou
 recording, 130 when interrupted by Ctrl-C (what there is has been written in both cases).";
 
 impl RunArguments {
-    /// The run that they ask for, over `source` into `folder`.
+    /// The run with these options, over `source` into `folder`.
     fn builder(&self, source: &str, folder: &Path) -> Result<RunBuilder> {
         let run = if source.ends_with(".toml") {
             self.check_repeated(source)?;
@@ -161,7 +161,7 @@ impl RunArguments {
         if self.no_loops { run.without_loops() } else { run }
     }
 
-    /// Fails where an option says what the `run.toml` of an earlier run says already.
+    /// Fails where an option contradicts the `run.toml` of an earlier run.
     fn check_repeated(&self, run_toml: &str) -> Result<()> {
         let given = [
             ("--camera", self.camera.is_some()),
@@ -224,11 +224,11 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     Ok(outcome.end.into())
 }
 
-/// The folder of a run over a source for which none is named: one that is not there yet.
+/// Default output folder of a run: one that does not exist yet.
 fn default_folder(source: &str, many: bool) -> PathBuf {
     let path = Path::new(source);
     match path.parent() {
-        // A repeated run goes beside the folder of the first.
+        // A repeated run has its folder next to that of the first.
         Some(first) if source.ends_with(".toml") && first.file_name().is_some() => {
             files::free_beside(&first.to_string_lossy(), "-again")
         }

@@ -1,4 +1,4 @@
-//! The camera, its mount and how it may move, alike for recordings and live runs.
+//! Options of camera, mount and motion model, common to recordings and live runs.
 
 use crate::lengths::{self, Height};
 use odograph::motion::MotionModel;
@@ -37,7 +37,7 @@ pub struct MountedCamera {
 }
 
 impl MountedCamera {
-    /// Tells a run all of it, with the camera file.
+    /// Applies the options to a run, with the camera file.
     pub fn of_run(&self, run: RunBuilder, camera: Option<&PathBuf>) -> RunBuilder {
         let run = run.motion(self.motion.into());
         let run = camera.into_iter().fold(run, RunBuilder::camera_file);
@@ -51,7 +51,7 @@ impl MountedCamera {
         self.mask.iter().fold(run, RunBuilder::mask)
     }
 
-    /// Asks about a height that was probably meant in another unit.
+    /// Warns about a height that was probably meant in another unit.
     pub fn question(&self, quiet: bool) {
         if let Some(height) = self.height.filter(|_| !quiet) {
             height.question();

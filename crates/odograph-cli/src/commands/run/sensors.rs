@@ -1,4 +1,4 @@
-//! The sensors beside the camera, as they are given on the command line.
+//! Command-line options of the other sensors.
 
 use odograph_session::SensorFiles;
 use std::path::PathBuf;
@@ -31,7 +31,7 @@ pub struct SensorArguments {
 }
 
 impl SensorArguments {
-    /// The files, as a run takes them.
+    /// The files for a run.
     pub fn files(&self) -> SensorFiles {
         let Self { gyro, heading, wheel, range, gyro_topic, wheel_topic, range_topic } = self.clone();
         SensorFiles { gyro, heading, wheel, range, gyro_topic, wheel_topic, range_topic }

@@ -1,10 +1,10 @@
-//! What a run gave, for people or as JSON.
+//! Output of a run's result, as text or JSON.
 
 use crate::console;
 use odograph::error::Result;
 use odograph_session::{RunEnd, RunOutcome};
 
-/// Tells the result and where to look.
+/// Prints the result and where to look.
 pub fn tell(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()> {
     let statistics = &outcome.statistics;
     if json {

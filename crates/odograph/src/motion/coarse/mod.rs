@@ -1,15 +1,19 @@
-//! Where a frame lies against a keyframe when nothing is known beforehand: the whole images compared, at any rotation and any shift.
+//! Global registration of a frame against a keyframe without a prediction: whole images are
+//! compared, at any rotation and any shift.
 //!
-//! Both images are turned into [`GroundView`]s: small top-down pictures of the ground, in which tilt and lens are gone. What is left
-//! between two of them is a rotation, a shift and, where the height is free, a scale. Rotations (and scales) are tried in steps, each
-//! by a correlation over all shifts in the Fourier domain (C. Kuglin and D. Hines, "The phase correlation image alignment
-//! method", 1975); the best peaks are then refined between the steps on the views themselves.
+//! Both images are orthorectified into [`GroundView`]s, small views of the ground from above
+//! without tilt and lens distortion. Between two of them only a rotation, a shift and, where the
+//! height is free, a scale are left. Rotations (and scales) are tried on a grid, each by a
+//! correlation over all shifts in the Fourier domain (C. Kuglin and D. Hines, "The phase
+//! correlation image alignment method", 1975); the best peaks are then refined between the grid
+//! points on the views themselves.
 //!
-//! A Fourier–Mellin transform (B. Reddy and B. Chatterji, 1996) finds rotation and scale in one go, but from the spectra of whole
-//! images: below half an overlap they have too little in common. Trying the rotations works down to a quarter of an overlap, and
-//! costs some tens of milliseconds, which the rare moment of a loss can afford. Where phase correlation whitens the spectrum, here
-//! each view is brought to even contrast in the image domain, so that exposure, vignetting and soft shadows are gone as well, and
-//! so that what is outside a view counts nothing.
+//! A Fourier–Mellin transform (B. Reddy and B. Chatterji, 1996) finds rotation and scale at once,
+//! but from the spectra of whole images, which have too little in common below half an overlap.
+//! Trying the rotations works down to a quarter of an overlap and costs some tens of milliseconds,
+//! which the rare loss can afford. Instead of whitening the spectrum, as phase correlation does,
+//! each view is normalised to equal local contrast, which removes exposure, vignetting and soft
+//! shadows and leaves what is outside a view without weight.
 
 mod correlation;
 mod refinement;
@@ -25,14 +29,15 @@ use correlation::{Correlator, Peak, Spectrum, overlap_weights};
 use refinement::Placement;
 use view::ViewGeometry;
 
-/// What is unknown between two views.
+/// Unknowns between two views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CoarseOptions {
-    /// The heading of the frame against the keyframe that is expected, and how far it may be off, both in radians; π off is any.
+    /// Expected heading of the frame relative to the keyframe, and its largest error, radians; an
+    /// error of π is any heading.
     pub heading_rad: (f64, f64),
-    /// Whether the height is unknown too: from 0.6 to 1.6 times what the view was made for.
+    /// Whether the height is unknown: 0.6 to 1.6 times the height that the view was made for.
     pub scale_free: bool,
-    /// At most so many hypotheses are given for each keyframe.
+    /// Most hypotheses per keyframe.
     pub hypotheses: usize,
 }
 
@@ -42,28 +47,30 @@ impl Default for CoarseOptions {
     }
 }
 
-/// Where a frame may be against a keyframe.
+/// A candidate pose of a frame relative to a keyframe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hypothesis {
-    /// Of the camera in the level frame of the keyframe (origin on the ground below it, x along its heading), metres.
+    /// Position of the camera in the level frame of the keyframe (origin on the ground below it, x
+    /// along its heading), forward, metres.
     pub x_m: f64,
-    /// To the left, metres.
+    /// Position to the left, metres.
     pub y_m: f64,
-    /// Heading less the keyframe's, radians, in (−π, π].
+    /// Heading relative to the keyframe, radians, in (−π, π].
     pub heading_rad: f64,
     /// True height over the height that the frame's view was made for.
     pub scale: f64,
     /// Normalised correlation over the overlap, −1 to 1.
     pub correlation: f64,
-    /// Overlap as a part of the keyframe's view, 0 to 1.
+    /// Overlap as a fraction of the keyframe's view, 0 to 1.
     pub overlap: f64,
-    /// How far the correlation stands above that of unrelated places, in their standard deviations. Among all the places that are
-    /// tried, chance reaches five to eight.
+    /// Correlation in standard deviations of that of unrelated places. The maximum over all tried
+    /// places reaches five to eight by chance.
     pub score: f64,
 }
 
 impl Hypothesis {
-    /// The pose of the frame in the world, from that of the keyframe and the one that the frame's view was made for.
+    /// The pose of the frame in the world, from the pose of the keyframe and the one that the
+    /// frame's view was made for.
     pub fn pose(&self, keyframe: &GroundPose, assumed: &GroundPose) -> GroundPose {
         let (sin, cos) = keyframe.heading_rad.sin_cos();
         GroundPose {
@@ -84,41 +91,43 @@ pub struct CoarseRegistration {
     correlator: Correlator,
 }
 
-/// Rotations are tried this far apart, radians: 6°, so that the edge of a view is at most two samples off.
+/// Grid of rotations, radians: 6°, at which the edge of a view is at most two samples off.
 const ROTATION_STEP_RAD: f64 = std::f64::consts::TAU / 60.0;
 
-/// Scales are tried this factor apart.
+/// Grid of scales: ratio of neighbours. Not derived; chosen.
 const SCALE_STEP: f64 = 1.13;
 
-/// So many scales on either side of one: 0.61 to 1.63.
+/// Scales on either side of one: 0.61 to 1.63.
 const SCALE_STEPS: i32 = 4;
 
-/// Chance does not reach this score.
+/// Score that unrelated places do not reach; see [`Hypothesis::score`].
 const CERTAIN_SCORE: f64 = 12.0;
 
-/// So many peaks of the correlation are judged by what the views have in common there.
-const PEAKS_JUDGED: usize = 100;
+/// Peaks whose normalised correlation over the overlap is computed. Not derived; chosen.
+const MAX_PEAKS_COMPARED: usize = 100;
 
-/// Peaks that are refined, for every hypothesis that is asked for.
+/// Peaks that are refined, per hypothesis. Not derived; chosen.
 const PEAKS_PER_HYPOTHESIS: usize = 4;
 
-/// Steps of an improvement, in samples, and of how many samples along each side one is looked at: for the first of them a quarter of all is enough.
-const ROUGH: (&[f64], usize) = (&[1.5, 0.75], 2);
-const FINE: (&[f64], usize) = (&[0.75, 0.375, 0.1875], 1);
+/// Steps of the two refinements, in samples, and their subsampling along each side: a quarter of
+/// the samples is enough for the first.
+const COARSE_STEPS: (&[f64], usize) = (&[1.5, 0.75], 2);
+const FINE_STEPS: (&[f64], usize) = (&[0.75, 0.375, 0.1875], 1);
 
 impl CoarseRegistration {
-    /// Made ready for a camera.
+    /// For a camera.
     pub fn new(camera: &Camera) -> Self {
         Self { camera: camera.clone(), geometry: ViewGeometry::new(camera), correlator: Correlator::new() }
     }
 
-    /// The ground as seen from a camera of this height and tilt; position and heading do not matter. `None` where the image shows no ground.
-    /// What the mask covers is not seen.
+    /// Orthorectified view of an image, taken at this height and tilt; position and heading do not
+    /// matter. Masked pixels are left out. `None` where the image shows no ground.
     pub fn view(&self, pyramid: &Pyramid, mask: Option<&ImageMask>, pose: &GroundPose) -> Option<GroundView> {
         self.geometry.view(&self.camera, pyramid, mask, pose)
     }
 
-    /// Where `now` may lie against `keyframe`: the best hypothesis first, none where nothing was found.
+    /// Hypotheses of the pose of `now` relative to `keyframe`, the best first; empty where nothing
+    /// was found.
     pub fn register(
         &self,
         keyframe: &GroundView,
@@ -128,7 +137,7 @@ impl CoarseRegistration {
         let spectrum = self.correlator.spectrum(keyframe);
         let mut peaks = Vec::new();
         let mut found = Vec::new();
-        // Heights seldom change much: nearby scales are tried first.
+        // Height changes are usually small: nearby scales are tried first.
         for round in scales(options.scale_free) {
             peaks.extend(round.into_iter().flat_map(|scale| {
                 let zoom = scale * now.pixel_m / keyframe.pixel_m;
@@ -142,7 +151,7 @@ impl CoarseRegistration {
         found
     }
 
-    /// The best shifts at every heading, at one scale.
+    /// The best shifts at every rotation, at one scale.
     fn search(
         &self,
         spectrum: &Spectrum,
@@ -153,32 +162,33 @@ impl CoarseRegistration {
     ) -> Vec<Peak> {
         let weights = overlap_weights(keyframe.area.min(now.area) as f64 * zoom.min(1.0));
         let rotations = rotations(options);
-        // Two rotations at a time: one is the real, the other the imaginary part.
+        // Two rotations at a time, one as the real, the other as the imaginary part.
         let pairs = rotations.chunks(2).map(|pair| [pair[0], pair[pair.len() - 1]]);
         pairs.flat_map(|pair| self.correlator.peaks(spectrum, now, pair, zoom, &weights)).collect()
     }
 }
 
-/// The headings to be tried.
+/// The grid of rotations.
 fn rotations(options: &CoarseOptions) -> Vec<f64> {
-    let (expected, off) = options.heading_rad;
-    if off >= std::f64::consts::PI - 0.5 * ROTATION_STEP_RAD {
+    let (expected, tolerance) = options.heading_rad;
+    if tolerance >= std::f64::consts::PI - 0.5 * ROTATION_STEP_RAD {
         return (0..60).map(|i| expected + f64::from(i) * ROTATION_STEP_RAD).collect();
     }
-    let steps = (off / ROTATION_STEP_RAD).ceil().max(0.0) as i32;
+    let steps = (tolerance / ROTATION_STEP_RAD).ceil().max(0.0) as i32;
     (-steps..=steps).map(|i| expected + f64::from(i) * ROTATION_STEP_RAD).collect()
 }
 
-/// The scales to be tried, in rounds.
+/// The grid of scales, in rounds.
 fn scales(free: bool) -> Vec<Vec<f64>> {
     if !free {
         return vec![vec![1.0]];
     }
-    let (near, far): (Vec<i32>, Vec<i32>) = (-SCALE_STEPS..=SCALE_STEPS).partition(|steps| steps.abs() <= 1);
-    [near, far].map(|steps| steps.into_iter().map(|steps| SCALE_STEP.powi(steps)).collect()).into()
+    let (is_near, far): (Vec<i32>, Vec<i32>) =
+        (-SCALE_STEPS..=SCALE_STEPS).partition(|steps| steps.abs() <= 1);
+    [is_near, far].map(|steps| steps.into_iter().map(|steps| SCALE_STEP.powi(steps)).collect()).into()
 }
 
-/// The best peaks between the steps, each once.
+/// Refines the best peaks between the grid points; duplicates are merged.
 fn refine(
     keyframe: &GroundView,
     now: &GroundView,
@@ -189,12 +199,11 @@ fn refine(
     peaks.sort_by(|a, b| b.value.total_cmp(&a.value));
     let mut starts: Vec<(f64, Placement)> = Vec::new();
     for start in peaks.iter().map(Placement::of) {
-        if starts.len() >= PEAKS_JUDGED {
+        if starts.len() >= MAX_PEAKS_COMPARED {
             break;
         }
-        if !starts.iter().any(|(_, other)| other.near(&start, 2.0 * ROTATION_STEP_RAD)) {
-            let quality =
-                refinement::agreement(keyframe, now, &start, 1).map_or(0.0, |found| found.quality());
+        if !starts.iter().any(|(_, other)| other.is_near(&start, 2.0 * ROTATION_STEP_RAD)) {
+            let quality = refinement::compare(keyframe, now, &start, 1).map_or(0.0, |found| found.quality());
             starts.push((quality, start));
         }
     }
@@ -203,13 +212,14 @@ fn refine(
     let mut found: Vec<(Placement, Hypothesis)> = Vec::new();
     for (_, start) in starts {
         let improve = |from, effort| refinement::improve(keyframe, now, from, options.scale_free, effort);
-        let improved = improve(start, ROUGH).and_then(|(roughly, _)| improve(roughly, FINE));
-        let Some((placement, agreement)) = improved else { continue };
-        let score = agreement.quality() / noise;
-        let twin = found.iter_mut().find(|(other, _)| other.near(&placement, 0.5 * ROTATION_STEP_RAD));
-        let hypothesis = placement.hypothesis(keyframe, now, &agreement, score);
-        match twin {
-            Some(twin) if twin.1.score < score => *twin = (placement, hypothesis),
+        let improved = improve(start, COARSE_STEPS).and_then(|(coarsely, _)| improve(coarsely, FINE_STEPS));
+        let Some((placement, overlap_correlation)) = improved else { continue };
+        let score = overlap_correlation.quality() / noise;
+        let duplicate =
+            found.iter_mut().find(|(other, _)| other.is_near(&placement, 0.5 * ROTATION_STEP_RAD));
+        let hypothesis = placement.hypothesis(keyframe, now, &overlap_correlation, score);
+        match duplicate {
+            Some(duplicate) if duplicate.1.score < score => *duplicate = (placement, hypothesis),
             Some(_) => {}
             None => found.push((placement, hypothesis)),
         }

@@ -1,38 +1,39 @@
-//! A placement of one view on another, improved between the steps of the search.
+//! Refinement of a placement of one view on another between the grid points of the search.
 
 use super::Hypothesis;
 use super::correlation::Peak;
 use super::view::GroundView;
 use crate::geometry::wrap_angle;
 
-/// Where the view of a frame lies on that of a keyframe. Shifts are in samples of the keyframe's view, right and down.
+/// Rotation, scale and shift of a frame's view on a keyframe's. Shifts are in samples of the
+/// keyframe's view, right and down.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placement {
     heading_rad: f64,
-    /// Samples of the keyframe's view over samples of the frame's, for the same ground.
+    /// Scale: samples of the keyframe's view per sample of the frame's, for the same ground.
     zoom: f64,
     shift: (f64, f64),
 }
 
-/// How well two views agree under a placement.
+/// Similarity of two views under a placement.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Agreement {
+pub(super) struct OverlapCorrelation {
     /// Normalised correlation over the overlap.
     pub correlation: f64,
     /// Samples of the keyframe's view in the overlap.
     pub samples: usize,
 }
 
-/// Smaller overlaps are not judged, samples.
-const FEWEST_SAMPLES: usize = 300;
+/// Minimum overlap, samples. Not derived; chosen.
+const MIN_SAMPLES: usize = 300;
 
 impl Placement {
     pub fn of(peak: &Peak) -> Self {
         Self { heading_rad: peak.heading_rad, zoom: peak.zoom, shift: peak.shift }
     }
 
-    /// Whether two placements are steps of the same one.
-    pub fn near(&self, other: &Self, heading_rad: f64) -> bool {
+    /// Whether two placements belong to the same peak.
+    pub fn is_near(&self, other: &Self, heading_rad: f64) -> bool {
         (self.shift.0 - other.shift.0).hypot(self.shift.1 - other.shift.1) < 3.0
             && wrap_angle(self.heading_rad - other.heading_rad).abs() < heading_rad
             && (self.zoom / other.zoom).ln().abs() < 0.2
@@ -42,13 +43,13 @@ impl Placement {
         &self,
         keyframe: &GroundView,
         now: &GroundView,
-        agreement: &Agreement,
+        agreement: &OverlapCorrelation,
         score: f64,
     ) -> Hypothesis {
         let scale = self.zoom * keyframe.pixel_m / now.pixel_m;
         let (sin, cos) = self.heading_rad.sin_cos();
         let (from_x, from_y) = (scale * now.centre_m.0, scale * now.centre_m.1);
-        // Right is against y, down against x.
+        // Right is −y, down is −x.
         let (x, y) = (-self.shift.1 * keyframe.pixel_m, -self.shift.0 * keyframe.pixel_m);
         Hypothesis {
             x_m: keyframe.centre_m.0 + x - (cos * from_x - sin * from_y),
@@ -66,26 +67,27 @@ impl Placement {
         match axis {
             0 => moved.shift.0 += by,
             1 => moved.shift.1 += by,
-            2 => moved.heading_rad += by / REACH,
-            _ => moved.zoom *= (by / REACH).exp(),
+            2 => moved.heading_rad += by / RADIUS,
+            _ => moved.zoom *= (by / RADIUS).exp(),
         }
         moved
     }
 }
 
-/// A turn by 1 / this many radians moves the outer samples of a view by one.
-const REACH: f64 = 35.0;
+/// Radius of a view, samples: a rotation by its inverse moves the outer samples by one.
+const RADIUS: f64 = 35.0;
 
-/// Climbs from a placement to the best correlation near it, as near as its last step of `steps`, in samples. Looks at one in `every` samples along each
-/// side. `None` where the views hardly overlap.
+/// Coordinate ascent from a placement to the local maximum of the correlation, with step lengths
+/// `steps` in samples, on one in `stride` samples along each side. `None` where the views hardly
+/// overlap.
 pub(super) fn improve(
     keyframe: &GroundView,
     now: &GroundView,
     start: Placement,
     scale_free: bool,
-    (steps, every): (&[f64], usize),
-) -> Option<(Placement, Agreement)> {
-    let mut best = (start, agreement(keyframe, now, &start, every)?);
+    (steps, stride): (&[f64], usize),
+) -> Option<(Placement, OverlapCorrelation)> {
+    let mut best = (start, compare(keyframe, now, &start, stride)?);
     let axes = if scale_free { 4 } else { 3 };
     for &step in steps {
         let mut improved = true;
@@ -94,7 +96,7 @@ pub(super) fn improve(
                 for by in [step, -step] {
                     let next = best.0.moved(axis, by);
                     if let Some(found) =
-                        agreement(keyframe, now, &next, every).filter(|f| f.quality() > best.1.quality())
+                        compare(keyframe, now, &next, stride).filter(|f| f.quality() > best.1.quality())
                     {
                         best = (next, found);
                         improved = true;
@@ -107,22 +109,24 @@ pub(super) fn improve(
     Some(best)
 }
 
-impl Agreement {
-    /// The root of twice the logarithm of how much likelier these samples are when related than when not: the correlation times the root of
-    /// the overlap where it is small; a good fit of half a view beats a fair one of all of it.
+impl OverlapCorrelation {
+    /// Root of twice the log-likelihood ratio of related against unrelated samples. For a small
+    /// correlation it is the correlation times the root of the overlap: a good fit of half a view
+    /// exceeds a fair one of all of it.
     pub fn quality(&self) -> f64 {
         let correlation = self.correlation.clamp(0.0, 0.9999);
         (-(self.samples as f64) * (1.0 - correlation * correlation).ln()).sqrt()
     }
 }
 
-/// Normalised correlation over what both views show, by one in `every` samples along each side; `None` where that is hardly anything.
-pub(super) fn agreement(
+/// Normalised correlation over the overlap, on one in `stride` samples along each side; `None`
+/// where the overlap is too small.
+pub(super) fn compare(
     keyframe: &GroundView,
     now: &GroundView,
     placement: &Placement,
-    every: usize,
-) -> Option<Agreement> {
+    stride: usize,
+) -> Option<OverlapCorrelation> {
     let (sin, cos) = placement.heading_rad.sin_cos();
     let (sin, cos) = ((sin / placement.zoom) as f32, (cos / placement.zoom) as f32);
     let from = (
@@ -133,20 +137,21 @@ pub(super) fn agreement(
     let (last_x, last_y) = (now.width as f32 - 1.0, now.height as f32 - 1.0);
     let mut count = 0usize;
     let [mut product, mut energy, mut energy_now, mut sum, mut sum_now] = [0.0f64; 5];
-    for j in (0..keyframe.height).step_by(every) {
+    for j in (0..keyframe.height).step_by(stride) {
         let down = (j as f64 - from.1) as f32;
         let right = |i: usize| (i as f64 - from.0) as f32;
-        // Along a row both coordinates change evenly: where they are within the view is one piece.
+        // Along a row both coordinates are linear, so that the part inside the view is one
+        // interval.
         let (x, y) = (middle_x - sin * down, middle_y + cos * down);
-        let (across, along) = (within(x, cos, last_x), within(y, sin, last_y));
+        let (across, along) = (interval_inside(x, cos, last_x), interval_inside(y, sin, last_y));
         let column = |right: f32| (f64::from(right) + from.0).clamp(0.0, keyframe.width as f64);
         let first = column(across.0.max(along.0)).ceil() as usize;
         let last = column(across.1.min(along.1)).floor() as usize;
         let row = &keyframe.known[j * keyframe.width..][..keyframe.width];
         let mut sums = [0.0f32; 5];
-        for i in (first.next_multiple_of(every)..keyframe.width.min(last + 1)).step_by(every) {
+        for i in (first.next_multiple_of(stride)..keyframe.width.min(last + 1)).step_by(stride) {
             let (a, right) = (row[i], right(i));
-            let b = now.between(x + cos * right, y + sin * right);
+            let b = now.interpolate_known(x + cos * right, y + sin * right);
             if a.is_nan() || b.is_nan() {
                 continue;
             }
@@ -163,18 +168,18 @@ pub(super) fn agreement(
         sum += f64::from(sums[3]);
         sum_now += f64::from(sums[4]);
     }
-    let samples = count * every * every;
-    if samples < FEWEST_SAMPLES {
+    let samples = count * stride * stride;
+    if samples < MIN_SAMPLES {
         return None;
     }
     let n = count as f64;
     let covariance = product - sum * sum_now / n;
     let variances = (energy - sum * sum / n) * (energy_now - sum_now * sum_now / n);
-    (variances > 1e-9).then(|| Agreement { correlation: covariance / variances.sqrt(), samples })
+    (variances > 1e-9).then(|| OverlapCorrelation { correlation: covariance / variances.sqrt(), samples })
 }
 
-/// From where to where `start` + `slope` t lies between 0 and `last`.
-fn within(start: f32, slope: f32, last: f32) -> (f32, f32) {
+/// The interval of t in which `start` + `slope` t lies between 0 and `last`.
+fn interval_inside(start: f32, slope: f32, last: f32) -> (f32, f32) {
     if slope.abs() < 1e-6 {
         let inside = start >= 0.0 && start <= last;
         return if inside { (f32::NEG_INFINITY, f32::INFINITY) } else { (f32::INFINITY, f32::NEG_INFINITY) };
@@ -184,24 +189,24 @@ fn within(start: f32, slope: f32, last: f32) -> (f32, f32) {
 }
 
 impl GroundView {
-    /// The view between its samples; not a number outside, and where not all of that is ground that was seen.
-    fn between(&self, x: f32, y: f32) -> f32 {
+    /// Bilinear interpolation; NaN outside the view and where one of the four samples is unknown.
+    fn interpolate_known(&self, x: f32, y: f32) -> f32 {
         if !(x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0) {
             return f32::NAN;
         }
-        interpolated(&self.known, self.width, x, y)
+        bilinear(&self.known, self.width, x, y)
     }
 
-    /// The view between its samples, zero where nothing is seen; `None` outside.
+    /// Bilinear interpolation with zeros where nothing is seen; `None` outside.
     pub(super) fn sample(&self, x: f32, y: f32) -> Option<f32> {
         let inside = x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0;
-        inside.then(|| interpolated(&self.samples, self.width, x, y))
+        inside.then(|| bilinear(&self.samples, self.width, x, y))
     }
 }
 
-/// Between four values of a grid, whose last row and column `x` and `y` do not reach.
+/// Bilinear interpolation in a grid; `x` and `y` must be below its last column and row.
 #[inline]
-fn interpolated(values: &[f32], width: usize, x: f32, y: f32) -> f32 {
+fn bilinear(values: &[f32], width: usize, x: f32, y: f32) -> f32 {
     let (column, line) = (x as usize, y as usize);
     let (fx, fy) = (x - column as f32, y - line as f32);
     let at = line * width + column;

@@ -17,7 +17,7 @@ fn uniform(random: &mut Random) -> f64 {
     (random.bits() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// The part of one camera's image that shows ground the other one sees.
+/// Fraction of one camera's image that shows ground the other one sees.
 fn overlap(camera: &Camera, from: &GroundPose, to: &GroundPose) -> f64 {
     let pixels = (0..16).flat_map(|j| (0..16).map(move |i| (i, j)));
     let seen = pixels.filter(|&(i, j)| {
@@ -32,8 +32,8 @@ fn overlap(camera: &Camera, from: &GroundPose, to: &GroundPose) -> f64 {
     seen.count() as f64 / 256.0
 }
 
-/// What a poor camera makes of an image: gain, noise, and blur over `smear` pixels of a row.
-fn spoiled(image: GrayImage, gain: f64, noise: f64, smear: usize, random: &mut Random) -> GrayImage {
+/// An image with gain, noise, and blur over `smear` pixels of a row.
+fn degraded(image: GrayImage, gain: f64, noise: f64, smear: usize, random: &mut Random) -> GrayImage {
     let (width, height) = (image.width(), image.height());
     let mut samples = Vec::with_capacity(width * height);
     for y in 0..height {
@@ -48,7 +48,7 @@ fn spoiled(image: GrayImage, gain: f64, noise: f64, smear: usize, random: &mut R
     GrayImage::from_samples(width, height, samples).unwrap()
 }
 
-/// A camera and the ground below it, shared by many cases: the ground is worked out only once.
+/// A camera and the ground below it, shared by many cases because making the ground is slow.
 struct World {
     name: &'static str,
     camera: Camera,
@@ -75,14 +75,15 @@ struct Case {
     number: u64,
 }
 
-/// Whether the best hypothesis, and whether any, is the truth: within 12 pixels and 1.5° (2 per cent of scale), and the best score.
+/// Whether the best hypothesis is right, whether any is (within 12 pixels, 1.5°, 2 % of scale), and
+/// the best score.
 fn found(case: &Case) -> (bool, bool, f64) {
     let World { camera, renderer, ground, .. } = &*case.world;
     let mut random = Random::new(case.number);
-    let near = |random: &mut Random| 0.5 * uniform(random);
+    let offset = |random: &mut Random| 0.5 * uniform(random);
     let keyframe = GroundPose {
-        x_m: near(&mut random),
-        y_m: near(&mut random),
+        x_m: offset(&mut random),
+        y_m: offset(&mut random),
         heading_rad: 2.0 * PI * uniform(&mut random),
         ..case.rig.first_pose()
     };
@@ -103,8 +104,8 @@ fn found(case: &Case) -> (bool, bool, f64) {
         }
     };
     let gain = 0.6 + 0.6 * uniform(&mut random);
-    let first = spoiled(renderer.gray_view(ground, &keyframe), 1.0, 2.0, 1, &mut random);
-    let second = spoiled(renderer.gray_view(ground, &truth), gain, 2.0, case.smear, &mut random);
+    let first = degraded(renderer.gray_view(ground, &keyframe), 1.0, 2.0, 1, &mut random);
+    let second = degraded(renderer.gray_view(ground, &truth), gain, 2.0, case.smear, &mut random);
     let registration = CoarseRegistration::new(camera);
     let assumed = case.rig.first_pose();
     let before = registration.view(&Pyramid::new(first, 4), None, &assumed).unwrap();
@@ -136,7 +137,7 @@ fn cases(textures: &[&'static str], overlaps: (f64, f64), each: u64) -> Vec<Case
     worlds.flat_map(make).collect()
 }
 
-/// How many cases had the truth first, and how many had it at all.
+/// Number of cases with the right hypothesis first, and with it at all.
 fn counts(cases: &[Case]) -> (usize, usize) {
     let outcomes: Vec<_> = cases.iter().map(found).collect();
     for (case, outcome) in cases.iter().zip(&outcomes) {
@@ -164,7 +165,7 @@ fn a_third_of_overlap_at_any_rotation_is_mostly_registered() {
 }
 
 #[test]
-fn blur_and_tilt_are_borne() {
+fn blurred_and_tilted_views_are_registered() {
     let rig = Rig { roll_rad: 0.12, pitch_rad: -0.2, ..Rig::level(0.75) };
     let cases: Vec<Case> = cases(&["asphalt", "carpet", "concrete", "grass"], (0.5, 1.0), 3)
         .into_iter()
@@ -176,7 +177,7 @@ fn blur_and_tilt_are_borne() {
 }
 
 #[test]
-fn an_unknown_height_is_found_too() {
+fn an_unknown_height_is_estimated() {
     let cases: Vec<Case> = cases(&["asphalt", "concrete", "grass"], (0.45, 1.0), 3)
         .into_iter()
         .map(|case| Case { height: 0.72 + 0.27 * case.number as f64, ..case })
@@ -220,7 +221,7 @@ fn an_image_without_ground_has_no_view() {
     let up = GroundPose { pitch_rad: 3.0, ..GroundPose::level(1.0) };
     let black = Pyramid::new(GrayImage::new(640, 480), 4);
     assert!(registration.view(&black, None, &up).is_none());
-    // Hardly any ground, or none: not a panic.
+    // Hardly any ground must not cause a panic.
     let _ = registration.view(&black, None, &pose);
     let flat = registration.view(&black, None, &GroundPose::level(1.0)).unwrap();
     let found = registration.register(&flat, &flat, &CoarseOptions::default());

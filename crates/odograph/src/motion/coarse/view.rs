@@ -1,54 +1,57 @@
-//! Small top-down pictures of the ground, brought to even contrast.
+//! Orthorectified views of the ground with normalised local contrast.
 
 use crate::camera::Camera;
 use crate::fixed_pattern::ImageMask;
 use crate::geometry::{GroundPose, Pixel};
 use crate::image::{GrayImage, Pyramid};
 
-/// Samples along the longer side of what a level camera sees.
-const LONG_SIDE: f64 = 80.0;
+/// Samples along the longer side of the view of a level camera. Not derived; chosen.
+const LONG_SIDE_SAMPLES: f64 = 80.0;
 
-/// A tilted camera sees further; what is beyond this many samples is left out.
-const MOST_SAMPLES: usize = 104;
+/// Most samples along a side; a tilted camera sees further, and the rest is left out. Not derived;
+/// chosen.
+const MAX_SAMPLES: usize = 104;
 
-/// Ground further from below the camera than this many heights is not used.
-const REACH_IN_HEIGHTS: f64 = 3.0;
+/// Largest distance of ground from the point below the camera, in heights. Not derived; chosen.
+const MAX_DISTANCE_IN_HEIGHTS: f64 = 3.0;
 
-/// Reach of the surroundings whose mean a sample is compared with, samples (standard deviation).
-const MEAN_REACH: f64 = 3.0;
+/// Standard deviation of the Gaussian for the local mean, samples. Not derived; chosen.
+const MEAN_SIGMA: f64 = 3.0;
 
-/// Reach of the surroundings whose contrast a sample is measured in.
-const CONTRAST_REACH: f64 = 6.0;
+/// Standard deviation of the Gaussian for the local contrast, samples. Not derived; chosen.
+const CONTRAST_SIGMA: f64 = 6.0;
 
-/// Contrast below this is noise, gray levels.
-const LEAST_CONTRAST: f32 = 0.3;
+/// Lower bound of the local contrast, gray levels: noise is not amplified beyond it. Not derived;
+/// chosen.
+const MIN_CONTRAST: f32 = 0.3;
 
-/// A single spot counts at most this many times the contrast around it.
-const MOST_CONTRAST: f32 = 2.5;
+/// Upper bound of a normalised sample, so that single spots do not dominate. Not derived; chosen.
+const MAX_NORMALISED: f32 = 2.5;
 
-/// The ground as seen from straight above, a sample every [`GroundView::pixel_m`]: rows run against x (forward is up), columns against y (left is left).
+/// Orthorectified view of the ground with a sample every [`GroundView::pixel_m`]. Rows run along −x
+/// (forward is up), columns along −y (left is left).
 #[derive(Debug, Clone)]
 pub struct GroundView {
     pub(super) width: usize,
     pub(super) height: usize,
     /// Distance between samples, metres.
     pub(super) pixel_m: f64,
-    /// Where the middle of the view is in the level frame of the camera, metres.
+    /// Centre of the view in the level frame of the camera, metres.
     pub(super) centre_m: (f64, f64),
-    /// In units of the contrast around; zero where nothing is seen.
+    /// Samples in units of the local contrast; zero where nothing is seen.
     pub(super) samples: Vec<f32>,
-    /// The same, but not a number where nothing is seen.
+    /// The same with NaN where nothing is seen.
     pub(super) known: Vec<f32>,
-    /// How many samples are seen.
+    /// Number of samples that are seen.
     pub(super) area: usize,
 }
 
-/// What the views of one camera have in common.
+/// Geometry that all views of a camera share.
 #[derive(Debug)]
 pub(super) struct ViewGeometry {
     /// Distance between samples over the height.
     pixel_per_height: f64,
-    /// How many image pixels a sample covers at the middle.
+    /// Image pixels per sample at the centre.
     image_px: f64,
 }
 
@@ -57,14 +60,15 @@ impl ViewGeometry {
         let (fx, fy) = camera.focal_px();
         let (width, height) = (camera.width() as f64, camera.height() as f64);
         let (cx, cy) = camera.principal_px();
-        // Of a wide lens only the part is used in which the ground is seen from above rather than from the side.
+        // Of a wide-angle lens only the part that sees the ground from above is used, to a slope of
+        // 1.2.
         let extent = |from: Pixel, to: Pixel, straight: f64| {
             let tangent = |pixel| camera.ray_from_pixel(pixel).map(|ray| ray.x.hypot(ray.y).min(1.2));
             tangent(from).zip(tangent(to)).map_or(straight.min(2.4), |(a, b)| a + b)
         };
         let across = extent(Pixel::new(0.0, cy), Pixel::new(width - 1.0, cy), width / fx);
         let along = extent(Pixel::new(cx, 0.0), Pixel::new(cx, height - 1.0), height / fy);
-        let pixel_per_height = across.max(along) / LONG_SIDE;
+        let pixel_per_height = across.max(along) / LONG_SIDE_SAMPLES;
         Self { pixel_per_height, image_px: pixel_per_height * (fx * fy).sqrt() }
     }
 
@@ -75,18 +79,18 @@ impl ViewGeometry {
         mask: Option<&ImageMask>,
         pose: &GroundPose,
     ) -> Option<GroundView> {
-        // Everything at height 1: a view's samples grow with the height.
+        // Computed at height 1: samples scale with the height.
         let pose = GroundPose { x_m: 0.0, y_m: 0.0, heading_rad: 0.0, ..*pose };
-        let unit = GroundPose { height_m: 1.0, ..pose };
+        let unit_height = GroundPose { height_m: 1.0, ..pose };
         let step = self.pixel_per_height;
-        let (low, high) = footprint(camera, &unit)?;
-        let samples = |low: f64, high: f64| (((high - low) / step).round() as usize).min(MOST_SAMPLES);
+        let (low, high) = footprint(camera, &unit_height)?;
+        let samples = |low: f64, high: f64| (((high - low) / step).round() as usize).min(MAX_SAMPLES);
         let (width, height) = (samples(low.1, high.1), samples(low.0, high.0));
         if width < 8 || height < 8 {
             return None;
         }
         let centre = (0.5 * (low.0 + high.0), 0.5 * (low.1 + high.1));
-        let camera_from_world = unit.world_from_camera_rotation().transpose();
+        let camera_from_world = unit_height.world_from_camera_rotation().transpose();
         let (image, scale) = level_for(pyramid, self.image_px);
         let taps = (self.image_px / scale).round().clamp(2.0, 6.0) as usize;
         let gray = |x: f64, y: f64| -> Option<f32> {
@@ -107,9 +111,9 @@ impl ViewGeometry {
             for i in 0..width {
                 let x = centre.0 + ((height as f64 - 1.0) / 2.0 - j as f64) * step;
                 let y = centre.1 + ((width as f64 - 1.0) / 2.0 - i as f64) * step;
-                let beside = |tap: usize| ((tap as f64 + 0.5) / taps as f64 - 0.5) * step;
+                let nuisance = |tap: usize| ((tap as f64 + 0.5) / taps as f64 - 0.5) * step;
                 let mean = (0..taps * taps)
-                    .map(|tap| gray(x + beside(tap / taps), y + beside(tap % taps)))
+                    .map(|tap| gray(x + nuisance(tap / taps), y + nuisance(tap % taps)))
                     .try_fold(0.0, |sum, value| value.map(|value| sum + value));
                 if let Some(sum) = mean {
                     values[j * width + i] = sum / (taps * taps) as f32;
@@ -121,7 +125,7 @@ impl ViewGeometry {
         if area < 64 {
             return None;
         }
-        let samples = even_contrast(&values, &seen, width);
+        let samples = normalise_contrast(&values, &seen, width);
         let known =
             samples.iter().zip(&seen).map(|(&sample, &seen)| if seen > 0.0 { sample } else { f32::NAN });
         let known = known.collect();
@@ -131,7 +135,8 @@ impl ViewGeometry {
     }
 }
 
-/// The rectangle of ground that the image covers, as far as it is near enough: lower and upper ends of x and y.
+/// Bounding rectangle of the ground in the image within the largest distance: lower and upper ends
+/// of x and y.
 fn footprint(camera: &Camera, pose: &GroundPose) -> Option<((f64, f64), (f64, f64))> {
     const STEPS: usize = 24;
     let (width, height) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
@@ -143,7 +148,7 @@ fn footprint(camera: &Camera, pose: &GroundPose) -> Option<((f64, f64), (f64, f6
             let Some(point) = camera.ray_from_pixel(pixel).and_then(|ray| pose.ground_from_ray(ray)) else {
                 continue;
             };
-            if point.x_m.hypot(point.y_m) > REACH_IN_HEIGHTS {
+            if point.x_m.hypot(point.y_m) > MAX_DISTANCE_IN_HEIGHTS {
                 continue;
             }
             low = (low.0.min(point.x_m), low.1.min(point.y_m));
@@ -153,7 +158,8 @@ fn footprint(camera: &Camera, pose: &GroundPose) -> Option<((f64, f64), (f64, f6
     (low.0 < high.0 && low.1 < high.1).then_some((low, high))
 }
 
-/// The pyramid level of which two or three pixels make a sample, and how many image pixels one of its pixels is wide.
+/// The pyramid level with two or three pixels per sample, and the width of its pixels in image
+/// pixels.
 fn level_for(pyramid: &Pyramid, image_px: f64) -> (&GrayImage, f64) {
     let level = ((image_px / 2.0).max(1.0).log2().floor() as usize).min(pyramid.levels() - 1);
     (pyramid.level(level), (1u32 << level) as f64)
@@ -172,34 +178,34 @@ fn bilinear(image: &GrayImage, x: f64, y: f64) -> Option<f32> {
     Some(upper + fy * (lower - upper))
 }
 
-/// Less the mean of the surroundings and over their contrast, both taken over what is seen.
-fn even_contrast(values: &[f32], seen: &[f32], width: usize) -> Vec<f32> {
+/// Samples minus the local mean, over the local contrast, both of what is seen.
+fn normalise_contrast(values: &[f32], seen: &[f32], width: usize) -> Vec<f32> {
     let masked = |values: &[f32]| -> Vec<f32> { values.iter().zip(seen).map(|(v, s)| v * s).collect() };
-    let near = blur(seen, width, MEAN_REACH);
-    let mean = blur(&masked(values), width, MEAN_REACH);
+    let near = blur(seen, width, MEAN_SIGMA);
+    let mean = blur(&masked(values), width, MEAN_SIGMA);
     let difference: Vec<f32> =
         (0..values.len()).map(|i| seen[i] * (values[i] - mean[i] / near[i].max(1e-6))).collect();
     let squares: Vec<f32> = difference.iter().map(|d| d * d).collect();
-    let (around, energy) = (blur(seen, width, CONTRAST_REACH), blur(&squares, width, CONTRAST_REACH));
-    let even = |i: usize| {
-        let contrast = (energy[i] / around[i].max(1e-6)).max(0.0).sqrt().max(LEAST_CONTRAST);
-        (difference[i] / contrast).clamp(-MOST_CONTRAST, MOST_CONTRAST)
+    let (around, energy) = (blur(seen, width, CONTRAST_SIGMA), blur(&squares, width, CONTRAST_SIGMA));
+    let normalised = |i: usize| {
+        let contrast = (energy[i] / around[i].max(1e-6)).max(0.0).sqrt().max(MIN_CONTRAST);
+        (difference[i] / contrast).clamp(-MAX_NORMALISED, MAX_NORMALISED)
     };
-    (0..values.len()).map(even).collect()
+    (0..values.len()).map(normalised).collect()
 }
 
-/// A Gaussian blur with zeros beyond the border.
+/// Gaussian blur; zeros beyond the border.
 fn blur(values: &[f32], width: usize, sigma: f64) -> Vec<f32> {
-    let reach = (2.5 * sigma).ceil() as isize;
+    let radius = (2.5 * sigma).ceil() as isize;
     let weights: Vec<f32> =
-        (-reach..=reach).map(|d| (-0.5 * (d as f64 / sigma).powi(2)).exp() as f32).collect();
+        (-radius..=radius).map(|d| (-0.5 * (d as f64 / sigma).powi(2)).exp() as f32).collect();
     let height = values.len() / width;
     let pass = |from: &[f32], along: (isize, isize)| -> Vec<f32> {
         let mut out = vec![0.0; from.len()];
         for j in 0..height as isize {
             for i in 0..width as isize {
                 let mut sum = 0.0;
-                for (d, weight) in (-reach..=reach).zip(&weights) {
+                for (d, weight) in (-radius..=radius).zip(&weights) {
                     let (x, y) = (i + d * along.0, j + d * along.1);
                     if x >= 0 && y >= 0 && x < width as isize && y < height as isize {
                         sum += weight * from[(y * width as isize + x) as usize];

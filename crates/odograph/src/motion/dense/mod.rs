@@ -1,14 +1,17 @@
-//! The whole overlap of two images compared: where there are no corners to hold on to, and where every pixel shall count.
+//! Dense registration: the whole overlap of two images is compared, for ground without corners and
+//! for the highest accuracy.
 //!
-//! A reference image of known pose is cut into tiles of 16x16 samples on several halvings. Under a pose each tile says, by one step of inverse
-//! compositional Lucas–Kanade (S. Baker and I. Matthews, 2004) and indifferent to gain, offset and slope of its light, where its ground
-//! rather is; the pose is fitted to all of them at once, each counting by its information and robustly ([`super::estimate`]'s own fit), and looked from
-//! again: Gauss–Newton over all pixels, with weights a tile at a time. From coarse to fine, as long as finer levels know more: in noise the finest do
-//! not.
+//! A reference image of known pose is cut into tiles of 16×16 samples on several pyramid levels. At
+//! a pose each tile estimates its displacement by one step of inverse compositional Lucas–Kanade
+//! (S. Baker and I. Matthews, 2004), invariant to gain, offset and gradient of the illumination.
+//! The pose is fitted to all displacements, weighted by their information and robustly
+//! ([`super::estimate`]'s own fit), and the step is repeated: Gauss–Newton over all pixels, with
+//! robust weights per tile. Levels go from coarse to fine as long as finer ones reduce the
+//! variance; in noise the finest do not.
 //!
-//! Noise in the reference makes its derivatives look stronger and its contrast larger than what an image can answer to. What noise there is follows from
-//! what the two images do not share, and step and weight are set right for it, so that neither pose nor covariance is pulled to where it was looked
-//! from.
+//! Noise in the reference inflates the Hessian and the contrast. The noise is estimated from what
+//! the two images do not share, and step and weight are corrected for it, so that neither pose nor
+//! covariance is biased towards the previous pose. Derivation: `docs/math/interpolation-bias.md`.
 
 mod plane;
 mod tile;
@@ -24,45 +27,48 @@ use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
 use nalgebra::{Matrix2, Matrix3};
 use plane::Plane;
-use tile::{AREA, Look, NOISE_OF_CONTRAST, NOISE_OF_GRADIENT, NOISE_OF_PLANE, SIDE, Tile};
+use tile::{
+    AREA, CONTRAST_NOISE_SAMPLES, GRADIENT_NOISE_SAMPLES, PLANE_NOISE_SAMPLES, SIDE, Tile, TileMatch,
+};
 
-/// An image whose tiles lie on the ground, to compare others with.
+/// A reference image as tiles on the ground.
 #[derive(Debug, Clone)]
 pub struct DenseReference {
-    /// The finest first; every one with the number of its halving.
+    /// Tiles per pyramid level with the number of the level, the finest first.
     levels: Vec<(usize, Vec<Tile>)>,
-    /// Where it was taken.
+    /// Pose of its camera.
     pose: GroundPose,
 }
 
-/// A pose from all of the overlap.
+/// A pose from dense registration.
 #[derive(Debug, Clone)]
 pub struct DenseEstimate {
-    /// The pose, its covariance and what agrees with it; the inliers are tiles.
+    /// Pose, covariance and inliers, which are tiles.
     pub estimate: MotionEstimate,
-    /// How sure it is that the images show the same ground, in standard deviations of what unrelated ones would show. Below
-    /// [`DenseEstimate::LEAST_SCORE`] it is not.
+    /// Significance of the match, in standard deviations of unrelated images. Below
+    /// [`DenseEstimate::LEAST_SCORE`] the images may be unrelated.
     pub score: f64,
-    /// The part of the reference's tiles that lie in the image.
+    /// Fraction of the reference's tiles that lie in the image.
     pub overlap: f64,
-    /// The part of the tiles in the image that agree with the pose.
+    /// Inlier ratio of the tiles in the image.
     pub agreement: f64,
-    /// How many times the images were halved for the last comparison.
+    /// Pyramid level of the last registration.
     pub halvings: usize,
 }
 
 impl DenseEstimate {
-    /// Chance does not reach this score, and a false optimum seldom.
+    /// Unrelated images do not reach this score, false optima rarely. Not derived; chosen.
     pub const LEAST_SCORE: f64 = 4.0;
 }
 
 impl DenseReference {
-    /// The tiles of an image taken at `pose`, on the halvings from `finest` on (0: the full image; a level costs four times the next).
+    /// The tiles of an image taken at `pose`, on the pyramid levels from `finest` on (0: the full
+    /// image; a level costs four times the next).
     pub fn new(camera: &Camera, image: &DenseImage, pose: &GroundPose, finest: usize) -> Self {
         let from = GroundFromRay::new(pose);
         let levels = image.planes.iter().enumerate().skip(finest);
         let level = |(number, plane): (usize, &Plane)| {
-            let step = if number < OVERLAPPING { SIDE } else { SIDE / 2 };
+            let step = if number < FIRST_OVERLAPPING_LEVEL { SIDE } else { SIDE / 2 };
             let along = |size: usize| (1..size.saturating_sub(SIDE)).step_by(step);
             let places = along(plane.height).flat_map(|top| along(plane.width).map(move |left| (left, top)));
             let tile = |place| {
@@ -74,24 +80,25 @@ impl DenseReference {
         Self { levels: levels.map(level).collect(), pose: *pose }
     }
 
-    /// The part of the tiles that a camera at `pose` has in its image, 0 to 1.
+    /// Fraction of the tiles in the image of a camera at `pose`, 0 to 1.
     pub fn overlap(&self, camera: &Camera, pose: &GroundPose) -> f64 {
         let Some((_, tiles)) = self.levels.first() else { return 0.0 };
         let viewing = ViewingPose::new(*pose);
-        let seen = |tile: &&Tile| {
+        let is_in_image = |tile: &&Tile| {
             tile.patch.pixel(camera, &viewing).is_some_and(|pixel| camera.contains(pixel, SIDE as f64))
         };
-        tiles.iter().filter(seen).count() as f64 / tiles.len().max(1) as f64
+        tiles.iter().filter(is_in_image).count() as f64 / tiles.len().max(1) as f64
     }
 }
 
-/// On this halving and coarser ones the tiles overlap, for want of tiles.
-const OVERLAPPING: usize = 3;
+/// First pyramid level on which tiles overlap by half, because there are few of them.
+const FIRST_OVERLAPPING_LEVEL: usize = 3;
 
-/// The pose of a camera whose image overlaps the reference's, near `guess`, with what `prior` says of height and tilt. `None` where the images do not
-/// tell.
+/// Refines the pose of a camera whose image overlaps the reference's from `guess`, with `prior` on
+/// height and tilt. `None` where the registration does not converge.
 ///
-/// The guess may be off by about four pixels on a texture of any kind, and by twenty where there are large shapes too.
+/// It converges from an error of the guess of about four pixels on any texture, and of twenty where
+/// there is large structure too.
 pub fn refine(
     camera: &Camera,
     reference: &DenseReference,
@@ -104,20 +111,22 @@ pub fn refine(
     let mut best: Option<DenseEstimate> = None;
     for (halvings, tiles) in reference.levels.iter().rev() {
         let Some(plane) = image.planes.get(*halvings) else { continue };
-        let laid_from = &reference.pose;
-        let level = Level { camera, tiles, laid_from, image, plane, halvings: *halvings, prior, config };
-        let Some(found) = level.settle(&pose) else { continue };
-        if *halvings >= OVERLAPPING {
-            // Too few tiles to be sure of; the next level will tell.
-            pose = if found.score > TRUSTED_START { found.estimate.pose } else { pose };
+        let keyframe_pose = &reference.pose;
+        let level =
+            DenseLevel { camera, tiles, keyframe_pose, image, plane, halvings: *halvings, prior, config };
+        let Some(found) = level.converge(&pose) else { continue };
+        if *halvings >= FIRST_OVERLAPPING_LEVEL {
+            // Too few tiles to be accepted; only the start for the next level.
+            pose = if found.score > MIN_COARSE_SCORE { found.estimate.pose } else { pose };
             continue;
         }
-        let spread = |found: &DenseEstimate| {
+        let variance_m2 = |found: &DenseEstimate| {
             let covariance = &found.estimate.covariance;
             covariance[(0, 0)] + covariance[(1, 1)]
         };
-        let worse = best.as_ref().is_some_and(|best| spread(&found) > WORSE * spread(best));
-        if worse {
+        let is_worse =
+            best.as_ref().is_some_and(|best| variance_m2(&found) > MAX_VARIANCE_RATIO * variance_m2(best));
+        if is_worse {
             break;
         }
         pose = found.estimate.pose;
@@ -126,30 +135,31 @@ pub fn refine(
     best
 }
 
-/// A finer level is left out where the variance of its pose is so many times the coarser one's: below that, it still has the smaller bias.
-const WORSE: f64 = 1.5;
+/// Largest variance of a finer level over the coarser one's. Below it the finer level has the
+/// smaller bias. Not derived; chosen.
+const MAX_VARIANCE_RATIO: f64 = 1.5;
 
-/// A coarse level with overlapping tiles is believed from this score on.
-const TRUSTED_START: f64 = 3.0;
+/// Least score of a coarse level with overlapping tiles. Not derived; chosen.
+const MIN_COARSE_SCORE: f64 = 3.0;
 
-/// Whether much of a tile about a pixel is known not to be ground.
+/// Whether much of a tile around a pixel is masked.
 fn is_masked(image: &DenseImage, centre: Pixel, plane: &Plane) -> bool {
-    // Of 5x5 places; the mask is wider than what it covers, so that a few do not matter.
-    const MOST: usize = 2;
+    // Of 5×5 points. The mask is wider than what it covers, so a few do not matter.
+    const MAX_MASKED: usize = 2;
     let Some(mask) = &image.mask else { return false };
     let step_px = plane.pixels_per_sample * SIDE as f64 / 5.0;
     let covered = |place: &usize| {
         let (right, down) = ((place % 5) as f64 - 2.0, (place / 5) as f64 - 2.0);
         mask.covers_pixel(Pixel::new(centre.x + right * step_px, centre.y + down * step_px))
     };
-    (0..25).filter(covered).count() > MOST
+    (0..25).filter(covered).count() > MAX_MASKED
 }
 
-/// One halving of the images.
-struct Level<'a> {
+/// Registration on one pyramid level.
+struct DenseLevel<'a> {
     camera: &'a Camera,
     tiles: &'a [Tile],
-    laid_from: &'a GroundPose,
+    keyframe_pose: &'a GroundPose,
     image: &'a DenseImage,
     plane: &'a Plane,
     halvings: usize,
@@ -157,90 +167,97 @@ struct Level<'a> {
     config: &'a MotionConfig,
 }
 
-/// More steps than this do not settle any more.
-const STEPS: usize = 15;
+/// Most Gauss–Newton steps. Not derived; chosen.
+const MAX_STEPS: usize = 15;
 
-/// A step shorter than this part of a sample is the last, as is one shorter than that many standard deviations of the pose.
-const SETTLED: f64 = 0.005;
-const SETTLED_SIGMAS: f64 = 0.03;
+/// Convergence: a step below this fraction of a sample, or below this fraction of the pose's
+/// standard deviation. Not derived; chosen.
+const CONVERGED_SAMPLES: f64 = 0.005;
+const CONVERGED_SIGMAS: f64 = 0.03;
 
-impl Level<'_> {
-    /// Looks from pose to pose until nothing moves; `None` where that does not come.
-    fn settle(&self, guess: &GroundPose) -> Option<DenseEstimate> {
+impl DenseLevel<'_> {
+    /// Iterates to convergence; `None` where it diverges.
+    fn converge(&self, guess: &GroundPose) -> Option<DenseEstimate> {
         let mut pose = *guess;
         let sample_m = self.plane.pixels_per_sample * guess.height_m / self.camera.focal_px().0;
-        for _ in 0..STEPS {
+        for _ in 0..MAX_STEPS {
             let next = self.step(&pose)?;
-            let moved = &next.estimate.pose;
-            let turned_m = 0.5 * guess.height_m * (moved.heading_rad - pose.heading_rad).abs();
-            let moved_m = (moved.x_m - pose.x_m).hypot(moved.y_m - pose.y_m) + turned_m;
-            if moved_m > LONGEST_STEP * sample_m {
+            let next_pose = &next.estimate.pose;
+            let rotation_m = 0.5 * guess.height_m * (next_pose.heading_rad - pose.heading_rad).abs();
+            let moved_m = (next_pose.x_m - pose.x_m).hypot(next_pose.y_m - pose.y_m) + rotation_m;
+            if moved_m > MAX_STEP_SAMPLES * sample_m {
                 return None;
             }
             pose = next.estimate.pose;
-            // What noise moves is not waited for.
+            // Steps far below the standard deviation are noise.
             let covariance = &next.estimate.covariance;
             let known_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
-            if moved_m < f64::max(SETTLED * sample_m, SETTLED_SIGMAS * known_m) {
+            if moved_m < f64::max(CONVERGED_SAMPLES * sample_m, CONVERGED_SIGMAS * known_m) {
                 return Some(next);
             }
         }
         None
     }
 
-    /// The pose that the tiles speak for as they look from `pose`.
+    /// One Gauss–Newton step from `pose`.
     fn step(&self, pose: &GroundPose) -> Option<DenseEstimate> {
         let viewing = ViewingPose::new(*pose);
-        let looks: Vec<(&Tile, Look)> = self
+        let matches: Vec<(&Tile, TileMatch)> = self
             .tiles
             .iter()
-            .filter_map(|tile| tile.look(self.camera, &viewing, self.plane).map(|look| (tile, look)))
-            .filter(|(_, look)| !is_masked(self.image, look.warp.warp.position, self.plane))
+            .filter_map(|tile| tile.compare(self.camera, &viewing, self.plane).map(|found| (tile, found)))
+            .filter(|(_, found)| !is_masked(self.image, found.warp.warp.position, self.plane))
             .collect();
-        let light = Light::between(&looks)?;
+        let gain_and_noise = GainAndNoise::between(&matches)?;
         let sightings: Vec<Sighting> =
-            looks.iter().filter_map(|(tile, look)| self.sighting(tile, look, &light)).collect();
-        let (observations, usual_px) = whitened(&sightings, SHARED_PX2)?;
-        let reach_px = (REACH * usual_px).max(self.plane.pixels_per_sample);
-        let config = MotionConfig { inlier_px: reach_px, ..*self.config };
+            matches.iter().filter_map(|(tile, found)| self.sighting(tile, found, &gain_and_noise)).collect();
+        let (observations, median_px) = whitened(&sightings, SHARED_PX2)?;
+        let cutoff_px = (CUTOFF_SIGMAS * median_px).max(self.plane.pixels_per_sample);
+        let config = MotionConfig { inlier_px: cutoff_px, ..*self.config };
         let agreeing = vec![true; observations.len()];
         let observations = Observations {
             seen: &observations,
-            laid_from: self.laid_from,
-            laid_covariance: &Matrix3::zeros(),
+            keyframe_pose: self.keyframe_pose,
+            keyframe_covariance: &Matrix3::zeros(),
             shutter: None,
         };
         let estimate =
             planar_pose::refine(self.camera, observations, pose, &agreeing, pose, self.prior, &config)?;
-        let agreement = estimate.inlier_count() as f64 / looks.len() as f64;
-        let overlap = looks.len() as f64 / self.tiles.len() as f64;
-        Some(DenseEstimate { estimate, score: score(&looks), overlap, agreement, halvings: self.halvings })
+        let agreement = estimate.inlier_count() as f64 / matches.len() as f64;
+        let overlap = matches.len() as f64 / self.tiles.len() as f64;
+        Some(DenseEstimate { estimate, score: score(&matches), overlap, agreement, halvings: self.halvings })
     }
 
-    /// Where a tile has its ground; `None` where it looks like something else, or holds nothing.
-    fn sighting(&self, tile: &Tile, look: &Look, light: &Light) -> Option<Sighting> {
+    /// Measured position of a tile; `None` where its contrast does not match or its Hessian is
+    /// singular.
+    fn sighting(&self, tile: &Tile, found: &TileMatch, gain_and_noise: &GainAndNoise) -> Option<Sighting> {
         let area = AREA as f64;
-        // A tile's own gain as far as its contrast tells it.
-        let steadying = light.noise / GAIN_SPREAD.powi(2);
-        let gain = (look.product + light.gain * steadying)
-            / ((tile.energy - area * light.noise).max(0.0) + steadying);
-        if gain < LEAST_GAIN * light.gain {
+        // Gain of the tile, with the gain of the whole image as prior.
+        let prior_weight = gain_and_noise.noise / GAIN_SPREAD.powi(2);
+        let gain = (found.product + gain_and_noise.gain * prior_weight)
+            / ((tile.energy - area * gain_and_noise.noise).max(0.0) + prior_weight);
+        if gain < MIN_RELATIVE_GAIN * gain_and_noise.gain {
             return None;
         }
         let inverse = tile.hessian.try_inverse().filter(|_| tile.hessian.determinant() > 1e-9)?;
         let unexplained =
-            (look.energy - look.product * look.product / tile.energy.max(1e-9)) / (area * gain * gain);
-        let noise = unexplained.max(light.noise);
-        let linear = look.warp.warp.linear * self.plane.pixels_per_sample;
-        let step = linear * inverse * look.slope / (gain * light.answer);
-        let position = look.warp.warp.position;
-        let bend = look.warp.bend;
-        let covariance_px2: Matrix2<f64> =
-            linear * inverse * linear.transpose() * (noise / (light.answer * light.answer));
+            (found.energy - found.product * found.product / tile.energy.max(1e-9)) / (area * gain * gain);
+        let noise = unexplained.max(gain_and_noise.noise);
+        let linear = found.warp.warp.linear * self.plane.pixels_per_sample;
+        let step = linear * inverse * found.slope / (gain * gain_and_noise.signal_fraction);
+        let position = found.warp.warp.position;
+        let curvature_offset = found.warp.curvature_offset;
+        let covariance_px2: Matrix2<f64> = linear
+            * inverse
+            * linear.transpose()
+            * (noise / (gain_and_noise.signal_fraction * gain_and_noise.signal_fraction));
         Some(Sighting {
             ground: tile.patch.ground,
             elevation: Elevation::FLAT,
-            pixel: Pixel::new(position.x - bend.x - step.x, position.y - bend.y - step.y),
+            pixel: Pixel::new(
+                position.x - curvature_offset.x - step.x,
+                position.y - curvature_offset.y - step.y,
+            ),
             covariance_px2,
             row_fraction: 0.0,
             keyframe_row_fraction: 0.0,
@@ -248,68 +265,73 @@ impl Level<'_> {
     }
 }
 
-/// A step beyond this many samples leads where the tiles have never looked.
-const LONGEST_STEP: f64 = 6.0;
+/// Longest step, samples: beyond it the linearisation is invalid. Not derived; chosen.
+const MAX_STEP_SAMPLES: f64 = 6.0;
 
-/// Usual tiles are rarely further off than this many of their standard deviations.
-const REACH: f64 = 6.0;
+/// Inlier distance in standard deviations of the median tile. Not derived; chosen.
+const CUTOFF_SIGMAS: f64 = 6.0;
 
-/// What a tile is off even without noise, pixels²: 0.005 px.
+/// Variance floor of a tile, pixels²: (0.005 px)². See `docs/math/correlated-noise.md`.
 const SHARED_PX2: f64 = 2.5e-5;
 
-/// The gains of tiles scatter about that of the image by so much, one standard deviation.
+/// Prior standard deviation of a tile's gain relative to the image's. Not derived; chosen.
 const GAIN_SPREAD: f64 = 0.1;
 
-/// A tile that answers with less than this part of the image's gain shows something else.
-const LEAST_GAIN: f64 = 0.3;
+/// Least gain of a tile relative to the image's: below it the tile shows something else. Not
+/// derived; chosen.
+const MIN_RELATIVE_GAIN: f64 = 0.3;
 
-/// How the light and the noise of two images are related.
-struct Light {
+/// Gain and noise between two images.
+struct GainAndNoise {
     /// Contrast of the image over that of the reference.
     gain: f64,
-    /// Variance of the noise of a reference's sample, as it is after smoothing.
+    /// Variance of the noise of a reference sample after smoothing.
     noise: f64,
-    /// The part of the reference's squared derivatives that is ground and not noise: so much of a step is answered.
-    answer: f64,
+    /// Signal fraction of the squared gradients of the reference, without noise: the fraction of a
+    /// displacement that a step recovers.
+    signal_fraction: f64,
 }
 
-impl Light {
-    /// Both images have the same noise, of which less is left where samples lie between those of the image: the gain is that of total least squares, and
-    /// what they do not share is noise. `None` where they share nothing.
-    fn between(looks: &[(&Tile, Look)]) -> Option<Self> {
-        let sum = |of: fn(&Tile, &Look) -> f64| looks.iter().map(|(tile, look)| of(tile, look)).sum::<f64>();
-        let product = sum(|_, look| look.product);
+impl GainAndNoise {
+    /// Total least squares for images of equal noise, of which interpolation leaves less between
+    /// samples; the noise is what the images do not share. `None` where they share nothing.
+    fn between(matches: &[(&Tile, TileMatch)]) -> Option<Self> {
+        let sum = |of: fn(&Tile, &TileMatch) -> f64| {
+            matches.iter().map(|(tile, found)| of(tile, found)).sum::<f64>()
+        };
+        let product = sum(|_, found| found.product);
         let energy = sum(|tile, _| tile.energy);
-        let seen = sum(|_, look| look.energy);
+        let image_energy = sum(|_, found| found.energy);
         let squares = sum(|tile, _| tile.hessian.trace());
-        if looks.len() < FEWEST_TILES || product < 1e-3 * (energy * seen).sqrt() {
+        if matches.len() < MIN_TILES || product < 1e-3 * (energy * image_energy).sqrt() {
             return None;
         }
-        let tiles = looks.len() as f64;
-        let left = sum(|_, look| AREA as f64 * look.noise - NOISE_OF_PLANE) / (tiles * NOISE_OF_CONTRAST);
-        let ratio = (seen - left * energy) / product;
-        let gain = 0.5 * (ratio + (ratio * ratio + 4.0 * left).sqrt());
-        let noise = ((energy - product / gain) / (tiles * NOISE_OF_CONTRAST)).max(LEAST_NOISE);
-        // Smoothed samples and smoothed derivatives have the same noise.
-        let answer = ((squares - 2.0 * tiles * NOISE_OF_GRADIENT * noise) / squares).min(1.0);
-        (answer > LEAST_ANSWER).then_some(Self { gain, noise, answer })
+        let tiles = matches.len() as f64;
+        let noise_ratio = sum(|_, found| AREA as f64 * found.noise - PLANE_NOISE_SAMPLES)
+            / (tiles * CONTRAST_NOISE_SAMPLES);
+        let ratio = (image_energy - noise_ratio * energy) / product;
+        let gain = 0.5 * (ratio + (ratio * ratio + 4.0 * noise_ratio).sqrt());
+        let noise = ((energy - product / gain) / (tiles * CONTRAST_NOISE_SAMPLES)).max(MIN_NOISE);
+        // Smoothed samples and gradients have the same noise.
+        let signal_fraction = ((squares - 2.0 * tiles * GRADIENT_NOISE_SAMPLES * noise) / squares).min(1.0);
+        (signal_fraction > MIN_SIGNAL_FRACTION).then_some(Self { gain, noise, signal_fraction })
     }
 }
 
-/// Fewer tiles tell nothing.
-const FEWEST_TILES: usize = 12;
+/// Minimum number of tiles. Not derived; chosen.
+const MIN_TILES: usize = 12;
 
-/// Rounding to whole gray levels leaves this of its twelfth after smoothing.
-const LEAST_NOISE: f64 = 0.02;
+/// Noise floor, gray levels²: the 1/12 of rounding after smoothing.
+const MIN_NOISE: f64 = 0.02;
 
-/// Where less of the derivatives than this is ground, a coarser level knows more.
-const LEAST_ANSWER: f64 = 0.05;
+/// Least signal fraction; below it a coarser level has more information. Not derived; chosen.
+const MIN_SIGNAL_FRACTION: f64 = 0.05;
 
-/// The sum of the tiles' correlations over the root of the sum of their squares: about one standard deviation where the images are unrelated, whatever
-/// their textures; the root of the number of tiles where all of them agree.
-fn score(looks: &[(&Tile, Look)]) -> f64 {
+/// Sum of the tiles' correlations over the root of the sum of their squares: about standard normal
+/// for unrelated images of any texture; the root of the number of tiles where all match.
+fn score(matches: &[(&Tile, TileMatch)]) -> f64 {
     let correlations =
-        looks.iter().map(|(tile, look)| look.product / (tile.energy * look.energy).max(1e-9).sqrt());
+        matches.iter().map(|(tile, found)| found.product / (tile.energy * found.energy).max(1e-9).sqrt());
     let (sum, squares) = correlations.fold((0.0, 0.0), |(sum, squares), c| (sum + c, squares + c * c));
     sum / f64::max(squares, 1e-12).sqrt()
 }

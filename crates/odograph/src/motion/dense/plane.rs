@@ -1,36 +1,39 @@
-//! Images halved again and again without rounding: on faint ground a gray level of rounding would be more than what is looked for.
+//! Image pyramids in floating point: on low-texture ground rounding to gray levels would exceed the
+//! signal.
 
 use crate::fixed_pattern::ImageMask;
 use crate::image::GrayImage;
 use std::sync::Arc;
 
-/// Samples of an image or of one of its halvings.
+/// One level of the pyramid.
 #[derive(Debug, Clone)]
 pub(super) struct Plane {
     pub width: usize,
     pub height: usize,
     pub samples: Vec<f32>,
-    /// Pixels of the full image along one sample.
+    /// Pixels of the full image per sample.
     pub pixels_per_sample: f64,
 }
 
-/// An image prepared for dense refinement: its halvings, each sample the mean of four of the finer level.
+/// An image prepared for dense registration: its pyramid, each sample the mean of four of the finer
+/// level.
 #[derive(Debug, Clone)]
 pub struct DenseImage {
     /// The full image first.
     pub(super) planes: Vec<Plane>,
-    /// What of it is not ground.
+    /// Pixels that are not ground.
     pub(super) mask: Option<Arc<ImageMask>>,
 }
 
-/// A level with fewer samples along a side holds fewer than two patches.
+/// Shortest side of a level, samples: three tiles of 16. Not derived; chosen.
 const SMALLEST_SIDE: usize = 48;
 
-/// Beyond 8 pixels a sample, little is left of the texture of a floor.
+/// Most levels: beyond 8 pixels per sample little of a floor's texture is left. Not derived;
+/// chosen.
 const MOST_LEVELS: usize = 4;
 
 impl DenseImage {
-    /// Of an image of any size.
+    /// The pyramid of an image.
     pub fn new(image: &GrayImage) -> Self {
         let samples = image.samples().iter().map(|&sample| f32::from(sample)).collect();
         let base = Plane { width: image.width(), height: image.height(), samples, pixels_per_sample: 1.0 };
@@ -41,7 +44,7 @@ impl DenseImage {
         Self { planes, mask: None }
     }
 
-    /// The same without what is not ground.
+    /// The same image with a mask of what is not ground.
     pub fn without(mut self, mask: Option<Arc<ImageMask>>) -> Self {
         self.mask = mask;
         self
@@ -49,7 +52,7 @@ impl DenseImage {
 }
 
 impl Plane {
-    /// `None` where too little would be left.
+    /// The next coarser level; `None` where it would be too small.
     fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         if width.min(height) < SMALLEST_SIDE {
@@ -64,12 +67,12 @@ impl Plane {
         Some(Self { width, height, samples, pixels_per_sample: 2.0 * self.pixels_per_sample })
     }
 
-    /// Where a pixel of the full image lies among the samples, along either side.
+    /// Sample coordinate of a pixel coordinate of the full image.
     pub fn sample_of_pixel(&self, pixel: f64) -> f64 {
         (pixel + 0.5) / self.pixels_per_sample - 0.5
     }
 
-    /// The pixel of the full image at a place among the samples.
+    /// Pixel coordinate of the full image of a sample coordinate.
     pub fn pixel_of_sample(&self, sample: f64) -> f64 {
         (sample + 0.5) * self.pixels_per_sample - 0.5
     }

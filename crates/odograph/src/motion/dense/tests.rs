@@ -1,13 +1,13 @@
 use super::*;
 use crate::camera::Distortion;
 use crate::image::GrayImage;
-use crate::motion::{MotionModel, Random, RigWander};
+use crate::motion::{MotionModel, Random, RigPriorEstimator};
 use crate::simulation::{Ground, Renderer, Texture};
 use nalgebra::{Matrix3, Vector3};
 
 const HEIGHT_M: f64 = 0.75;
 
-/// A camera over ground, and images with as much noise as is asked for.
+/// A camera over ground, and images with a given noise.
 struct World {
     camera: Camera,
     renderer: Renderer,
@@ -31,7 +31,7 @@ impl World {
         view
     }
 
-    /// A view as a sensor with this noise (one standard deviation, gray levels) has it.
+    /// A view with sensor noise of this standard deviation, gray levels.
     fn image(&self, pose: &GroundPose, noise: f64, random: &mut Random) -> GrayImage {
         let mut uniform = || ((random.bits() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
         let mut gaussian = || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
@@ -39,7 +39,7 @@ impl World {
         GrayImage::from_samples(320, 240, self.view(pose).into_iter().map(rounded).collect()).unwrap()
     }
 
-    /// The pose of `image` against `reference`, taken at `from`, both as images.
+    /// The pose of `image` relative to `reference`, which was taken at `from`.
     fn refined(
         &self,
         from: &GroundPose,
@@ -49,20 +49,19 @@ impl World {
     ) -> Option<DenseEstimate> {
         let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
         let reference = DenseReference::new(&self.camera, &DenseImage::new(reference), from, 0);
-        let prior = RigWander::new(from).prior(from, &config);
+        let prior = RigPriorEstimator::new(from).prior(from, &config);
         refine(&self.camera, &reference, &DenseImage::new(image), guess, &prior, &config)
     }
 
-    /// The covariance of (x, y, heading) that no unbiased estimate from two images with this noise falls below (Cramér and Rao), over what `pose`
-    /// shares with `from`.
+    /// Cramér–Rao bound of (x, y, heading) from two images with this noise, over their overlap.
     fn bound(&self, from: &GroundPose, pose: &GroundPose, noise: f64) -> Matrix3<f64> {
         let step = 1e-4;
-        let moved = |i: usize, by: f64| {
-            let mut moved = *pose;
-            *[&mut moved.x_m, &mut moved.y_m, &mut moved.heading_rad][i] += by;
-            self.view(&moved)
+        let next_pose = |i: usize, by: f64| {
+            let mut next_pose = *pose;
+            *[&mut next_pose.x_m, &mut next_pose.y_m, &mut next_pose.heading_rad][i] += by;
+            self.view(&next_pose)
         };
-        let slopes = [0, 1, 2].map(|i| (moved(i, step), moved(i, -step)));
+        let slopes = [0, 1, 2].map(|i| (next_pose(i, step), next_pose(i, -step)));
         let mut information = Matrix3::zeros();
         for at in 0..320 * 240 {
             let pixel = Pixel::new((at % 320) as f64, (at / 320) as f64);
@@ -83,11 +82,11 @@ fn error(found: &DenseEstimate, truth: &GroundPose) -> Vector3<f64> {
     Vector3::new(pose.x_m - truth.x_m, pose.y_m - truth.y_m, pose.heading_rad - truth.heading_rad)
 }
 
-/// A pixel on the ground, metres.
+/// Ground sampling distance, metres.
 const PIXEL_M: f64 = HEIGHT_M / 250.0;
 
 #[test]
-fn fractions_of_a_pixel_have_no_bias_of_their_own() {
+fn subpixel_shifts_have_no_interpolation_bias() {
     for texture in ["asphalt", "carpet"] {
         let world = World::new(texture, 7);
         let from = GroundPose::level(HEIGHT_M);
@@ -105,12 +104,13 @@ fn fractions_of_a_pixel_have_no_bias_of_their_own() {
 }
 
 #[test]
-fn a_pair_is_registered_nearly_as_well_as_can_be_and_says_how_well() {
+fn the_error_is_near_the_cramer_rao_bound_and_the_covariance() {
     let from = GroundPose::level(HEIGHT_M);
     let truth = GroundPose { x_m: 0.081, y_m: -0.043, heading_rad: 0.07, ..from };
     let guess = GroundPose { x_m: 0.078, y_m: -0.040, heading_rad: 0.074, ..from };
     let (noise, pairs) = (3.0, 12);
-    // Grass has most of its texture at one or two pixels, which smoothing takes along with the noise.
+    // Grass has most of its texture at periods of one or two pixels, which smoothing removes with
+    // the noise.
     for (texture, within) in [("asphalt", 1.5), ("grass", 2.0)] {
         let world = World::new(texture, 3);
         let bound = world.bound(&from, &truth, noise);
@@ -128,14 +128,14 @@ fn a_pair_is_registered_nearly_as_well_as_can_be_and_says_how_well() {
         let ratios = [0, 1, 2].map(|i| (squares[i] / bound[(i, i)]).sqrt());
         println!("{texture}: {ratios:.2?} of the bound, NEES {normalised:.2}");
         assert!(ratios.iter().all(|&ratio| ratio < within), "{texture}: {ratios:?}");
-        // 3 where the covariance is true. Its mean over twelve pairs stays below the upper of its 95 % bounds; the floor for what all tiles share makes it
-        // smaller on the richest ground.
+        // NEES is 3 where the covariance is right. Its mean over twelve pairs stays below the upper
+        // 95 % bound; the floor for shared errors makes it smaller on the richest ground.
         assert!((0.3..4.55).contains(&normalised), "{texture}: {normalised}");
     }
 }
 
 #[test]
-fn other_ground_is_not_taken_for_the_same() {
+fn unrelated_ground_has_a_low_score() {
     let world = World::new("asphalt", 5);
     let from = GroundPose::level(HEIGHT_M);
     let reference = world.image(&from, 2.0, &mut Random::new(1));
@@ -146,15 +146,15 @@ fn other_ground_is_not_taken_for_the_same() {
 }
 
 #[test]
-fn noise_is_not_taken_for_ground() {
-    // Ground in so much noise that this makes most of the squared derivatives: were more of them believed, each step would be too short, and what
-    // two images are apart would be more than is claimed.
+fn noise_does_not_shorten_the_steps() {
+    // Noise makes most of the squared gradients. If it counted as signal, each step would be too
+    // short and the covariance too small.
     let from = GroundPose::level(HEIGHT_M);
     let truth = GroundPose { x_m: 0.081, y_m: -0.043, heading_rad: 0.07, ..from };
     let config = MotionConfig { model: MotionModel::Rigid, ..Default::default() };
-    let prior = RigWander::new(&from).prior(&from, &config);
+    let prior = RigPriorEstimator::new(&from).prior(&from, &config);
     for (texture, noise) in [("asphalt", 12.0), ("concrete", 4.0)] {
-        let (mut answers, mut normalised, pairs) = (0.0, 0.0, 24);
+        let (mut recovered, mut normalised, pairs) = (0.0, 0.0, 24);
         for seed in 0..pairs {
             let world = World::new(texture, 3 + seed);
             let mut random = Random::new(seed);
@@ -162,21 +162,22 @@ fn noise_is_not_taken_for_ground() {
             let (reference, image) = (dense(&from), dense(&truth));
             let reference = DenseReference::new(&world.camera, &reference, &from, 0);
             let (tiles, plane) = (&reference.levels[0].1, &image.planes[0]);
-            let (camera, laid_from) = (&world.camera, &from);
+            let (camera, keyframe_pose) = (&world.camera, &from);
             let (image, prior, config) = (&image, &prior, &config);
-            let level = Level { camera, tiles, laid_from, image, plane, halvings: 0, prior, config };
-            let beside = |by: f64| GroundPose { x_m: truth.x_m + 0.3 * by * PIXEL_M, ..truth };
-            let from_beside = |by: f64| level.step(&beside(by)).unwrap().estimate.pose.x_m;
-            answers += 1.0 - (from_beside(1.0) - from_beside(-1.0)) / (0.6 * PIXEL_M);
-            let found = level.settle(&truth).unwrap();
+            let level = DenseLevel { camera, tiles, keyframe_pose, image, plane, halvings: 0, prior, config };
+            let nuisance = |by: f64| GroundPose { x_m: truth.x_m + 0.3 * by * PIXEL_M, ..truth };
+            let from_beside = |by: f64| level.step(&nuisance(by)).unwrap().estimate.pose.x_m;
+            recovered += 1.0 - (from_beside(1.0) - from_beside(-1.0)) / (0.6 * PIXEL_M);
+            let found = level.converge(&truth).unwrap();
             let off = error(&found, &truth);
             let covariance = found.estimate.covariance.fixed_view::<3, 3>(0, 0).into_owned();
             normalised += off.dot(&(covariance.try_inverse().unwrap() * off));
         }
-        let (answer, nees) = (answers / pairs as f64, normalised / pairs as f64);
-        println!("{texture}: of a step {answer:.3} is answered, NEES {nees:.2}");
-        assert!((0.9..1.1).contains(&answer), "{texture}: {answer}");
-        // 95 % of the means over 24 pairs lie within 0.7 of 3; how much is ground is itself told from the noise, which adds some.
+        let (signal_fraction, nees) = (recovered / pairs as f64, normalised / pairs as f64);
+        println!("{texture}: {signal_fraction:.3} of a step is recovered, NEES {nees:.2}");
+        assert!((0.9..1.1).contains(&signal_fraction), "{texture}: {signal_fraction}");
+        // 95 % of the means over 24 pairs lie within 0.7 of 3; the error of the estimated signal
+        // fraction adds some.
         assert!((2.2..4.2).contains(&nees), "{texture}: {nees}");
     }
 }

@@ -1,8 +1,10 @@
-//! Tiles: the squares of samples into which a reference image is cut, each indifferent to gain, offset and slope of its light.
+//! Tiles: square patches of a reference image, invariant to gain, offset and gradient of the
+//! illumination.
 //!
-//! Samples are taken with cubic B-splines and without the filter that would make them interpolate: reference and image are smoothed alike, which
-//! costs nothing, and what is left of the bias at fractions of a sample is a tenth of that of bilinear or Catmull–Rom interpolation, whose
-//! phases are wrong by the third power of the frequency (P. Thévenaz, T. Blu and M. Unser, "Interpolation revisited", 2000).
+//! Samples are taken with cubic B-splines without prefilter: reference and image are smoothed
+//! alike, at no cost, and the remaining interpolation bias is a tenth of that of bilinear or
+//! Catmull–Rom interpolation, whose phase error is of third order in the frequency (P. Thévenaz, T.
+//! Blu and M. Unser, "Interpolation revisited", 2000).
 
 use super::plane::Plane;
 use crate::camera::Camera;
@@ -10,16 +12,19 @@ use crate::geometry::Pixel;
 use crate::motion::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
 use nalgebra::{Matrix2, Vector2};
 
-/// Samples along the side of a tile: those for which [`GroundPatch`] is made.
+/// Samples along the side of a tile: the size of a [`GroundPatch`].
 pub(super) const SIDE: usize = 16;
 /// Samples of a tile.
 pub(super) const AREA: usize = SIDE * SIDE;
 
-/// To how many samples' worth the noise of a tile comes, once smoothed and less a plane: of smoothed noise much is slow, and goes with the plane.
-pub(super) const NOISE_OF_CONTRAST: f64 = AREA as f64 - NOISE_OF_PLANE;
-pub(super) const NOISE_OF_GRADIENT: f64 = AREA as f64 - 1.2;
-/// What the plane takes of it, wherever between the samples of the image the tile lies.
-pub(super) const NOISE_OF_PLANE: f64 = 10.6;
+/// Effective number of samples of white noise in a tile's contrast and in its gradients, after
+/// smoothing and removal of a plane: much of smoothed noise is of low frequency and part of the
+/// plane.
+pub(super) const CONTRAST_NOISE_SAMPLES: f64 = AREA as f64 - PLANE_NOISE_SAMPLES;
+pub(super) const GRADIENT_NOISE_SAMPLES: f64 = AREA as f64 - 1.2;
+/// Effective number of samples of noise that the plane removes, at any subpixel position of the
+/// tile.
+pub(super) const PLANE_NOISE_SAMPLES: f64 = 10.6;
 
 /// From the first sample of a row or column to the centre.
 const TO_CENTRE: f64 = (SIDE as f64 - 1.0) / 2.0;
@@ -30,32 +35,33 @@ type Samples = [f32; AREA];
 #[derive(Debug, Clone)]
 pub(super) struct Tile {
     pub patch: GroundPatch,
-    /// The samples less a plane of light.
+    /// Samples without their best-fitting plane.
     contrast: Samples,
-    /// Derivatives along the two sides, orthogonal to planes of light and to the contrast.
+    /// Gradients along both sides, orthogonal to planes and to the contrast.
     gradient: [Samples; 2],
-    /// Products of the two derivatives.
+    /// Gauss–Newton Hessian: products of the gradients.
     pub hessian: Matrix2<f64>,
     /// Sum of the squared contrast.
     pub energy: f64,
 }
 
-/// What a tile makes of an image.
+/// Comparison of a tile with an image.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Look {
+pub(super) struct TileMatch {
     pub warp: PatchWarp,
     /// Product of the image with the tile's contrast.
     pub product: f64,
-    /// Products of the image with the tile's derivatives.
+    /// Products of the image with the tile's gradients.
     pub slope: Vector2<f64>,
-    /// Sum of the squares of the image's own contrast.
+    /// Sum of the image's squared contrast.
     pub energy: f64,
-    /// The noise of a sample of the image, as a part of that of a sample of the reference: variances.
+    /// Noise variance of an image sample over that of a reference sample.
     pub noise: f64,
 }
 
 impl Tile {
-    /// The tile whose first sample is at (`left`, `top`); `None` where it does not lie on ground. One sample around it is read.
+    /// The tile with its first sample at (`left`, `top`), from samples up to one beyond it; `None`
+    /// where it does not lie on ground.
     pub fn new(
         plane: &Plane,
         (left, top): (usize, usize),
@@ -91,19 +97,20 @@ impl Tile {
         Some(Self { patch, contrast, gradient, hessian: Matrix2::new(xx, xy, xy, yy), energy })
     }
 
-    /// The middle of the tile whose first sample is at (`left`, `top`).
+    /// Centre of the tile with its first sample at (`left`, `top`).
     pub fn centre(plane: &Plane, (left, top): (usize, usize)) -> Pixel {
         let at = |first: usize| plane.pixel_of_sample(first as f64 + TO_CENTRE);
         Pixel::new(at(left), at(top))
     }
 
-    /// The tile as a camera at `pose` would have it, compared with the image; `None` where that is not all in the image.
-    pub fn look(&self, camera: &Camera, pose: &ViewingPose, plane: &Plane) -> Option<Look> {
+    /// Compares the tile with the image of a camera at `pose`; `None` unless it lies entirely in
+    /// the image.
+    pub fn compare(&self, camera: &Camera, pose: &ViewingPose, plane: &Plane) -> Option<TileMatch> {
         let warp = self.patch.warp(camera, pose)?;
         let mut samples = [0.0; AREA];
         sample(plane, &warp, &mut samples).map(|noise| {
             remove_plane(&mut samples);
-            Look {
+            TileMatch {
                 warp,
                 noise,
                 product: dot(&self.contrast, &samples),
@@ -118,11 +125,11 @@ fn dot(a: &Samples, b: &Samples) -> f64 {
     crate::image::simd::dot(a, b)
 }
 
-/// Takes off the plane that fits the samples best.
+/// Subtracts the best-fitting plane.
 fn remove_plane(samples: &mut Samples) {
     let mean = samples.iter().sum::<f32>() / AREA as f32;
     samples.iter_mut().for_each(|sample| *sample -= mean);
-    // The places along a side, about the middle: their squares sum up to this over a tile.
+    // Sum of the squared coordinates about the centre.
     let squares = (AREA * (AREA - 1)) as f32 / 12.0;
     let place = |i: usize| i as f32 - TO_CENTRE as f32;
     let (mut along, mut down) = (0.0, 0.0);
@@ -136,13 +143,14 @@ fn remove_plane(samples: &mut Samples) {
     }
 }
 
-/// Samples a plane under a warp and says how much of the noise is left ([`Look::noise`]); `None` unless everything that is read lies in it.
+/// Samples a pyramid level under a warp and returns the noise ratio ([`TileMatch::noise`]); `None`
+/// unless all it reads lies in the image.
 fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> Option<f64> {
     let linear = &expected.warp.linear;
     let position = expected.warp.position;
     let centre = Vector2::new(plane.sample_of_pixel(position.x), plane.sample_of_pixel(position.y));
     let extent = TO_CENTRE * Vector2::new(linear.row(0).abs().sum(), linear.row(1).abs().sum());
-    // Not so either where a number is none.
+    // Also false for NaN.
     let inside = centre.x - extent.x >= 1.0
         && centre.y - extent.y >= 1.0
         && centre.x + extent.x < plane.width as f64 - 2.01
@@ -150,7 +158,7 @@ fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> Option<
     if !inside {
         return None;
     }
-    // Within a tile single precision is enough, from a corner near it.
+    // Single precision suffices within a tile, relative to a nearby corner.
     let corner = Vector2::new((centre.x - extent.x).floor(), (centre.y - extent.y).floor());
     let begin = (corner.y as usize - 1) * plane.width + corner.x as usize - 1;
     let linear = linear.map(|entry| entry as f32);
@@ -164,23 +172,25 @@ fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> Option<
             *out = spline(plane, begin + line * plane.width + column, x - column as f32, y - line as f32);
         }
     }
-    // The samples have their places between those of the image from tile to tile, or, where it is turned, all over a tile: a few stand for all.
+    // Subpixel positions are equal over a tile, or mixed where it is rotated: a subset represents
+    // all.
     let places = (0..AREA).step_by(NOISE_STEP).map(|at| Vector2::new((at % SIDE) as f32, (at / SIDE) as f32));
     let left =
-        places.map(|place| first + linear * place).map(|place| noise_left(place.x) * noise_left(place.y));
+        places.map(|place| first + linear * place).map(|place| noise_ratio(place.x) * noise_ratio(place.y));
     Some(f64::from(left.sum::<f32>()) / AREA.div_ceil(NOISE_STEP) as f64)
 }
 
-/// Of so many samples one is asked for its noise: odd, so that these are all over a tile.
+/// Stride of the subset for the noise ratio: odd, so that it is spread over the tile.
 const NOISE_STEP: usize = 15;
 
-/// How much of the variance of white noise the spline leaves at a place along a side, as a part of what it leaves at whole ones: 1 there, 0.92 halfway.
-fn noise_left(place: f32) -> f32 {
+/// Variance of white noise after the spline at a position along one axis, relative to that at
+/// integer positions: 1 there, 0.92 halfway.
+fn noise_ratio(place: f32) -> f32 {
     let squares = |weights: [f32; 4]| weights.iter().map(|weight| weight * weight).sum::<f32>();
     squares(weights(place - place.floor())) / squares(weights(0.0))
 }
 
-/// The cubic B-spline of the four by four samples from `first` on.
+/// Cubic B-spline of the 4×4 samples from `first` on.
 #[inline]
 fn spline(plane: &Plane, first: usize, x: f32, y: f32) -> f32 {
     let (across, down) = (weights(x), weights(y));
@@ -194,7 +204,7 @@ fn spline(plane: &Plane, first: usize, x: f32, y: f32) -> f32 {
     (across[0] * sums[0] + across[1] * sums[1]) + (across[2] * sums[2] + across[3] * sums[3])
 }
 
-/// Of the samples from one before to two after a place.
+/// Weights of the samples from one before to two after a position.
 #[inline]
 fn weights(t: f32) -> [f32; 4] {
     let s = 1.0 - t;

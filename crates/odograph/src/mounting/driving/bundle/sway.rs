@@ -7,7 +7,7 @@ use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix2, SVector, Vector2};
 
 /// By how much the second view of a pair may be higher and tilted against the first: a Gaussian whose variances the recording itself
-/// tells (empirical Bayes, as [`crate::motion::RigWander`] does for the odometry). On a steady mount nothing is left of them.
+/// tells (empirical Bayes, as [`crate::motion::RigPriorEstimator`] does for the odometry). On a steady mount nothing is left of them.
 pub struct Sway {
     pub variance: [f64; 3],
 }

@@ -1,0 +1,256 @@
+//! Nuisance parameters of a frame's fit: height and tilt of the keyframe, skew of a rolling
+//! shutter, elevations of the points. Derivation: `docs/math/frame-pose.md`.
+
+use super::elevation::Parallax;
+use super::normal_equations::{NormalEquations, POSE, Row, WITH_KEYFRAME, WITH_SKEW};
+use super::residual::{Axes, Residual, ground_by_pose};
+use super::{KeyframeError, Observation, Observations, PoseRates, ShutterEstimate, ShutterPrior};
+use crate::camera::Camera;
+use nalgebra::{Matrix3, Matrix6, Vector3};
+
+/// Nuisance parameters of the fit: height and tilt of the keyframe that defines the ground points,
+/// and the skew of a rolling shutter. All are whitened: in units of their prior standard deviation.
+#[derive(Debug)]
+pub struct Nuisance<'a> {
+    pub observations: Observations<'a>,
+    keyframe_axes: Axes,
+    /// Root of the covariance of the keyframe's height, roll and pitch: zero where they are known.
+    keyframe_root: Matrix3<f64>,
+    skew_sigma: PoseRates,
+    /// Number of unknowns of the fit, with those of the pose.
+    pub count: usize,
+    /// Estimates, whitened.
+    values: [f64; WITH_SKEW - POSE],
+}
+
+/// A keyframe error that displaces no point by more than this is not estimated, pixels. Not
+/// derived; chosen equal to the least noise that a fit assumes.
+const NEGLIGIBLE_SHIFT_PX: f64 = 0.01;
+
+impl<'a> Nuisance<'a> {
+    pub fn new(camera: &Camera, observations: Observations<'a>) -> Self {
+        let Observations { keyframe_pose, keyframe_covariance, shutter, .. } = observations;
+        let px_per_unit = Vector3::new(1.0 / keyframe_pose.height_m, 1.0, 1.0) * camera.focal_px().0;
+        let is_known =
+            (0..3).all(|i| keyframe_covariance[(i, i)].sqrt() * px_per_unit[i] < NEGLIGIBLE_SHIFT_PX);
+        let keyframe_root = if is_known { Matrix3::zeros() } else { semidefinite_root(keyframe_covariance) };
+        let skew_sigma = shutter
+            .map_or(PoseRates::zeros(), |(prior, assumed)| prior.skew_sigma(&assumed).map(|s| s.max(1e-12)));
+        let count = match shutter {
+            Some((prior, _)) if prior.applies => WITH_SKEW,
+            _ if is_known => POSE,
+            _ => WITH_KEYFRAME,
+        };
+        let values = [0.0; WITH_SKEW - POSE];
+        Self {
+            observations,
+            keyframe_axes: Axes::new(keyframe_pose),
+            keyframe_root,
+            skew_sigma,
+            count,
+            values,
+        }
+    }
+
+    /// Adds the effect of the nuisance parameters to a residual, and its derivatives by the
+    /// keyframe.
+    pub fn complete(&self, observation: &Observation, residual: &mut Residual) {
+        if self.count == POSE {
+            return;
+        }
+        let [x_by_pose, y_by_pose] =
+            ground_by_pose(observation, self.observations.keyframe_pose, &self.keyframe_axes);
+        let (keyframe, skew) = self.values.split_at(WITH_KEYFRAME - POSE);
+        for k in 0..2 {
+            let row = &residual.by_pose[k];
+            let by_rig = Vector3::from_fn(|i, _| -row[0] * x_by_pose[3 + i] - row[1] * y_by_pose[3 + i]);
+            let by_keyframe = self.keyframe_root.tr_mul(&by_rig);
+            residual.error[k] += by_keyframe.iter().zip(keyframe).map(|(by, value)| by * value).sum::<f64>();
+            let by_skew = row.iter().zip(&self.skew_sigma).zip(skew);
+            residual.error[k] += observation.row_fraction
+                * by_skew.map(|((by, sigma), value)| by * sigma * value).sum::<f64>();
+            residual.by_keyframe[k] = by_keyframe.into();
+        }
+        let error = nalgebra::Vector2::from(residual.error);
+        residual.distance_px =
+            observation.whitening.try_inverse().map_or(error, |inverse| inverse * error).norm();
+    }
+
+    /// Eliminates the elevation of the point (Schur complement): the residual has less weight along
+    /// its parallax. Derivation: `docs/math/elevation.md`.
+    pub fn eliminate_elevation(&self, observation: &Observation, residual: &mut Residual, noise_px2: f64) {
+        let Observation { ground, elevation, .. } = observation;
+        // As its elevation changes the point stays on the ray of the keyframe.
+        let keyframe_pose = self.observations.keyframe_pose;
+        let depth_m = keyframe_pose.height_m - elevation.mean_m;
+        let (x, y) = ((keyframe_pose.x_m - ground.x_m) / depth_m, (keyframe_pose.y_m - ground.y_m) / depth_m);
+        let by_elevation = residual.by_pose.map(|row| -(row[0] * x + row[1] * y + row[3]));
+        let parallax = Parallax::new(residual.error, by_elevation);
+        residual.parallax = parallax;
+        let variance_m2 = elevation.variance_m2;
+        if variance_m2 <= 0.0 {
+            return;
+        }
+        let remaining_px = parallax.remaining_px(variance_m2, noise_px2);
+        residual.distance_px *= remaining_px / residual.length().max(1e-12);
+        let whiten = parallax.whitener(variance_m2, noise_px2);
+        let [first, second] = &mut residual.error;
+        whiten(first, second);
+        let [first, second] = &mut residual.by_pose;
+        first.iter_mut().zip(second).for_each(|(first, second)| whiten(first, second));
+        let [first, second] = &mut residual.by_keyframe;
+        first.iter_mut().zip(second).for_each(|(first, second)| whiten(first, second));
+    }
+
+    /// Derivatives of coordinate `k` of a residual by the first `count` unknowns.
+    pub fn row(&self, observation: &Observation, residual: &Residual, k: usize, count: usize) -> Row {
+        let mut row = [0.0; WITH_SKEW];
+        row[..POSE].copy_from_slice(&residual.by_pose[k]);
+        row[POSE..WITH_KEYFRAME].copy_from_slice(&residual.by_keyframe[k]);
+        if count == WITH_SKEW {
+            for i in 0..POSE {
+                row[WITH_KEYFRAME + i] = observation.row_fraction * self.skew_sigma[i] * row[i];
+            }
+        }
+        row
+    }
+
+    /// Normal equations of the tracks, without priors, for the first `count` unknowns.
+    pub fn equations(&self, residuals: &[Residual], weights: &[f64], count: usize) -> NormalEquations {
+        let mut equations = NormalEquations::new(count);
+        for ((observation, residual), &weight) in self.observations.seen.iter().zip(residuals).zip(weights) {
+            if weight > 0.0 {
+                for (k, &error) in residual.error.iter().enumerate() {
+                    equations.add(&self.row(observation, residual, k, count), error, weight);
+                }
+            }
+        }
+        equations
+    }
+
+    /// Adds the priors of the nuisance parameters.
+    pub fn add_priors(&self, equations: &mut NormalEquations, scale_px: f64) {
+        for i in POSE..equations.count() {
+            equations.add_prior(i, self.values[i - POSE], scale_px * scale_px);
+        }
+    }
+
+    pub fn advance(&mut self, step: &Row) {
+        self.values.iter_mut().zip(&step[POSE..self.count]).for_each(|(value, step)| *value -= step);
+    }
+
+    /// Estimated error of the keyframe's height, roll and pitch. `None` where these are known.
+    pub fn keyframe_error(&self, equations: &NormalEquations, scale_px: f64) -> Option<KeyframeError> {
+        let root = &self.keyframe_root;
+        if *root == Matrix3::zeros() || equations.count() == POSE {
+            return None;
+        }
+        let factor = equations.factor()?;
+        let columns = [0, 1, 2].map(|i| factor.column(POSE + i));
+        let whitened = Matrix3::from_fn(|i, k| columns[i][POSE + k] * scale_px * scale_px);
+        let mean = root * Vector3::from_fn(|i, _| self.values[i]);
+        Some(KeyframeError { mean, covariance: root * whitened * root.transpose() })
+    }
+
+    /// Estimate of the shutter's skew. `equations` include the priors.
+    pub fn shutter(
+        &self,
+        equations: &NormalEquations,
+        prior: &ShutterPrior,
+        assumed: PoseRates,
+        scale_px: f64,
+    ) -> Option<ShutterEstimate> {
+        let factor = equations.factor()?;
+        // A skew that is not part of the fit is estimated by one Gauss–Newton step from its end.
+        let (inverse, step) = (factor.inverse(), factor.solve(equations.slope()));
+        let (noise_px2, sigma) = (scale_px * scale_px, &self.skew_sigma);
+        let expected = prior.readout.mean_s * assumed;
+        let (mut skew, mut skew_variance) = (expected, PoseRates::zeros());
+        let (mut evidence, mut evidence_variance) = (expected, PoseRates::repeat(f64::INFINITY));
+        for i in 0..6 {
+            let at = WITH_KEYFRAME + i;
+            let difference = sigma[i] * (self.values[at - POSE] - step[at]);
+            let posterior = 1.0 / inverse[at][at];
+            skew[i] += difference;
+            skew_variance[i] = sigma[i] * sigma[i] * noise_px2 / posterior;
+            // Below a thousandth of the posterior information the difference is rounding error.
+            let likelihood = posterior - noise_px2;
+            if likelihood > 1e-3 * posterior {
+                evidence[i] += difference * posterior / likelihood;
+                evidence_variance[i] = sigma[i] * sigma[i] * noise_px2 / likelihood;
+            }
+        }
+        let mut without = *equations;
+        (WITH_KEYFRAME..WITH_SKEW).for_each(|i| without.hold(i));
+        let without = without.factor()?;
+        let mut pose_by_expected_skew = Matrix6::zeros();
+        for i in 0..6 {
+            let at = WITH_KEYFRAME + i;
+            // An error of the prior mean biases the skew, and the skew the pose; a skew left out of
+            // the fit biases the pose in full.
+            let column = if prior.applies {
+                inverse[at].map(|entry| entry * noise_px2)
+            } else {
+                without.solve(&std::array::from_fn(|k| {
+                    if k < WITH_KEYFRAME { -equations.entry(k, at) } else { 0.0 }
+                }))
+            };
+            (0..6).for_each(|k| pose_by_expected_skew[(k, i)] = column[k] / sigma[i]);
+        }
+        Some(ShutterEstimate {
+            expected_rates: assumed,
+            skew,
+            skew_variance,
+            evidence,
+            evidence_variance,
+            pose_by_expected_skew,
+            pose_by_keyframe_skew: Matrix6::zeros(),
+        })
+    }
+
+    /// Derivative of the gradient of the fit by the pose of the keyframe: one row for each number
+    /// of that pose. Each point takes the fraction `share` of the change.
+    pub fn slopes_by_keyframe(
+        &self,
+        residuals: &[Residual],
+        weights: &[f64],
+        count: usize,
+        share: impl Fn(&Observation) -> f64,
+    ) -> [Row; POSE] {
+        let mut slopes = [[0.0; WITH_SKEW]; POSE];
+        let Observations { seen, keyframe_pose, .. } = self.observations;
+        for ((observation, residual), &weight) in seen.iter().zip(residuals).zip(weights) {
+            if weight <= 0.0 {
+                continue;
+            }
+            let [x_by_pose, y_by_pose] = ground_by_pose(observation, keyframe_pose, &self.keyframe_axes);
+            let weight = weight * share(observation);
+            for k in 0..2 {
+                let row = self.row(observation, residual, k, count);
+                // A displacement of the point is the opposite displacement of the camera.
+                let change: [f64; 6] = std::array::from_fn(|n| row[0] * x_by_pose[n] + row[1] * y_by_pose[n]);
+                for (slope, change) in slopes.iter_mut().zip(change) {
+                    let weighted = weight * change;
+                    slope.iter_mut().zip(&row).take(count).for_each(|(sum, by)| *sum += weighted * by);
+                }
+            }
+        }
+        slopes
+    }
+}
+
+/// Cholesky factor of a positive semi-definite matrix; zeros on its diagonal are allowed.
+fn semidefinite_root(covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    let mut root = Matrix3::zeros();
+    for i in 0..3 {
+        for k in 0..=i {
+            let left = covariance[(i, k)] - (0..k).map(|m| root[(i, m)] * root[(k, m)]).sum::<f64>();
+            root[(i, k)] = match i == k {
+                true => left.max(0.0).sqrt(),
+                false if root[(k, k)] > 0.0 => left / root[(k, k)],
+                false => 0.0,
+            };
+        }
+    }
+    root
+}
