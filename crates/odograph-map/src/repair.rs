@@ -40,11 +40,11 @@ pub struct Repair {
 }
 
 /// Writes what can be read of the map `damaged` to the new map `to`. The damaged file is not
-/// changed. The mosaic is left out: [`MapFile::lay_mosaic`] renders it again. `keep_going` is called
-/// for each keyframe and returns whether to continue.
+/// changed. The mosaic is left out: [`MapFile::lay_mosaic`] renders it again. `keep_going` is
+/// called for each keyframe and returns whether to continue.
 ///
-/// Fails if the map has no readable camera and mounting or is of another version, if another program
-/// is writing it, if nothing can be kept, or if `to` exists or cannot be written.
+/// Fails if the map has no readable camera and mounting or is of another version, if another
+/// program is writing it, if nothing can be kept, or if `to` exists or cannot be written.
 pub fn repair(damaged: &Path, to: &Path, keep_going: &mut dyn FnMut() -> bool) -> Result<Repair> {
     schema::check_is_database(damaged)?;
     let _claim = MapClaim::on(damaged)?;

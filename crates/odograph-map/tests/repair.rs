@@ -41,8 +41,8 @@ fn good() -> &'static [u8] {
     })
 }
 
-/// Repairs these bytes after `damage`; checks that they are unchanged and that the result is a valid
-/// map.
+/// Repairs these bytes after `damage`; checks that they are unchanged and that the result is a
+/// valid map.
 fn repaired(damage: impl FnOnce(&Path)) -> odograph::error::Result<(Repair, MapFile)> {
     let folder = tempfile::tempdir().unwrap().keep();
     let (path, to): (PathBuf, PathBuf) = (folder.join("map.gpkg"), folder.join("repaired.gpkg"));
