@@ -131,7 +131,7 @@ fn sessions(connection: &Connection, map: &GroundMap) -> BTreeMap<u32, String> {
     let read = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
     let select = "SELECT id, source FROM odograph_session";
     let mut sessions: BTreeMap<u32, String> =
-        rows(connection, select, "TRUE", "id", read).into_iter().filter_map(|(_, row)| row.ok()).collect();
+        rows(connection, select, "TRUE", "id", read).into_values().filter_map(|row| row.ok()).collect();
     for keyframe in &map.keyframes {
         sessions.entry(keyframe.session).or_insert_with(|| "unknown".to_owned());
     }
@@ -174,7 +174,7 @@ fn path(connection: &Connection, session: u32) -> Vec<PathFrame> {
     let select = format!("SELECT {} FROM odograph_frame", paths::COLUMNS);
     let frames = rows(connection, &select, &format!("session = {session}"), "frame", paths::frame_from);
     let valid = |frame: &PathFrame| is_pose(&frame.pose) && frame.time_s.is_finite();
-    frames.into_iter().filter_map(|(_, frame)| frame.ok().filter(valid)).collect()
+    frames.into_values().filter_map(|frame| frame.ok().filter(valid)).collect()
 }
 
 /// The rows of a table that can be read and fulfil a condition, by their integer key, the first
