@@ -458,6 +458,24 @@ fn options_beside_a_plan_are_not_ignored() {
 }
 
 #[test]
+fn the_reason_of_a_loss_is_told() {
+    let place = Place::new();
+    let mut video = y4m(60);
+    let frames: Vec<usize> =
+        video.windows(6).enumerate().filter(|(_, it)| it == b"FRAME\n").map(|(at, _)| at + 6).collect();
+    // Black from frame 30 to 44.
+    for &at in &frames[30..45] {
+        let luma = frames[1] - frames[0] - 6;
+        video[at..at + luma].fill(16);
+    }
+    fs::write(place.path("drive.y4m"), video).unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out");
+    let told = String::from_utf8_lossy(&done.stderr).into_owned();
+    let note = told.lines().find(|line| line.starts_with("note: lost from "));
+    assert!(note.is_some_and(|note| note.contains("too dark to see anything")), "{told}");
+}
+
+#[test]
 fn progress_is_told_as_lines_of_json() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
@@ -508,7 +526,8 @@ fn a_blank_recording_has_results_without_poses() {
     let done = place.run_usual("blank.y4m");
     let told = String::from_utf8(done.stderr).unwrap();
     assert_eq!(done.status.code(), Some(4), "{told}");
-    assert!(told.contains("could not be measured in") && told.lines().count() == 1, "{told}");
+    assert!(told.contains("could not be measured in") && told.lines().count() == 2, "{told}");
+    assert!(told.contains("note: lost from 0.00 to 0.30 s: too little texture to track"), "{told}");
     // Without poses there is no mosaic and no map; all other files exist.
     let wanted: Vec<&str> =
         FILES.into_iter().filter(|&name| !(name.starts_with("mosaic") || name == "map.gpkg")).collect();

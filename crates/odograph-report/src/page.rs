@@ -2,7 +2,7 @@
 
 use super::charts::over_time;
 use super::evaluation_plot;
-use super::figures::{Figures, in_words, sigmas, weakest};
+use super::figures::{Figures, sigmas, weakest};
 use super::parts::{card, head, number, warnings};
 use odograph::camera::Distortion;
 use odograph::drawing::MapDrawing;
@@ -257,7 +257,6 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
             "<div class=\"box scroll\"><table><tr><th>Lost</th><th>for</th><th>because</th></tr>\n",
         );
         for stretch in figures.lost.iter().take(MOST_ROWS) {
-            let reasons: Vec<&str> = stretch.reasons.iter().map(|&reason| in_words(reason)).collect();
             let _ = writeln!(
                 page,
                 "<tr><td class=\"time\">{:.2} – {:.2} s</td><td>{}, {} {}</td><td>{}</td></tr>",
@@ -266,7 +265,7 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
                 duration_text(stretch.to_s - stretch.from_s),
                 stretch.frames,
                 if stretch.frames == 1 { "frame" } else { "frames" },
-                reasons.join("; then ")
+                stretch.because()
             );
         }
         page.push_str("</table></div>\n");
