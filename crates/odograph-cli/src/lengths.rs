@@ -41,7 +41,7 @@ pub fn height(text: &str) -> Result<Height, String> {
     let (metres, has_unit) = parse(text)?;
     // Values that are not finite are refused with the rig.
     if metres.is_finite() && metres > GREATEST_HEIGHT_M {
-        return Err(format!("a height of {metres} m is more than any camera over ground has"));
+        return Err(format!("a height of {metres:e} m is more than any camera over ground has"));
     }
     Ok(Height { metres, has_unit })
 }

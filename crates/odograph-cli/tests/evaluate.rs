@@ -210,3 +210,21 @@ fn extreme_numbers_give_no_nan() {
     let output = odograph(&["far.tum", "far.tum"], &folder);
     assert!(!stdout(&output).contains("NaN"), "{output:?}");
 }
+
+#[test]
+fn control_characters_of_a_file_name_are_escaped() {
+    let (_keep, folder) = folder();
+    let name = "evil\u{1b}[2J.tum";
+    fs::write(folder.join(name), tum(1.0)).unwrap();
+    let output = odograph(&[name, "truth.tum"], &folder);
+    let table = stdout(&output);
+    assert!(output.status.success() && !table.contains('\u{1b}'), "{table:?}");
+}
+
+#[test]
+fn a_single_pose_has_a_path_of_zero() {
+    let (_keep, folder) = folder();
+    fs::write(folder.join("one.tum"), "1 0 0 1 0 0 0 1\n").unwrap();
+    let table = stdout(&odograph(&["one.tum", "one.tum"], &folder));
+    assert!(table.contains("0.000 m estimated over the ground") && !table.contains("-0.000"), "{table}");
+}

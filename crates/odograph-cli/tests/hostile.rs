@@ -458,6 +458,41 @@ fn options_beside_a_plan_are_not_ignored() {
 }
 
 #[test]
+fn the_reason_of_a_loss_is_told() {
+    let place = Place::new();
+    let mut video = y4m(60);
+    let frames: Vec<usize> =
+        video.windows(6).enumerate().filter(|(_, it)| it == b"FRAME\n").map(|(at, _)| at + 6).collect();
+    // Black from frame 30 to 44.
+    for &at in &frames[30..45] {
+        let luma = frames[1] - frames[0] - 6;
+        video[at..at + luma].fill(16);
+    }
+    fs::write(place.path("drive.y4m"), video).unwrap();
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out");
+    let told = String::from_utf8_lossy(&done.stderr).into_owned();
+    let note = told.lines().find(|line| line.starts_with("note: lost from "));
+    assert!(note.is_some_and(|note| note.contains("too dark to see anything")), "{told}");
+}
+
+#[test]
+fn progress_is_told_as_lines_of_json() {
+    let place = Place::new();
+    fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
+    let done =
+        place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out -q --progress json");
+    assert!(done.status.success(), "{done:?}");
+    let lines: Vec<serde_json::Value> = String::from_utf8(done.stderr)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let frames: Vec<u64> = lines.iter().map(|line| line["frames"].as_u64().unwrap()).collect();
+    assert_eq!(frames, [0, 30, 40]);
+    assert!(lines.iter().all(|line| line["lost"] == 0 && line.get("of").is_some()), "{lines:?}");
+}
+
+#[test]
 fn results_are_identical_for_repetitions_and_thread_counts() {
     let place = Place::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
@@ -491,7 +526,8 @@ fn a_blank_recording_has_results_without_poses() {
     let done = place.run_usual("blank.y4m");
     let told = String::from_utf8(done.stderr).unwrap();
     assert_eq!(done.status.code(), Some(4), "{told}");
-    assert!(told.contains("could not be measured in") && told.lines().count() == 1, "{told}");
+    assert!(told.contains("could not be measured in") && told.lines().count() == 2, "{told}");
+    assert!(told.contains("note: lost from 0.00 to 0.30 s: too little texture to track"), "{told}");
     // Without poses there is no mosaic and no map; all other files exist.
     let wanted: Vec<&str> =
         FILES.into_iter().filter(|&name| !(name.starts_with("mosaic") || name == "map.gpkg")).collect();
@@ -557,7 +593,8 @@ fn a_killed_run_leaves_the_frames_so_far() {
     // That map is not overwritten without `--force`, but it can be continued. With `--force` the
     // folder is replaced.
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
-    assert_told(&place.run_usual("drive.y4m"), 2, "map.gpkg is already there", "a second run");
+    let told = "out has a run that did not end; odograph view out shows what it has, and --force";
+    assert_told(&place.run_usual("drive.y4m"), 2, told, "a second run");
     fs::rename(place.path("out/map.gpkg"), place.path("kept.gpkg")).unwrap();
     for log in ["-shm", "-wal"] {
         fs::rename(place.path(&format!("out/map.gpkg{log}")), place.path(&format!("kept.gpkg{log}")))
@@ -577,7 +614,12 @@ fn a_killed_run_leaves_the_frames_so_far() {
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert_eq!(known("without"), known("next"));
     assert_told(&place.run("drive.y4m -o x --map new.gpkg"), 2, "no camera is given", "a map that is new");
-    assert!(place.run_usual("drive.y4m").status.success());
+    // Its frames are not overwritten either, where its map was another one.
+    assert_eq!(names(&place.path("out")), ["map.gpkg.lock", "trajectory.csv.part"]);
+    assert_told(&place.run("drive.y4m -o out --map kept.gpkg"), 2, told, "over the frames");
+    assert_eq!(fs::read_to_string(place.path("out/trajectory.csv.part")).unwrap(), text);
+    let done = place.run("drive.y4m --camera camera.yaml --height 1 -o out --force");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert_whole(&place.path("out"));
 }
 

@@ -260,6 +260,37 @@ fn thinning_makes_a_map_smaller() {
 }
 
 #[test]
+fn a_damaged_map_is_repaired() {
+    let folder = made();
+    let path = folder.path().join("map.gpkg");
+    let (code, told, complaints) = text(&odograph(&["repair", "map.gpkg"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    assert!(told.contains("no damage found; nothing was written"), "{told}");
+    // As a thinning beside a running recording once left a map.
+    let mut map = MapFile::open(&path).unwrap();
+    map.add_edges(&[ground::edge_to(99)]).unwrap();
+    map.close().unwrap();
+    let (code, _, complaint) = text(&odograph(&["info", "map.gpkg"], folder.path()));
+    assert!(code == 3 && complaint.contains("odograph map repair saves the rest"), "{complaint}");
+    let (code, told, complaints) = text(&odograph(&["repair", "map.gpkg"], folder.path()));
+    assert_eq!((code, complaints.as_str()), (0, ""));
+    let saved = "12 keyframes saved, 2 known to be lost; 11 edges, 12 frames of paths\nmap-repaired.gpkg\n";
+    assert_eq!(told, saved);
+    let (code, told, _) = text(&odograph(&["info", "map-repaired.gpkg", "--check"], folder.path()));
+    assert!(code == 0 && told.contains("12 in 1 piece,") && !told.contains("mosaic     none"), "{told}");
+    // Never onto the damaged map, nor unasked onto another.
+    for (output, part) in [("map-repaired.gpkg", "already there"), ("map.gpkg", "already there")] {
+        let (code, _, complaint) = text(&odograph(&["repair", "map.gpkg", "-o", output], folder.path()));
+        assert!(code == 2 && complaint.contains(part), "{complaint}");
+    }
+    let forced = ["repair", "map.gpkg", "-o", "map.gpkg", "--force"];
+    let (code, _, complaint) = text(&odograph(&forced, folder.path()));
+    assert!(code == 2 && complaint.contains("another name"), "{complaint}");
+    let left = fs::read_dir(folder.path()).unwrap().count();
+    assert_eq!(left, 2, "the damaged map and the repaired one");
+}
+
+#[test]
 fn invalid_usage_is_refused_in_one_sentence() {
     let folder = made();
     fs::write(folder.path().join("noise.gpkg"), [7_u8; 5000]).unwrap();

@@ -21,7 +21,7 @@ impl Complaint {
         let why = match failure.sqlite_error_code() {
             Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
                 return Error::input(format!(
-                    "{path} is damaged: {failure}; use a copy of it, or make the map again"
+                    "{path} is damaged: {failure}; odograph map repair saves what can be read"
                 ));
             }
             Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => {
@@ -55,6 +55,11 @@ impl Complaint {
     /// Input error with the file's name.
     pub fn input(&self, what: impl std::fmt::Display) -> Error {
         Error::input(format!("{}: {what}", self.path))
+    }
+
+    /// Input error about damage that [`crate::repair`] can leave out.
+    pub fn damage(&self, what: impl std::fmt::Display) -> Error {
+        self.input(format!("{what}; odograph map repair saves the rest"))
     }
 
     /// Usage error with the file's name.

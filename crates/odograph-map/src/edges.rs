@@ -6,7 +6,7 @@ use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use nalgebra::Vector4;
 use odograph::error::Result;
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
-use rusqlite::{Connection, params};
+use rusqlite::{Connection, Row, params};
 
 impl MapFile {
     /// Adds edges between keyframes of the map in one transaction: all of them are stored when this
@@ -18,52 +18,69 @@ impl MapFile {
 
     /// The edges in the order in which they were added.
     pub(crate) fn edges(&self) -> Result<Vec<MapEdge>> {
-        let mut statement = self
-            .connection
-            .prepare(
-                "SELECT odograph_edge.id, from_keyframe, to_keyframe, kind, odograph_edge.x_m, odograph_edge.y_m, odograph_edge.heading_rad, \
-                 log_height_ratio, odograph_edge.covariance, one.id IS NOT NULL AND other.id IS NOT NULL FROM odograph_edge \
-                 LEFT JOIN keyframes one ON one.id = from_keyframe LEFT JOIN keyframes other ON other.id = to_keyframe \
-                 ORDER BY odograph_edge.id",
-            )
-            .while_reading(&self.complaint)?;
+        let sql = format!(
+            "SELECT {COLUMNS}, one.id IS NOT NULL AND other.id IS NOT NULL FROM odograph_edge \
+             LEFT JOIN keyframes one ON one.id = from_keyframe LEFT JOIN keyframes other ON other.id = to_keyframe \
+             ORDER BY odograph_edge.id"
+        );
+        let mut statement = self.connection.prepare(&sql).while_reading(&self.complaint)?;
         let mut rows = statement.query([]).while_reading(&self.complaint)?;
         let mut edges = Vec::new();
         while let Some(row) = rows.next().while_reading(&self.complaint)? {
-            let (number, from, to, kind, motion, covariance, tied) = (|| -> rusqlite::Result<_> {
-                let motion = Vector4::new(row.get(4)?, row.get(5)?, row.get(6)?, row.get(7)?);
-                let ends: (u64, u64) = (row.get(1)?, row.get(2)?);
-                let covariance: Vec<u8> = row.get(8)?;
-                Ok((
-                    row.get::<_, i64>(0)?,
-                    ends.0,
-                    ends.1,
-                    row.get::<_, String>(3)?,
-                    motion,
-                    covariance,
-                    row.get::<_, bool>(9)?,
-                ))
-            })()
-            .while_reading(&self.complaint)?;
-            let bad = |what: &str| {
-                self.complaint.input(format!("edge {number}, from keyframe {from} to {to}, {what}"))
-            };
-            if !tied || from == to {
-                return Err(bad("does not connect two keyframes of the map"));
-            }
-            if !motion.iter().all(|value: &f64| value.is_finite()) {
-                return Err(bad("has a motion that is not finite"));
-            }
-            edges.push(MapEdge {
-                from: KeyframeId(from),
-                to: KeyframeId(to),
-                kind: kind_named(&kind).ok_or_else(|| bad("is of a kind that this program does not know"))?,
-                motion,
-                covariance: symmetric_from_bytes(&covariance)
-                    .ok_or_else(|| bad("has an invalid covariance"))?,
-            });
+            let stored = StoredEdge::read(row).while_reading(&self.complaint)?;
+            let tied: bool = row.get(9).while_reading(&self.complaint)?;
+            let edge = if tied { stored.edge() } else { Err("does not connect two keyframes of the map") };
+            edges.push(edge.map_err(|what| {
+                let StoredEdge { number, from, to, .. } = stored;
+                self.complaint.damage(format!("edge {number}, from keyframe {from} to {to}, {what}"))
+            })?);
         }
         Ok(edges)
+    }
+}
+
+/// Columns of an edge as [`StoredEdge::read`] takes them.
+pub(crate) const COLUMNS: &str = "odograph_edge.id, from_keyframe, to_keyframe, kind, odograph_edge.x_m, odograph_edge.y_m, \
+                                  odograph_edge.heading_rad, log_height_ratio, odograph_edge.covariance";
+
+/// An edge as it is in the file, before its values are checked.
+pub(crate) struct StoredEdge {
+    pub number: i64,
+    pub from: u64,
+    pub to: u64,
+    kind: String,
+    motion: Vector4<f64>,
+    covariance: Vec<u8>,
+}
+
+impl StoredEdge {
+    /// Reads a row of [`COLUMNS`].
+    pub fn read(row: &Row<'_>) -> rusqlite::Result<Self> {
+        Ok(Self {
+            number: row.get(0)?,
+            from: row.get(1)?,
+            to: row.get(2)?,
+            kind: row.get(3)?,
+            motion: Vector4::new(row.get(4)?, row.get(5)?, row.get(6)?, row.get(7)?),
+            covariance: row.get(8)?,
+        })
+    }
+
+    /// The edge, or the end of a sentence about what is wrong with it.
+    pub fn edge(&self) -> std::result::Result<MapEdge, &'static str> {
+        if self.from == self.to {
+            return Err("does not connect two keyframes of the map");
+        }
+        if !self.motion.iter().all(|value| value.is_finite()) {
+            return Err("has a motion that is not finite");
+        }
+        Ok(MapEdge {
+            from: KeyframeId(self.from),
+            to: KeyframeId(self.to),
+            kind: kind_named(&self.kind).ok_or("is of a kind that this program does not know")?,
+            motion: self.motion,
+            covariance: symmetric_from_bytes(&self.covariance).ok_or("has an invalid covariance")?,
+        })
     }
 }
 

@@ -132,29 +132,25 @@ impl MapFile {
             write_ahead(&connection).while_writing(&complaint)?;
         }
         let camera = read_camera(&connection, &complaint)?;
-        let rig = connection
-            .query_row(
-                "SELECT height_m, roll_rad, pitch_rad, yaw_rad FROM odograph_rig WHERE id = 1",
-                [],
-                |row| {
-                    Ok(Rig {
-                        height_m: row.get(0)?,
-                        roll_rad: row.get(1)?,
-                        pitch_rad: row.get(2)?,
-                        yaw_rad: row.get(3)?,
-                    })
-                },
-            )
-            .while_reading(&complaint)?
-            .validated()
-            .map_err(|error| complaint.input(error))?;
-        if rig.height_m > GREATEST_HEIGHT_M {
-            return Err(complaint.input(format!(
-                "the camera is {:e} m above the ground; no camera over ground is that high",
-                rig.height_m
-            )));
-        }
+        let rig = read_rig(&connection, &complaint)?;
         Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim })
+    }
+
+    /// Opens a damaged map to save what can be read of it: neither its length nor its tables are
+    /// checked, and everything but camera and mounting may be unreadable.
+    pub(crate) fn open_damaged(path: &Path) -> Result<Self> {
+        let complaint = Complaint::about(path);
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(path, flags).while_reading(&complaint)?;
+        prepare(&connection)
+            // Without this SQLite reads nothing of a file that was cut off. Nothing is written: the
+            // connection is read-only.
+            .and_then(|()| connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, false))
+            .and_then(|_| connection.pragma_update(None, "writable_schema", true))
+            .while_reading(&complaint)?;
+        let camera = read_camera(&connection, &complaint)?;
+        let rig = read_rig(&connection, &complaint)?;
+        Ok(Self { connection, complaint, path: path.to_owned(), camera, rig, claim: None })
     }
 
     /// Deletes a map with its write-ahead log. Succeeds if there is none; fails if another program
@@ -243,7 +239,7 @@ impl MapFile {
             .query_row("PRAGMA integrity_check(1)", [], |row| row.get(0))
             .while_reading(&self.complaint)?;
         if found != "ok" {
-            return Err(self.complaint.input(format!("the file is damaged: {}", found.replace('\n', " "))));
+            return Err(self.complaint.damage(format!("the file is damaged: {}", found.replace('\n', " "))));
         }
         for keyframe in self.map()?.keyframes {
             self.load(keyframe.id)?;
@@ -352,6 +348,32 @@ fn write_camera(connection: &Connection, camera: &Camera) -> rusqlite::Result<()
         params![camera.width(), camera.height(), fx, fy, cx, cy, name_of(camera.distortion()), coefficients],
     )?;
     Ok(())
+}
+
+fn read_rig(connection: &Connection, complaint: &Complaint) -> Result<Rig> {
+    let rig = connection
+        .query_row(
+            "SELECT height_m, roll_rad, pitch_rad, yaw_rad FROM odograph_rig WHERE id = 1",
+            [],
+            |row| {
+                Ok(Rig {
+                    height_m: row.get(0)?,
+                    roll_rad: row.get(1)?,
+                    pitch_rad: row.get(2)?,
+                    yaw_rad: row.get(3)?,
+                })
+            },
+        )
+        .while_reading(complaint)?
+        .validated()
+        .map_err(|error| complaint.input(error))?;
+    if rig.height_m > GREATEST_HEIGHT_M {
+        return Err(complaint.input(format!(
+            "the camera is {:e} m above the ground; no camera over ground is that high",
+            rig.height_m
+        )));
+    }
+    Ok(rig)
 }
 
 fn read_camera(connection: &Connection, complaint: &Complaint) -> Result<Camera> {

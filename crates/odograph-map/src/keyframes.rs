@@ -18,9 +18,10 @@ use std::collections::BTreeMap;
 
 const INSERT: &str = "INSERT INTO keyframes VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, \
                       ?21, ?22, ?23, ?24, ?25)";
-const SELECT: &str = "SELECT keyframes.id, session, segment, frame, time_s, x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad, odometry_x_m, \
-                      odometry_y_m, odometry_heading_rad, odometry_height_m, odometry_roll_rad, odometry_pitch_rad, covariance, bytes \
-                      FROM keyframes LEFT JOIN odograph_signature ON keyframe = keyframes.id ORDER BY keyframes.id";
+/// Columns of a keyframe as [`read`] takes them, but for the signature.
+pub(crate) const COLUMNS: &str = "keyframes.id, session, segment, frame, time_s, x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad, \
+                                  odometry_x_m, odometry_y_m, odometry_heading_rad, odometry_height_m, odometry_roll_rad, \
+                                  odometry_pitch_rad, covariance";
 const MOVE: &str = "UPDATE keyframes SET geom = ?2, x_m = ?3, y_m = ?4, heading_rad = ?5, height_m = ?6, roll_rad = ?7, pitch_rad = ?8, \
                     sd_x_m = ?9, sd_y_m = ?10, sd_heading_rad = ?11, sd_height_m = ?12, sd_roll_rad = ?13, sd_pitch_rad = ?14, \
                     covariance = ?15 WHERE id = ?1";
@@ -169,19 +170,23 @@ impl MapFile {
 
     /// The keyframes in the order of their ids.
     pub(crate) fn keyframes(&self) -> Result<Vec<MapKeyframe>> {
-        let mut statement = self.connection.prepare(SELECT).while_reading(&self.complaint)?;
+        let sql = format!(
+            "SELECT {COLUMNS}, bytes FROM keyframes LEFT JOIN odograph_signature ON keyframe = keyframes.id \
+             ORDER BY keyframes.id"
+        );
+        let mut statement = self.connection.prepare(&sql).while_reading(&self.complaint)?;
         let mut rows = statement.query([]).while_reading(&self.complaint)?;
         let mut keyframes = Vec::new();
         while let Some(row) = rows.next().while_reading(&self.complaint)? {
             let (keyframe, covariance, signature) = read(row).while_reading(&self.complaint)?;
-            let bad = |what: &str| self.complaint.input(format!("keyframe {} has {what}", keyframe.id.0));
+            let bad = |what: &str| self.complaint.damage(format!("keyframe {} has {what}", keyframe.id.0));
             if ![keyframe.pose, keyframe.odometry_pose].iter().all(is_pose) {
                 return Err(bad("a pose that no camera can have"));
             }
             let covariance =
                 symmetric_from_bytes(&covariance).ok_or_else(|| bad("a covariance that is none"))?;
             let signature = Signature::from_bytes(&signature.ok_or_else(|| bad("no signature"))?)
-                .map_err(|error| self.complaint.input(format!("keyframe {}: {error}", keyframe.id.0)))?;
+                .map_err(|error| self.complaint.damage(format!("keyframe {}: {error}", keyframe.id.0)))?;
             keyframes.push(MapKeyframe { covariance, signature, ..keyframe });
         }
         Ok(keyframes)
@@ -201,12 +206,12 @@ impl KeyframeImages for MapFile {
     fn load(&mut self, keyframe: KeyframeId) -> Result<KeyframeImage> {
         let stored = self.stored_image(keyframe)?;
         image::decode(&stored, (self.camera().width(), self.camera().height()))
-            .map_err(|why| self.complaint.input(format!("the image of keyframe {} {why}", keyframe.0)))
+            .map_err(|why| self.complaint.damage(format!("the image of keyframe {} {why}", keyframe.0)))
     }
 }
 
 impl MapFile {
-    fn stored_image(&self, keyframe: KeyframeId) -> Result<StoredImage> {
+    pub(crate) fn stored_image(&self, keyframe: KeyframeId) -> Result<StoredImage> {
         self.connection
             .prepare_cached(
                 "SELECT colored, luma_scale, luma_offset, jpeg FROM odograph_image WHERE keyframe = ?1",
@@ -224,17 +229,22 @@ impl MapFile {
                     .optional()
             })
             .while_reading(&self.complaint)?
-            .ok_or_else(|| self.complaint.input(format!("the image of keyframe {} is missing", keyframe.0)))
+            .ok_or_else(|| self.complaint.damage(format!("the image of keyframe {} is missing", keyframe.0)))
     }
 }
 
-fn is_pose(pose: &GroundPose) -> bool {
+pub(crate) fn is_pose(pose: &GroundPose) -> bool {
     let GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad } = *pose;
     [x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad].iter().all(|v| v.is_finite() && v.abs() < 1e12)
         && height_m > 0.0
 }
 
-fn insert(connection: &Connection, keyframe: &MapKeyframe, image: &StoredImage) -> rusqlite::Result<()> {
+/// Inserts a keyframe with its signature and image.
+pub(crate) fn insert(
+    connection: &Connection,
+    keyframe: &MapKeyframe,
+    image: &StoredImage,
+) -> rusqlite::Result<()> {
     let id = keyframe.id.0;
     let (now, then, cov) = (&keyframe.pose, &keyframe.odometry_pose, &keyframe.covariance);
     let sd = |k: usize| cov[(k, k)].max(0.0).sqrt();
@@ -331,7 +341,7 @@ pub(crate) fn pose_from(row: &Row<'_>, first: usize) -> rusqlite::Result<GroundP
 }
 
 /// A keyframe without covariance and signature, and the bytes of these.
-fn read(row: &Row<'_>) -> rusqlite::Result<(MapKeyframe, Vec<u8>, Option<Vec<u8>>)> {
+pub(crate) fn read(row: &Row<'_>) -> rusqlite::Result<(MapKeyframe, Vec<u8>, Option<Vec<u8>>)> {
     let pose = |first: usize| pose_from(row, first);
     let keyframe = MapKeyframe {
         id: KeyframeId(row.get(0)?),

@@ -16,6 +16,7 @@ mod keyframes;
 mod mosaic;
 mod numbers;
 mod paths;
+mod repair;
 mod schema;
 mod thinning;
 
@@ -24,4 +25,5 @@ pub use file::{MapFile, Session};
 pub use frames::FrameImages;
 pub use mosaic::MosaicLayer;
 pub use paths::{KeyframeMove, PathFrame, carried};
+pub use repair::{Repair, repair};
 pub use thinning::Thinning;

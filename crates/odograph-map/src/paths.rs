@@ -44,24 +44,20 @@ impl MapFile {
 
     /// The path of a session; empty if none is stored.
     pub fn path_of(&self, session: u32) -> Result<Vec<PathFrame>> {
-        let mut statement = self
-            .connection
-            .prepare(
-                "SELECT frame, segment, time_s, x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad FROM odograph_frame \
-                 WHERE session = ?1 ORDER BY frame",
-            )
-            .while_reading(&self.complaint)?;
-        let frame = |row: &Row<'_>| {
-            Ok(PathFrame {
-                frame: row.get(0)?,
-                segment: row.get(1)?,
-                time_s: row.get(2)?,
-                pose: pose_from(row, 3)?,
-            })
-        };
-        let rows = statement.query_map([session], frame).while_reading(&self.complaint)?;
+        let sql = format!("SELECT {COLUMNS} FROM odograph_frame WHERE session = ?1 ORDER BY frame");
+        let mut statement = self.connection.prepare(&sql).while_reading(&self.complaint)?;
+        let rows = statement.query_map([session], frame_from).while_reading(&self.complaint)?;
         rows.collect::<rusqlite::Result<_>>().while_reading(&self.complaint)
     }
+}
+
+/// Columns of a frame as [`frame_from`] takes them.
+pub(crate) const COLUMNS: &str =
+    "frame, segment, time_s, x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad";
+
+/// Reads a row of [`COLUMNS`].
+pub(crate) fn frame_from(row: &Row<'_>) -> rusqlite::Result<PathFrame> {
+    Ok(PathFrame { frame: row.get(0)?, segment: row.get(1)?, time_s: row.get(2)?, pose: pose_from(row, 3)? })
 }
 
 /// Correction of a keyframe's pose.

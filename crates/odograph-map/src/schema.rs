@@ -135,6 +135,30 @@ pub(crate) fn make(connection: &Connection) -> rusqlite::Result<()> {
 /// Checks, before SQLite opens it, that the file is a database and not truncated.
 pub(crate) fn check_bytes(path: &Path) -> Result<()> {
     let complaint = Complaint::about(path);
+    let (head, bytes) = check_is_database(path)?;
+    let page = match u16::from_be_bytes([head[16], head[17]]) {
+        1 => 65_536,
+        size => u64::from(size),
+    };
+    let pages = u64::from(u32::from_be_bytes([head[28], head[29], head[30], head[31]]));
+    // With a log beside it, the file itself may be shorter than its header states.
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    let logged = std::fs::metadata(&log).is_ok_and(|log| log.len() > 0);
+    if !logged && pages * page > bytes {
+        return Err(complaint.input(format!(
+            "the file is cut off: it should have {} bytes and has {}; copy it again from where it came, or save the \
+             rest with odograph map repair",
+            pages * page,
+            bytes
+        )));
+    }
+    Ok(())
+}
+
+/// Checks that the file begins as a database does; returns its header and its length.
+pub(crate) fn check_is_database(path: &Path) -> Result<(Vec<u8>, u64)> {
+    let complaint = Complaint::about(path);
     let cannot = |error: std::io::Error| complaint.input(format!("the map cannot be read: {error}"));
     let mut head = Vec::new();
     let file = File::open(path).map_err(cannot)?;
@@ -148,23 +172,7 @@ pub(crate) fn check_bytes(path: &Path) -> Result<()> {
             complaint.input("this is not a map file (a map is an SQLite database, written by odograph run)")
         );
     }
-    let page = match u16::from_be_bytes([head[16], head[17]]) {
-        1 => 65_536,
-        size => u64::from(size),
-    };
-    let pages = u64::from(u32::from_be_bytes([head[28], head[29], head[30], head[31]]));
-    // With a log beside it, the file itself may be shorter than its header states.
-    let mut log = path.as_os_str().to_owned();
-    log.push("-wal");
-    let logged = std::fs::metadata(&log).is_ok_and(|log| log.len() > 0);
-    if !logged && pages * page > metadata.len() {
-        return Err(complaint.input(format!(
-            "the file is cut off: it should have {} bytes and has {}; copy it again from where it came",
-            pages * page,
-            metadata.len()
-        )));
-    }
-    Ok(())
+    Ok((head, metadata.len()))
 }
 
 /// Whether this is an unfinished map of a program that was killed while creating it: an empty file,
@@ -199,15 +207,7 @@ pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
     let Some(_) = ours.filter(|sql| !sql.to_ascii_uppercase().starts_with("CREATE VIRTUAL")) else {
         return Err(complaint.input("this database is not a map of odograph (it has no table odograph_map)"));
     };
-    let version: i64 = connection
-        .query_row("SELECT schema_version FROM odograph_map WHERE id = 1", [], |row| row.get(0))
-        .while_reading(&complaint)?;
-    if version != SCHEMA_VERSION {
-        return Err(complaint.input(format!(
-            "the map has version {version} of its tables and this program reads version {SCHEMA_VERSION}; use the program that wrote it, \
-             or make the map again"
-        )));
-    }
+    check_version(connection, path)?;
     if number("application_id").while_reading(&complaint)? != APPLICATION_ID {
         return Err(
             complaint.input("the map is not marked as a GeoPackage; it has been changed by another program")
@@ -230,6 +230,21 @@ pub(crate) fn check(connection: &Connection, path: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Checks that a map has the version of tables that this program reads.
+pub(crate) fn check_version(connection: &Connection, path: &Path) -> Result<()> {
+    let complaint = Complaint::about(path);
+    let version: i64 = connection
+        .query_row("SELECT schema_version FROM odograph_map WHERE id = 1", [], |row| row.get(0))
+        .while_reading(&complaint)?;
+    if version != SCHEMA_VERSION {
+        return Err(complaint.input(format!(
+            "the map has version {version} of its tables and this program reads version {SCHEMA_VERSION}; use the program that wrote it, \
+             or make the map again"
+        )));
+    }
+    Ok(())
+}
+
 /// Checks that a map has no triggers, which would be executed on writing: a spatial index of
 /// another program would need functions of that program.
 pub(crate) fn check_writable(connection: &Connection, path: &Path) -> Result<()> {
@@ -240,7 +255,7 @@ pub(crate) fn check_writable(connection: &Connection, path: &Path) -> Result<()>
         .while_reading(&complaint)?;
     trigger.map_or(Ok(()), |name| {
         Err(complaint.input(format!(
-            "another program has put the trigger {name} into the map, so that it can be read but not written (a spatial index? remove it there)"
+            "another program has put the trigger {name} into the map, so that it can be read but not written (a spatial index? remove it there, or odograph map repair makes a map without it)"
         )))
     })
 }

@@ -62,6 +62,14 @@ impl Figures {
     }
 }
 
+impl LostStretch {
+    /// The reasons, as the end of a sentence.
+    pub fn because(&self) -> String {
+        let reasons: Vec<&str> = self.reasons.iter().map(|&reason| in_words(reason)).collect();
+        reasons.join("; then ")
+    }
+}
+
 /// Finds all intervals without a pose.
 pub fn lost_stretches(frames: &[FrameSummary]) -> Vec<LostStretch> {
     let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
@@ -117,7 +125,7 @@ pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
 }
 
 /// The reason as a sentence for the report.
-pub fn in_words(reason: LossReason) -> &'static str {
+fn in_words(reason: LossReason) -> &'static str {
     match reason {
         LossReason::Bare => "too little texture to track (bare floor, something over the lens)",
         LossReason::Dark => "too dark to see anything",

@@ -25,6 +25,7 @@ mod parts;
 mod plot;
 mod raster;
 
+pub use figures::{LostStretch, lost_stretches};
 pub use page::html;
 pub use raster::{MAP_WIDTH_PX, drawing_png, gray_picture};
 

@@ -2,15 +2,16 @@
 
 use super::charts::over_time;
 use super::evaluation_plot;
-use super::figures::{Figures, in_words, sigmas, weakest};
+use super::figures::{Figures, sigmas, weakest};
 use super::parts::{card, head, number, warnings};
 use odograph::camera::Distortion;
 use odograph::drawing::MapDrawing;
 use odograph::drawing::scale::{duration_text, length_text};
 use odograph::drawing::svg::{data_uri, escape};
 use odograph::filter::fusion::SensorReport;
+use odograph::geometry::GroundPoint;
 use odograph::trajectory::FrameSummary;
-use odograph_session::{ComparedReference, ReportInput};
+use odograph_session::{ComparedReference, ReportInput, ReportMosaic};
 use std::fmt::Write;
 
 /// Maximum number of rows in the table of losses; further ones are only counted.
@@ -122,15 +123,13 @@ fn cards(figures: &Figures, page: &mut String) {
         card(
             "From start to end",
             &length_text(away_m),
-            &format!(
-                "Straight from the first position to the last{share}. For a round trip that is the whole error."
-            ),
+            &format!("Straight from the first position to the last{share}."),
             page,
         );
         let (position_m, heading_rad) = sigmas(last);
         card(
             "Uncertainty at the end",
-            &format!("± {}", length_text(2.0 * position_m)),
+            &format!("± {}", uncertainty_text(2.0 * position_m)),
             &format!(
                 "And ± {}° of heading: two standard deviations since the start or the last loss, if camera and height are right.",
                 number(2.0 * heading_rad.to_degrees(), 2)
@@ -139,6 +138,11 @@ fn cards(figures: &Figures, page: &mut String) {
         );
     }
     page.push_str("</div>\n");
+}
+
+/// A standard deviation in the unit of the figures beside it: never smaller than a millimetre.
+fn uncertainty_text(deviation_m: f64) -> String {
+    if deviation_m < 1e-3 { format!("{} mm", number(1e3 * deviation_m, 2)) } else { length_text(deviation_m) }
 }
 
 /// Formats a position as `x, y unit`, to the millimetre or three digits.
@@ -152,7 +156,23 @@ fn position_text(x_m: f64, y_m: f64) -> String {
     format!("{}, {} {unit}", number(x_m / size_m, decimals), number(y_m / size_m, decimals))
 }
 
+/// The ground with the path over it, and the drawing of the path.
 fn ground(input: &ReportInput<'_>, page: &mut String) {
+    if let Some(mosaic) = &input.mosaic {
+        let _ = writeln!(
+            page,
+            "<h2>The path over the ground</h2>\n<figure><figcaption><span>The frames, orthorectified at their poses, and the \
+             path of the camera: <span class=\"key green\">start</span><span class=\"key red\">end</span>A pixel of {} is {} wide; its \
+             world file has its position.</span></figcaption>\n<div class=\"over\">\
+             <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground with the path of the camera\" src=\"{}\">{}</div></figure>",
+            escape(mosaic.file_name),
+            length_text(mosaic.placement.metres_per_pixel),
+            mosaic.width_px,
+            mosaic.height_px,
+            data_uri("image/png", mosaic.png),
+            path_over(mosaic, input.frames)
+        );
+    }
     let narrow = MapDrawing { width: 460.0, ..MapDrawing::default() }.svg(input.frames);
     let _ = writeln!(
         page,
@@ -161,19 +181,44 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
          <div class=\"wide\">{}</div><div class=\"narrow\">{narrow}</div></figure>",
         input.map_svg
     );
-    if let Some(mosaic) = &input.mosaic {
-        let _ = writeln!(
-            page,
-            "<h2>The ground</h2>\n<figure><figcaption><span>The frames, orthorectified at their poses. A \
-             pixel of {} is {} wide; its world file has its position.</span></figcaption>\n\
-             <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground\" src=\"{}\"></figure>",
-            escape(mosaic.file_name),
-            length_text(mosaic.placement.metres_per_pixel),
-            mosaic.width_px,
-            mosaic.height_px,
-            data_uri("image/png", mosaic.png)
-        );
+}
+
+/// The path in the pixels of the mosaic: a line for each segment, without points that no pixel
+/// separates.
+fn path_over(mosaic: &ReportMosaic<'_>, frames: &[FrameSummary]) -> String {
+    let mut lines: Vec<(u32, Vec<(f64, f64)>)> = vec![];
+    for frame in frames {
+        let Some(place) = &frame.place else { continue };
+        let at = mosaic.png_placement.pixel_from_ground(GroundPoint::new(place.x_m, place.y_m));
+        match lines.last_mut() {
+            Some((segment, line)) if *segment == frame.segment => {
+                let last = line[line.len() - 1];
+                if (at.0 - last.0).hypot(at.1 - last.1) > 1.0 {
+                    line.push(at);
+                }
+            }
+            _ => lines.push((frame.segment, vec![at])),
+        }
     }
+    // Pixel centres are at integers: the picture begins half a pixel before the first.
+    let mut svg =
+        format!("<svg viewBox=\"-0.5 -0.5 {} {}\" aria-hidden=\"true\">", mosaic.width_px, mosaic.height_px);
+    for class in ["casing", "path"] {
+        for (_, line) in &lines {
+            let points: Vec<String> = line.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+            let _ = write!(svg, "<polyline class=\"{class}\" points=\"{}\"/>", points.join(" "));
+        }
+    }
+    let radius = mosaic.width_px.max(mosaic.height_px) as f64 / 130.0;
+    let ends =
+        lines.first().and_then(|(_, line)| line.first()).zip(lines.last().and_then(|(_, line)| line.last()));
+    // The start is a ring around the end, which may lie on it.
+    for (class, (x, y), radius) in
+        ends.into_iter().flat_map(|(start, end)| [("start", start, 1.6 * radius), ("end", end, radius)])
+    {
+        let _ = write!(svg, "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\"/>");
+    }
+    svg + "</svg>"
 }
 
 fn beside(reference: Option<&ComparedReference>, page: &mut String) {
@@ -198,7 +243,12 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
     );
 }
 
+/// Where it was lost, and the frames with few inliers; nothing if it was sure everywhere.
 fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
+    let weak = unsure(frames);
+    if figures.lost.is_empty() && weak.is_empty() {
+        return;
+    }
     page.push_str("<h2>Where it was unsure</h2>\n");
     if figures.lost.is_empty() {
         page.push_str("<p>It was never lost.</p>\n");
@@ -207,7 +257,6 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
             "<div class=\"box scroll\"><table><tr><th>Lost</th><th>for</th><th>because</th></tr>\n",
         );
         for stretch in figures.lost.iter().take(MOST_ROWS) {
-            let reasons: Vec<&str> = stretch.reasons.iter().map(|&reason| in_words(reason)).collect();
             let _ = writeln!(
                 page,
                 "<tr><td class=\"time\">{:.2} – {:.2} s</td><td>{}, {} {}</td><td>{}</td></tr>",
@@ -216,7 +265,7 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
                 duration_text(stretch.to_s - stretch.from_s),
                 stretch.frames,
                 if stretch.frames == 1 { "frame" } else { "frames" },
-                reasons.join("; then ")
+                stretch.because()
             );
         }
         page.push_str("</table></div>\n");
@@ -224,13 +273,12 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
             let _ = writeln!(page, "<p>And {} stretches more.</p>", figures.lost.len() - MOST_ROWS);
         }
     }
-    let weak = weakest(frames, 6);
     if weak.is_empty() {
         return;
     }
     let start_s = frames.first().map_or(0.0, |frame| frame.time_s);
     page.push_str(
-        "<p>These frames had the fewest inliers:</p>\n<div class=\"box scroll\"><table class=\"figures\">\
+        "<p>These frames had few inliers:</p>\n<div class=\"box scroll\"><table class=\"figures\">\
          <tr><th class=\"number\">Frame</th><th class=\"number\">at</th><th class=\"number\">agreeing</th>\
          <th class=\"number\">of corners</th><th class=\"number\">residual</th></tr>\n",
     );
@@ -247,6 +295,17 @@ fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
         );
     }
     page.push_str("</table></div>\n");
+}
+
+/// The weakest frames of a run that have less than a quarter of the usual number of inliers.
+fn unsure(frames: &[FrameSummary]) -> Vec<&FrameSummary> {
+    let mut inliers: Vec<u32> =
+        frames.iter().filter(|frame| frame.place.is_some()).map(|frame| frame.inliers).collect();
+    inliers.sort_unstable();
+    let usual = inliers.get(inliers.len() / 2).copied().unwrap_or(0);
+    let mut weak = weakest(frames, 6);
+    weak.retain(|frame| 4 * frame.inliers < usual);
+    weak
 }
 
 /// Results of the other sensors; empty if there are none.
@@ -317,8 +376,18 @@ fn parameters(input: &ReportInput<'_>, page: &mut String) {
     }
     let _ = writeln!(
         page,
-        "</table></div>\n<p>All parameters as used; with this file the run can be repeated:</p>\n\
-         <div class=\"box\"><pre>{}</pre></div>",
+        "</table></div>\n<p>Beside this page: {}.</p>\n<details class=\"box\"><summary>All parameters as used: run.toml, \
+         with which the run can be repeated</summary><pre>{}</pre></details>",
+        files_beside(input),
         escape(input.run_toml)
     );
+}
+
+/// Links to the files that every run writes beside its report.
+fn files_beside(input: &ReportInput<'_>) -> String {
+    let always =
+        ["trajectory.csv", "trajectory.tum", "trajectory-smoothed.csv", "map.svg", "run.toml", "stats.json"];
+    let names = always.into_iter().chain(input.mosaic.iter().map(|mosaic| mosaic.file_name));
+    let links: Vec<String> = names.map(|name| format!("<a href=\"{0}\">{0}</a>", escape(name))).collect();
+    links.join(", ")
 }

@@ -1,7 +1,7 @@
 use super::*;
 use odograph::camera::{Camera, Distortion, Rig};
 use odograph::drawing::{Backdrop, MapDrawing};
-use odograph::geometry::{GroundPoint, GroundPose, Pixel, Ray};
+use odograph::geometry::{GroundPoint, GroundPose, Pixel, Placement, Ray};
 use odograph::image::RgbImage;
 use odograph::mosaic::{Mosaic, MosaicOptions};
 use odograph::trajectory::{FrameSummary, LossReason, PlaceSummary, TrackStatus};
@@ -80,6 +80,15 @@ fn mosaic_of(frames: &[FrameSummary], camera: &Camera) -> Mosaic {
 }
 
 fn report(frames: &[FrameSummary], title: &str, warnings: &[String]) -> String {
+    report_with(None, frames, title, warnings)
+}
+
+fn report_with(
+    mosaic: Option<ReportMosaic<'_>>,
+    frames: &[FrameSummary],
+    title: &str,
+    warnings: &[String],
+) -> String {
     let map = MapDrawing { title, ..MapDrawing::default() }.svg(frames);
     html(&ReportInput {
         interruption: None,
@@ -89,7 +98,7 @@ fn report(frames: &[FrameSummary], title: &str, warnings: &[String]) -> String {
         camera: &camera(),
         rig: &Rig::level(0.5),
         map_svg: &map,
-        mosaic: None,
+        mosaic,
         run_toml: "height_m = 0.5\nmodel = \"rigid\"\n",
         warnings,
         sensors: &[],
@@ -177,6 +186,46 @@ fn empty_and_wholly_lost_runs_have_a_report() {
 fn the_report_of_an_hour_is_small() {
     let page = report(&figure_eight(108_000), "an hour", &[]);
     assert!(page.len() < 3_000_000, "{} bytes", page.len());
+}
+
+#[test]
+fn the_path_lies_over_the_ground_it_saw() {
+    let frames = figure_eight(600);
+    // 4 m wide and 2 m high, 1 cm a pixel, the origin in the middle.
+    let placement = Placement { metres_per_pixel: 0.01, x_m: -1.995, y_m: 0.995 };
+    let mosaic = ReportMosaic {
+        png: &[],
+        width_px: 400,
+        height_px: 200,
+        png_placement: placement,
+        placement,
+        file_name: "mosaic.png",
+    };
+    let page = report_with(Some(mosaic), &frames, "drive", &[]);
+    assert_sound(&page);
+    let over = page.split("<div class=\"over\">").nth(1).unwrap().split("</svg>").next().unwrap();
+    assert!(over.contains("viewBox=\"-0.5 -0.5 400 200\""), "{over}");
+    // Two segments, each with its casing; from the origin, over a quarter of the eight to (1.6, 0).
+    let lines: Vec<&str> =
+        over.split("points=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+    assert_eq!(lines.len(), 4);
+    assert!(lines[0].starts_with("199.5,99.5 "), "{}", lines[0]);
+    let right = lines[0].split([' ', ',']).step_by(2).map(|x| x.parse::<f64>().unwrap()).fold(0.0, f64::max);
+    assert!((right - 359.5).abs() < 1.0, "{right}");
+}
+
+#[test]
+fn a_sure_run_has_no_section_about_doubts() {
+    let mut frames = figure_eight(600);
+    assert!(report(&frames, "drive", &[]).contains("Where it was unsure"));
+    frames.retain(|frame| frame.place.is_some());
+    frames.iter_mut().for_each(|frame| frame.segment = 0);
+    let page = report(&frames, "drive", &[]);
+    assert!(!page.contains("Where it was unsure"));
+    frames[70].inliers = 20;
+    let page = report(&frames, "drive", &[]);
+    assert!(page.contains("Where it was unsure") && page.contains("few inliers"));
+    assert_sound(&page);
 }
 
 /// Trajectories that are hard to draw well.
@@ -273,6 +322,7 @@ fn a_look() {
             png: &png,
             width_px: small.width,
             height_px: small.height,
+            png_placement: small.placement,
             placement: whole.placement,
             file_name: "mosaic.png",
         }),

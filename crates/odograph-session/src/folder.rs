@@ -88,13 +88,11 @@ impl OutputFolder {
         let own_map = path.join("map.gpkg");
         let is_there =
             |file: &PathBuf| if *file == own_map { MapFile::is_there(file) } else { file.exists() };
-        if let Some(there) =
-            RUN_FILES.iter().map(|name| path.join(name)).find(|file| is_there(file) && !force)
-        {
-            return Err(Error::usage(format!(
-                "{} is already there; choose another folder, or --force to overwrite it",
-                there.display()
-            )));
+        let growing_path = files::beside(&path.join("trajectory.csv"));
+        let has_frames = fs::metadata(&growing_path).is_ok_and(|file| file.len() > 0);
+        let there = RUN_FILES.iter().map(|name| path.join(name)).find(is_there);
+        if let Some(there) = there.or(has_frames.then(|| growing_path.clone())).filter(|_| !force) {
+            return Err(is_taken(path, &there));
         }
         let missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let made: Vec<PathBuf> = path.ancestors().take_while(missing).map(Path::to_owned).collect();
@@ -106,7 +104,6 @@ impl OutputFolder {
             undone(Error::output(format!("{} cannot be made: {error}", path.display())).caused_by(error))
         })?;
         let claims = claims(&own_map, &output.map).map_err(&undone)?;
-        let growing_path = files::beside(&path.join("trajectory.csv"));
         let growing = File::create(&growing_path)
             .map_err(|error| undone(files::cannot_be_written(&growing_path, error)))?;
         let had_map = MapFile::is_there(&own_map);
@@ -245,6 +242,23 @@ impl OutputFolder {
     pub fn finish(&mut self, statistics: &Statistics) -> Result<()> {
         self.write("stats.json", (statistics.json()? + "\n").as_bytes())
     }
+}
+
+/// The refusal of a folder with results: of a run that was killed it says what there is to do.
+fn is_taken(folder: &Path, there: &Path) -> Error {
+    let unfinished = !folder.join("stats.json").exists()
+        && (folder.join("run.toml").exists() || files::beside(&folder.join("trajectory.csv")).exists());
+    if unfinished {
+        return Error::usage(format!(
+            "{0} has a run that did not end; odograph view {0} shows what it has, and --force discards it and begins \
+             again",
+            folder.display()
+        ));
+    }
+    Error::usage(format!(
+        "{} is already there; choose another folder, or --force to overwrite it",
+        there.display()
+    ))
 }
 
 fn claims(own_map: &Path, map: &MapUse) -> Result<Vec<MapClaim>> {

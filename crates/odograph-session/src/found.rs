@@ -75,8 +75,8 @@ impl FoundMount {
     /// A warning for people.
     pub fn sentence(&self) -> String {
         format!(
-            "the camera sits at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as was told: the path was followed with the \
-             former, which is in run.toml; --rig tells it, odograph ground measures it, --motion rigid insists on what was told",
+            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as was told; this was \
+             found in the recording and used",
             self.roll_deg, self.pitch_deg, self.told_roll_deg, self.told_pitch_deg
         )
     }
@@ -169,13 +169,18 @@ impl FoundReadout {
         })
     }
 
+    /// Whether it is known well enough not to make distances uncertain.
+    pub fn is_known(&self) -> bool {
+        self.deviation_ms <= UNKNOWN_MS
+    }
+
     /// A warning for people.
     pub fn sentence(&self) -> Option<String> {
         let Self { readout_ms, deviation_ms, given } = *self;
         if given || (readout_ms == 0.0 && deviation_ms == 0.0) {
             return None;
         }
-        Some(if deviation_ms > UNKNOWN_MS {
+        Some(if !self.is_known() {
             format!(
                 "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned: nothing \
                  changed speed or turned enough; --readout-ms tells it, and 0 says that the shutter is global"

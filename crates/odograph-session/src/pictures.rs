@@ -135,6 +135,7 @@ pub fn write_page(
             png,
             width_px: mosaic.width,
             height_px: mosaic.height,
+            png_placement: mosaic.placement,
             placement: *placement,
             file_name: "mosaic.png",
         }),

@@ -61,6 +61,8 @@ pub struct ReportMosaic<'a> {
     pub width_px: usize,
     /// Height of the PNG, pixels.
     pub height_px: usize,
+    /// Georeference of the PNG.
+    pub png_placement: Placement,
     /// Georeference of the full-resolution mosaic.
     pub placement: Placement,
     /// File name of the full-resolution mosaic.

@@ -53,6 +53,13 @@ pub(crate) fn thinning(map: &GroundMap, most: usize) -> Thinning {
     Thinning { gone, edges: ties.composed(), ground_kept: coverage.kept() }
 }
 
+/// The edges of a map without some of its keyframes: edges through these are composed.
+pub(crate) fn edges_without(map: &GroundMap, gone: &[KeyframeId]) -> Vec<MapEdge> {
+    let mut ties = Ties::of(map);
+    gone.iter().for_each(|&keyframe| ties.take_out(keyframe));
+    ties.edges.into_iter().flatten().collect()
+}
+
 /// Cells covered by each keyframe, and the number of keyframes that cover each cell.
 struct Coverage {
     cells: Vec<Vec<usize>>,

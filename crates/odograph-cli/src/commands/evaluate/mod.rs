@@ -3,7 +3,7 @@
 mod figures;
 mod table;
 
-use crate::{Outcome, files, lengths};
+use crate::{Outcome, console, files, lengths};
 use clap::ValueEnum;
 use odograph::error::{Error, Result};
 use odograph::evaluation::{Alignment, Delta, Evaluation, EvaluationOptions, evaluate as measure};
@@ -11,7 +11,6 @@ use odograph::formats::trajectory_file::{Trajectory, TrajectoryFormat, parse_tim
 use odograph::trajectory::StampedPose;
 use odograph_report::evaluation_plot;
 use odograph_session::{read_trajectory, read_trajectory_text};
-use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -195,19 +194,14 @@ fn tell(
     } else {
         table::text(&arguments.estimate, &arguments.truth, options, evaluation, over_ground_m)
     };
-    match std::io::stdout().lock().write_all(text.as_bytes()) {
-        // The reader of a pipe may stop early.
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(Error::output(format!("the result cannot be printed: {error}")))
-        }
-        _ => Ok(()),
-    }
+    console::print(&text)
 }
 
 /// Length of a path over the ground (x and y), metres: what `odograph run` calls its distance.
 pub fn over_ground_m(trajectory: &Trajectory) -> f64 {
     let place = |pose: &StampedPose| pose.world_from_camera.translation.vector.xy();
-    trajectory.poses.windows(2).map(|two| (place(&two[1]) - place(&two[0])).norm()).sum()
+    // A fold: the sum of no numbers is −0.
+    trajectory.poses.windows(2).map(|two| (place(&two[1]) - place(&two[0])).norm()).fold(0.0, |a, b| a + b)
 }
 
 fn name(path: &Path) -> String {

@@ -5,13 +5,14 @@ mod info;
 mod merge;
 mod mosaic;
 mod optimize;
+mod repair;
 mod thin;
 
 use crate::Outcome;
 use odograph::error::{Error, Result};
 use std::path::Path;
 
-/// Show, join, export, optimise or thin a map.
+/// Show, join, export, optimise, thin or repair a map.
 #[derive(Debug, clap::Args)]
 pub struct MapArguments {
     #[command(subcommand)]
@@ -26,6 +27,7 @@ enum MapCommand {
     Mosaic(mosaic::MosaicArguments),
     Optimize(optimize::OptimizeArguments),
     Thin(thin::ThinArguments),
+    Repair(repair::RepairArguments),
 }
 
 /// Runs the command.
@@ -37,6 +39,7 @@ pub fn map(arguments: MapArguments) -> Result<Outcome> {
         MapCommand::Mosaic(arguments) => mosaic::mosaic(&arguments),
         MapCommand::Optimize(arguments) => optimize::optimize(&arguments),
         MapCommand::Thin(arguments) => thin::thin(&arguments),
+        MapCommand::Repair(arguments) => repair::repair(&arguments),
     }
 }
 

@@ -4,25 +4,70 @@ use crate::{console, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::trajectory::FrameEstimate;
 use odograph_session::Observer;
+use serde_json::json;
+use std::io::{Write, stderr};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Shows a progress bar, and ends the run at Ctrl-C.
+/// How progress is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Progress {
+    /// A bar, if standard error is a terminal.
+    Bar,
+    /// Lines of JSON on standard error, for other programs.
+    Json,
+}
+
+/// Frames from one line of progress to the next.
+const FRAMES_PER_LINE: u64 = 30;
+
+/// Shows progress, and ends the run at Ctrl-C.
 pub struct ConsoleObserver {
     quiet: bool,
-    /// Whether there is a bar.
-    shows_progress: bool,
+    /// How progress is shown; `None` if it is not.
+    progress: Option<Progress>,
     bar: Mutex<ProgressBar>,
+    counted: Mutex<Counted>,
+}
+
+/// What the lines of progress tell.
+#[derive(Debug, Default)]
+struct Counted {
+    frames: u64,
+    lost: u64,
+    of: Option<u64>,
 }
 
 impl ConsoleObserver {
     /// A `quiet` observer prints nothing.
     pub fn new(quiet: bool) -> Self {
-        Self { quiet, shows_progress: !quiet, bar: Mutex::new(ProgressBar::hidden()) }
+        Self {
+            quiet,
+            progress: (!quiet).then_some(Progress::Bar),
+            bar: Mutex::new(ProgressBar::hidden()),
+            counted: Mutex::default(),
+        }
+    }
+
+    /// The same with this kind of progress. Lines of JSON are written by a quiet one, too.
+    pub fn with_progress(self, progress: Progress) -> Self {
+        match progress {
+            Progress::Bar => self,
+            Progress::Json => Self { progress: Some(progress), ..self },
+        }
     }
 
     /// Without a progress bar, for runs that have a page instead.
     pub fn without_progress(quiet: bool) -> Self {
-        Self { shows_progress: false, ..Self::new(quiet) }
+        Self { progress: None, ..Self::new(quiet) }
+    }
+
+    /// Changes what is counted, and writes a line of it if `change` returns true.
+    fn count(&self, change: impl FnOnce(&mut Counted) -> bool) {
+        let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
+        if change(&mut counted) && self.progress == Some(Progress::Json) {
+            let Counted { frames, lost, of } = *counted;
+            let _ = writeln!(stderr(), "{}", json!({ "frames": frames, "of": of, "lost": lost }));
+        }
     }
 
     fn bar(&self) -> MutexGuard<'_, ProgressBar> {
@@ -32,17 +77,28 @@ impl ConsoleObserver {
 
 impl Observer for ConsoleObserver {
     fn tracking_begins(&self, frames: Option<u64>) {
-        if self.shows_progress {
+        if self.progress == Some(Progress::Bar) {
             *self.bar() = progress(frames);
         }
+        // Again where the recording starts again with another mount or lens.
+        self.count(|counted| {
+            *counted = Counted { of: frames, ..Counted::default() };
+            true
+        });
     }
 
-    fn frame(&self, _: &FrameEstimate) {
+    fn frame(&self, estimate: &FrameEstimate) {
         self.bar().inc(1);
+        self.count(|counted| {
+            counted.frames += 1;
+            counted.lost += u64::from(estimate.estimate.is_none());
+            counted.frames.is_multiple_of(FRAMES_PER_LINE)
+        });
     }
 
     fn tracking_ends(&self) {
         self.bar().finish_and_clear();
+        self.count(|counted| !counted.frames.is_multiple_of(FRAMES_PER_LINE));
     }
 
     fn warn(&self, sentence: &str) {

@@ -1,7 +1,7 @@
 //! Several recordings in one call: each has a folder of its own and the same result as alone; as
 //! many run concurrently as there are cores.
 
-use super::{ConsoleObserver, RunArguments};
+use super::{ConsoleObserver, Progress, RunArguments};
 use crate::{Outcome, console, interrupt};
 use odograph::error::{Error, ErrorKind, Result};
 use odograph_session::{RunEnd, RunOutcome, Statistics};
@@ -57,6 +57,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
         ("--timestamps", arguments.timestamps.is_some()),
         ("--gyro, --heading, --wheel, --range or a topic of them", !arguments.sensors.files().is_empty()),
         ("--reference", arguments.reference.is_some()),
+        ("--progress json", arguments.progress == Progress::Json),
     ];
     if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {
         return Err(Error::usage(format!("{option} belongs to one recording; run it by itself")));

@@ -8,6 +8,7 @@ mod tell;
 
 use crate::{Outcome, console, files};
 pub use console_observer::ConsoleObserver;
+use console_observer::Progress;
 pub use mounted_camera::{Motion, MountedCamera};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
@@ -82,6 +83,12 @@ pub struct RunArguments {
     /// folder frames/; with a number where that is there already]
     #[arg(help_heading = "Results", short = 'o', long = "output", value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
+    /// How progress is shown on standard error.
+    ///
+    /// A line of JSON every 30 frames: {"frames":30,"lost":0,"of":1083}. `of` is null where the number
+    /// of frames is not known; the count begins again where the run does.
+    #[arg(help_heading = "Results", long, value_name = "FORM", default_value = "bar")]
+    pub progress: Progress,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -216,7 +223,7 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
     }
     let builder = arguments.builder(&arguments.source, &folder)?;
     arguments.mounted.question(quiet);
-    let observer = ConsoleObserver::new(quiet);
+    let observer = ConsoleObserver::new(quiet).with_progress(arguments.progress);
     let run = builder.open(&observer)?;
     tell_folder();
     let outcome = run.follow(&observer)?;

@@ -2,6 +2,7 @@
 
 use crate::console;
 use odograph::error::Result;
+use odograph_report::{LostStretch, lost_stretches};
 use odograph_session::{RunEnd, RunOutcome};
 
 /// Prints the result and where to look.
@@ -16,9 +17,23 @@ pub fn tell(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()> {
     if quiet {
         return Ok(());
     }
+    // What was found and used is nothing to be warned of.
+    let found = [
+        statistics.mount.as_ref().map(|mount| mount.sentence()),
+        statistics
+            .readout
+            .as_ref()
+            .filter(|readout| readout.is_known())
+            .and_then(|readout| readout.sentence()),
+    ];
     for warning in &outcome.warnings {
-        console::warn(warning);
+        if found.iter().flatten().any(|found| found == warning) {
+            console::note(warning);
+        } else {
+            console::warn(warning);
+        }
     }
+    losses(&lost_stretches(&outcome.trajectory));
     if let Some(interruption) = statistics.interruption() {
         console::warn(&format!("{interruption}; what there is up to there has been written"));
     }
@@ -30,4 +45,22 @@ pub fn tell(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()> {
         ));
     }
     Ok(())
+}
+
+/// Number of losses that are told one by one.
+const MOST_LOSSES: usize = 5;
+
+/// Tells when and why tracking was lost.
+fn losses(stretches: &[LostStretch]) {
+    for stretch in stretches.iter().take(MOST_LOSSES) {
+        console::note(&format!(
+            "lost from {:.2} to {:.2} s: {}",
+            stretch.from_s,
+            stretch.to_s,
+            stretch.because()
+        ));
+    }
+    if stretches.len() > MOST_LOSSES {
+        console::note(&format!("and {} more losses, which the report lists", stretches.len() - MOST_LOSSES));
+    }
 }
