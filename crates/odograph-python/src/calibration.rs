@@ -306,8 +306,8 @@ impl Calibration {
         Array2::from_shape_fn(matrix.shape(), |(row, column)| matrix[(row, column)]).into_pyarray(py)
     }
 
-    /// The views, a dict each: name, used, rms (pixels, NaN without a pose), camera_from_board (4×4,
-    /// metres) and why_not, a remark or None.
+    /// The views, a dict each: name, used, rms (pixels, NaN without a pose), camera_from_board
+    /// (4×4, metres) and why_not, a remark or None.
     #[getter]
     fn views<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyList>> {
         let entry = |(view, name): (&odograph_calibration::CalibratedView, &String)| -> PyResult<_> {

@@ -126,8 +126,8 @@ impl Evaluation {
         figures(py, &self.0.absolute.rotation)
     }
 
-    /// N×3: time of each compared pose, seconds, its position error, metres, and its rotation error,
-    /// radians.
+    /// N×3: time of each compared pose, seconds, its position error, metres, and its rotation
+    /// error, radians.
     #[getter]
     fn errors<'py>(&self, py: Python<'py>) -> Matrix<'py> {
         let (pairs, absolute) = (&self.0.pairs, &self.0.absolute);
@@ -194,7 +194,8 @@ impl Evaluation {
         self.0.truth_length_m
     }
 
-    /// Least-squares scale of the estimate's lengths, whatever the alignment; None if not determined.
+    /// Least-squares scale of the estimate's lengths, whatever the alignment; None if not
+    /// determined.
     #[getter]
     fn scale(&self) -> Option<f64> {
         self.0.scale

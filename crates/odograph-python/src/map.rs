@@ -207,7 +207,8 @@ impl Place {
         self.place.map(|place| place.frame)
     }
 
-    /// The nearest keyframe of the map, how far it is in metres, and its session; None if not found.
+    /// The nearest keyframe of the map, how far it is in metres, and its session; None if not
+    /// found.
     #[getter]
     fn nearest(&self) -> Option<(u64, f64, u32)> {
         self.place.map(|place| (place.keyframe, place.keyframe_distance_m, place.session))

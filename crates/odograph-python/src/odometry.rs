@@ -32,10 +32,10 @@ pub fn motion(name: &str) -> Result<MotionModel> {
 /// Visual odometry, one image after the other.
 ///
 /// camera is a Camera or the path of a camera file; its mount is height, metres above the ground
-/// looking straight down, or rig, a Rig or the path of a rig file. motion is what may change between
-/// frames: "auto", "rigid" (fixed height and tilt), "similarity" (the height changes), "free"
-/// (height and tilt change) or "mean" (the mean vector, for comparison). mask is an image of the
-/// camera's size, black where there is no ground.
+/// looking straight down, or rig, a Rig or the path of a rig file. motion is what may change
+/// between frames: "auto", "rigid" (fixed height and tilt), "similarity" (the height changes),
+/// "free" (height and tilt change) or "mean" (the mean vector, for comparison). mask is an image of
+/// the camera's size, black where there is no ground.
 ///
 /// Loops are not closed here, and a wrong tilt or lens is not sought: run does that.
 #[pyclass(frozen, module = "odograph")]

@@ -32,7 +32,8 @@ use std::time::Duration;
 /// ground; with loops=False ground that was seen before is not looked for; threads are as many as
 /// help, and the results are the same for any number.
 ///
-/// Warnings of the run are Python warnings too. Ctrl-C ends the run: what there is has been written.
+/// Warnings of the run are Python warnings too. Ctrl-C ends the run: what there is has been
+/// written.
 #[pyfunction]
 #[pyo3(signature = (
     source, camera = None, height = None, *, rig = None, field_of_view = None, output = None, map = None,

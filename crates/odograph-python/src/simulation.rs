@@ -36,8 +36,8 @@ pub struct Simulation(Rendered);
 ///
 /// camera is a Camera or the path of a camera file; by default one of 65° with mild barrel
 /// distortion and images of size (width, height) pixels. Its mount is height, metres above the
-/// ground, or rig. noise is that of the sensor, standard deviation in gray levels; blur the exposure
-/// time and readout the rolling shutter's, seconds.
+/// ground, or rig. noise is that of the sensor, standard deviation in gray levels; blur the
+/// exposure time and readout the rolling shutter's, seconds.
 #[pyfunction]
 #[pyo3(signature = (
     path = "square", *, length = None, speed = 0.5, turn_rate = std::f64::consts::FRAC_PI_6, duration = None,
