@@ -24,7 +24,7 @@ pub use drawing::{Drawing, Rectangle, Shape};
 pub use extrinsics::{
     BoardDirection, BoardMounting, FloorBoard, MountingView, ambiguity_turns, rig_from_boards,
 };
-pub use finder::{BoardFinder, NotFound};
+pub use finder::{BoardFinder, NotFound, nothing_found};
 pub use solver::{
     BoardPose, BoardShape, CalibratedView, Calibration, CalibrationConfig, Candidate, LensModel, Parameter,
     Verdict, board_pose, calibrate,

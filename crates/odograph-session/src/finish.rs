@@ -54,7 +54,7 @@ pub fn finish(
     run.tell_camera()?;
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
-    let frames = improved.summaries(&mut run.tracked)?;
+    let frames = improved.summaries(&mut run.tracked, ending.observer)?;
     let Improved { mut corrected, sensors, loops, .. } = improved;
     run.draw(corrected.as_mut(), &frames, &sensors)?;
     run.end(frames, &sensors, loops)
@@ -88,11 +88,12 @@ struct Improved {
 }
 
 impl Improved {
-    /// Their summaries for drawings.
-    fn summaries(&mut self, tracked: &mut Tracked) -> Result<Vec<FrameSummary>> {
+    /// Their summaries for drawings; the observer hears of each.
+    fn summaries(&mut self, tracked: &mut Tracked, observer: &dyn Observer) -> Result<Vec<FrameSummary>> {
         let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         let mut summaries = Vec::with_capacity(frames.count());
         frames.each(|frame, _| {
+            observer.final_frame(frame);
             summaries.push(frame.into());
             Ok(())
         })?;

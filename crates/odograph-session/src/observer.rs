@@ -22,6 +22,12 @@ pub trait Observer: Sync {
     /// Tracking has ended; improving, drawing and writing follow.
     fn tracking_ends(&self) {}
 
+    /// The final estimate of a frame, with loops closed and other sensors used, as `trajectory.csv`
+    /// has it. Called for every frame in order, after the trajectories were written.
+    fn final_frame(&self, estimate: &FrameEstimate) {
+        let _ = estimate;
+    }
+
     /// Something about the input that a person should check before waiting for the result, as a
     /// sentence. Warnings about the result are in the outcome instead.
     fn warn(&self, sentence: &str) {

@@ -8,6 +8,7 @@ use odograph::place_recognition::{PlaceHypothesis, PlaceIndex, PlacesConfig};
 use odograph::slam::Mapper;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// Places of the map that one keyframe of the recording resembles, and the conclusion.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,6 +40,32 @@ impl Verdict {
             Self::TooFewFeatures => "too-few-features",
             Self::Repeats => "repeats",
             Self::Ambiguous => "ambiguous",
+        }
+    }
+
+    /// Why nothing was found, for people: of a source with so many places that look alike.
+    pub fn sentence(self, source: &str, map: &Path, alike: usize) -> String {
+        let map = map.display();
+        match self {
+            Self::NeverSeen => {
+                format!(
+                    "not found: {source} resembles nothing in {map}; this ground was probably never mapped"
+                )
+            }
+            Self::TooFewFeatures => format!(
+                "cannot tell: {source} shows too little texture to be recognised in {map}; it may be blurred or dark"
+            ),
+            Self::Repeats => format!(
+                "cannot tell: what {source} shows repeats itself, and looks alike in many places of {map}"
+            ),
+            Self::Ambiguous if alike == 1 => {
+                format!("cannot tell: {source} looks like one place of {map}, but that is not certain")
+            }
+            Self::Ambiguous => {
+                format!(
+                    "cannot tell: {source} looks like {alike} places of {map}, and none of them is certain"
+                )
+            }
         }
     }
 }

@@ -6,7 +6,7 @@ mod clip;
 
 use odograph::error::{ErrorKind, Result};
 use odograph::formats::trajectory_file::parse_tum;
-use odograph::trajectory::FrameEstimate;
+use odograph::trajectory::{FrameEstimate, FrameSummary};
 use odograph_session::{MapUse, Observer, ReportInput, RunBuilder, RunEnd, RunReporter, SourcePlan};
 use std::error::Error;
 use std::fs;
@@ -19,6 +19,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 struct Listening {
     heard: Mutex<Vec<String>>,
     frames: AtomicU64,
+    finals: Mutex<Vec<FrameSummary>>,
     stops_after: Option<u64>,
 }
 
@@ -33,6 +34,10 @@ impl Observer for Listening {
 
     fn tracking_ends(&self) {
         self.heard.lock().unwrap().push("ends".to_owned());
+    }
+
+    fn final_frame(&self, estimate: &FrameEstimate) {
+        self.finals.lock().unwrap().push(estimate.into());
     }
 
     fn warn(&self, sentence: &str) {
@@ -66,6 +71,7 @@ fn a_run_returns_what_it_writes_and_tells_how_it_goes() {
     assert_eq!((outcome.trajectory.len(), outcome.statistics.frames), (40, 40));
     assert_eq!(observer.frames.into_inner(), 40);
     assert_eq!(observer.heard.into_inner().unwrap(), ["begins true", "ends"]);
+    assert_eq!(observer.finals.into_inner().unwrap(), outcome.trajectory);
     let text = fs::read_to_string(folder.path().join("trajectory.tum")).unwrap();
     let poses = parse_tum(&text).unwrap().poses;
     let places: Vec<_> = outcome.trajectory.iter().filter_map(|frame| frame.place).collect();

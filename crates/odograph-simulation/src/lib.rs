@@ -18,6 +18,7 @@ mod effects;
 mod fixtures;
 mod ground;
 mod noise;
+mod ordinary;
 mod path;
 mod patterns;
 mod photograph;
@@ -37,6 +38,7 @@ pub use effects::{
 };
 pub use fixtures::{Bumper, Dirt, Lamp};
 pub use ground::Ground;
+pub use ordinary::ordinary_camera;
 pub use path::{Path, PathKind};
 pub use photograph::Tiling;
 pub use renderer::Renderer;

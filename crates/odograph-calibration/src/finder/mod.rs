@@ -20,6 +20,7 @@ mod tagged;
 mod tests;
 
 use super::{Board, BoardKind, BoardView};
+use odograph::error::Error;
 use odograph::image::GrayImage;
 use std::fmt;
 
@@ -144,4 +145,34 @@ impl BoardFinder {
             _ => self.tagged.as_ref().ok_or(NotFound::NoMarkers)?.find(image),
         }
     }
+}
+
+/// The error that a board was found nowhere, and what to do: of so many frames or `pictures` that
+/// were looked at, with the most frequent reason and its count.
+pub fn nothing_found(
+    board: &Board,
+    looked_at: u64,
+    pictures: bool,
+    mostly: Option<(&dyn fmt::Display, u64)>,
+) -> Error {
+    let of = match looked_at {
+        0 => return Error::input("it has no frame in the chosen range"),
+        1 => "the one picture".to_owned(),
+        n if pictures => format!("any of {n} pictures"),
+        n => format!("any of {n} frames"),
+    };
+    let why = mostly.map_or_else(String::new, |(reason, count)| {
+        if count == looked_at { format!(" ({reason})") } else { format!(" (mostly: {reason})") }
+    });
+    let check = match board.kind() {
+        BoardKind::Chessboard => {
+            "count its inner corners, one less than squares, and keep the whole board in the image"
+        }
+        BoardKind::Circles | BoardKind::AsymmetricCircles => {
+            "count its discs again and keep the whole board in the image"
+        }
+        BoardKind::Charuco { .. } => "count its squares again and check the dictionary of its markers",
+        _ => "count its tags again and check that they are of the family 36h11",
+    };
+    Error::input(format!("the board {board} was not found in {of}{why}; {check}"))
 }

@@ -17,7 +17,11 @@ pub use sharpness::blur_px;
 
 use super::{Board, BoardView};
 use nominal::{Seen, nominal_focal_px};
+use odograph::error::{Error, Result};
 use worth::Knowledge;
+
+/// Minimum number of distinct views that determine a camera.
+pub const LEAST_VIEWS: usize = 3;
 
 /// Configuration of the view selection.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -110,6 +114,21 @@ impl ViewSelector {
     /// Number of distinct views in memory.
     pub fn distinct(&self) -> usize {
         self.with_last().kept.len()
+    }
+
+    /// Fails, with what to do, unless there are enough distinct views for a calibration.
+    pub fn enough(&self) -> Result<()> {
+        let (seen, distinct) = (self.sightings, self.distinct());
+        let alike = match (seen, distinct) {
+            (_, LEAST_VIEWS..) => return Ok(()),
+            (1, _) => "the board was seen in one view only".to_owned(),
+            (_, 0) => format!("the {seen} views of the board show too few of its points"),
+            (_, 1) => format!("all {seen} views show the board at the same place"),
+            _ => format!("the {seen} views show the board at only {distinct} different places"),
+        };
+        Err(Error::input(format!(
+            "{alike}; show it at 15 to 40 places: in the corners of the image, near and far, and tilted to all sides"
+        )))
     }
 
     /// The selected sightings, sorted by number.

@@ -9,7 +9,7 @@ use odograph_session::{
     AlikePlace, MapUse, PlaceInMap, RunBuilder, RunOutcome, SourcePlan, Statistics, Verdict,
 };
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Find where a picture or a recording was taken in a map.
 ///
@@ -148,31 +148,9 @@ fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
         report.warnings.iter().for_each(|warning| console::warn(warning));
     }
     if report.place.is_none() {
-        console::error(&not_found(&arguments.source, &arguments.map, verdict, alike.len()));
+        console::error(&verdict.sentence(&arguments.source, &arguments.map, alike.len()));
     }
     Ok(())
-}
-
-/// Why nothing was found.
-fn not_found(source: &str, map: &Path, verdict: Verdict, alike: usize) -> String {
-    let map = map.display();
-    match verdict {
-        Verdict::NeverSeen => {
-            format!("not found: {source} resembles nothing in {map}; this ground was probably never mapped")
-        }
-        Verdict::TooFewFeatures => format!(
-            "cannot tell: {source} shows too little texture to be recognised in {map}; it may be blurred or dark"
-        ),
-        Verdict::Repeats => format!(
-            "cannot tell: what {source} shows repeats itself, and looks alike in many places of {map}"
-        ),
-        Verdict::Ambiguous if alike == 1 => {
-            format!("cannot tell: {source} looks like one place of {map}, but that is not certain")
-        }
-        Verdict::Ambiguous => {
-            format!("cannot tell: {source} looks like {alike} places of {map}, and none of them is certain")
-        }
-    }
 }
 
 /// A place where the camera may be.

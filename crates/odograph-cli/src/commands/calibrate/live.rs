@@ -2,7 +2,7 @@
 //! next, until the result is good.
 
 use super::search::{Gathering, look};
-use super::{CalibrateArguments, Calibrated, LEAST_VIEWS, Source, conclude, input::Look, output::Output};
+use super::{CalibrateArguments, Calibrated, Source, conclude, input::Look, output::Output};
 use crate::commands::live::{Offer, Serving};
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
@@ -11,7 +11,7 @@ use odograph::image::GrayImage;
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::TrackView;
-use odograph_calibration::selection::{Coverage, Guidance, SelectionConfig, ViewSelector};
+use odograph_calibration::selection::{Coverage, Guidance, LEAST_VIEWS, SelectionConfig, ViewSelector};
 use odograph_calibration::{Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};

@@ -9,12 +9,15 @@ mod summary;
 use super::live::{CaptureArguments, ServeArguments};
 use crate::{Outcome, console, files, interrupt};
 use input::Input;
-use odograph::error::{Error, Result};
+use odograph::error::Result;
 use odograph_calibration::selection::{Guidance, SelectionConfig, Sighting};
-use odograph_calibration::{Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict};
+use odograph_calibration::{
+    Board, BoardView, Calibration, CalibrationConfig, LensModel, Verdict, nothing_found,
+};
 use odograph_video::SourceOptions;
 use output::Output;
 use search::Search;
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -137,9 +140,6 @@ impl Model {
     }
 }
 
-/// Minimum number of different views that determine a camera.
-const LEAST_VIEWS: usize = 3;
-
 /// A calibration with what it was made from.
 struct Calibrated {
     board: Board,
@@ -256,23 +256,13 @@ fn choose<'a>(
     board: &Board,
     place: &str,
 ) -> Result<(Guidance, Vec<&'a Sighting>)> {
-    let seen = search.found.with_board;
-    if seen == 0 {
-        return Err(summary::nothing_found(search, board).at(place));
+    if search.found.with_board == 0 {
+        let found = &search.found;
+        let mostly = found.reasons.first().map(|(reason, count)| (reason as &dyn Display, *count));
+        let pictures = !found.pictures_without.is_empty();
+        return Err(nothing_found(board, found.looked_at, pictures, mostly).at(place));
     }
-    let distinct = search.selector.distinct();
-    if distinct < LEAST_VIEWS {
-        let alike = match (seen, distinct) {
-            (1, _) => "the board was seen in one view only".to_owned(),
-            (_, 0) => format!("the {seen} views of the board show too few of its points"),
-            (_, 1) => format!("all {seen} views show the board at the same place"),
-            _ => format!("the {seen} views show the board at only {distinct} different places"),
-        };
-        return Err(Error::input(format!(
-            "{alike}; show it at 15 to 40 places: in the corners of the image, near and far, and tilted to all sides"
-        ))
-        .at(place));
-    }
+    search.selector.enough().map_err(|error| error.at(place))?;
     let guidance = search.selector.guidance();
     let all = search.pictures.len() <= most_views && !search.pictures.is_empty();
     let chosen = if all { search.pictures.iter().collect() } else { search.selector.chosen() };

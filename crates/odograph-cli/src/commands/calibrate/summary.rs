@@ -2,36 +2,10 @@
 
 use super::Calibrated;
 use super::output::Output;
-use super::search::Search;
 use crate::report::calibration::{lens_name, pixels_text};
 use odograph::drawing::scale::label;
-use odograph::error::Error;
-use odograph_calibration::{Board, BoardKind, Calibration, Verdict};
+use odograph_calibration::{Calibration, Verdict};
 use std::fmt::Write;
-
-/// Why there is nothing to calibrate with, and what to do.
-pub fn nothing_found(search: &Search, board: &Board) -> Error {
-    let looked_at = match search.found.looked_at {
-        0 => return Error::input("it has no frame in the chosen range"),
-        1 => "the one picture".to_owned(),
-        n if search.found.pictures_without.is_empty() => format!("any of {n} frames"),
-        n => format!("any of {n} pictures"),
-    };
-    let why = search.found.reasons.first().map_or_else(String::new, |(reason, count)| {
-        if *count == search.found.looked_at { format!(" ({reason})") } else { format!(" (mostly: {reason})") }
-    });
-    let check = match board.kind() {
-        BoardKind::Chessboard => {
-            "count its inner corners, one less than squares, and keep the whole board in the image"
-        }
-        BoardKind::Circles | BoardKind::AsymmetricCircles => {
-            "count its discs again and keep the whole board in the image"
-        }
-        BoardKind::Charuco { .. } => "count its squares again and check the dictionary of its markers",
-        _ => "count its tags again and check that they are of the family 36h11",
-    };
-    Error::input(format!("the board {board} was not found in {looked_at}{why}; {check}"))
-}
 
 /// The summary of a calibration.
 pub fn text(calibrated: &Calibrated, output: &Output) -> String {

@@ -2,14 +2,14 @@
 
 use super::{PathName, SimulateArguments, TilingName, photographs};
 use crate::lengths;
-use odograph::camera::{Camera, Distortion, Rig};
+use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::formats::camera_file;
 use odograph::geometry::Pixel;
 use odograph_simulation::{
     Blackout, Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Lighting, MovingObject, Path,
     PathKind, Ramp, Relief, SensorErrors, Shadow, SimulatedSensors, SimulationConfig, Sway, Terrain, Texture,
-    Tiling, Timing, Undulation, Vibration, Wander,
+    Tiling, Timing, Undulation, Vibration, Wander, ordinary_camera,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -104,7 +104,7 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
 
 fn camera(arguments: &SimulateArguments) -> Result<Camera> {
     let Some(file) = &arguments.camera else {
-        return default_camera(arguments.size.unwrap_or((640, 480)));
+        return ordinary_camera(arguments.size.unwrap_or((640, 480)));
     };
     let text = fs::read_to_string(file)
         .map_err(|error| Error::input(format!("{} cannot be read: {error}", file.display())))?;
@@ -119,24 +119,6 @@ fn camera(arguments: &SimulateArguments) -> Result<Camera> {
         ))),
         _ => Ok(camera),
     }
-}
-
-/// An ordinary camera: 65° wide, principal point a little off the centre, mild barrel distortion.
-fn default_camera(size: (usize, usize)) -> Result<Camera> {
-    let scale = size.0 as f64 / 640.0;
-    let center = ((size.0 as f64 - 1.0) / 2.0, (size.1 as f64 - 1.0) / 2.0);
-    let distortion = Distortion::BrownConrady {
-        k1: -0.12,
-        k2: 0.02,
-        p1: 0.0004,
-        p2: -0.0003,
-        k3: 0.0,
-        k4: 0.0,
-        k5: 0.0,
-        k6: 0.0,
-    };
-    let principal_px = (center.0 + 2.5 * scale, center.1 - 1.5 * scale);
-    Camera::new(size, (500.0 * scale, 500.0 * scale), principal_px, distortion)
 }
 
 fn path_kind(arguments: &SimulateArguments, camera: &Camera, rig: &Rig) -> Result<PathKind> {
