@@ -1,7 +1,7 @@
 //! What is to be run.
 
 use crate::output::{MapUse, Output};
-use crate::plan::SourcePlan;
+use crate::plan::{FrameChoice, SourcePlan};
 use crate::report::RunReporter;
 use crate::sensors::SensorFiles;
 use odograph::camera::{Camera, Rig};
@@ -40,6 +40,7 @@ pub struct RunBuilder {
     pub(crate) repeats: bool,
     pub(crate) camera: Option<CameraChoice>,
     pub(crate) mount: Option<MountChoice>,
+    pub(crate) frame: Option<FrameChoice>,
     pub(crate) readout_s: Option<f64>,
     pub(crate) mask: Option<PathBuf>,
     pub(crate) motion: MotionModel,
@@ -76,6 +77,7 @@ impl RunBuilder {
             repeats: false,
             camera: None,
             mount: None,
+            frame: None,
             readout_s: None,
             mask: None,
             motion: MotionModel::Auto,
@@ -123,8 +125,9 @@ impl RunBuilder {
         self
     }
 
-    /// The camera is this high above the ground, metres, and looks straight down. A tilt is found
-    /// in the recording.
+    /// The camera is this high above the ground, metres. How else it is mounted is taken from the
+    /// static transforms of a robot recording; otherwise it looks straight down, and a tilt is
+    /// found in the recording.
     #[must_use]
     pub fn height_m(self, height_m: f64) -> Self {
         self.rig(Rig::level(height_m))
@@ -138,10 +141,18 @@ impl RunBuilder {
     }
 
     /// The camera is mounted as a rig file says (TOML: `height_m`, `roll_deg`, `pitch_deg`,
-    /// `yaw_deg`).
+    /// `yaw_deg`, and the lever arm `x_m`, `y_m`, `z_m`).
     #[must_use]
     pub fn rig_file(mut self, path: impl Into<PathBuf>) -> Self {
         self.mount = Some(MountChoice::File(path.into()));
+        self
+    }
+
+    /// Whose poses are written. By default the robot's where the rig has a lever arm, else the
+    /// camera's.
+    #[must_use]
+    pub fn frame(mut self, frame: FrameChoice) -> Self {
+        self.frame = Some(frame);
         self
     }
 

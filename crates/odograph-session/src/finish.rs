@@ -25,7 +25,8 @@ use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
 use odograph::formats::camera_file;
 use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
 use odograph::mosaic::Mosaic;
-use odograph::trajectory::{FrameSummary, StampedPose, TrackStatus, distance_m};
+use odograph::pose_frame::PoseFrame;
+use odograph::trajectory::{FrameSummary, TrackStatus, distance_m};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -50,14 +51,16 @@ pub fn finish(
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
     enough(plan, &mut tracked, ending.output)?;
-    let mut run = Finishing { failure: ended_early(&mut tracked), plan, tracked, folder, ending };
+    let of = plan.pose_frame()?;
+    let mut run = Finishing { failure: ended_early(&mut tracked), plan, of, tracked, folder, ending };
     run.tell_camera()?;
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
-    let frames = improved.summaries(&mut run.tracked)?;
+    let frames = improved.summaries(&mut run.tracked, &of)?;
+    let place = run.place_in_map(&mut improved)?;
     let Improved { mut laid, sensors, loops, .. } = improved;
     run.draw(laid.as_mut(), &frames, &sensors)?;
-    run.end(frames, &sensors, loops)
+    run.end(frames, place, &sensors, loops)
 }
 
 /// The camera file with the lens as it was found, where not as told.
@@ -69,6 +72,8 @@ const MASK: &str = "mask.png";
 /// A run that is being finished.
 struct Finishing<'a> {
     plan: &'a RunPlan,
+    /// Whose poses are written and shown.
+    of: PoseFrame,
     /// Its frames are those in the odometry frame.
     tracked: Tracked,
     folder: &'a mut OutputFolder,
@@ -88,12 +93,12 @@ struct Improved {
 }
 
 impl Improved {
-    /// What is shown of them.
-    fn summaries(&mut self, tracked: &mut Tracked) -> Result<Vec<FrameSummary>> {
+    /// What is shown of them as the path of `of`.
+    fn summaries(&mut self, tracked: &mut Tracked, of: &PoseFrame) -> Result<Vec<FrameSummary>> {
         let frames = self.laid.as_mut().unwrap_or(&mut tracked.frames);
         let mut summaries = Vec::with_capacity(frames.count());
         frames.each(|frame, _| {
-            summaries.push(frame.into());
+            summaries.push(FrameSummary::from(&*of.frame(frame)));
             Ok(())
         })?;
         Ok(summaries)
@@ -177,7 +182,7 @@ impl Finishing<'_> {
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
         let frames = improved.laid.as_mut().unwrap_or(&mut self.tracked.frames);
         let text = self.plan.text_in(self.folder.path())?;
-        self.folder.write_trajectories(frames, &text)?;
+        self.folder.write_trajectories(frames, &self.of, &text)?;
         let camera = camera_file::write(&self.plan.camera);
         // The camera file of an earlier run may be the one that this run was given: that stays.
         let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
@@ -191,10 +196,9 @@ impl Finishing<'_> {
         } else {
             self.folder.remove(MASK)?;
         }
-        self.folder.write_tum("odometry.tum", |put| {
-            self.tracked
-                .frames
-                .each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
+        let of = self.of;
+        self.folder.write_tum("odometry.tum", &of, |put| {
+            self.tracked.frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         // The map comes after the trajectories, because it may not fit on the disk; what follows is
         // written even then.
@@ -215,24 +219,40 @@ impl Finishing<'_> {
             Ok(())
         })?;
         let path = smoother.smoothed(&self.plan.odometry.filter);
+        let of = self.of;
         let mut smoothed = Smoothed { frames, path: &path, reckoned: &improved.reckoned };
         self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
-            smoothed.each(|frame| put(&smoothed_line(frame)))
+            smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(&of))))
         })?;
-        let mut carrier = Carrier::for_frames(smoothed.frames.count());
-        self.folder.write_tum("trajectory-smoothed.tum", |put| {
+        let mut carrier = Carrier::for_frames(&self.plan.rig, smoothed.frames.count());
+        self.folder.write_tum("trajectory-smoothed.tum", &of, |put| {
             let mut before_s = f64::NEG_INFINITY;
             smoothed.each(|frame| {
                 carrier.push(frame);
                 // Of frames at the same moment the first counts.
                 let later = frame.time_s > before_s;
                 before_s = before_s.max(frame.time_s);
-                if later { put(&frame.stamped()) } else { Ok(()) }
+                if later { put(&frame.seen_as(&of).stamped(&of)) } else { Ok(()) }
             })
         })?;
         drop(path);
-        let mut carrier = carrier.path(&self.plan.rig);
-        self.folder.write_tum("carrier.tum", |put| carrier.try_for_each(|pose| put(&pose)))
+        let of = *carrier.of();
+        let mut carrier = carrier.path();
+        self.folder.write_tum("carrier.tum", &of, |put| carrier.try_for_each(|pose| put(&pose)))
+    }
+
+    /// Where the last frame was that a map of earlier runs recognised.
+    fn place_in_map(&mut self, improved: &mut Improved) -> Result<Option<PlaceInMap>> {
+        let mapper = self.tracked.mapping.mapper();
+        if !PlaceInMap::can_be(mapper) {
+            return Ok(None);
+        }
+        // Keyframes are where the camera was.
+        let frames = improved.summaries(&mut self.tracked, &PoseFrame::Camera)?;
+        let Some(place) = PlaceInMap::last(&frames, self.tracked.mapping.mapper()) else { return Ok(None) };
+        drop(frames);
+        let frames = improved.summaries(&mut self.tracked, &self.of)?;
+        Ok(frames.iter().find(|frame| frame.frame == place.frame).map(|frame| place.of(frame)))
     }
 
     /// The mosaic, the map and the page.
@@ -301,13 +321,13 @@ impl Finishing<'_> {
     fn end(
         mut self,
         frames: Vec<FrameSummary>,
+        place: Option<PlaceInMap>,
         sensors: &[SensorReport],
         loops: LoopStatistics,
     ) -> Result<RunOutcome> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
         let mapper = self.tracked.mapping.mapper();
-        let place = PlaceInMap::last(&frames, mapper);
         let looked_for = self.ending.output.map.is_read_only() && place.is_none();
         let statistics = statistics_of(
             &self.tracked,

@@ -86,7 +86,7 @@ pub use observer::Observer;
 pub use outcome::{RunEnd, RunOutcome};
 pub use output::MapUse;
 pub use place::PlaceInMap;
-pub use plan::{RunPlan, SourcePlan};
+pub use plan::{FrameChoice, RunPlan, SourcePlan};
 pub use reference::ComparedReference;
 pub use report::{ReportInput, ReportMosaic, RunReporter};
 pub use resemblance::{AlikePlace, Resemblance, Verdict};

@@ -69,14 +69,16 @@ impl RunBuilder {
             source: self.source.clone(),
             camera,
             rig,
+            frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             mask: self.mask.clone(),
             sensors: self.sensors.clone(),
             budget,
             odometry,
             slam,
         };
-        // A mask that does not fit is told before all the work.
+        // A mask that does not fit and a frame that is not known are told before all the work.
         plan.odometry()?;
+        plan.pose_frame()?;
         Ok((plan, source))
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::files;
 use crate::observer::Observer;
-use odograph::camera::Rig;
+use odograph::camera::{LeverArm, Rig};
 use odograph::error::Result;
 use odograph::formats::rig_file;
 use std::path::Path;

@@ -8,7 +8,7 @@ mod tell;
 
 use crate::{Outcome, console, files};
 pub use console_observer::ConsoleObserver;
-pub use mounted_camera::{Motion, MountedCamera};
+pub use mounted_camera::{Frame, Motion, MountedCamera};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
 use odograph_session::{MapUse, RunBuilder, SourcePlan};
@@ -168,6 +168,7 @@ impl RunArguments {
             ("--field-of-view", self.mounted.field_of_view.is_some()),
             ("--rig", self.mounted.rig.is_some()),
             ("--height", self.mounted.height.is_some()),
+            ("--frame", self.mounted.frame.is_some()),
             ("--mask", self.mounted.mask.is_some()),
             ("--motion", self.mounted.motion != Motion::Auto),
             ("--topic", self.topic.is_some()),
