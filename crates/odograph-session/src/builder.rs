@@ -26,6 +26,8 @@ pub(crate) enum CameraChoice {
 pub(crate) enum MountChoice {
     File(PathBuf),
     Known(Rig),
+    /// Height above the ground, metres; the rest is what a robot recording says, or level.
+    Height(f64),
 }
 
 /// What is to be run: source, camera, mount, sensors, map and outputs.
@@ -129,8 +131,9 @@ impl RunBuilder {
     /// static transforms of a robot recording; otherwise it looks straight down, and a tilt is
     /// found in the recording.
     #[must_use]
-    pub fn height_m(self, height_m: f64) -> Self {
-        self.rig(Rig::level(height_m))
+    pub fn height_m(mut self, height_m: f64) -> Self {
+        self.mount = Some(MountChoice::Height(height_m));
+        self
     }
 
     /// The camera is mounted like this.
