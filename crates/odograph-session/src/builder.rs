@@ -232,6 +232,14 @@ impl RunBuilder {
         self
     }
 
+    /// A bag of ROS 2 (an MCAP file) to write besides: poses with covariance, transforms and
+    /// diagnostics.
+    #[must_use]
+    pub fn bag(mut self, path: impl Into<PathBuf>) -> Self {
+        self.output.bag = Some(path.into());
+        self
+    }
+
     /// Threads to use; the results are the same for any number. As many as help by default.
     #[must_use]
     pub fn threads(mut self, threads: usize) -> Self {

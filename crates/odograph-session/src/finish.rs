@@ -14,6 +14,7 @@ use crate::place::PlaceInMap;
 use crate::plan::RunPlan;
 use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
+use crate::ros_bag::RosBag;
 use crate::statistics::{
     BudgetStatistics, LoopStatistics, SensorStatistics, StageTime, Statistics, interruption,
     peak_memory_bytes,
@@ -206,7 +207,33 @@ impl Finishing<'_> {
         if let Err(error) = self.tracked.mapping.save(frames) {
             self.fail("the map is not where the trajectories are", error);
         }
-        self.write_smoothed(improved)
+        self.write_smoothed(improved)?;
+        if let Some(bag) = &self.ending.output.bag
+            && let Err(error) = self.write_bag(bag, improved)
+        {
+            self.fail("there is no bag", error);
+        }
+        Ok(())
+    }
+
+    /// The bag of ROS 2: frames as odometry had them, and where they finally are.
+    fn write_bag(&mut self, path: &Path, improved: &mut Improved) -> Result<()> {
+        let mut in_map = Vec::new();
+        if let Some(laid) = &mut improved.laid {
+            in_map.reserve_exact(laid.count());
+            laid.each(|frame, _| {
+                in_map.push(frame.estimate.as_ref().map(|known| known.pose));
+                Ok(())
+            })?;
+        }
+        let mut in_map = in_map.into_iter();
+        files::write_with(path, |output| {
+            let mut bag = RosBag::new(path, output, self.of)?;
+            self.tracked.frames.each(|frame, _| bag.add(frame, in_map.next().flatten().as_ref()))?;
+            bag.finish()
+        })?;
+        self.folder.is_written(path.to_owned());
+        Ok(())
     }
 
     /// Computes the smoothed path and the carrier's path in memory, from few numbers a frame, and

@@ -192,7 +192,7 @@ impl OutputFolder {
     }
 
     /// Takes note of a file that was written.
-    fn is_written(&mut self, path: PathBuf) {
+    pub fn is_written(&mut self, path: PathBuf) {
         if !self.written.contains(&path) {
             self.written.push(path);
         }

@@ -49,6 +49,7 @@ mod observer;
 pub mod files;
 mod trajectory_input;
 mod rig;
+mod ros_bag;
 mod mask;
 mod sensors;
 mod budget;

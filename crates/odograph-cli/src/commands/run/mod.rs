@@ -82,6 +82,12 @@ pub struct RunArguments {
     /// folder frames/; with a number where that is there already]
     #[arg(help_heading = "Results", short = 'o', long = "output", value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
+    /// Write poses, transforms and diagnostics as ROS 2 messages into an MCAP file.
+    ///
+    /// /odometry (nav_msgs/Odometry with the covariance), /tf (map, odom, and base_link or camera),
+    /// /tf_static and /diagnostics, for `ros2 bag play` and others.
+    #[arg(help_heading = "Results", long, value_name = "FILE")]
+    pub bag_out: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -115,6 +121,7 @@ Examples:
   odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
   odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
   odograph run drive.mcap --topic /camera/image_raw --height 90cm --gyro-topic /imu -o drive/
+  odograph run drive.mcap --height 90cm --bag-out poses.mcap -o drive/
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
@@ -132,6 +139,7 @@ impl RunArguments {
             self.fresh(source)
         };
         let run = run.folder(folder).overwriting(self.output.force).reporter(HtmlReporter);
+        let run = self.bag_out.iter().fold(run, RunBuilder::bag);
         let run = match &self.output.map {
             Some(map) => run.map(MapUse::Continue(map.clone())),
             None => run,
