@@ -76,9 +76,14 @@ pub(crate) fn recorded_rig(
     observer.note(&format!(
         "{frame} in base_link, from /tf_static: {arm}roll {:.1}°, pitch {:.1}°, yaw {:.1}°; height {used_m:.3} m{from} \
          (--rig overrides)",
-        rig.roll_rad.to_degrees(),
-        rig.pitch_rad.to_degrees(),
-        rig.yaw_rad.to_degrees(),
+        tenths_deg(rig.roll_rad),
+        tenths_deg(rig.pitch_rad),
+        tenths_deg(rig.yaw_rad),
     ));
     Ok(Some(rig))
+}
+
+/// An angle in degrees, rounded to tenths; no negative zero.
+fn tenths_deg(angle_rad: f64) -> f64 {
+    (10.0 * angle_rad.to_degrees()).round() / 10.0 + 0.0
 }
