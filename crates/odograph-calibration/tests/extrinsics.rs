@@ -10,7 +10,7 @@ use odograph_calibration::{BoardDirection, BoardFinder, FloorBoard, rig_from_boa
 use odograph_simulation::{BoardEffects, BoardScene};
 
 /// The rig of all views.
-const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4 };
+const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4, lever_arm: None };
 
 /// A pose of [`RIG`] with the board somewhere below it.
 fn pose(random: &mut Random) -> GroundPose {

@@ -1,10 +1,8 @@
 //! Lengths on the command line: a number of metres, or a number with its unit.
 
 use crate::console;
+use odograph::formats::length;
 use odograph_session::doubtful_unit;
-
-/// Units and how many metres they are; of two that end alike the longer comes first.
-const UNITS: [(&str, f64); 5] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("ft", 0.3048), ("in", 0.0254)];
 
 /// No camera looks at the ground from higher.
 const GREATEST_HEIGHT_M: f64 = 1e6;
@@ -87,13 +85,8 @@ pub fn typed(text: &str) -> Result<Typed, String> {
 
 /// A length in metres, and whether its unit was written.
 fn parse(text: &str) -> Result<(f64, bool), String> {
-    let text = text.trim();
-    let unit = UNITS.iter().find_map(|(unit, metres)| Some((text.strip_suffix(unit)?, *metres)));
-    let (number, in_metres) = unit.unwrap_or((text, 1.0));
-    match number.trim_end().parse::<f64>() {
-        Ok(number) => Ok((number * in_metres, unit.is_some())),
-        Err(_) => Err("give a length as 0.9 (metres), 0.9m, 90cm, 900mm, 3ft or 35in".to_owned()),
-    }
+    length::parse(text)
+        .ok_or_else(|| "give a length as 0.9 (metres), 0.9m, 90cm, 900mm, 3ft or 35in".to_owned())
 }
 
 #[cfg(test)]

@@ -113,8 +113,33 @@ fn views(frames: usize) -> Vec<Vec<u8>> {
     stream[header..].chunks((WIDTH * HEIGHT) as usize + 6).map(|frame| frame[6..].to_vec()).collect()
 }
 
+/// `tf2_msgs/msg/TFMessage`: parent, child, position and quaternion of each transform.
+fn transforms(time_ns: u64, all: &[(&str, &str, [f64; 7])]) -> Vec<u8> {
+    let mut message = Cdr(vec![0, 1, 0, 0]);
+    message.u32(all.len() as u32);
+    for (parent, child, numbers) in all {
+        message.u32((time_ns / 1_000_000_000) as u32);
+        message.u32((time_ns % 1_000_000_000) as u32);
+        message.text(parent);
+        message.text(child);
+        message.doubles(numbers);
+    }
+    message.0
+}
+
+/// A camera that looks straight down, as high as `z` on the robot.
+fn looking_down(z: f64) -> [f64; 7] {
+    let half = 0.5f64.sqrt();
+    [0.3, 0.05, z, half, -half, 0.0, 0.0]
+}
+
 /// Writes an MCAP file with the images on each of the topics.
 fn write(path: &Path, topics: &[&str]) {
+    write_robot(path, topics, &[]);
+}
+
+/// The same with static transforms.
+fn write_robot(path: &Path, topics: &[&str], on_robot: &[(&str, &str, [f64; 7])]) {
     let file = std::io::BufWriter::new(fs::File::create(path).unwrap());
     let options = mcap::WriteOptions::new().compression(None).profile("ros2");
     let mut writer = options.create(file).unwrap();
@@ -124,6 +149,7 @@ fn write(path: &Path, topics: &[&str]) {
     };
     let infos = channel("/front/camera_info", "sensor_msgs/msg/CameraInfo");
     let ranges = channel("/sonar", "sensor_msgs/msg/Range");
+    let robot = (!on_robot.is_empty()).then(|| channel("/tf_static", "tf2_msgs/msg/TFMessage"));
     let images: Vec<u16> = topics.iter().map(|name| channel(name, "sensor_msgs/msg/Image")).collect();
     for (number, view) in views(FRAMES).iter().enumerate() {
         let time_ns = time_ns(number);
@@ -134,6 +160,9 @@ fn write(path: &Path, topics: &[&str]) {
                 mcap::records::MessageHeader { channel_id, sequence: number as u32, log_time, publish_time };
             writer.write_to_known_channel(&header, &Cow::from(data)).unwrap();
         };
+        if let Some(robot) = robot.filter(|_| number == 0) {
+            put(robot, transforms(time_ns, on_robot));
+        }
         put(infos, camera_info(time_ns));
         put(ranges, range(time_ns));
         for &channel in &images {
@@ -174,7 +203,8 @@ fn a_run_over_a_recording_is_the_run_over_its_frames() {
     for (arguments, words) in [
         (
             "run two.mcap --height 1.0",
-            "there are 2 topics with images; choose one with --topic NAME: /front/image_raw (",
+            "there are 2 topics with images; choose one with --topic NAME:\n  /front/image_raw   320x240 mono8  30.0 Hz  40 \
+             images  sensor_msgs/Image\n  /front/image_rect  320x240 mono8",
         ),
         ("run drive.mcap", "the height of the camera above the ground is missing"),
         (
@@ -192,6 +222,143 @@ fn a_run_over_a_recording_is_the_run_over_its_frames() {
     assert!(!told.contains("error"), "{told}");
     let statistics = fs::read_to_string(here.join("ranged/stats.json")).unwrap();
     assert!(statistics.contains("\"sensors\""), "{statistics}");
+}
+
+/// Numbers of the lines of a TUM file.
+fn poses(path: &Path) -> Vec<Vec<f64>> {
+    let text = fs::read_to_string(path).unwrap();
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    lines.map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect()).collect()
+}
+
+#[test]
+fn the_mount_is_taken_from_the_transforms_of_a_recording() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    let level = |z: f64| [0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0];
+    let robot = [("base_footprint", "base_link", level(0.2)), ("base_link", "camera", looking_down(0.8))];
+    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot);
+    let (_, told) = done(here, "run robot.mcap -o robot");
+    assert!(
+        told.contains(
+            "note: camera in base_link, from /tf_static: x 0.300 m, y 0.050 m, z 0.800 m, roll 0.0°, pitch 0.0°, \
+             yaw 0.0°; height 1.000 m over base_footprint (--rig overrides)\n"
+        ),
+        "{told}"
+    );
+    done(here, "run robot.mcap --frame camera -o camera --quiet");
+    let (robot_poses, camera) =
+        (poses(&here.join("robot/trajectory.tum")), poses(&here.join("camera/trajectory.tum")));
+    assert_eq!((robot_poses.len(), camera.len()), (FRAMES, FRAMES));
+    for (robot, camera) in robot_poses.iter().zip(&camera) {
+        // The floor moves without turning.
+        assert!((robot[1] - camera[1] + 0.3).abs() < 2e-3 && (robot[2] - camera[2] + 0.05).abs() < 2e-3);
+        assert!((robot[3] - 0.2).abs() < 2e-3 && robot[7] > 0.999, "{robot:?}");
+    }
+    // --height and --rig come before it.
+    done(here, "run robot.mcap --height 2.0 -o high --quiet");
+    let last = poses(&here.join("high/trajectory.tum")).pop().unwrap();
+    assert!((last[3] - 1.2).abs() < 5e-3, "{last:?}");
+    fs::write(here.join("rig.toml"), "height_m = 1.0").unwrap();
+    let (_, told) = done(here, "run robot.mcap --rig rig.toml -o given");
+    assert!(!told.contains("tf_static"), "{told}");
+
+    // The frame of a camera that is not its optical frame looks ahead.
+    let ahead = [("base_link", "camera", level(0.8))];
+    write_robot(&here.join("ahead.mcap"), &["/front/image_raw"], &ahead);
+    let (_, told) = done(here, "run ahead.mcap --height 1.0 -o ahead");
+    assert!(told.contains("warning: the transforms of ahead.mcap are not used"), "{told}");
+    let first = &poses(&here.join("ahead/trajectory.tum"))[0];
+    assert!((first[3] - 1.0).abs() < 1e-6, "{first:?}");
+}
+
+/// A message in CDR that is read again.
+struct Cdr2<'a>(&'a [u8], usize);
+
+impl Cdr2<'_> {
+    fn u32(&mut self) -> u32 {
+        self.1 = 4 + (self.1 - 4).next_multiple_of(4) + 4;
+        u32::from_le_bytes(self.0[self.1 - 4..self.1].try_into().unwrap())
+    }
+
+    fn text(&mut self) -> String {
+        let length = self.u32() as usize;
+        self.1 += length;
+        String::from_utf8(self.0[self.1 - length..self.1 - 1].to_vec()).unwrap()
+    }
+
+    fn doubles(&mut self, count: usize) -> Vec<f64> {
+        self.1 = 4 + (self.1 - 4).next_multiple_of(8);
+        let bytes = &self.0[self.1..self.1 + 8 * count];
+        self.1 += 8 * count;
+        bytes.chunks(8).map(|bytes| f64::from_le_bytes(bytes.try_into().unwrap())).collect()
+    }
+}
+
+#[test]
+fn a_run_is_written_as_a_bag_of_ros_2() {
+    let place = tempfile::tempdir().unwrap();
+    let here = place.path();
+    let robot = [("base_link", "camera", looking_down(0.8))];
+    write_robot(&here.join("robot.mcap"), &["/front/image_raw"], &robot);
+    done(here, "run robot.mcap --height 1.0 --bag-out poses.mcap -o robot --quiet");
+    let odometry = poses(&here.join("robot/odometry.tum"));
+    let log = fs::read(here.join("poses.mcap")).unwrap();
+    let mut counts = BTreeMap::new();
+    for message in mcap::MessageStream::new(&log).unwrap() {
+        let message = message.unwrap();
+        let channel = &message.channel;
+        assert_eq!(channel.message_encoding, "cdr");
+        assert_eq!(channel.schema.as_ref().unwrap().encoding, "ros2msg");
+        let at = counts.entry(channel.topic.clone()).or_insert(0usize);
+        let mut cdr = Cdr2(&message.data, 4);
+        let count = if channel.topic.starts_with("/tf") { cdr.u32() } else { 1 };
+        let stamp_ns = u64::from(cdr.u32()) * 1_000_000_000 + u64::from(cdr.u32());
+        assert!(stamp_ns.abs_diff(time_ns(*at)) < 1000 && message.log_time == stamp_ns);
+        match channel.topic.as_str() {
+            "/odometry" => {
+                assert_eq!((cdr.text().as_str(), cdr.text().as_str()), ("odom", "base_link"));
+                let (pose, covariance) = (cdr.doubles(7), cdr.doubles(36));
+                for (told, written) in pose.iter().zip(&odometry[*at][1..]) {
+                    assert!((told - written).abs() < 1e-6, "{pose:?} {:?}", odometry[*at]);
+                }
+                let symmetric =
+                    (0..36).all(|k| (covariance[k] - covariance[k % 6 * 6 + k / 6]).abs() < 1e-15);
+                assert!(symmetric && (0..6).all(|k| covariance[7 * k] >= 0.0), "{covariance:?}");
+                assert!(*at == 0 || covariance[0] > 0.0 && covariance[35] > 0.0);
+                let (speed, turned) = (cdr.doubles(6), cdr.doubles(36));
+                // Four pixels a frame upwards in the image, backwards and to the side not at all.
+                assert!(*at < 5 || speed[0].hypot(speed[1]) > 0.3 && speed[5].abs() < 0.05, "{speed:?}");
+                assert_eq!(turned[0], -1.0);
+                assert_eq!(cdr.1, message.data.len());
+            }
+            "/tf" => {
+                assert_eq!((count, cdr.text().as_str(), cdr.text().as_str()), (2, "map", "odom"));
+            }
+            "/tf_static" => {
+                assert_eq!((count, cdr.text().as_str(), cdr.text().as_str()), (1, "base_link", "camera"));
+                for (told, given) in cdr.doubles(7).iter().zip(looking_down(0.8)) {
+                    assert!((told - given).abs() < 1e-9);
+                }
+                assert!(channel.metadata["offered_qos_profiles"].contains("durability: 1"));
+            }
+            _ => {
+                assert_eq!((cdr.text().as_str(), cdr.u32()), ("", 1));
+                assert!(message.data.windows(7).any(|bytes| bytes == b"tracked"));
+            }
+        }
+        *at += 1;
+    }
+    let expected = [("/diagnostics", FRAMES), ("/odometry", FRAMES), ("/tf", FRAMES), ("/tf_static", 1)];
+    assert_eq!(counts, expected.map(|(topic, count)| (topic.to_owned(), count)).into());
+    // Our own reader knows it.
+    let (text, _) = done(here, "info poses.mcap");
+    assert!(text.contains("/odometry  nav_msgs/msg/Odometry, 40 messages"), "{text}");
+    // It is not overwritten unasked.
+    let output = odograph(here, "run robot.mcap --height 1.0 --bag-out poses.mcap -o other");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && told.contains("poses.mcap is already there"), "{told}");
+    assert!(!here.join("other").exists());
 }
 
 #[test]

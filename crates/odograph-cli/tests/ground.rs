@@ -21,7 +21,7 @@ fn said(output: &Output) -> String {
 }
 
 const BOARD: &str = "chessboard:12x9:35mm";
-const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4 };
+const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4, lever_arm: None };
 
 fn camera() -> Camera {
     let distortion = Distortion::from_opencv(&[-0.2, 0.05, 0.0005, -0.0003]).unwrap();

@@ -2,6 +2,7 @@
 
 use crate::claim::{self, MapClaim};
 use crate::complaint::{Complaint, Told};
+use crate::lever_arm;
 use crate::schema;
 use crate::thinning::{Thinning, thinning};
 use odograph::camera::{Camera, Distortion, Rig};
@@ -80,6 +81,7 @@ impl MapFile {
                 "INSERT INTO odograph_rig VALUES (1, ?1, ?2, ?3, ?4)",
                 params![rig.height_m, rig.roll_rad, rig.pitch_rad, rig.yaw_rad],
             )?;
+            rig.lever_arm.map_or(Ok(()), |arm| lever_arm::write(&transaction, &arm))?;
             transaction.commit()
         })();
         if let Err(failure) = made {
@@ -351,6 +353,7 @@ fn write_camera(connection: &Connection, camera: &Camera) -> rusqlite::Result<()
 }
 
 fn read_rig(connection: &Connection, complaint: &Complaint) -> Result<Rig> {
+    let lever_arm = lever_arm::read(connection).while_reading(complaint)?;
     let rig = connection
         .query_row(
             "SELECT height_m, roll_rad, pitch_rad, yaw_rad FROM odograph_rig WHERE id = 1",
@@ -361,6 +364,7 @@ fn read_rig(connection: &Connection, complaint: &Complaint) -> Result<Rig> {
                     roll_rad: row.get(1)?,
                     pitch_rad: row.get(2)?,
                     yaw_rad: row.get(3)?,
+                    lever_arm,
                 })
             },
         )

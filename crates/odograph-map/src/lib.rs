@@ -13,6 +13,7 @@ mod frames;
 mod geopackage;
 mod image;
 mod keyframes;
+mod lever_arm;
 mod mosaic;
 mod numbers;
 mod paths;

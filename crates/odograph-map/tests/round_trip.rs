@@ -5,7 +5,7 @@
 mod ground;
 
 use ground::{camera, covariance, edge_to, image, keyframe, pose};
-use odograph::camera::Rig;
+use odograph::camera::{LeverArm, Rig};
 use odograph::geometry::GroundPose;
 use odograph::ground_map::{GroundMap, KeyframeImage, KeyframeImages};
 use odograph::keyframe::KeyframeId;
@@ -13,7 +13,13 @@ use odograph::mosaic::{Mosaic, MosaicOptions, MosaicPicture};
 use odograph_map::{MapFile, PathFrame};
 
 fn rig() -> Rig {
-    Rig { height_m: 0.5, roll_rad: 0.01, pitch_rad: -0.02, yaw_rad: 0.3 }
+    Rig {
+        height_m: 0.5,
+        roll_rad: 0.01,
+        pitch_rad: -0.02,
+        yaw_rad: 0.3,
+        lever_arm: Some(LeverArm { x_m: 0.3, y_m: -0.05, z_m: 0.4 }),
+    }
 }
 
 /// A map of `count` keyframes in a new folder.

@@ -370,8 +370,12 @@ fn parameters(input: &ReportInput<'_>, page: &mut String) {
         ("Height above the ground", length_text(rig.height_m)),
         ("Roll, pitch, mount yaw", [rig.roll_rad, rig.pitch_rad, rig.yaw_rad].map(degrees).join(", ")),
     ];
+    let lever_arm = rig.lever_arm.map(|arm| {
+        let axes = [arm.x_m, arm.y_m, arm.z_m].map(length_text).join(", ");
+        ("Camera in base_link: forward, left, up", axes)
+    });
     page.push_str("<h2>Input and parameters</h2>\n<div class=\"box scroll\"><table>\n");
-    for (name, value) in rows {
+    for (name, value) in rows.into_iter().chain(lever_arm) {
         let _ = writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
     }
     let _ = writeln!(

@@ -1,7 +1,7 @@
 //! Configuration of a run.
 
 use crate::output::{MapUse, Output};
-use crate::plan::SourcePlan;
+use crate::plan::{FrameChoice, SourcePlan};
 use crate::report::RunReporter;
 use crate::sensors::SensorFiles;
 use odograph::camera::{Camera, Rig};
@@ -26,6 +26,8 @@ pub(crate) enum CameraChoice {
 pub(crate) enum MountChoice {
     File(PathBuf),
     Known(Rig),
+    /// Height above the ground, metres; the rest is what a robot recording says, or level.
+    Height(f64),
 }
 
 /// Configuration of a run: source, camera, mount, sensors, map and outputs.
@@ -39,6 +41,7 @@ pub struct RunBuilder {
     pub(crate) repeats: bool,
     pub(crate) camera: Option<CameraChoice>,
     pub(crate) mount: Option<MountChoice>,
+    pub(crate) frame: Option<FrameChoice>,
     pub(crate) readout_s: Option<f64>,
     pub(crate) mask: Option<PathBuf>,
     pub(crate) motion: MotionModel,
@@ -75,6 +78,7 @@ impl RunBuilder {
             repeats: false,
             camera: None,
             mount: None,
+            frame: None,
             readout_s: None,
             mask: None,
             motion: MotionModel::Auto,
@@ -122,11 +126,13 @@ impl RunBuilder {
         self
     }
 
-    /// Height of the camera above the ground, metres; it looks straight down. A tilt is estimated
+    /// Height of the camera above the ground, metres. The rest of its mount is taken from the static
+    /// transforms of a robot recording; otherwise it looks straight down, and a tilt is estimated
     /// from the recording.
     #[must_use]
-    pub fn height_m(self, height_m: f64) -> Self {
-        self.rig(Rig::level(height_m))
+    pub fn height_m(mut self, height_m: f64) -> Self {
+        self.mount = Some(MountChoice::Height(height_m));
+        self
     }
 
     /// Mount from a value.
@@ -136,10 +142,19 @@ impl RunBuilder {
         self
     }
 
-    /// Mount from a rig file (TOML: `height_m`, `roll_deg`, `pitch_deg`, `yaw_deg`).
+    /// Mount from a rig file (TOML: `height_m`, `roll_deg`, `pitch_deg`, `yaw_deg`, and the lever arm
+    /// `x_m`, `y_m`, `z_m`).
     #[must_use]
     pub fn rig_file(mut self, path: impl Into<PathBuf>) -> Self {
         self.mount = Some(MountChoice::File(path.into()));
+        self
+    }
+
+    /// Whose poses are written. By default the robot's where the rig has a lever arm, else the
+    /// camera's.
+    #[must_use]
+    pub fn frame(mut self, frame: FrameChoice) -> Self {
+        self.frame = Some(frame);
         self
     }
 
@@ -212,6 +227,13 @@ impl RunBuilder {
     #[must_use]
     pub fn map(mut self, map: MapUse) -> Self {
         self.output.map = map;
+        self
+    }
+
+    /// A bag of ROS 2 (an MCAP file) to write: poses with covariance, transforms and diagnostics.
+    #[must_use]
+    pub fn bag(mut self, path: impl Into<PathBuf>) -> Self {
+        self.output.bag = Some(path.into());
         self
     }
 

@@ -14,6 +14,7 @@ use crate::place::PlaceInMap;
 use crate::plan::RunPlan;
 use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
+use crate::ros_bag::RosBag;
 use crate::statistics::{
     BudgetStatistics, LoopStatistics, SensorStatistics, StageTime, Statistics, interruption,
     peak_memory_bytes,
@@ -25,7 +26,8 @@ use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
 use odograph::formats::camera_file;
 use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
 use odograph::mosaic::Mosaic;
-use odograph::trajectory::{FrameSummary, StampedPose, TrackStatus, distance_m};
+use odograph::pose_frame::PoseFrame;
+use odograph::trajectory::{FrameSummary, TrackStatus, distance_m};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -50,14 +52,17 @@ pub fn finish(
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
     enough(plan, &mut tracked, ending.output)?;
-    let mut run = Finishing { failure: ended_early(&mut tracked), plan, tracked, folder, ending };
+    let of = plan.pose_frame()?;
+    let mut run = Finishing { failure: ended_early(&mut tracked), plan, of, tracked, folder, ending };
     run.tell_camera()?;
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
-    let frames = improved.summaries(&mut run.tracked, ending.observer)?;
+    improved.observe(&mut run.tracked, &of, ending.observer)?;
+    let frames = improved.summaries(&mut run.tracked, &of)?;
+    let place = run.place_in_map(&mut improved)?;
     let Improved { mut corrected, sensors, loops, .. } = improved;
     run.draw(corrected.as_mut(), &frames, &sensors)?;
-    run.end(frames, &sensors, loops)
+    run.end(frames, place, &sensors, loops)
 }
 
 /// The camera file with the estimated lens, where it differs from the plan.
@@ -69,7 +74,9 @@ const MASK: &str = "mask.png";
 /// A run that is being finished.
 struct Finishing<'a> {
     plan: &'a RunPlan,
-    /// Frames in the odometry frame.
+    /// The frame whose poses are written and shown.
+    of: PoseFrame,
+    /// Frames of the camera in the odometry frame.
     tracked: Tracked,
     folder: &'a mut OutputFolder,
     ending: &'a Ending<'a>,
@@ -88,13 +95,21 @@ struct Improved {
 }
 
 impl Improved {
-    /// Their summaries for drawings; the observer hears of each.
-    fn summaries(&mut self, tracked: &mut Tracked, observer: &dyn Observer) -> Result<Vec<FrameSummary>> {
+    /// Gives the final frames as poses of `of` to the observer.
+    fn observe(&mut self, tracked: &mut Tracked, of: &PoseFrame, observer: &dyn Observer) -> Result<()> {
+        let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
+        frames.each(|frame, _| {
+            observer.final_frame(&of.frame(frame));
+            Ok(())
+        })
+    }
+
+    /// Their summaries as the path of `of`, for drawings.
+    fn summaries(&mut self, tracked: &mut Tracked, of: &PoseFrame) -> Result<Vec<FrameSummary>> {
         let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         let mut summaries = Vec::with_capacity(frames.count());
         frames.each(|frame, _| {
-            observer.final_frame(frame);
-            summaries.push(frame.into());
+            summaries.push(FrameSummary::from(&*of.frame(frame)));
             Ok(())
         })?;
         Ok(summaries)
@@ -183,7 +198,7 @@ impl Finishing<'_> {
     fn write_paths(&mut self, improved: &mut Improved) -> Result<()> {
         let frames = improved.corrected.as_mut().unwrap_or(&mut self.tracked.frames);
         let text = self.plan.text_in(self.folder.path())?;
-        self.folder.write_trajectories(frames, &text)?;
+        self.folder.write_trajectories(frames, &self.of, &text)?;
         let camera = camera_file::write(&self.plan.camera);
         // The camera file of an earlier run may be the input of this one; it is kept.
         let stays = self.folder.holds(FOUND_CAMERA, camera.as_bytes());
@@ -197,10 +212,9 @@ impl Finishing<'_> {
         } else {
             self.folder.remove(MASK)?;
         }
-        self.folder.write_tum("odometry.tum", |put| {
-            self.tracked
-                .frames
-                .each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
+        let of = self.of;
+        self.folder.write_tum("odometry.tum", &of, |put| {
+            self.tracked.frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         // The map comes after the trajectories because it may not fit on the disk; later outputs
         // are written even then.
@@ -208,7 +222,33 @@ impl Finishing<'_> {
         if let Err(error) = self.tracked.mapping.save(frames) {
             self.fail("the map is not where the trajectories are", error);
         }
-        self.write_smoothed(improved)
+        self.write_smoothed(improved)?;
+        if let Some(bag) = &self.ending.output.bag
+            && let Err(error) = self.write_bag(bag, improved)
+        {
+            self.fail("there is no bag", error);
+        }
+        Ok(())
+    }
+
+    /// The bag of ROS 2: frames as odometry had them, and where they finally are.
+    fn write_bag(&mut self, path: &Path, improved: &mut Improved) -> Result<()> {
+        let mut in_map = Vec::new();
+        if let Some(corrected) = &mut improved.corrected {
+            in_map.reserve_exact(corrected.count());
+            corrected.each(|frame, _| {
+                in_map.push(frame.estimate.as_ref().map(|known| known.pose));
+                Ok(())
+            })?;
+        }
+        let mut in_map = in_map.into_iter();
+        files::write_with(path, |output| {
+            let mut bag = RosBag::new(path, output, self.of)?;
+            self.tracked.frames.each(|frame, _| bag.add(frame, in_map.next().flatten().as_ref()))?;
+            bag.finish()
+        })?;
+        self.folder.is_written(path.to_owned());
+        Ok(())
     }
 
     /// Computes the smoothed path and the carrier's path from a few numbers per frame, and writes
@@ -221,24 +261,40 @@ impl Finishing<'_> {
             Ok(())
         })?;
         let path = smoother.smoothed(&self.plan.odometry.filter);
+        let of = self.of;
         let mut smoothed = Smoothed { frames, path: &path, reckoned: &improved.reckoned };
         self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
-            smoothed.each(|frame| put(&smoothed_line(frame)))
+            smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(&of))))
         })?;
-        let mut carrier = Carrier::for_frames(smoothed.frames.count());
-        self.folder.write_tum("trajectory-smoothed.tum", |put| {
+        let mut carrier = Carrier::for_frames(&self.plan.rig, smoothed.frames.count());
+        self.folder.write_tum("trajectory-smoothed.tum", &of, |put| {
             let mut before_s = f64::NEG_INFINITY;
             smoothed.each(|frame| {
                 carrier.push(frame);
                 // Of frames with equal times the first is used.
                 let later = frame.time_s > before_s;
                 before_s = before_s.max(frame.time_s);
-                if later { put(&frame.stamped()) } else { Ok(()) }
+                if later { put(&frame.seen_as(&of).stamped(&of)) } else { Ok(()) }
             })
         })?;
         drop(path);
-        let mut carrier = carrier.path(&self.plan.rig);
-        self.folder.write_tum("carrier.tum", |put| carrier.try_for_each(|pose| put(&pose)))
+        let of = *carrier.of();
+        let mut carrier = carrier.path();
+        self.folder.write_tum("carrier.tum", &of, |put| carrier.try_for_each(|pose| put(&pose)))
+    }
+
+    /// Where the last frame was that a map of earlier runs recognised.
+    fn place_in_map(&mut self, improved: &mut Improved) -> Result<Option<PlaceInMap>> {
+        let mapper = self.tracked.mapping.mapper();
+        if !PlaceInMap::can_be(mapper) {
+            return Ok(None);
+        }
+        // Keyframes are where the camera was.
+        let frames = improved.summaries(&mut self.tracked, &PoseFrame::Camera)?;
+        let Some(place) = PlaceInMap::last(&frames, self.tracked.mapping.mapper()) else { return Ok(None) };
+        drop(frames);
+        let frames = improved.summaries(&mut self.tracked, &self.of)?;
+        Ok(frames.iter().find(|frame| frame.frame == place.frame).map(|frame| place.of(frame)))
     }
 
     /// The mosaic, the map and the page.
@@ -307,13 +363,13 @@ impl Finishing<'_> {
     fn end(
         mut self,
         frames: Vec<FrameSummary>,
+        place: Option<PlaceInMap>,
         sensors: &[SensorReport],
         loops: LoopStatistics,
     ) -> Result<RunOutcome> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
         let mapper = self.tracked.mapping.mapper();
-        let place = PlaceInMap::last(&frames, mapper);
         let looked_for = self.ending.output.map.is_read_only() && place.is_none();
         let statistics = statistics_of(
             &self.tracked,

@@ -6,7 +6,8 @@ use crate::kept_frames::KeptFrames;
 use crate::output::{MapUse, Output};
 use crate::statistics::Statistics;
 use odograph::error::{Error, Result};
-use odograph::formats::trajectory_file::{self, FRAMES_HEADER, TUM_HEADER, frame_line, tum_line};
+use odograph::formats::trajectory_file::{self, FRAMES_HEADER, frame_line, tum_header, tum_line};
+use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::{FrameEstimate, StampedPose};
 use odograph_map::{MapClaim, MapFile};
 use std::fs::{self, File};
@@ -187,7 +188,7 @@ impl OutputFolder {
     }
 
     /// Records the name of a written file.
-    fn is_written(&mut self, path: PathBuf) {
+    pub fn is_written(&mut self, path: PathBuf) {
         if !self.written.contains(&path) {
             self.written.push(path);
         }
@@ -211,29 +212,35 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Writes a trajectory as TUM text from the poses that `fill` gives.
+    /// Writes the trajectory of a frame as TUM text from the poses that `fill` gives.
     pub fn write_tum(
         &mut self,
         name: &str,
+        of: &PoseFrame,
         fill: impl FnOnce(&mut dyn FnMut(&StampedPose) -> Result<()>) -> Result<()>,
     ) -> Result<()> {
-        self.write_lines(name, TUM_HEADER, |put| fill(&mut |pose| put(&tum_line(pose))))
+        self.write_lines(name, &tum_header(of), |put| fill(&mut |pose| put(&tum_line(pose))))
     }
 
     /// Writes trajectories and parameters, before any drawing, because they cannot be recovered
     /// without the recording. Removes the incremental record, which exists only in case of a crash.
-    pub fn write_trajectories(&mut self, frames: &mut KeptFrames, run_toml: &str) -> Result<()> {
+    pub fn write_trajectories(
+        &mut self,
+        frames: &mut KeptFrames,
+        of: &PoseFrame,
+        run_toml: &str,
+    ) -> Result<()> {
         // Written under a third name: on a full disk the incremental record must remain, with as
         // much of its last second as fits.
         let _ = self.flush();
         let (whole, path) = (self.path.join("trajectory.csv.new"), self.path.join("trajectory.csv"));
-        write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(frame))))?;
+        write_lines(&whole, FRAMES_HEADER, |put| frames.each(|frame, _| put(&frame_line(&of.frame(frame)))))?;
         fs::rename(&whole, &path).map_err(|error| files::cannot_be_written(&path, error))?;
         let _ = fs::remove_file(files::beside(&path));
         self.is_written(path);
         self.started = true;
-        self.write_tum("trajectory.tum", |put| {
-            frames.each(|frame, _| StampedPose::of_frame(frame).as_ref().map_or(Ok(()), &mut *put))
+        self.write_tum("trajectory.tum", of, |put| {
+            frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         self.write("run.toml", run_toml.as_bytes())
     }

@@ -34,6 +34,11 @@ pub trait Observer: Sync {
         let _ = sentence;
     }
 
+    /// Something about the input that a person may want to know; nothing is wrong.
+    fn note(&self, sentence: &str) {
+        let _ = sentence;
+    }
+
     /// Whether the run is asked to end early. Asked before every frame; what there is is then
     /// written, and the run ends as [`RunEnd::Interrupted`](crate::RunEnd::Interrupted).
     fn is_stop_asked(&self) -> bool {

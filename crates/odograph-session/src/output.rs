@@ -38,6 +38,8 @@ pub(crate) struct Output {
     pub folder: Option<PathBuf>,
     pub force: bool,
     pub map: MapUse,
+    /// A bag of ROS 2 to write, an MCAP file.
+    pub bag: Option<PathBuf>,
     /// `None`: as many as are useful.
     pub threads: Option<usize>,
     /// Minimum number of frames of a recording.
@@ -46,7 +48,7 @@ pub(crate) struct Output {
 
 impl Default for Output {
     fn default() -> Self {
-        Self { folder: None, force: false, map: MapUse::New, threads: None, least_frames: 2 }
+        Self { folder: None, force: false, map: MapUse::New, bag: None, threads: None, least_frames: 2 }
     }
 }
 
@@ -54,6 +56,17 @@ impl Output {
     /// Number of threads: three by default, for decoding, tracking and mapping.
     pub fn threads(&self) -> usize {
         self.threads.unwrap_or(3)
+    }
+
+    /// Fails if the bag exists and may not be overwritten.
+    pub fn check_bag(&self) -> Result<()> {
+        match &self.bag {
+            Some(bag) if bag.exists() && !self.force => Err(Error::usage(format!(
+                "{} is already there; choose another name, or --force to overwrite it",
+                bag.display()
+            ))),
+            _ => Ok(()),
+        }
     }
 
     /// The folder, with a guard that removes a temporary one.

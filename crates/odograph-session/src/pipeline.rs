@@ -15,6 +15,7 @@ use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::mounting::{Found, Untold};
 use odograph::odometry::{KeyframeEvent, Odometry};
+use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
 use odograph_video::{Frame, Source};
 use std::sync::mpsc;
@@ -97,6 +98,7 @@ pub fn track(
     let views = Views::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,
+        of: plan.pose_frame()?,
         frames: KeptFrames::new(folder.path()),
         times: Timings::default(),
         calibration_times: Timings::default(),
@@ -235,6 +237,8 @@ impl Decoding<'_> {
 /// Stage two: tracking.
 struct Tracking<'a> {
     odometry: Odometry,
+    /// Whose poses are written and told.
+    of: PoseFrame,
     frames: KeptFrames,
     times: Timings,
     calibration_times: Timings,
@@ -268,8 +272,10 @@ impl Tracking<'_> {
             }
         }
         self.calibration_times.push(started.elapsed());
-        self.folder.record(&estimate)?;
-        self.observer.frame(&estimate);
+        let told = self.of.frame(&estimate);
+        self.folder.record(&told)?;
+        self.observer.frame(&told);
+        drop(told);
         let pose = estimate.ground_pose();
         let segment = estimate.segment;
         self.frames.push(estimate, self.odometry.reference());

@@ -7,7 +7,8 @@ use odograph::trajectory::FrameSummary;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Pose of a camera at a frame, in the frame of an existing map, with standard deviations.
+/// Pose of a camera, or of the robot that carries it, at a frame, in the frame of an existing map,
+/// with standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PlaceInMap {
     /// Number of the frame in its source.
@@ -35,6 +36,26 @@ pub struct PlaceInMap {
 }
 
 impl PlaceInMap {
+    /// Whether there are earlier sessions.
+    pub(crate) fn can_be(mapper: &Mapper) -> bool {
+        mapper.map().keyframes.iter().any(|keyframe| keyframe.session != mapper.session())
+    }
+
+    /// The place of the robot, whose frame this is.
+    pub(crate) fn of(self, frame: &FrameSummary) -> Self {
+        let Some(place) = frame.place else { return self };
+        let [variance_x, _, variance_y] = place.position_covariance;
+        Self {
+            x_m: place.x_m,
+            y_m: place.y_m,
+            heading_deg: wrap_angle(place.heading_rad).to_degrees(),
+            sd_x_m: variance_x.max(0.0).sqrt(),
+            sd_y_m: variance_y.max(0.0).sqrt(),
+            sd_heading_deg: place.heading_variance.max(0.0).sqrt().to_degrees(),
+            ..self
+        }
+    }
+
     /// The last frame that measurements connect to keyframes of earlier sessions.
     pub(crate) fn last(frames: &[FrameSummary], mapper: &Mapper) -> Option<Self> {
         let map = mapper.map();
@@ -54,19 +75,19 @@ impl PlaceInMap {
         let (keyframe_distance_m, nearest) = old
             .map(|keyframe| (distance_m(keyframe.pose.x_m, keyframe.pose.y_m), keyframe))
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
-        let [variance_x, _, variance_y] = place.position_covariance;
-        Some(Self {
+        let there = Self {
             frame: frame.frame,
             time_s: frame.time_s,
-            x_m: place.x_m,
-            y_m: place.y_m,
-            heading_deg: wrap_angle(place.heading_rad).to_degrees(),
-            sd_x_m: variance_x.max(0.0).sqrt(),
-            sd_y_m: variance_y.max(0.0).sqrt(),
-            sd_heading_deg: place.heading_variance.max(0.0).sqrt().to_degrees(),
+            x_m: 0.0,
+            y_m: 0.0,
+            heading_deg: 0.0,
+            sd_x_m: 0.0,
+            sd_y_m: 0.0,
+            sd_heading_deg: 0.0,
             keyframe: nearest.id.0,
             keyframe_distance_m,
             session: nearest.session,
-        })
+        };
+        Some(there.of(frame))
     }
 }

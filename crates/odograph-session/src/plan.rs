@@ -7,6 +7,7 @@ use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::odometry::{Odometry, OdometryConfig};
+use odograph::pose_frame::{BaseLink, PoseFrame};
 use odograph_map::MapFile;
 use odograph_video::{Source, SourceOptions};
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,9 @@ pub struct RunPlan {
     pub camera: Camera,
     /// The mount above the ground.
     pub rig: Rig,
+    /// The frame whose poses are written; by default the robot's if the rig has a lever arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<FrameChoice>,
     /// Mask of what is not ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<PathBuf>,
@@ -41,6 +45,16 @@ pub struct RunPlan {
     /// The parameters of the map.
     #[serde(default)]
     pub slam: LoopClosureConfig,
+}
+
+/// Whose poses a run writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FrameChoice {
+    /// The robot's: `base_link` of ROS REP-105. The rig must have a lever arm.
+    BaseLink,
+    /// The camera's.
+    Camera,
 }
 
 /// Which frames are taken from where.
@@ -109,6 +123,21 @@ const HEADER: &str =
     "# Every parameter of this run. Repeat it with:  odograph run run.toml -o another-folder\n\n";
 
 impl RunPlan {
+    /// The frame whose poses are written.
+    ///
+    /// # Errors
+    /// If it is the robot's and the rig has no lever arm.
+    pub fn pose_frame(&self) -> Result<PoseFrame> {
+        match (self.frame, BaseLink::of(&self.rig)) {
+            (None | Some(FrameChoice::BaseLink), Some(base)) => Ok(PoseFrame::BaseLink(base)),
+            (Some(FrameChoice::BaseLink), None) => Err(Error::usage(
+                "where the camera is on the robot is not known: the poses of base_link need a rig file (--rig) with x_m, \
+                 y_m and z_m of the camera",
+            )),
+            (None | Some(FrameChoice::Camera), _) => Ok(PoseFrame::Camera),
+        }
+    }
+
     /// The odometry that tracks the recording.
     ///
     /// # Errors
@@ -136,6 +165,7 @@ impl RunPlan {
         plan.rig.validated().map_err(at_fault)?;
         plan.odometry.validated().map_err(at_fault)?;
         plan.slam.validated().map_err(at_fault)?;
+        plan.pose_frame().map_err(at_fault)?;
         Ok(plan.brought_from(path.parent().unwrap_or(Path::new(""))))
     }
 

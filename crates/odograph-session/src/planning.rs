@@ -2,8 +2,8 @@
 
 use crate::builder::{CameraChoice, MountChoice, RunBuilder};
 use crate::observer::Observer;
-use crate::plan::{RunPlan, SourcePlan};
-use crate::rig::read_rig;
+use crate::plan::{FrameChoice, RunPlan, SourcePlan};
+use crate::rig::{read_rig, recorded_rig};
 use crate::{budget, files};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
@@ -69,14 +69,16 @@ impl RunBuilder {
             source: self.source.clone(),
             camera,
             rig,
+            frame: self.frame.or(rig.lever_arm.map(|_| FrameChoice::BaseLink)),
             mask: self.mask.clone(),
             sensors: self.sensors.clone(),
             budget,
             odometry,
             slam,
         };
-        // A mask of the wrong size is reported before tracking.
+        // A mask of the wrong size and an unknown frame are reported before tracking.
         plan.odometry()?;
+        plan.pose_frame()?;
         Ok((plan, source))
     }
 }
@@ -121,12 +123,24 @@ impl<'a> ToldCamera<'a> {
         match (&builder.mount, self) {
             (Some(MountChoice::File(path)), _) => read_rig(path, observer),
             (Some(MountChoice::Known(rig)), _) => rig.validated(),
+            (Some(MountChoice::Height(height_m)), Self::Field(_)) => Rig::level(*height_m).validated(),
+            (Some(MountChoice::Height(height_m)), _) => {
+                let level = Rig::level(*height_m).validated()?;
+                let SourcePlan { path, topic, .. } = &builder.source;
+                let recorded = recorded_rig(path, topic.as_deref(), Some(*height_m), observer)?;
+                Ok(recorded.unwrap_or(level))
+            }
             // The field of view already gives the scale; any height gives the same path.
             (None, Self::Field(_)) => Ok(Rig::level(1.0)),
             (None, Self::Map(map)) => Ok(*map.rig()),
-            (None, Self::File(..) | Self::Known(_) | Self::Recording(_)) => Err(Error::usage(
-                "the height of the camera above the ground is missing; give --height LENGTH, such as 90cm, or --rig FILE",
-            )),
+            (None, Self::File(..) | Self::Known(_) | Self::Recording(_)) => {
+                let SourcePlan { path, topic, .. } = &builder.source;
+                recorded_rig(path, topic.as_deref(), None, observer)?.ok_or_else(|| {
+                    Error::usage(
+                        "the height of the camera above the ground is missing; give --height LENGTH, such as 90cm, or --rig FILE",
+                    )
+                })
+            }
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::files;
 use crate::observer::Observer;
-use odograph::camera::Rig;
+use odograph::camera::{LeverArm, Rig};
 use odograph::error::Result;
 use odograph::formats::rig_file;
 use std::path::Path;
@@ -38,4 +38,52 @@ pub fn read_rig(path: &Path, observer: &dyn Observer) -> Result<Rig> {
         ));
     }
     Ok(rig)
+}
+
+/// The rig in the static transforms of a robot recording, at the given height or that over
+/// `base_footprint`; `None` if there is none, or no height. The observer hears what was taken.
+///
+/// # Errors
+/// If the recording cannot be read.
+pub(crate) fn recorded_rig(
+    source: &str,
+    topic: Option<&str>,
+    height_m: Option<f64>,
+    observer: &dyn Observer,
+) -> Result<Option<Rig>> {
+    if !odograph_video::is_robot_recording(source) {
+        return Ok(None);
+    }
+    let Some(mount) = odograph_video::recorded_mount(source, topic)? else {
+        return Ok(None);
+    };
+    let Some(used_m) = height_m.or(mount.height_m) else { return Ok(None) };
+    let frame = &mount.camera_frame;
+    let rig = match mount.rig(used_m) {
+        Ok(rig) => rig,
+        Err(error) => {
+            observer.warn(&format!(
+                "the transforms of {source} are not used: {error}; the frame {frame} of the images should be the optical \
+                 frame of the camera"
+            ));
+            return Ok(None);
+        }
+    };
+    let from = if height_m.is_some() { "" } else { " over base_footprint" };
+    let arm = rig.lever_arm.map_or_else(String::new, |LeverArm { x_m, y_m, z_m }| {
+        format!("x {x_m:.3} m, y {y_m:.3} m, z {z_m:.3} m, ")
+    });
+    observer.note(&format!(
+        "{frame} in base_link, from /tf_static: {arm}roll {:.1}°, pitch {:.1}°, yaw {:.1}°; height {used_m:.3} m{from} \
+         (--rig overrides)",
+        tenths_deg(rig.roll_rad),
+        tenths_deg(rig.pitch_rad),
+        tenths_deg(rig.yaw_rad),
+    ));
+    Ok(Some(rig))
+}
+
+/// An angle in degrees, rounded to tenths; no negative zero.
+fn tenths_deg(angle_rad: f64) -> f64 {
+    (10.0 * angle_rad.to_degrees()).round() / 10.0 + 0.0
 }

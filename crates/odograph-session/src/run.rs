@@ -27,6 +27,7 @@ impl RunBuilder {
     /// If an option contradicts another, if something cannot be read, if results are there already
     /// that may not be overwritten, or if another program writes there.
     pub fn open(&self, observer: &dyn Observer) -> Result<Run> {
+        self.output.check_bag()?;
         let (path, temporary) = self.output.place()?;
         let folder = OutputFolder::new(&path, &self.output)?;
         let (plan, source) = if self.repeats {

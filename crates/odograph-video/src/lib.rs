@@ -42,7 +42,9 @@ mod bag;
 mod source;
 mod contents;
 
-pub use bag::{RecordedCamera, is_robot_recording, recorded_camera, recorded_sensor};
+pub use bag::{
+    RecordedCamera, RecordedMount, is_robot_recording, recorded_camera, recorded_mount, recorded_sensor,
+};
 pub use bayer::BayerPattern;
 pub use contents::{Contents, Gap, Stream, StreamUse, inspect};
 pub use frame::{Frame, Picture};

@@ -110,15 +110,16 @@ fn several_topics_with_images_are_listed() {
     let error = open(data("encodings.mcap"), &SourceOptions::default()).unwrap_err().to_string();
     for words in [
         "there are 18 topics with images; choose one with --topic NAME:",
-        "/mono8 (sensor_msgs/msg/Image, 24x16 mono8, ",
-        "/jpeg/compressed (sensor_msgs/msg/CompressedImage, 24x16 jpeg, 0.0 Hz, 1 messages)",
+        "\n  /mono8            24x16 mono8 ",
+        "\n  /jpeg/compressed  24x16 jpeg ",
+        "1 images  sensor_msgs/CompressedImage\n",
     ] {
         assert!(error.contains(words), "{words}: {error}");
     }
     let wrong = SourceOptions { topic: Some("/imu".into()), ..Default::default() };
     let error = open(data("drive.mcap"), &wrong).unwrap_err().to_string();
     assert!(
-        error.contains("no images on the topic /imu; /imu has 6 messages of the type sensor_msgs/msg/Imu; /camera/image_raw ("),
+        error.contains("no images on the topic /imu; /imu has 6 messages of the type sensor_msgs/msg/Imu; there are 1 topics with images:\n  /camera/image_raw  24x16"),
         "{error}"
     );
     let named = SourceOptions { topic: Some("camera/image_raw".into()), ..Default::default() };

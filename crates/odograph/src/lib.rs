@@ -73,6 +73,7 @@ pub mod detection;
 pub mod flow;
 pub mod motion;
 pub mod trajectory;
+pub mod pose_frame;
 pub mod filter;
 pub mod keyframe;
 pub mod odometry;

@@ -71,10 +71,10 @@ pub struct SimulatedSensors {
 
 impl Simulation {
     pub fn new(config: SimulationConfig) -> Result<Self> {
-        let Rig { height_m, roll_rad, pitch_rad, yaw_rad } = config.rig;
+        let Rig { height_m, roll_rad, pitch_rad, yaw_rad, .. } = config.rig;
         let built = odograph_simulation::Simulation::new(odograph_simulation::SimulationConfig {
             camera: built_camera(&config.camera),
-            rig: built::camera::Rig { height_m, roll_rad, pitch_rad, yaw_rad },
+            rig: built::camera::Rig { roll_rad, pitch_rad, yaw_rad, ..built::camera::Rig::level(height_m) },
             texture: config.texture.clone(),
             path: config.path.clone(),
             effects: config.effects.clone(),

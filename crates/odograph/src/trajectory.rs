@@ -244,7 +244,8 @@ pub fn distance_m(frames: &[FrameSummary]) -> f64 {
 pub struct StampedPose {
     /// Timestamp, seconds; the epoch is arbitrary but common to all poses of a trajectory.
     pub time_s: f64,
-    /// Transform from camera to world coordinates, metres.
+    /// Transform from camera to world coordinates, metres; from those of `base_link` in a
+    /// trajectory of the robot.
     pub world_from_camera: Isometry3<f64>,
 }
 

@@ -125,12 +125,12 @@ fn smoothing_needs_a_few_numbers_per_frame() {
     let mut smoother = Smoother::for_frames(FRAMES);
     (0..FRAMES).for_each(|number| smoother.push(&frame(number)));
     let path = smoother.smoothed(&FilterConfig::default());
-    let mut carrier = Carrier::for_frames(FRAMES);
+    let mut carrier = Carrier::for_frames(&Rig::level(HEIGHT_M), FRAMES);
     let mut walk = path.walk();
     (0..FRAMES).for_each(|number| walk.next(&frame(number), &mut |smoothed| carrier.push(&smoothed)));
     drop(walk);
     drop(path);
-    assert_eq!(carrier.path(&Rig::level(HEIGHT_M)).count(), FRAMES);
+    assert_eq!(carrier.path().count(), FRAMES);
     let most = (MOST.get() - before) as f64 / FRAMES as f64;
     // Per frame: the time; measurement, variance and validity of three axes; for one axis at a
     // time, the smoothed state and the change of the process noise.

@@ -161,6 +161,7 @@ pub fn rig_from_boards(
         roll_rad: at[1],
         pitch_rad: at[2],
         yaw_rad: yaw.map_or(0.0, |yaw| yaw.rad),
+        lever_arm: None,
     };
     let yaw_deviation = yaw.and(yaw_variance).map(f64::sqrt);
     Ok(BoardMounting {

@@ -22,7 +22,7 @@ fn floor(board: &str, forward: Option<BoardDirection>) -> FloorBoard {
 const CHARUCO: &str = "charuco:12x9:50mm";
 
 /// The rig of all views.
-const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4 };
+const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.09, yaw_rad: 0.4, lever_arm: None };
 
 /// The board from a camera at `pose` in the world of [`FloorBoard::points`], with noise.
 fn view(

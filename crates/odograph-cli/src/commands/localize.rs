@@ -1,6 +1,6 @@
 //! `odograph localize`: finds a camera in an existing map.
 
-use super::run::{ConsoleObserver, Motion};
+use super::run::{ConsoleObserver, Frame, Motion};
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph_map::MapFile;
@@ -37,6 +37,9 @@ pub struct LocalizeArguments {
     /// Rig file (TOML), if the camera is mounted differently from when the map was created.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
+    /// Whose place is told. [default: the robot's where the map's rig has x_m, y_m, z_m]
+    #[arg(help_heading = "Results", long, value_name = "FRAME")]
+    pub frame: Option<Frame>,
     /// What may change between frames.
     #[arg(help_heading = "Map", long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -91,6 +94,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         .reporter(HtmlReporter);
     let run = if arguments.extend { run.map(MapUse::Continue(arguments.map.clone())) } else { run };
     let run = arguments.rig.iter().fold(run, RunBuilder::rig_file);
+    let run = arguments.frame.into_iter().fold(run, |run, frame| run.frame(frame.into()));
     let run = arguments.output.iter().fold(run, RunBuilder::folder);
     let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
     let report = run.run(&ConsoleObserver::new(arguments.quiet))?;

@@ -15,6 +15,8 @@ pub(super) struct Multipart<R> {
     delimiter: Vec<u8>,
     /// Whether the delimiter of the next part has already been consumed.
     delimiter_taken: bool,
+    /// When the camera took the image of the newest part.
+    timestamp_s: Option<f64>,
 }
 
 fn damaged(what: &str) -> io::Error {
@@ -38,7 +40,18 @@ pub(super) fn boundary(content_type: &str) -> Option<String> {
 
 impl<R: BufRead> Multipart<R> {
     pub fn new(reader: R, boundary: &str) -> Self {
-        Self { reader, delimiter: format!("--{boundary}").into_bytes(), delimiter_taken: false }
+        Self {
+            reader,
+            delimiter: format!("--{boundary}").into_bytes(),
+            delimiter_taken: false,
+            timestamp_s: None,
+        }
+    }
+
+    /// When the camera took the image of the newest part, seconds of its clock, where it says so
+    /// (`X-Timestamp`).
+    pub fn timestamp_s(&self) -> Option<f64> {
+        self.timestamp_s
     }
 
     /// Reads the next part into `part`; `false` at the end.
@@ -77,6 +90,7 @@ impl<R: BufRead> Multipart<R> {
     /// Reads the header section of a part and returns its `Content-Length`, if present.
     fn head(&mut self) -> io::Result<Option<usize>> {
         let mut length = None;
+        self.timestamp_s = None;
         let mut line = Vec::new();
         let mut total = 0;
         loop {
@@ -90,10 +104,13 @@ impl<R: BufRead> Multipart<R> {
             if text.is_empty() {
                 return Ok(length);
             }
-            if let Some((name, value)) = text.split_once(':')
-                && name.trim().eq_ignore_ascii_case("content-length")
-            {
-                length = value.trim().parse().ok();
+            if let Some((name, value)) = text.split_once(':') {
+                let (name, value) = (name.trim(), value.trim());
+                if name.eq_ignore_ascii_case("content-length") {
+                    length = value.parse().ok();
+                } else if name.eq_ignore_ascii_case("x-timestamp") {
+                    self.timestamp_s = value.parse().ok().filter(|seconds: &f64| seconds.is_finite());
+                }
             }
         }
     }

@@ -9,6 +9,10 @@ use std::time::{Duration, Instant};
 /// Opens the stream.
 type Open = Box<dyn FnMut() -> Result<Source> + Send>;
 
+/// Least time from one frame to the next, seconds: cameras in networks have no more than 120
+/// frames a second.
+const LEAST_STEP_S: f64 = 1.0 / 120.0;
+
 /// A network stream with reconnection.
 pub struct NetworkStream {
     open: Open,
@@ -93,8 +97,9 @@ impl NetworkStream {
             Some((before, time_s)) => time_s + (at - before).as_secs_f64() - frame.time_s,
             None => 0.0,
         });
-        // Timestamps must increase strictly for the velocity to be defined.
-        let least_s = self.newest.map_or(f64::NEG_INFINITY, |(_, time_s)| time_s + 1e-6);
+        // Timestamps must increase for the velocity to be defined, and not by a small step, which
+        // would make a great velocity.
+        let least_s = self.newest.map_or(f64::NEG_INFINITY, |(_, time_s)| time_s + LEAST_STEP_S);
         frame.time_s = (frame.time_s + shift_s).max(least_s);
         frame.number = self.number;
         self.number += 1;

@@ -1,6 +1,6 @@
 //! Conversion of frames into Foxglove messages.
 
-use odograph::geometry::GroundPose;
+use nalgebra::Isometry3;
 use odograph::geometry::pose_index::{X, Y};
 use odograph::odometry::TrackView;
 use odograph::trajectory::PoseEstimate;
@@ -33,21 +33,20 @@ fn color(red: f64, green: f64, blue: f64, opacity: f64) -> Value {
     json!({ "r": red, "g": green, "b": blue, "a": opacity })
 }
 
-/// The camera's pose in the world: position and orientation.
-fn placed(pose: &GroundPose) -> (Value, Value) {
-    let world_from_camera = pose.world_from_camera();
-    let (at, turn) = (world_from_camera.translation, world_from_camera.rotation);
+/// Position and orientation of a rigid transform.
+fn placed(transform: &Isometry3<f64>) -> (Value, Value) {
+    let (at, turn) = (transform.translation, transform.rotation);
     (vector(at.x, at.y, at.z), json!({ "x": turn.i, "y": turn.j, "z": turn.k, "w": turn.w }))
 }
 
-pub fn frame_transform(at: u64, pose: &GroundPose) -> Value {
-    let (translation, rotation) = placed(pose);
+pub fn frame_transform(at: u64, parent: &str, child: &str, transform: &Isometry3<f64>) -> Value {
+    let (translation, rotation) = placed(transform);
     json!({
-        "timestamp": time(at), "parent_frame_id": WORLD, "child_frame_id": CAMERA, "translation": translation, "rotation": rotation,
+        "timestamp": time(at), "parent_frame_id": parent, "child_frame_id": child, "translation": translation, "rotation": rotation,
     })
 }
 
-pub fn pose_in_frame(at: u64, pose: &GroundPose) -> Value {
+pub fn pose_in_frame(at: u64, pose: &Isometry3<f64>) -> Value {
     let (position, orientation) = placed(pose);
     json!({ "timestamp": time(at), "frame_id": WORLD, "pose": { "position": position, "orientation": orientation } })
 }

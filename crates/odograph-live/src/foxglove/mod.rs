@@ -14,9 +14,11 @@ use crate::view::encode;
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{WriteOptions, Writer};
+use messages::{CAMERA, WORLD};
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use odograph::odometry::TrackView;
+use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::{FrameEstimate, TrackStatus};
 use schemas::Schema;
 use serde_json::Value;
@@ -43,6 +45,7 @@ pub struct Picture {
 /// An MCAP file while it is being written.
 pub struct McapFile {
     path: PathBuf,
+    of: PoseFrame,
     writer: Writer<NoSeek<BufWriter<File>>>,
     channels: Channels,
     sketch: PathSketch,
@@ -66,11 +69,12 @@ struct Channels {
 }
 
 impl McapFile {
-    /// Creates a file and writes the description of the source as metadata.
+    /// Creates a file for the path of a frame, and writes the description of the source as
+    /// metadata.
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn create(path: &Path, source: &str) -> Result<Self> {
+    pub fn create(path: &Path, source: &str, of: PoseFrame) -> Result<Self> {
         let cannot = |error: &dyn std::fmt::Display| cannot_be_written(path, error);
         let file = File::create(path).map_err(|error| cannot(&error))?;
         let options = WriteOptions::new()
@@ -87,6 +91,7 @@ impl McapFile {
         let (writer, channels) = began().map_err(|error| cannot(&error))?;
         Ok(Self {
             path: path.to_owned(),
+            of,
             writer,
             channels,
             sketch: PathSketch::default(),
@@ -98,8 +103,8 @@ impl McapFile {
         })
     }
 
-    /// Appends a frame, with its image if it is to be stored. Time stamps are those of the source;
-    /// MCAP has no negative times, so they are clamped at 0.
+    /// Appends a frame of that path, with its image if it is to be stored. Time stamps are those of
+    /// the source; MCAP has no negative times, so they are clamped at 0.
     ///
     /// # Errors
     /// If the file cannot be written. It is unusable from then on.
@@ -120,8 +125,13 @@ impl McapFile {
             }
         }
         if let Some(known) = &frame.estimate {
-            tell(channels.transform, messages::frame_transform(at, &known.pose));
-            tell(channels.pose, messages::pose_in_frame(at, &known.pose));
+            let placed = self.of.world_from_frame(&known.pose);
+            tell(channels.transform, messages::frame_transform(at, WORLD, self.of.name(), &placed));
+            if let PoseFrame::BaseLink(base) = &self.of {
+                let on_robot = base.base_from_camera();
+                tell(channels.transform, messages::frame_transform(at, self.of.name(), CAMERA, on_robot));
+            }
+            tell(channels.pose, messages::pose_in_frame(at, &placed));
             tell(channels.uncertainty, messages::ellipse(at, known));
             self.sketch.add(frame.segment, [known.pose.x_m, known.pose.y_m]);
         }

@@ -100,7 +100,7 @@ fn conforms(value: &Value, schema: &Value, place: &str) {
 fn messages_read_back_conform_to_their_schemas() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    let mut file = McapFile::create(&path, "a drive").unwrap();
+    let mut file = McapFile::create(&path, "a drive", PoseFrame::Camera).unwrap();
     for number in 0..25 {
         let picture = (number % 5 == 0).then(picture);
         file.add(&frame(number), 3.5, picture.as_ref()).unwrap();
@@ -156,7 +156,7 @@ fn messages_read_back_conform_to_their_schemas() {
 fn a_killed_writer_loses_only_the_last_second() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    let mut file = McapFile::create(&path, "a drive").unwrap();
+    let mut file = McapFile::create(&path, "a drive", PoseFrame::Camera).unwrap();
     (0..35).for_each(|number| file.add(&frame(number), 3.5, Some(&picture())).unwrap());
     // Neither finished nor dropped, as after a power failure.
     std::mem::forget(file);
@@ -172,7 +172,7 @@ fn a_killed_writer_loses_only_the_last_second() {
 #[test]
 #[cfg(target_os = "linux")]
 fn a_full_disk_is_an_error_not_a_panic() {
-    let mut file = match McapFile::create(Path::new("/dev/full"), "a drive") {
+    let mut file = match McapFile::create(Path::new("/dev/full"), "a drive", PoseFrame::Camera) {
         Ok(file) => file,
         Err(error) => return assert!(error.to_string().contains("/dev/full")),
     };

@@ -1,6 +1,7 @@
 //! Recording of a run as an MCAP file, concurrent with tracking.
 
 use odograph::error::{Error, Result};
+use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::McapFile;
 use odograph_live::capture::{Newest, Policy, Taken};
@@ -31,9 +32,9 @@ struct Entry {
 }
 
 impl McapLog {
-    /// A file at `path`, for a run over a source with this description.
-    pub fn new(path: &Path, source: &str, policy: Policy) -> Result<Self> {
-        let file = McapFile::create(path, source).map_err(|error| Error::usage(error.to_string()))?;
+    /// A file at `path` with the path of `of`, for a run over a source with this description.
+    pub fn new(path: &Path, source: &str, of: PoseFrame, policy: Policy) -> Result<Self> {
+        let file = McapFile::create(path, source, of).map_err(|error| Error::usage(error.to_string()))?;
         Ok(Self {
             path: path.to_owned(),
             file: Mutex::new(Some(file)),

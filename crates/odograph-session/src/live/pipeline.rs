@@ -24,6 +24,7 @@ use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
 use odograph::mounting::OnlineCalibration;
 use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
+use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
 use odograph_live::foxglove::Picture;
@@ -61,6 +62,7 @@ pub fn follow(
     let mut following = Following {
         odometry,
         calibration,
+        of: plan.pose_frame()?,
         frames: KeptFrames::new(recorder.path()),
         times: StageTimes::default(),
         latencies: Latencies::default(),
@@ -153,6 +155,8 @@ struct Sight {
 struct Following<'a, 'p> {
     odometry: Odometry,
     calibration: Option<OnlineCalibration>,
+    /// The frame whose poses are written, told and shown.
+    of: PoseFrame,
     frames: KeptFrames,
     times: StageTimes,
     latencies: Latencies,
@@ -263,29 +267,30 @@ impl Following<'_, '_> {
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
         self.times.track.push(begun.elapsed());
+        let told = self.of.frame(&estimate);
         if let Some(poses) = &mut self.poses {
-            poses.take(&estimate, latency_ms)?;
+            poses.take(&told, latency_ms)?;
         }
-        self.observer.frame(&estimate);
-        self.recorder.record(&estimate);
+        self.observer.frame(&told);
+        self.recorder.record(&told);
         if let Some(log) = self.log {
             let tracks = || self.odometry.tracks().to_vec();
-            log.give(&estimate, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
+            log.give(&told, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
         }
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
         let reference = self.odometry.reference();
         let keyframe = reference.map(|reference| reference.keyframe.0);
         // Without viewers the path need not be kept in memory.
         if self.shown {
-            let record =
-                TrackRecord::new(&estimate, first_time_s, Some(latency_ms)).measured_against(keyframe);
+            let record = TrackRecord::new(&told, first_time_s, Some(latency_ms)).measured_against(keyframe);
             let record = self.hub.add_record(&record);
             if self.hub.viewers() > 0 {
                 let tracks = self.odometry.tracks().to_vec();
                 beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
             }
         }
-        self.distance_m += self.step_m(&estimate);
+        self.distance_m += self.step_m(&told);
+        drop(told);
         let pose = estimate.ground_pose();
         let segment = estimate.segment;
         self.frames.push(estimate, reference);
@@ -303,7 +308,8 @@ impl Following<'_, '_> {
     /// Distance since the previous frame, where both have connected poses, metres.
     fn step_m(&self, next: &FrameEstimate) -> f64 {
         let before = self.frames.last().filter(|before| before.segment == next.segment);
-        match (before.and_then(|before| before.estimate.as_ref()), &next.estimate) {
+        let before = before.map(|before| self.of.frame(before));
+        match (before.as_ref().and_then(|before| before.estimate.as_ref()), &next.estimate) {
             (Some(a), Some(b)) => (b.pose.x_m - a.pose.x_m).hypot(b.pose.y_m - a.pose.y_m),
             _ => 0.0,
         }

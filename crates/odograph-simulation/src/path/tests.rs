@@ -56,7 +56,7 @@ fn every_path_has_continuous_velocity_and_acceleration() {
 
 #[test]
 fn every_path_starts_at_the_origin_along_x() {
-    let rig = Rig { height_m: 0.7, roll_rad: 0.05, pitch_rad: -0.1, yaw_rad: 0.6 };
+    let rig = Rig { height_m: 0.7, roll_rad: 0.05, pitch_rad: -0.1, yaw_rad: 0.6, lever_arm: None };
     for kind in shapes() {
         let path = Path::new(kind, 0.5, 0.8, true).unwrap();
         let first = path.pose(0.0, &rig);
@@ -111,7 +111,7 @@ fn lanes_are_parallel_with_the_configured_spacing() {
 
 #[test]
 fn the_pivot_point_stays_at_the_same_pixel() {
-    let rig = Rig { height_m: 0.8, roll_rad: 0.03, pitch_rad: -0.06, yaw_rad: 0.5 };
+    let rig = Rig { height_m: 0.8, roll_rad: 0.03, pitch_rad: -0.06, yaw_rad: 0.5, lever_arm: None };
     let corner = Ray::new(-0.62, -0.47);
     let about = rig.first_pose().ground_from_ray(corner).unwrap();
     let path = Path::new(PathKind::Pivot { about, turn_rad: TAU }, 0.5, 0.8, true).unwrap();

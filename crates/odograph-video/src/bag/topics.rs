@@ -29,9 +29,12 @@ pub(super) fn with_frames(recording: &mut dyn Recording, name: Option<&str>) -> 
             })
             .collect();
         return Err(Error::usage(format!(
-            "there are no images on the topic {name}{}; {}",
+            "there are no images on the topic {name}{}; there are{}",
             others.concat(),
-            list(recording, &all)?
+            match all.len() {
+                0 => " none in it".to_owned(),
+                count => format!(" {count} topics with images:{}", list(recording, &all)?),
+            }
         )));
     }
     match all.as_slice() {
@@ -42,7 +45,7 @@ pub(super) fn with_frames(recording: &mut dyn Recording, name: Option<&str>) -> 
         [] => Err(Error::input(format!("there are no images in it, only {}", others(recording.topics())))),
         [only] => Ok(only.clone()),
         _ => Err(Error::usage(format!(
-            "there are {} topics with images; choose one with --topic NAME: {}",
+            "there are {} topics with images; choose one with --topic NAME:{}",
             all.len(),
             list(recording, &all)?
         ))),
@@ -62,29 +65,32 @@ fn others(topics: &[Topic]) -> String {
     names.join(", ")
 }
 
-/// Topics with images as a list for people: name, type, size, rate and number.
+/// Topics with images as a list for people, a line each: name, type, size, rate and number.
 fn list(recording: &mut dyn Recording, topics: &[Topic]) -> Result<String> {
-    if topics.is_empty() {
-        return Ok("there are none with images".to_owned());
-    }
     let firsts = first_images(recording, topics)?;
-    let line = |(topic, first): (&Topic, &Option<FirstImage>)| {
-        let size = match first {
+    let row = |(topic, first): (&Topic, &Option<FirstImage>)| {
+        let image = match first {
             Some(FirstImage { size: Some((width, height)), encoding }) => {
-                format!(", {width}x{height} {encoding}")
+                format!("{width}x{height} {encoding}")
             }
-            Some(FirstImage { encoding, .. }) => format!(", {encoding}"),
+            Some(FirstImage { encoding, .. }) => encoding.clone(),
             None => String::new(),
         };
-        format!(
-            "{} ({}{size}, {:.1} Hz, {} messages)",
-            topic.name,
-            topic.type_name,
-            topic.rate_hz(),
-            topic.count
-        )
+        let rate = format!("{:.1} Hz", topic.rate_hz());
+        [topic.name.clone(), image, rate, format!("{} images", topic.count), topic.plain_type()]
     };
-    Ok(topics.iter().zip(&firsts).map(line).collect::<Vec<_>>().join("; "))
+    let rows: Vec<[String; 5]> = topics.iter().zip(&firsts).map(row).collect();
+    let mut widths = [0; 5];
+    for row in &rows {
+        for (width, cell) in widths.iter_mut().zip(row) {
+            *width = cell.chars().count().max(*width);
+        }
+    }
+    let line = |row: &[String; 5]| {
+        let cells = row.iter().zip(widths).map(|(cell, width)| format!("  {cell:width$}"));
+        format!("\n{}", cells.collect::<String>().trim_end())
+    };
+    Ok(rows.iter().map(line).collect())
 }
 
 /// The first image of a topic.

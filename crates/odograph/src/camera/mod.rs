@@ -6,14 +6,16 @@
 //! ([`crate::geometry::GroundPose`]).
 
 pub mod uncertainty;
+mod lever_arm;
 mod posed_camera;
 
+pub use lever_arm::LeverArm;
 pub use posed_camera::{Met, PosedCamera, Seen};
 pub use uncertainty::{CameraUncertainty, MeasuredRig, RigDeviations};
 
 use crate::error::{Error, Result};
 use crate::geometry::{GroundPose, Pixel, Ray, length};
-use nalgebra::Matrix2;
+use nalgebra::{Isometry3, Matrix2};
 use serde::{Deserialize, Serialize};
 
 /// Lens distortion model: maps undistorted to distorted normalised image coordinates. All
@@ -524,18 +526,22 @@ pub struct Rig {
     /// axis, radians.
     #[serde(default)]
     pub yaw_rad: f64,
+    /// Position of the camera centre on the robot, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lever_arm: Option<LeverArm>,
 }
 
 impl Rig {
     /// A nadir-looking camera at `height_m` with the top of its image forward.
     pub fn level(height_m: f64) -> Self {
-        Self { height_m, roll_rad: 0.0, pitch_rad: 0.0, yaw_rad: 0.0 }
+        Self { height_m, roll_rad: 0.0, pitch_rad: 0.0, yaw_rad: 0.0, lever_arm: None }
     }
 
-    /// Checks the mounting. Fails if a number is not finite, the height is not positive, or the
-    /// camera does not look at the ground.
+    /// Checks the mounting. Fails if a number is not finite, the height is not positive, the
+    /// camera does not look at the ground, or the lever arm is longer than
+    /// [`LeverArm::GREATEST_M`].
     pub fn validated(self) -> Result<Self> {
-        let Self { height_m, roll_rad, pitch_rad, yaw_rad } = self;
+        let Self { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm } = self;
         if !(height_m.is_finite() && height_m > 0.0) {
             return Err(Error::usage(format!(
                 "the height is {height_m} m; it must be a positive number of metres above the ground"
@@ -553,7 +559,23 @@ impl Rig {
                 pitch_rad.to_degrees()
             )));
         }
+        lever_arm.map(LeverArm::validated).transpose()?;
         Ok(self)
+    }
+
+    /// Pose of the camera in `base_link`, where the lever arm is known: the axes of a level robot,
+    /// x forward, y left, z up.
+    pub fn base_from_camera(&self) -> Option<Isometry3<f64>> {
+        let LeverArm { x_m, y_m, z_m } = self.lever_arm?;
+        let on_robot = GroundPose {
+            x_m,
+            y_m,
+            heading_rad: self.yaw_rad,
+            height_m: z_m,
+            roll_rad: self.roll_rad,
+            pitch_rad: self.pitch_rad,
+        };
+        Some(on_robot.world_from_camera())
     }
 
     /// Initial pose of a run: above the world's origin, with the top of the image along world x.

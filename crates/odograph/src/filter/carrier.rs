@@ -3,6 +3,7 @@
 use super::SmoothedFrame;
 use super::coordinate::{Measured, smooth_coordinate};
 use crate::camera::Rig;
+use crate::pose_frame::{BaseLink, PoseFrame};
 use crate::trajectory::{StampedPose, Trajectory};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::f64::consts::TAU;
@@ -13,31 +14,45 @@ use std::f64::consts::TAU;
 /// and more.
 pub const CARRIER_CUTOFF_HZ: f64 = 2.0;
 
-/// Estimates the path of the carrier: the ground point below the camera and the carrier's forward
-/// direction (heading minus mount yaw), on level ground (z = 0), low-pass filtered at
-/// [`CARRIER_CUTOFF_HZ`].
+/// Estimates the path of the carrier, low-pass filtered at [`CARRIER_CUTOFF_HZ`]: level, with x
+/// along its forward direction. With a lever arm it is the path of `base_link`
+/// ([`crate::pose_frame`]), at its nominal height; without one, that of the ground point below the
+/// camera (z = 0), its heading less the mount yaw.
 ///
 /// The filter is a quintic smoothing spline (G. Wahba, "Spline models for observational data",
 /// 1990), which equals the fixed-interval smoother for white jerk of spectral density `ω⁶` and
 /// measurement noise of density 1. Its zero-phase gain at angular frequency w is 1 / (1 + (w /
 /// ω)⁶).
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Carrier {
+    of: PoseFrame,
+    /// What is still to be subtracted from the heading, radians.
+    yaw_rad: f64,
+    z_m: f64,
     times_s: Vec<f64>,
     /// x, y (metres) and heading (radians).
     axes: [Vec<f64>; 3],
 }
 
 impl Carrier {
-    /// An empty path with capacity for `frames` frames.
-    pub fn for_frames(frames: usize) -> Self {
+    /// An empty path of what carries a camera mounted like this, with capacity for `frames` frames.
+    pub fn for_frames(rig: &Rig, frames: usize) -> Self {
         let axes = [(); 3].map(|()| Vec::with_capacity(frames));
-        Self { times_s: Vec::with_capacity(frames), axes }
+        let (of, yaw_rad, z_m) = match (BaseLink::of(rig), rig.lever_arm) {
+            (Some(base), Some(arm)) => (PoseFrame::BaseLink(base), 0.0, rig.height_m - arm.z_m),
+            _ => (PoseFrame::Camera, rig.yaw_rad, 0.0),
+        };
+        Self { of, yaw_rad, z_m, times_s: Vec::with_capacity(frames), axes }
+    }
+
+    /// Whose path it is: `base_link`'s, where the rig has a lever arm.
+    pub fn of(&self) -> &PoseFrame {
+        &self.of
     }
 
     /// Appends the next frame of the camera's path.
     pub fn push(&mut self, frame: &SmoothedFrame) {
-        let pose = &frame.pose;
+        let pose = frame.seen_as(&self.of).pose;
         self.times_s.push(frame.time_s);
         for (axis, value) in self.axes.iter_mut().zip([pose.x_m, pose.y_m, pose.heading_rad]) {
             axis.push(value);
@@ -46,10 +61,9 @@ impl Carrier {
 
     /// The filtered pose of the carrier at each frame. Frames with a repeated timestamp are
     /// dropped.
-    pub fn path(self, rig: &Rig) -> impl Iterator<Item = StampedPose> {
-        let Self { times_s, axes } = self;
+    pub fn path(self) -> impl Iterator<Item = StampedPose> {
+        let Self { yaw_rad, z_m, times_s, axes, .. } = self;
         let axes = axes.map(|values| without_shaking(&times_s, values));
-        let yaw_rad = rig.yaw_rad;
         let mut before_s = f64::NEG_INFINITY;
         (0..times_s.len()).filter_map(move |i| {
             if times_s[i] <= before_s {
@@ -58,7 +72,7 @@ impl Carrier {
             before_s = times_s[i];
             let [x_m, y_m, heading_rad] = axes.each_ref().map(|axis| axis[i]);
             let forward = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad - yaw_rad);
-            let world_from_camera = Isometry3::from_parts(Translation3::new(x_m, y_m, 0.0), forward);
+            let world_from_camera = Isometry3::from_parts(Translation3::new(x_m, y_m, z_m), forward);
             Some(StampedPose { time_s: times_s[i], world_from_camera })
         })
     }
@@ -66,9 +80,9 @@ impl Carrier {
 
 /// The path of the carrier ([`Carrier`]) from a complete path of the camera.
 pub fn carrier_path(path: &[SmoothedFrame], rig: &Rig) -> Trajectory {
-    let mut carrier = Carrier::for_frames(path.len());
+    let mut carrier = Carrier::for_frames(rig, path.len());
     path.iter().for_each(|frame| carrier.push(frame));
-    Trajectory { poses: carrier.path(rig).collect() }
+    Trajectory { poses: carrier.path().collect() }
 }
 
 /// Spectral density of the measurement noise. Its value is uncritical as long as the noise is small

@@ -11,6 +11,7 @@ use super::FilterConfig;
 use super::constant_acceleration::SMALLEST_VARIANCE;
 use super::coordinate::{Measured, Smoothed, adapted, smooth_coordinate};
 use crate::geometry::GroundPose;
+use crate::pose_frame::PoseFrame;
 use crate::trajectory::StampedPose;
 use crate::trajectory::{FrameEstimate, PoseEstimate, Velocity};
 use nalgebra::{Matrix3, Vector3};
@@ -171,9 +172,16 @@ impl Walk<'_> {
 }
 
 impl SmoothedFrame {
-    /// The frame as an entry of a trajectory.
-    pub fn stamped(&self) -> StampedPose {
-        StampedPose { time_s: self.time_s, world_from_camera: self.pose.world_from_camera() }
+    /// The same frame of the path of `of`.
+    pub fn seen_as(&self, of: &PoseFrame) -> Self {
+        let PoseFrame::BaseLink(base) = of else { return self.clone() };
+        let (pose, velocity, covariance) = base.in_plane(&self.pose, &self.velocity, &self.covariance);
+        Self { pose, velocity, covariance, ..self.clone() }
+    }
+
+    /// The frame, which is one of the path of `of`, as an entry of a trajectory.
+    pub fn stamped(&self, of: &PoseFrame) -> StampedPose {
+        StampedPose { time_s: self.time_s, world_from_camera: of.world_from_frame(&self.pose) }
     }
 }
 

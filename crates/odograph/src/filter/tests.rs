@@ -1,7 +1,7 @@
 //! Smoother and carrier path on synthetic paths with exact ground truth and on rendered drives.
 
 use super::*;
-use crate::camera::{Camera, Rig};
+use crate::camera::{Camera, LeverArm, Rig};
 use crate::geometry::GroundPose;
 use crate::motion::Random;
 use crate::odometry::{Odometry, OdometryConfig};
@@ -190,6 +190,26 @@ fn rendered(noise_gray: f64) -> (Vec<FrameEstimate>, Simulation) {
     let frames =
         simulation.frames().map(|frame| odometry.process(frame.image, frame.time_s).unwrap()).collect();
     (frames, simulation)
+}
+
+#[test]
+fn the_carrier_of_a_camera_on_a_lever_arm_is_base_link() {
+    // The robot turns on the spot; its camera circles about it.
+    let lever_arm = Some(LeverArm { x_m: 0.3, y_m: 0.1, z_m: 0.9 });
+    let rig = Rig { yaw_rad: 0.7, lever_arm, ..Rig::level(1.0) };
+    let circling = |t: f64| {
+        let (sin, cos) = (0.5 * t).sin_cos();
+        [0.3 * cos - 0.1 * sin, 0.3 * sin + 0.1 * cos, 0.5 * t + 0.7]
+    };
+    let path = smooth(&measured(circling, 1e-5, 300), &FilterConfig::default());
+    let carrier = carrier_path(&path, &rig);
+    for pose in &carrier.poses[30..270] {
+        let at = pose.world_from_camera.translation.vector;
+        assert!(at.xy().norm() < 1e-4 && (at.z - 0.1).abs() < 1e-12, "{at:?}");
+        let (roll, pitch, heading) = pose.world_from_camera.rotation.euler_angles();
+        let off = crate::geometry::wrap_angle(heading - 0.5 * pose.time_s);
+        assert!(roll.abs() < 1e-12 && pitch.abs() < 1e-12 && off.abs() < 1e-4, "{off}");
+    }
 }
 
 #[test]

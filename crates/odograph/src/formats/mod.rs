@@ -5,6 +5,7 @@
 
 pub mod decimal;
 pub mod camera_file;
+pub mod length;
 pub mod rig_file;
 pub mod sensor_file;
 pub mod trajectory_file;

@@ -5,15 +5,18 @@
 //! roll_deg = -0.4    # 0 for a nadir-looking camera; default 0
 //! pitch_deg = 1.2
 //! yaw_deg = 90       # top of the image, counter-clockwise from forward
+//! x_m = 0.30         # lever arm, left out where it is unknown: the camera on the robot (base_link),
+//! y_m = 0            #   forward and to the left; default 0
+//! z_m = 0.65         #   up; default height_m: base_link is on the ground
 //! ```
 //!
-//! Each angle may be in radians instead (`roll_rad`, …). A measured rig also has standard
-//! deviations, which [`parse`] ignores: `height_deviation_m`, `roll_deviation_deg`,
-//! `pitch_deviation_deg`, `yaw_deviation_deg`. Any other key is an error, because a misspelt angle
-//! would otherwise be 0.
+//! Each angle may be in radians instead (`roll_rad`, …), and each of the four lengths a text with
+//! its unit (`height = "75cm"`, `x = "300mm"`). A measured rig also has standard deviations, which
+//! [`parse`] ignores: `height_deviation_m`, `roll_deviation_deg`, `pitch_deviation_deg`,
+//! `yaw_deviation_deg`. Any other key is an error, because a misspelt angle would otherwise be 0.
 
-use crate::camera::Rig;
-use crate::camera::{MeasuredRig, RigDeviations};
+use super::length;
+use crate::camera::{LeverArm, MeasuredRig, Rig, RigDeviations};
 use crate::error::{Error, Result};
 use std::fmt::Write;
 use toml::{Table, Value};
@@ -22,7 +25,7 @@ use toml::{Table, Value};
 const MAX_BYTES: usize = 1 << 20;
 
 /// All valid keys.
-const KEYS: [&str; 11] = [
+const KEYS: [&str; 18] = [
     "height_m",
     "roll_deg",
     "pitch_deg",
@@ -34,6 +37,13 @@ const KEYS: [&str; 11] = [
     "roll_deviation_deg",
     "pitch_deviation_deg",
     "yaw_deviation_deg",
+    "x_m",
+    "y_m",
+    "z_m",
+    "height",
+    "x",
+    "y",
+    "z",
 ];
 
 /// Largest accepted height, metres.
@@ -42,7 +52,7 @@ const GREATEST_HEIGHT_M: f64 = 1e6;
 /// Reads a rig from TOML.
 ///
 /// Fails, naming the key, if the height is missing or larger than 1e6 m, a key is unknown, a value
-/// is not a finite number, an angle is given in both units, or the rig is invalid
+/// is not a finite number or a length with its unit, a number is given twice, or the rig is invalid
 /// ([`Rig::validated`]).
 pub fn parse(text: &str) -> Result<Rig> {
     if text.len() > MAX_BYTES {
@@ -57,14 +67,17 @@ pub fn parse(text: &str) -> Result<Rig> {
     })?;
     if let Some(unknown) = table.keys().find(|key| !KEYS.contains(&key.as_str())) {
         let shown: String = unknown.chars().take(40).flat_map(char::escape_debug).collect();
-        let nearest = KEYS.iter().map(|key| (edits(&shown, key), key)).min();
+        // Every key of a few letters resembles the shortest ones.
+        let long = KEYS.iter().filter(|key| key.len() > MOST_EDITS);
+        let nearest = long.map(|key| (edits(&shown, key), key)).min();
         let hint = match nearest.filter(|(edits, _)| *edits <= MOST_EDITS) {
             Some((_, key)) => format!("did you mean `{key}`?"),
-            None => "the keys are height_m, roll_deg, pitch_deg and yaw_deg".to_owned(),
+            None => "the keys are height_m, roll_deg, pitch_deg, yaw_deg, and x_m, y_m, z_m of the camera in base_link"
+                .to_owned(),
         };
         return Err(Error::input(format!("the rig file has an unknown key `{shown}`; {hint}")));
     }
-    let height_m = number(&table, "height_m")?.ok_or_else(|| {
+    let height_m = length(&table, "height")?.ok_or_else(|| {
         Error::input("the rig file has no `height_m`; add the camera's height above the ground in metres")
     })?;
     if height_m > GREATEST_HEIGHT_M {
@@ -77,6 +90,7 @@ pub fn parse(text: &str) -> Result<Rig> {
         roll_rad: angle(&table, "roll")?,
         pitch_rad: angle(&table, "pitch")?,
         yaw_rad: angle(&table, "yaw")?,
+        lever_arm: lever_arm(&table, height_m)?,
     };
     rig.validated().map_err(|error| Error::input(error.to_string()))
 }
@@ -107,6 +121,9 @@ pub fn write(rig: &Rig) -> String {
         let candidates = [nearest, nearest.next_up(), nearest.next_down()];
         let exact = candidates.into_iter().find(|degrees| degrees.to_radians() == radians);
         let _ = writeln!(text, "{name}_deg = {:?}", exact.unwrap_or(nearest));
+    }
+    if let Some(LeverArm { x_m, y_m, z_m }) = rig.lever_arm {
+        let _ = writeln!(text, "x_m = {x_m:?}\ny_m = {y_m:?}\nz_m = {z_m:?}");
     }
     text
 }
@@ -152,6 +169,36 @@ pub fn parse_measured(text: &str) -> Result<MeasuredRig> {
     })
 }
 
+/// The lever arm, if any of its numbers is there.
+fn lever_arm(table: &Table, height_m: f64) -> Result<Option<LeverArm>> {
+    let [x_m, y_m, z_m] = [length(table, "x")?, length(table, "y")?, length(table, "z")?];
+    let known = x_m.is_some() || y_m.is_some() || z_m.is_some();
+    Ok(known.then(|| LeverArm {
+        x_m: x_m.unwrap_or(0.0),
+        y_m: y_m.unwrap_or(0.0),
+        z_m: z_m.unwrap_or(height_m),
+    }))
+}
+
+/// A length in metres, from the key in metres or the one with a unit.
+fn length(table: &Table, name: &str) -> Result<Option<f64>> {
+    let metres = number(table, &format!("{name}_m"))?;
+    let Some(written) = table.get(name) else { return Ok(metres) };
+    if metres.is_some() {
+        return Err(Error::input(format!("the rig file has both `{name}` and `{name}_m`; keep one of them")));
+    }
+    match written.as_str().and_then(length::parse) {
+        Some((metres, true)) if metres.is_finite() => Ok(Some(metres)),
+        _ => {
+            let shown: String = written.to_string().chars().take(40).flat_map(char::escape_debug).collect();
+            Err(Error::input(format!(
+                "{name} is {shown} in the rig file; write a length with its unit, such as \"90cm\", or \
+                 {name}_m with a number of metres"
+            )))
+        }
+    }
+}
+
 /// An angle in radians from the key in either unit; 0 if both are absent.
 fn angle(table: &Table, name: &str) -> Result<f64> {
     let degrees = number(table, &format!("{name}_deg"))?;
@@ -190,7 +237,19 @@ mod tests {
     #[test]
     fn degrees_and_radians_are_read() {
         let rig = parse("height_m = 1\nroll_deg = 90e-1\npitch_rad = 0.1").unwrap();
-        assert_eq!(rig, Rig { height_m: 1.0, roll_rad: 9f64.to_radians(), pitch_rad: 0.1, yaw_rad: 0.0 });
+        assert_eq!(
+            rig,
+            Rig { height_m: 1.0, roll_rad: 9f64.to_radians(), pitch_rad: 0.1, yaw_rad: 0.0, lever_arm: None }
+        );
+    }
+
+    #[test]
+    fn lengths_are_read_in_metres_and_with_units() {
+        let rig = parse("height = '75cm'\nx = '300 mm'\ny_m = -0.02").unwrap();
+        assert_eq!(rig.height_m, 0.75);
+        assert_eq!(rig.lever_arm, Some(LeverArm { x_m: 0.3, y_m: -0.02, z_m: 0.75 }));
+        let low = parse("height_m = 0.75\nz = '65cm'").unwrap().lever_arm;
+        assert_eq!(low, Some(LeverArm { x_m: 0.0, y_m: 0.0, z_m: 0.65 }));
     }
 
     #[test]
@@ -205,7 +264,14 @@ mod tests {
             ("height_m = 1\n\nroll_deg = = 3", "line 3"),
             ("height_m = 1\nheight_m = 2", "line 2"),
             ("height_m = 1\nroll_dg = 2", "unknown key `roll_dg`; did you mean `roll_deg`?"),
-            ("height = 1", "unknown key `height`; did you mean `height_m`?"),
+            ("height = 1", "height is 1 in the rig file; write a length with its unit"),
+            ("height = '1'", "with its unit"),
+            ("hight_m = 1", "unknown key `hight_m`; did you mean `height_m`?"),
+            ("height_m = 1\nx_mm = 300", "unknown key `x_mm`; the keys are height_m, roll_deg"),
+            ("height_m = 1\nx_m = 300", "the lever arm's x is 300 m"),
+            ("height_m = 1\nz = '-1e9cm'", "the lever arm's z is -10000000 m"),
+            ("height_m = 1\ny_m = inf", "y_m is inf"),
+            ("height_m = 1\nx_m = 1\nx = '1m'", "both `x` and `x_m`"),
             ("focal_length = 1", "unknown key `focal_length`; the keys are height_m, roll_deg"),
             ("height_m = 1\n[more]\nx = 1", "`more`"),
             ("height_m = 1\n\"a\\u001B[2J\" = 1", "`a\\u{1b}[2J`"),
@@ -220,7 +286,7 @@ mod tests {
 
     #[test]
     fn a_measured_rig_round_trips_and_reads_as_a_rig() {
-        let rig = Rig { height_m: 0.75, roll_rad: 0.1, pitch_rad: -0.2, yaw_rad: 0.0 };
+        let rig = Rig { roll_rad: 0.1, pitch_rad: -0.2, ..Rig::level(0.75) };
         let deviations = RigDeviations {
             height_m: Some(0.001),
             roll_rad: Some(0.002),
@@ -245,13 +311,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_written_rig_is_in_degrees_and_read_back(height_m in 1e-3..1e3, roll_rad in -1.0..1.0, pitch_rad in -1.0..1.0, yaw_rad in -4.0..4.0) {
-            let rig = Rig { height_m, roll_rad, pitch_rad, yaw_rad };
+        fn a_written_rig_is_in_degrees_and_read_back(height_m in 1e-3..1e3, roll_rad in -1.0..1.0, pitch_rad in -1.0..1.0, yaw_rad in -4.0..4.0, x_m in -9.0..9.0, z_m in -9.0..9.0, armed: bool) {
+            let lever_arm = armed.then_some(LeverArm { x_m, y_m: -x_m / 3.0, z_m });
+            let rig = Rig { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm };
             if let Ok(rig) = rig.validated() {
                 let text = write(&rig);
                 prop_assert!(!text.contains("_rad"), "{}", text);
                 let back = parse(&text).unwrap();
                 prop_assert_eq!(back.height_m, rig.height_m);
+                prop_assert_eq!(back.lever_arm, rig.lever_arm);
                 for (back, rad) in [(back.roll_rad, roll_rad), (back.pitch_rad, pitch_rad), (back.yaw_rad, yaw_rad)] {
                     prop_assert!((back - rad).abs() <= rad.abs() * f64::EPSILON, "{} {}", back, rad);
                 }

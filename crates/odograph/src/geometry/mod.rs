@@ -204,6 +204,36 @@ impl GroundPose {
         )
     }
 
+    /// The same pose in the axes of vehicles, as a rigid transform: x forward (the direction of the
+    /// heading), y left, z up (ROS REP-103), so that roll, pitch and heading are the Euler angles
+    /// of its rotation.
+    pub fn world_from_body(&self) -> Isometry3<f64> {
+        let turn = Rotation3::from_euler_angles(self.roll_rad, self.pitch_rad, self.heading_rad);
+        Isometry3::from_parts(
+            Translation3::from(self.position()),
+            UnitQuaternion::from_rotation_matrix(&turn),
+        )
+    }
+
+    /// The pose of [`GroundPose::world_from_body`], up to full turns of the heading.
+    pub fn from_world_from_body(world_from_body: &Isometry3<f64>) -> Self {
+        let (roll_rad, pitch_rad, heading_rad) = world_from_body.rotation.euler_angles();
+        let t = &world_from_body.translation.vector;
+        Self { x_m: t.x, y_m: t.y, heading_rad, height_m: t.z, roll_rad, pitch_rad }
+    }
+
+    /// Axes about which heading, roll and pitch turn, in world coordinates, as columns in this
+    /// order.
+    pub fn rotation_axes(&self) -> Matrix3<f64> {
+        let (sin_heading, cos_heading) = self.heading_rad.sin_cos();
+        let (sin_pitch, cos_pitch) = self.pitch_rad.sin_cos();
+        Matrix3::from_columns(&[
+            Vector3::z(),
+            Vector3::new(cos_heading * cos_pitch, sin_heading * cos_pitch, -sin_pitch),
+            Vector3::new(-sin_heading, cos_heading, 0.0),
+        ])
+    }
+
     /// The pose of a rigid transform: the inverse of [`GroundPose::world_from_camera`] up to full
     /// turns of the heading.
     pub fn from_world_from_camera(world_from_camera: &Isometry3<f64>) -> Self {

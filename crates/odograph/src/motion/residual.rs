@@ -94,12 +94,11 @@ pub struct Axes {
 impl Axes {
     /// The axes of a pose.
     pub fn new(pose: &GroundPose) -> Self {
-        let (sin_heading, cos_heading) = pose.heading_rad.sin_cos();
-        let (sin_pitch, cos_pitch) = pose.pitch_rad.sin_cos();
+        let axes = pose.rotation_axes();
         Self {
             camera_from_world: pose.world_from_camera_rotation().transpose(),
-            pitch: Vector3::new(-sin_heading, cos_heading, 0.0),
-            roll: Vector3::new(cos_heading * cos_pitch, sin_heading * cos_pitch, -sin_pitch),
+            roll: axes.column(1).into_owned(),
+            pitch: axes.column(2).into_owned(),
         }
     }
 }

@@ -108,12 +108,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     }
     Ok(Measured {
         rig: MeasuredRig {
-            rig: Rig {
-                height_m,
-                roll_rad: found.roll_rad,
-                pitch_rad: found.pitch_rad,
-                yaw_rad: begin.yaw_rad,
-            },
+            rig: Rig { height_m, roll_rad: found.roll_rad, pitch_rad: found.pitch_rad, ..begin },
             deviations: RigDeviations {
                 height_m: height_deviation_m,
                 roll_rad: Some(found.covariance[(0, 0)].sqrt()),

@@ -107,6 +107,12 @@ impl Observer for ConsoleObserver {
         }
     }
 
+    fn note(&self, sentence: &str) {
+        if !self.quiet {
+            console::note(sentence);
+        }
+    }
+
     fn is_stop_asked(&self) -> bool {
         interrupt::asked()
     }

@@ -58,6 +58,7 @@ pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
         ("--gyro, --heading, --wheel, --range or a topic of them", !arguments.sensors.files().is_empty()),
         ("--reference", arguments.reference.is_some()),
         ("--progress json", arguments.progress == Progress::Json),
+        ("--bag-out", arguments.bag_out.is_some()),
     ];
     if let Some((option, _)) = one_alone.iter().find(|(_, given)| *given) {
         return Err(Error::usage(format!("{option} belongs to one recording; run it by itself")));

@@ -9,7 +9,7 @@ mod tell;
 use crate::{Outcome, console, files};
 pub use console_observer::ConsoleObserver;
 use console_observer::Progress;
-pub use mounted_camera::{Motion, MountedCamera};
+pub use mounted_camera::{Frame, Motion, MountedCamera};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
 use odograph_session::{MapUse, RunBuilder, SourcePlan};
@@ -89,6 +89,12 @@ pub struct RunArguments {
     /// of frames is not known; the count begins again where the run does.
     #[arg(help_heading = "Results", long, value_name = "FORM", default_value = "bar")]
     pub progress: Progress,
+    /// Write poses, transforms and diagnostics as ROS 2 messages into an MCAP file.
+    ///
+    /// /odometry (nav_msgs/Odometry with the covariance), /tf (map, odom, and base_link or camera),
+    /// /tf_static and /diagnostics, for `ros2 bag play` and others.
+    #[arg(help_heading = "Results", long, value_name = "FILE")]
+    pub bag_out: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputArguments,
 }
@@ -122,6 +128,7 @@ Examples:
   odograph run drive.mp4 --field-of-view 1.20x0.90 -o drive/
   odograph run drive.mp4 --camera camera.yaml --height 90cm --gyro gyro.csv --wheel wheel.csv
   odograph run drive.mcap --topic /camera/image_raw --height 90cm --gyro-topic /imu -o drive/
+  odograph run drive.mcap --height 90cm --bag-out poses.mcap -o drive/
   odograph run drive/run.toml -o again/
   odograph run monday.mp4 --camera camera.yaml --height 1.20 --map hall.gpkg -o monday/
   odograph run monday.mp4 tuesday.mp4 --camera camera.yaml --height 1.20 -o week/
@@ -139,6 +146,7 @@ impl RunArguments {
             self.fresh(source)
         };
         let run = run.folder(folder).overwriting(self.output.force).reporter(HtmlReporter);
+        let run = self.bag_out.iter().fold(run, RunBuilder::bag);
         let run = match &self.output.map {
             Some(map) => run.map(MapUse::Continue(map.clone())),
             None => run,
@@ -175,6 +183,7 @@ impl RunArguments {
             ("--field-of-view", self.mounted.field_of_view.is_some()),
             ("--rig", self.mounted.rig.is_some()),
             ("--height", self.mounted.height.is_some()),
+            ("--frame", self.mounted.frame.is_some()),
             ("--mask", self.mounted.mask.is_some()),
             ("--motion", self.mounted.motion != Motion::Auto),
             ("--topic", self.topic.is_some()),

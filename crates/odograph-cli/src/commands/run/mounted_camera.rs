@@ -2,7 +2,7 @@
 
 use crate::lengths::{self, Height};
 use odograph::motion::MotionModel;
-use odograph_session::RunBuilder;
+use odograph_session::{FrameChoice, RunBuilder};
 use std::path::PathBuf;
 
 /// Camera, mount and motion, but for the camera file.
@@ -13,9 +13,14 @@ pub struct MountedCamera {
     /// The camera is taken to look straight down; a tilt is found in the recording.
     #[arg(help_heading = "Camera", long, value_name = "LENGTH", value_parser = lengths::height, allow_negative_numbers = true, conflicts_with = "rig")]
     pub height: Option<Height>,
-    /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg.
+    /// Rig file (TOML): height_m, roll_deg, pitch_deg, yaw_deg; x_m, y_m, z_m.
+    ///
+    /// x_m, y_m, z_m: the camera on the robot (base_link), forward, left and up.
     #[arg(help_heading = "Camera", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
+    /// Whose poses are written. [default: the robot's where the rig has x_m, y_m, z_m]
+    #[arg(help_heading = "Results", long, value_name = "FRAME")]
+    pub frame: Option<Frame>,
     /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
     ///
     /// Stands in for a camera file; height and tilt are then taken as steady.
@@ -47,6 +52,7 @@ impl MountedCamera {
         };
         let run = self.height.iter().fold(run, |run, height| run.height_m(height.metres));
         let run = self.rig.iter().fold(run, RunBuilder::rig_file);
+        let run = self.frame.into_iter().fold(run, |run, frame| run.frame(frame.into()));
         let run = self.readout_ms.iter().fold(run, |run, readout_ms| run.readout_s(1e-3 * readout_ms));
         self.mask.iter().fold(run, RunBuilder::mask)
     }
@@ -70,6 +76,25 @@ fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
     match sides {
         Some((w, h)) if [w, h].iter().all(|v: &f64| v.is_finite() && *v > 0.0) => Ok(FieldOfView(w, h)),
         _ => Err("give width and height, as 1.20x0.90 (metres) or 120cmx90cm".to_owned()),
+    }
+}
+
+/// Whose poses are written, by their names on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Frame {
+    /// The robot: x forward, y left, z up (ROS REP-105).
+    #[value(name = "base_link")]
+    BaseLink,
+    /// The camera: x right, y down, z along the optical axis.
+    Camera,
+}
+
+impl From<Frame> for FrameChoice {
+    fn from(frame: Frame) -> Self {
+        match frame {
+            Frame::BaseLink => Self::BaseLink,
+            Frame::Camera => Self::Camera,
+        }
     }
 }
 

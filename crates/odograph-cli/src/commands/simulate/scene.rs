@@ -64,6 +64,7 @@ pub fn from_arguments(arguments: &SimulateArguments) -> Result<(SimulationConfig
         roll_rad: arguments.roll.to_radians(),
         pitch_rad: arguments.pitch.to_radians(),
         yaw_rad: arguments.yaw.to_radians(),
+        lever_arm: None,
     }
     .validated()?;
     let kind = path_kind(arguments, &camera, &rig)?;

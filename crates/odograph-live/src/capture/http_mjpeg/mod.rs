@@ -1,5 +1,6 @@
 //! Motion JPEG over HTTP (`multipart/x-mixed-replace`), as phones and network cameras send it.
 
+use super::arrival_clock::ArrivalClock;
 use super::back_off::BackOff;
 use super::multipart::{Multipart, boundary};
 use super::url::{HttpUrl, base64};
@@ -21,15 +22,67 @@ pub struct HttpMjpeg {
     place: String,
     info: SourceInfo,
     connection: Option<Multipart<Box<dyn BufRead + Send>>>,
-    first: Option<(Picture, Instant)>,
+    first: Option<Arrived>,
     began: Instant,
     number: u64,
-    last_time_s: f64,
+    clock: FrameClock,
     patience: Duration,
     part: Vec<u8>,
     damaged: u64,
     watch: Watch,
     warnings: Vec<String>,
+}
+
+/// An image with its arrival, and the time that its camera states, seconds of the camera's clock.
+struct Arrived {
+    picture: Picture,
+    at: Instant,
+    stamp_s: Option<f64>,
+}
+
+/// Times of the frames: those that the camera states, otherwise those of a clock fitted to the
+/// arrivals.
+#[derive(Default)]
+struct FrameClock {
+    arrivals: ArrivalClock,
+    /// Time of the previous frame, and the stamp that it had, seconds.
+    last: Option<(f64, Option<f64>)>,
+    /// What is added to the camera's time stamps, seconds.
+    shift_s: Option<f64>,
+    /// Whether the camera's stamps turned out to be none of each frame.
+    distrusted: bool,
+}
+
+/// Stamps that differ more than this from the arrivals, seconds, are of a clock that was set.
+const MOST_STAMP_ERROR_S: f64 = 1.5;
+
+impl FrameClock {
+    fn time_s(&mut self, arrival_s: f64, stamp_s: Option<f64>) -> f64 {
+        let modelled_s = self.arrivals.time_s(arrival_s);
+        let (last_s, last_stamp_s) = self.last.unzip();
+        // Whole seconds, or a stamp of the stream, repeat.
+        self.distrusted |= stamp_s.is_some() && last_stamp_s.flatten() == stamp_s;
+        let time_s = match stamp_s.filter(|_| !self.distrusted) {
+            Some(stamp_s) => {
+                let stated_s = stamp_s + *self.shift_s.get_or_insert(modelled_s - stamp_s);
+                let ordered = last_s.is_none_or(|last_s| stated_s > last_s);
+                if ordered && (stated_s - modelled_s).abs() < MOST_STAMP_ERROR_S {
+                    stated_s
+                } else {
+                    self.shift_s = Some(modelled_s - stamp_s);
+                    modelled_s
+                }
+            }
+            None => modelled_s,
+        };
+        // Where it changes from one to the other, times still increase, by no small step.
+        let time_s = match last_s.filter(|last_s| time_s <= *last_s) {
+            Some(last_s) => last_s + 1.0 / 60.0,
+            None => time_s,
+        };
+        self.last = Some((time_s, stamp_s));
+        time_s
+    }
 }
 
 impl std::fmt::Debug for HttpMjpeg {
@@ -68,11 +121,11 @@ impl HttpMjpeg {
             info: SourceInfo { width, height, frame_count: None, description },
             url,
             place,
+            first: Some(Arrived { picture, at: Instant::now(), stamp_s: connection.timestamp_s() }),
             connection: Some(connection),
-            first: Some((picture, Instant::now())),
             began: Instant::now(),
             number: 0,
-            last_time_s: -1.0,
+            clock: FrameClock::default(),
             patience,
             part,
             damaged: 0,
@@ -82,7 +135,7 @@ impl HttpMjpeg {
     }
 
     /// The next image that can be decoded; `None` if the source was asked to end.
-    fn next_picture(&mut self) -> Result<Option<(Picture, Instant)>> {
+    fn next_picture(&mut self) -> Result<Option<Arrived>> {
         let mut back_off = BackOff::new(self.patience);
         loop {
             if self.watch.ended() {
@@ -98,11 +151,11 @@ impl HttpMjpeg {
                 },
                 Some(connection) => match connection.next(&mut self.part) {
                     Ok(true) => {
-                        let at = Instant::now();
+                        let (at, stamp_s) = (Instant::now(), connection.timestamp_s());
                         match Picture::from_jpeg(&self.part, true) {
                             Ok(picture) => {
                                 self.watch.back();
-                                return Ok(Some((picture, at)));
+                                return Ok(Some(Arrived { picture, at, stamp_s }));
                             }
                             Err(_) => self.damaged += 1,
                         }
@@ -138,7 +191,7 @@ impl LiveSource for HttpMjpeg {
     }
 
     fn next_frame(&mut self) -> Result<Option<Captured>> {
-        let (picture, at) = match self.first.take() {
+        let Arrived { picture, at, stamp_s } = match self.first.take() {
             Some(first) => first,
             None => match self.next_picture()? {
                 Some(next) => next,
@@ -152,10 +205,8 @@ impl LiveSource for HttpMjpeg {
                 self.place, self.info.width, self.info.height
             )));
         }
-        // The stream carries no timestamps, so the arrival time is used. Timestamps must increase
-        // strictly for the velocity to be defined.
-        let time_s = at.saturating_duration_since(self.began).as_secs_f64().max(self.last_time_s + 1e-6);
-        self.last_time_s = time_s;
+        let arrival_s = at.saturating_duration_since(self.began).as_secs_f64();
+        let time_s = self.clock.time_s(arrival_s, stamp_s);
         self.number += 1;
         Ok(Some(Captured { frame: Frame::new(self.number - 1, time_s, picture), at }))
     }

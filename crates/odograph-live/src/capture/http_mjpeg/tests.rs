@@ -83,3 +83,39 @@ fn other_servers_are_refused_with_a_clear_message() {
     let text = refused(&format!("{HEAD}\r\n--b\r\n\r\nhello\r\n--b--\r\n"));
     assert!(text.contains("JPEG"), "{text}");
 }
+
+/// A part with the time at which the camera took its image.
+fn stamped(body: &[u8], stamp: &str) -> Vec<u8> {
+    let head = format!("--b\r\nX-Timestamp: {stamp}\r\nContent-Length: {}\r\n\r\n", body.len());
+    [head.as_bytes(), body, b"\r\n"].concat()
+}
+
+/// The times of the images of a stream that arrives all at once.
+fn times(parts: Vec<Vec<u8>>) -> Vec<f64> {
+    let count = parts.len();
+    let answer = [format!("{HEAD}\r\n").into_bytes(), parts.concat()].concat();
+    let mut source =
+        HttpMjpeg::open(&camera(vec![answer]), Duration::from_secs(600), Watch::default()).unwrap();
+    (0..count).map(|_| source.next_frame().unwrap().unwrap().frame.time_s).collect()
+}
+
+#[test]
+fn images_that_arrive_at_once_are_not_taken_at_once() {
+    let times = times((0..8).map(|_| part(&jpeg(90))).collect());
+    // A burst before anything is known of the camera: at most sixty frames a second.
+    for pair in times.windows(2) {
+        assert!(pair[1] - pair[0] > 0.9 / 60.0, "{times:?}");
+    }
+}
+
+#[test]
+fn time_stamps_of_the_camera_are_its_times() {
+    let stamps = [1_700_000_000.0, 1_700_000_000.1, 1_700_000_000.2, 1_700_000_000.35];
+    let stated = times(stamps.iter().map(|stamp| stamped(&jpeg(90), &format!("{stamp:.6}"))).collect());
+    for (time_s, expected_s) in stated.iter().zip([0.0, 0.1, 0.2, 0.35]) {
+        assert!((time_s - stated[0] - expected_s).abs() < 1e-5, "{stated:?}");
+    }
+    // Whole seconds are no times of frames.
+    let repeated = times((0..4).map(|_| stamped(&jpeg(90), "1700000000")).collect());
+    assert!(repeated.windows(2).all(|pair| (0.01..0.5).contains(&(pair[1] - pair[0]))), "{repeated:?}");
+}

@@ -4,6 +4,7 @@ pub(crate) mod camera_info;
 mod protobuf;
 pub(crate) mod image;
 pub(crate) mod sensor;
+pub(crate) mod transforms;
 
 use super::cursor::{Cursor, Serialization};
 use super::recording::Topic;

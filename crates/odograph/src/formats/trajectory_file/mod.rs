@@ -12,6 +12,7 @@ pub use crate::trajectory::{StampedPose, Trajectory};
 pub use frames_csv::{FRAMES_HEADER, SMOOTHED_HEADER, csv_from_frames, frame_line, smoothed_line};
 
 use crate::error::{Error, Result};
+use crate::pose_frame::PoseFrame;
 use crate::trajectory::FrameEstimate;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion};
 use std::fmt::Write;
@@ -75,6 +76,11 @@ pub fn write_tum(trajectory: &Trajectory) -> String {
 
 /// Comment line, with its newline, that names the columns of a TUM trajectory.
 pub const TUM_HEADER: &str = "# time_s x_m y_m z_m qx qy qz qw (world_from_camera)\n";
+
+/// The same for the trajectory of a frame.
+pub fn tum_header(of: &PoseFrame) -> String {
+    TUM_HEADER.replace("world_from_camera", &format!("world_from_{}", of.name()))
+}
 
 /// A pose as a line in TUM format, with its newline: positions rounded to 1e-9 m, times to 1e-9 s,
 /// and the quaternion with `qw` ≥ 0.

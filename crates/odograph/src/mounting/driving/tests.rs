@@ -16,7 +16,7 @@ fn camera() -> Camera {
     Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), distortion).unwrap()
 }
 
-const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.05, yaw_rad: 0.0 };
+const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.05, yaw_rad: 0.0, lever_arm: None };
 
 /// Keyframes with one pair each, of exact tracks with noise, which move and turn by what `movement` says.
 fn collected(
