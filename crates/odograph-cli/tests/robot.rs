@@ -103,8 +103,7 @@ fn with_a_lever_arm_the_poses_are_those_of_the_robot() {
         }
     }
     // A map remembers the lever arm.
-    let found =
-        done(here, &format!("localize sim/frames --timestamps sim/frames.txt --map robot/map.gpkg --json"));
+    let found = done(here, "localize sim/frames --timestamps sim/frames.txt --map robot/map.gpkg --json");
     let place: serde_json::Value = serde_json::from_str(&found).unwrap();
     let last = trajectory(&here.join("robot/trajectory.tum")).poses.last().unwrap().world_from_camera;
     let off = ["x_m", "y_m"].map(|name| place["place"][name].as_f64().unwrap());

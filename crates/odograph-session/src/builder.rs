@@ -126,9 +126,9 @@ impl RunBuilder {
         self
     }
 
-    /// Height of the camera above the ground, metres. The rest of its mount is taken from the static
-    /// transforms of a robot recording; otherwise it looks straight down, and a tilt is estimated
-    /// from the recording.
+    /// Height of the camera above the ground, metres. The rest of its mount is taken from the
+    /// static transforms of a robot recording; otherwise it looks straight down, and a tilt is
+    /// estimated from the recording.
     #[must_use]
     pub fn height_m(mut self, height_m: f64) -> Self {
         self.mount = Some(MountChoice::Height(height_m));
@@ -142,8 +142,8 @@ impl RunBuilder {
         self
     }
 
-    /// Mount from a rig file (TOML: `height_m`, `roll_deg`, `pitch_deg`, `yaw_deg`, and the lever arm
-    /// `x_m`, `y_m`, `z_m`).
+    /// Mount from a rig file (TOML: `height_m`, `roll_deg`, `pitch_deg`, `yaw_deg`, and the lever
+    /// arm `x_m`, `y_m`, `z_m`).
     #[must_use]
     pub fn rig_file(mut self, path: impl Into<PathBuf>) -> Self {
         self.mount = Some(MountChoice::File(path.into()));

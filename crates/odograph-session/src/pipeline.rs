@@ -272,10 +272,9 @@ impl Tracking<'_> {
             }
         }
         self.calibration_times.push(started.elapsed());
-        let told = self.of.frame(&estimate);
-        self.folder.record(&told)?;
-        self.observer.frame(&told);
-        drop(told);
+        let seen = self.of.frame(&estimate);
+        self.folder.record(&seen)?;
+        self.observer.frame(&seen);
         let pose = estimate.ground_pose();
         let segment = estimate.segment;
         self.frames.push(estimate, self.odometry.reference());

@@ -8,7 +8,7 @@ use crate::frame::{Frame, Picture};
 use crate::limits;
 use crate::timestamps::Timestamps;
 use crate::{bag, ffmpeg, pictures, video, y4m};
-use odograph::error::{Error, Result};
+use odograph::error::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -175,10 +175,12 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
 const MP4_STARTS: [&[u8]; 11] =
     [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"uuid", b"styp", b"sidx", b"moof"];
 
-/// Prefixes an error with its location, on one line: third-party decoders write messages of several
-/// lines.
+/// Prefixes an error with its location. What a file is at fault for stands on one line: third-party
+/// decoders write messages of several lines. A wrong option may be answered with a list.
 fn told(error: &Error, place: &str) -> Error {
-    Error::new(error.kind(), one_line(&error.to_string())).at(place)
+    let message = error.to_string();
+    let message = if error.kind() == ErrorKind::Usage { message } else { one_line(&message) };
+    Error::new(error.kind(), message).at(place)
 }
 
 fn one_line(text: &str) -> String {

@@ -267,30 +267,29 @@ impl Following<'_, '_> {
         let latency_ms = self.latencies.add(at.elapsed());
         self.times.decode.push(decoding);
         self.times.track.push(begun.elapsed());
-        let told = self.of.frame(&estimate);
+        let seen = self.of.frame(&estimate);
         if let Some(poses) = &mut self.poses {
-            poses.take(&told, latency_ms)?;
+            poses.take(&seen, latency_ms)?;
         }
-        self.observer.frame(&told);
-        self.recorder.record(&told);
+        self.observer.frame(&seen);
+        self.recorder.record(&seen);
         if let Some(log) = self.log {
             let tracks = || self.odometry.tracks().to_vec();
-            log.give(&told, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
+            log.give(&seen, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
         }
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
         let reference = self.odometry.reference();
         let keyframe = reference.map(|reference| reference.keyframe.0);
         // Without viewers the path need not be kept in memory.
         if self.shown {
-            let record = TrackRecord::new(&told, first_time_s, Some(latency_ms)).measured_against(keyframe);
+            let record = TrackRecord::new(&seen, first_time_s, Some(latency_ms)).measured_against(keyframe);
             let record = self.hub.add_record(&record);
             if self.hub.viewers() > 0 {
                 let tracks = self.odometry.tracks().to_vec();
                 beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
             }
         }
-        self.distance_m += self.step_m(&told);
-        drop(told);
+        self.distance_m += self.step_m(&seen);
         let pose = estimate.ground_pose();
         let segment = estimate.segment;
         self.frames.push(estimate, reference);
