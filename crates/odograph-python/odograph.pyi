@@ -68,14 +68,22 @@ class Camera:
 
 class Rig:
     """How a camera is mounted: height above the ground in metres; roll, pitch and yaw against
-    straight down with the top of the image forward, radians."""
+    straight down with the top of the image forward, radians; where known, the camera's place in
+    the robot's frame (x forward, y left, z up), metres. With it a run's poses are the robot's."""
 
     def __init__(
-        self, height: float, *, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
+        self,
+        height: float,
+        *,
+        roll: float = 0.0,
+        pitch: float = 0.0,
+        yaw: float = 0.0,
+        lever_arm: tuple[float, float, float] | None = None,
     ) -> None: ...
     @staticmethod
     def load(path: _Path) -> Rig:
-        """The rig of a TOML file with height_m, roll_deg, pitch_deg and yaw_deg."""
+        """The rig of a TOML file with height_m, roll_deg, pitch_deg, yaw_deg and, where known,
+        x_m, y_m and z_m."""
     def save(self, path: _Path) -> None: ...
     @property
     def height(self) -> float:
@@ -89,6 +97,9 @@ class Rig:
     @property
     def yaw(self) -> float:
         """Radians, counter-clockwise."""
+    @property
+    def lever_arm(self) -> tuple[float, float, float] | None:
+        """Place of the camera in the robot's frame, metres; None where it is not known."""
 
 class Odometry:
     """Visual odometry, one image after the other.

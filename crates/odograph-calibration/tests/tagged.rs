@@ -19,12 +19,12 @@ const BOARDS: [&str; 5] = [
 
 /// A camera and a board at a given image position, with roll and tilt; neighbouring points are
 /// about `spacing_px` apart.
-struct View {
+struct TaggedView {
     scene: BoardScene,
     pose: Isometry3<f64>,
 }
 
-impl View {
+impl TaggedView {
     fn new(
         board: &str,
         distortion: &[f64],
@@ -77,7 +77,7 @@ fn root_mean_square(errors: &[f64]) -> f64 {
 fn whole_boards_are_located_to_hundredths_of_a_pixel() {
     for (text, roll) in BOARDS.into_iter().zip([0.0, 1.0, 2.5, 4.0, 5.5]) {
         for tilt in [0.0, 0.6] {
-            let view = View::new(text, &[0.0; 4], 36.0, (320.0, 240.0), tilt, roll);
+            let view = TaggedView::new(text, &[0.0; 4], 36.0, (320.0, 240.0), tilt, roll);
             let found =
                 view.find(&BoardEffects::camera_like(2.0, 3)).unwrap_or_else(|e| panic!("{text}: {e}"));
             let (errors, met, expected) = view.judge(&found, 36.0);
@@ -97,7 +97,7 @@ fn partial_and_small_boards_are_found_with_barrel_distortion() {
         (BOARDS[0], 16.0, (320.0, 240.0)),
         (BOARDS[3], 60.0, (180.0, 340.0)),
     ] {
-        let view = View::new(text, &barrel, spacing_px, middle, 0.5, 0.7);
+        let view = TaggedView::new(text, &barrel, spacing_px, middle, 0.5, 0.7);
         let effects = BoardEffects { light_gradient: (0.5, -0.4), ..BoardEffects::camera_like(3.0, 5) };
         let found = view.find(&effects).unwrap_or_else(|e| panic!("{text} at {spacing_px}: {e}"));
         let (errors, met, expected) = view.judge(&found, 1.3 * spacing_px);
@@ -108,7 +108,7 @@ fn partial_and_small_boards_are_found_with_barrel_distortion() {
 
 #[test]
 fn partial_occlusion_does_not_prevent_detection() {
-    let view = View::new(BOARDS[0], &[0.0; 4], 36.0, (320.0, 240.0), 0.3, 0.0);
+    let view = TaggedView::new(BOARDS[0], &[0.0; 4], 36.0, (320.0, 240.0), 0.3, 0.0);
     let hand = Occlusion { from: (0.4, 0.3), to: (0.6, 0.6) };
     let effects = BoardEffects { occlusion: Some(hand), ..BoardEffects::camera_like(2.0, 3) };
     let found = view.find(&effects).unwrap();
@@ -125,7 +125,7 @@ fn partial_occlusion_does_not_prevent_detection() {
 fn mirrored_boards_are_reported_as_mirrored() {
     for text in BOARDS {
         for roll in [0.0, 0.8] {
-            let view = View::new(text, &[0.0; 4], 36.0, (320.0, 240.0), 0.2, roll);
+            let view = TaggedView::new(text, &[0.0; 4], 36.0, (320.0, 240.0), 0.2, roll);
             let effects = BoardEffects { mirrored: true, ..BoardEffects::camera_like(2.0, 3) };
             assert_eq!(view.find(&effects), Err(NotFound::Mirrored), "{text}");
         }
@@ -136,7 +136,7 @@ fn mirrored_boards_are_reported_as_mirrored() {
 fn other_boards_are_rejected() {
     for text in BOARDS {
         for other in BOARDS.into_iter().filter(|other| *other != text) {
-            let image = View::new(text, &[0.0; 4], 36.0, (320.0, 240.0), 0.2, 0.4);
+            let image = TaggedView::new(text, &[0.0; 4], 36.0, (320.0, 240.0), 0.2, 0.4);
             let image = image.scene.render(&image.pose, &BoardEffects::camera_like(2.0, 3));
             let other: Board = other.parse().unwrap();
             // Two AprilGrids share their tags; a wrong layout only shows in the residuals of the
@@ -157,7 +157,7 @@ fn image_kind(text: &str) -> odograph_calibration::BoardKind {
 
 #[test]
 fn blurred_boards_are_rejected() {
-    let view = View::new(BOARDS[0], &[0.0; 4], 24.0, (320.0, 240.0), 0.0, 0.0);
+    let view = TaggedView::new(BOARDS[0], &[0.0; 4], 24.0, (320.0, 240.0), 0.0, 0.0);
     let effects = BoardEffects { blur_px: 5.0, noise_gray: 3.0, ..BoardEffects::default() };
     assert!(view.find(&effects).is_err());
 }

@@ -372,7 +372,7 @@ fn info_tells_what_is_in_a_recording_and_what_for() {
     write(&here.join("drive.mcap"), &["/front/image_raw"]);
     fs::write(here.join("drive.y4m"), recording::y4m(5)).unwrap();
     fs::write(here.join("camera.yaml"), recording::CAMERA).unwrap();
-    recording::picture_folder(&here.join("frames"), 3, recording::Picture::gray8);
+    recording::picture_folder(&here.join("frames"), 3, recording::PngPicture::gray8);
     let (text, _) = done(here, "info drive.mcap --camera camera.yaml");
     for words in [
         "drive.mcap: an MCAP file, 3 topics\n",

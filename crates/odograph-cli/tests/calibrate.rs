@@ -23,11 +23,11 @@ use tempfile::TempDir;
 const REPORT: [&str; 6] =
     ["coverage.png", "distortion.png", "expected-error.png", "report.html", "residuals.png", "views.png"];
 
-struct Place {
+struct CalibrationFolder {
     temporary: TempDir,
 }
 
-impl Place {
+impl CalibrationFolder {
     fn new() -> Self {
         Self { temporary: tempfile::tempdir().unwrap() }
     }
@@ -75,7 +75,7 @@ fn names(folder: &Path) -> Vec<String> {
 
 /// Asserts that the result is complete, and close to the true camera within the accuracy of some
 /// twenty small images.
-fn assert_calibrated(place: &Place, name: &str, done: &Output) {
+fn assert_calibrated(place: &CalibrationFolder, name: &str, done: &Output) {
     let told = format!("{}{}", String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
     assert_eq!(done.status.code(), Some(0), "{told}");
     assert_eq!(names(&place.path(&format!("{name}-report"))), REPORT, "{told}");
@@ -100,7 +100,7 @@ fn assert_calibrated(place: &Place, name: &str, done: &Output) {
 
 #[test]
 fn video_calibration_is_independent_of_the_thread_count() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     let mut frames = held(&pictures(&scene(), 18), 3);
     // The first and the last frame do not show the board.
     frames.insert(0, GrayImage::new(320, 240));
@@ -145,7 +145,7 @@ fn video_calibration_is_independent_of_the_thread_count() {
 
 #[test]
 fn all_images_are_used_as_folder_or_list() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     let shown = pictures(&scene(), 14);
     folder(&place.path("shots"), &shown);
     fs::write(place.path("shots/notes.txt"), "not a picture").unwrap();
@@ -178,7 +178,7 @@ fn all_images_are_used_as_folder_or_list() {
 
 #[test]
 fn input_without_board_is_refused_in_one_sentence() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     let shown = pictures(&scene(), 4);
     folder(&place.path("shots"), &shown);
     let usual = |source: &str| format!("{source} --board {BOARD} -o camera.yaml");
@@ -211,7 +211,7 @@ fn input_without_board_is_refused_in_one_sentence() {
 
 #[test]
 fn too_few_or_equal_views_are_refused_with_advice() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     let shown = pictures(&scene(), 2);
     let usual = |source: &str| format!("{source} --board {BOARD} -o camera.yaml");
     folder(&place.path("one"), &shown[..1]);
@@ -226,7 +226,7 @@ fn too_few_or_equal_views_are_refused_with_advice() {
 
 #[test]
 fn mixed_sizes_are_refused_by_name() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     let shown = pictures(&scene(), 4);
     folder(&place.path("mixed"), &shown);
     write_png(&place.path("mixed/board02.png"), &GrayImage::new(160, 120));
@@ -241,7 +241,7 @@ fn mixed_sizes_are_refused_by_name() {
 
 #[test]
 fn a_mirrored_board_with_markers_is_reported() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     let board = "charuco:6x5:40mm";
     let scene = scene_of(board, &camera());
     let shown: Vec<GrayImage> = pictures(&scene, 5).iter().map(mirrored).collect();
@@ -251,7 +251,7 @@ fn a_mirrored_board_with_markers_is_reported() {
 
 #[test]
 fn invalid_usage_is_refused() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     folder(&place.path("shots"), &pictures(&scene(), 1));
     place.refused("shots --board chessboard:9x6 -o camera.yaml", 2, &["chessboard:9x6", "write it like"]);
     place.refused("shots --board chessboard:9x6:25 -o camera.yaml", 2, &["not a length with its unit"]);
@@ -277,7 +277,7 @@ fn a_full_disk_leaves_nothing_half_written() {
         println!("skipped: dev-full: there is no /dev/full");
         return;
     }
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     folder(&place.path("shots"), &pictures(&scene(), 10));
     for name in ["report.html", "views.png"] {
         fs::create_dir(place.path("camera-report")).unwrap();
@@ -295,7 +295,7 @@ fn a_full_disk_leaves_nothing_half_written() {
 #[cfg(unix)]
 fn an_interrupt_calibrates_with_the_views_so_far() {
     for threads in ["1", "3"] {
-        let place = Place::new();
+        let place = CalibrationFolder::new();
         let frames = held(&pictures(&scene(), 15), 2);
         let stream = y4m(&frames);
         let header = y4m(&[]).len();
@@ -338,7 +338,7 @@ fn opencv_images_calibrate_as_well_as_with_opencv() {
         println!("skipped: data: no folder calib_opencv in ODOGRAPH_DATA");
         return;
     };
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     for (name, rms_px, focal_px, principal_px) in [
         ("left", 0.1954, (532.83, 532.95), (342.49, 233.86)),
         ("right", 0.2070, (537.45, 536.97), (327.59, 248.88)),
@@ -365,11 +365,11 @@ fn opencv_images_calibrate_as_well_as_with_opencv() {
 /// A live camera simulated by the test: Y4M on standard input, and the messages to the page.
 #[test]
 fn live_calibration_guides_until_the_result_is_good() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     // The name contains a space, which the page must encode in the URL.
     let mut command =
         place.command(&format!("--live - --board {BOARD} --model brown4 --serve 127.0.0.1:0 -o"));
-    let mut camera = watching::Camera::start(command.arg("my camera.yaml"), (320, 240));
+    let mut camera = watching::WatchedCamera::start(command.arg("my camera.yaml"), (320, 240));
     let pictures = pictures(&scene(), 40);
     let told = camera.hold(&pictures[0]);
     assert!(told["why"].is_null() && told["with_board"] == 1 && told["looked_at"] == 2, "{told}");
@@ -418,7 +418,7 @@ fn live_calibration_guides_until_the_result_is_good() {
 
 #[test]
 fn wrong_live_usage_is_refused_with_a_message() {
-    let place = Place::new();
+    let place = CalibrationFolder::new();
     fs::write(place.path("board.y4m"), y4m(&pictures(&scene(), 4))).unwrap();
     place.refused(&format!("board.y4m --board {BOARD} -o a.yaml --serve"), 2, &["--live"]);
     place.refused(&format!("board.y4m --board {BOARD} -o a.yaml --size 640x480"), 2, &["--live"]);

@@ -6,7 +6,7 @@
 #[path = "hostile/recording.rs"]
 mod recording;
 
-use recording::{CAMERA, Picture, names, picture_folder, y4m};
+use recording::{CAMERA, PngPicture, names, picture_folder, y4m};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -33,11 +33,11 @@ const FILES: [&str; 14] = [
 ];
 
 /// A temporary folder with a camera file; the output folder does not exist yet.
-struct Place {
+struct HostileFolder {
     temporary: TempDir,
 }
 
-impl Place {
+impl HostileFolder {
     fn new() -> Self {
         let temporary = tempfile::tempdir().unwrap();
         fs::write(temporary.path().join("camera.yaml"), CAMERA).unwrap();
@@ -60,7 +60,7 @@ impl Place {
         command
     }
 
-    /// [`Place::run`] with the camera, a height and the output folder `out`.
+    /// [`HostileFolder::run`] with the camera, a height and the output folder `out`.
     fn run_usual(&self, source: &str) -> Output {
         self.run(&format!("{source} --camera camera.yaml --height 1.0 -o out"))
     }
@@ -101,7 +101,7 @@ fn assert_whole(folder: &Path) {
 
 #[test]
 fn invalid_sources_are_refused() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     place.refused_usual("none.mp4", 3, "none.mp4: there is no such file");
     fs::create_dir(place.path("empty")).unwrap();
     place.refused_usual("empty", 3, "empty");
@@ -131,7 +131,7 @@ fn invalid_sources_are_refused() {
 
 #[test]
 fn damaged_robot_recordings_are_recognised_by_their_content() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     let database = b"SQLite format 3\0 ... CREATE TABLE topics(id) CREATE TABLE messages(id)";
     for (name, bytes, words) in [
         ("drive.mcap", &b"\x89MCAP0\r\n\xff\xd8\xff\xe0"[..], "this is an MCAP file without messages"),
@@ -160,8 +160,8 @@ fn damaged_robot_recordings_are_recognised_by_their_content() {
 
 #[test]
 fn too_few_frames_are_refused() {
-    let place = Place::new();
-    picture_folder(&place.path("one"), 1, Picture::gray8);
+    let place = HostileFolder::new();
+    picture_folder(&place.path("one"), 1, PngPicture::gray8);
     place.refused_usual("one", 3, "only one frame");
     place.refused_usual("one/000000.png", 3, "only one frame");
     fs::write(place.path("none.y4m"), y4m(0)).unwrap();
@@ -176,9 +176,9 @@ fn too_few_frames_are_refused() {
 
 #[test]
 fn frames_of_different_sizes_are_refused() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     picture_folder(&place.path("mixed"), 6, |number| {
-        let picture = Picture::gray8(number);
+        let picture = PngPicture::gray8(number);
         if number == 3 { picture.without_last_rows(20) } else { picture }
     });
     let done = place.run_usual("mixed");
@@ -191,7 +191,7 @@ fn frames_of_different_sizes_are_refused() {
 
 #[test]
 fn truncated_and_empty_videos_are_handled() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
     let clip = fs::read(demo.join("drive.mp4")).unwrap();
     let boxed = |kind: &[u8; 4], body: &[u8]| {
@@ -225,12 +225,12 @@ fn truncated_and_empty_videos_are_handled() {
 
 #[test]
 fn images_with_16_bits_or_alpha_are_read() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     for (name, picture) in [
-        ("gray8", Picture::gray8 as fn(usize) -> Picture),
-        ("gray16", Picture::gray16),
-        ("gray_alpha", Picture::gray_alpha),
-        ("rgba16", Picture::rgba16),
+        ("gray8", PngPicture::gray8 as fn(usize) -> PngPicture),
+        ("gray16", PngPicture::gray16),
+        ("gray_alpha", PngPicture::gray_alpha),
+        ("rgba16", PngPicture::rgba16),
     ] {
         picture_folder(&place.path(name), 8, picture);
         let out = format!("{name}-out");
@@ -247,7 +247,7 @@ fn images_with_16_bits_or_alpha_are_read() {
 
 #[test]
 fn invalid_cameras_are_refused() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let with = |name: &str, text: &str, words: &str| {
         fs::write(place.path(name), text).unwrap();
@@ -273,7 +273,7 @@ fn invalid_cameras_are_refused() {
 
 #[test]
 fn invalid_usage_is_refused() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let usual = "drive.y4m --camera camera.yaml -o out";
     place.refused(&format!("{usual} --height -1"), 2, "the height is -1 m");
@@ -300,7 +300,7 @@ fn invalid_usage_is_refused() {
 
 #[test]
 fn invalid_outputs_are_refused() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     fs::write(place.path("file"), "mine").unwrap();
     place.refused("drive.y4m --camera camera.yaml --height 1 -o file", 2, "file is a file");
@@ -336,7 +336,7 @@ fn a_full_disk() {
         println!("skipped: dev-full: there is no /dev/full");
         return;
     }
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
     // The map file is written incrementally; separate tests cover a full disk for it.
     for name in FILES.into_iter().filter(|&name| name != "map.gpkg") {
@@ -375,7 +375,7 @@ fn a_full_disk() {
 #[test]
 #[cfg(target_os = "linux")]
 fn a_full_file_system() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
     let mounted = place.path("small");
     fs::create_dir(&mounted).unwrap();
@@ -397,7 +397,7 @@ fn a_full_file_system() {
 
 #[test]
 fn invalid_plans_are_refused() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(3)).unwrap();
     for (name, text) in [
         ("run.toml", "this is = = no plan"),
@@ -440,7 +440,7 @@ fn invalid_plans_are_refused() {
 
 #[test]
 fn options_beside_a_plan_are_not_ignored() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
     for more in [
@@ -459,7 +459,7 @@ fn options_beside_a_plan_are_not_ignored() {
 
 #[test]
 fn the_reason_of_a_loss_is_told() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     let mut video = y4m(60);
     let frames: Vec<usize> =
         video.windows(6).enumerate().filter(|(_, it)| it == b"FRAME\n").map(|(at, _)| at + 6).collect();
@@ -477,7 +477,7 @@ fn the_reason_of_a_loss_is_told() {
 
 #[test]
 fn progress_is_told_as_lines_of_json() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
     let done =
         place.run("drive.y4m --camera camera.yaml --height 1 --motion rigid -o out -q --progress json");
@@ -494,7 +494,7 @@ fn progress_is_told_as_lines_of_json() {
 
 #[test]
 fn results_are_identical_for_repetitions_and_thread_counts() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(40)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
     assert!(place.run("out/run.toml -o again").status.success());
@@ -515,7 +515,7 @@ fn results_are_identical_for_repetitions_and_thread_counts() {
 
 #[test]
 fn a_blank_recording_has_results_without_poses() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     let mut blank = y4m(0);
     for _ in 0..10 {
         blank.extend_from_slice(b"FRAME\n");
@@ -539,7 +539,7 @@ fn a_blank_recording_has_results_without_poses() {
 }
 
 /// Starts a run on standard input, sends 40 frames, and waits until a block of them is on disk.
-fn begun(place: &Place, arguments: &str) -> Child {
+fn begun(place: &HostileFolder, arguments: &str) -> Child {
     let mut command = place.command(&format!("- --camera camera.yaml --height 1 -o out {arguments}"));
     let mut child =
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -557,7 +557,7 @@ fn begun(place: &Place, arguments: &str) -> Child {
 #[cfg(unix)]
 fn an_interrupt_ends_the_run_and_writes_everything() {
     for threads in ["1", "3"] {
-        let place = Place::new();
+        let place = HostileFolder::new();
         let mut child = begun(&place, &format!("--threads {threads}"));
         let sent = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
         assert!(sent.success());
@@ -581,7 +581,7 @@ fn an_interrupt_ends_the_run_and_writes_everything() {
 
 #[test]
 fn a_killed_run_leaves_the_frames_so_far() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     let mut child = begun(&place, "");
     child.kill().unwrap();
     child.wait().unwrap();
@@ -625,7 +625,7 @@ fn a_killed_run_leaves_the_frames_so_far() {
 
 #[test]
 fn a_plan_is_repeated_from_any_folder() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
     let mut there = place.command("run.toml -o ../again");
@@ -643,7 +643,7 @@ fn a_plan_is_repeated_from_any_folder() {
 
 #[test]
 fn a_demo_overwrites_no_foreign_files() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::create_dir(place.path("mine")).unwrap();
     fs::write(place.path("mine/trajectory.tum"), "mine").unwrap();
     let mut demo = Command::new(env!("CARGO_BIN_EXE_odograph"));
@@ -661,7 +661,7 @@ fn a_demo_overwrites_no_foreign_files() {
 
 #[test]
 fn lengths_have_units_and_implausible_heights_cause_warnings() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     assert!(place.run_usual("drive.y4m").status.success());
     let done = place.run("drive.y4m --camera camera.yaml --height 100cm -o centimetres");
@@ -693,7 +693,7 @@ fn lengths_have_units_and_implausible_heights_cause_warnings() {
 
 #[test]
 fn control_characters_of_files_do_not_reach_the_terminal() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let camera = CAMERA.replace("image_width", "\"image\\e[2J\\rwidth\"");
     fs::write(place.path("evil.yaml"), camera).unwrap();
@@ -703,7 +703,7 @@ fn control_characters_of_files_do_not_reach_the_terminal() {
 
 #[test]
 fn a_map_in_use_is_refused_before_any_work() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let mut other = begun(&place, "--map hall.gpkg");
     let holder = format!("being written by another program (process {})", other.id());
@@ -720,7 +720,7 @@ fn a_map_in_use_is_refused_before_any_work() {
 
 #[test]
 fn an_empty_map_of_a_killed_run_is_replaced() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     fs::write(place.path("hall.gpkg"), "").unwrap();
     fs::create_dir(place.path("out")).unwrap();
@@ -735,7 +735,7 @@ fn an_empty_map_of_a_killed_run_is_replaced() {
 #[test]
 #[cfg(unix)]
 fn a_closed_output_pipe_is_no_failure() {
-    let place = Place::new();
+    let place = HostileFolder::new();
     fs::write(place.path("drive.y4m"), y4m(6)).unwrap();
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);

@@ -16,7 +16,7 @@ mod program;
 mod rtsp;
 
 use browser::Browser;
-use program::{DEMO, Place, names, pictures, statistics, write_uncompressed};
+use program::{DEMO, LiveFolder, names, pictures, statistics, write_uncompressed};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -29,7 +29,7 @@ const DRIVE_M: f64 = 12.8;
 
 #[test]
 fn live_on_a_recording_gives_the_results_of_run() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     write_uncompressed(&place.path("drive.y4m"));
     let live =
         place.command("live", "drive.y4m -o live --print poses --mcap live.mcap --quiet").output().unwrap();
@@ -79,7 +79,7 @@ fn live_on_a_recording_gives_the_results_of_run() {
 
 #[test]
 fn a_too_fast_source_drops_frames_and_counts_them() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     write_uncompressed(&place.path("drive.y4m"));
     let listener = UdpSocket::bind("127.0.0.1:0").unwrap();
     listener.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
@@ -142,7 +142,7 @@ fn phone(listener: TcpListener, frames: &[Vec<u8>]) {
 
 #[test]
 fn an_http_camera_is_tracked_across_a_reconnect() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let frames = pictures();
@@ -169,7 +169,7 @@ fn an_http_camera_is_tracked_across_a_reconnect() {
 
 #[test]
 fn an_rtsp_camera_is_tracked_across_a_reconnect() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     let clip = match rtsp::clip(&place.path("clip.h264")) {
         Ok(clip) => clip,
         Err(why) => {
@@ -177,7 +177,7 @@ fn an_rtsp_camera_is_tracked_across_a_reconnect() {
             return;
         }
     };
-    let server = rtsp::Server::start(clip);
+    let server = rtsp::RtspServer::start(clip);
     let address = server.address();
     let done = place
         .command("live", &format!("rtsp://name:secret@{address}/floor --patience 1 -o out --quiet"))
@@ -211,7 +211,7 @@ fn an_rtsp_camera_is_tracked_across_a_reconnect() {
 #[test]
 #[cfg(unix)]
 fn a_killed_run_keeps_its_results_and_can_be_viewed() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     let mut program = place
         .command("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"))
         .stdout(Stdio::piped())
@@ -249,7 +249,7 @@ fn a_killed_run_keeps_its_results_and_can_be_viewed() {
 #[cfg(target_os = "linux")]
 fn a_full_disk_is_reported_and_tracking_continues() {
     // `/dev/full` takes the place of the recorded trajectory.
-    let place = Place::new();
+    let place = LiveFolder::new();
     std::fs::create_dir(place.path("out")).unwrap();
     std::os::unix::fs::symlink("/dev/full", place.path("out/trajectory.csv.part")).unwrap();
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 4 --print poses -o out"));
@@ -271,7 +271,7 @@ fn a_full_disk_is_reported_and_tracking_continues() {
 
 #[test]
 fn invalid_sources_are_refused_in_one_sentence() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     let refused = |arguments: &str, code: i32| {
         let done = place.command("live", arguments).output().unwrap();
         assert_eq!(done.status.code(), Some(code), "{arguments}");
@@ -308,7 +308,7 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
             return;
         }
     };
-    let place = Place::new();
+    let place = LiveFolder::new();
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 2 -o out"));
     let url = live.url.clone();
     let page = browser.open(&url, (1280, 800), false);
@@ -361,7 +361,7 @@ fn the_page_shows_a_run_while_it_grows_and_afterwards() {
 }
 
 /// The same page for the output folder of the finished run.
-fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
+fn look_at_the_finished_run(browser: &mut Browser, place: &LiveFolder) {
     let frames = statistics(&place.path("out"))["frames"].clone();
     let mut view = place.server("view", "out");
     let page = browser.open(&view.url, (1280, 800), true);
@@ -390,7 +390,7 @@ fn look_at_the_finished_run(browser: &mut Browser, place: &Place) {
 }
 
 /// The map of the run.
-fn look_at_the_map(browser: &mut Browser, place: &Place) {
+fn look_at_the_map(browser: &mut Browser, place: &LiveFolder) {
     let map = odograph_map::MapFile::open_read_only(&place.path("out/map.gpkg")).unwrap();
     let keyframes = map.map().unwrap().keyframes.len();
     let frames = map.path_of(0).unwrap();
@@ -416,7 +416,7 @@ fn look_at_the_map(browser: &mut Browser, place: &Place) {
 
 #[test]
 fn without_the_token_nothing_is_served() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --token letmein-42 -o out"));
     assert!(live.url.ends_with("/?token=letmein-42"), "{}", live.url);
     let mut stream = TcpStream::connect(live.address()).unwrap();

@@ -47,7 +47,7 @@ impl Alteration {
     /// Applies it to all images of a clip.
     pub fn apply(self, clip: &mut Clip, seed: u64) {
         let originals: Vec<GrayImage> = clip.frames.iter().map(|(_, image)| image.clone()).collect();
-        let mut random = Stream(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        let mut random = RandomStream(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
         let mut kept: Vec<f64> = Vec::new();
         for (number, (time_s, image)) in clip.frames.iter_mut().enumerate() {
             let before = originals.get(number.wrapping_sub(1));
@@ -159,9 +159,9 @@ fn upscale(image: &GrayImage, samples: &mut [u8]) {
 }
 
 /// A stream of random numbers (xorshift; G. Marsaglia, 2003).
-struct Stream(u64);
+struct RandomStream(u64);
 
-impl Stream {
+impl RandomStream {
     fn below(&mut self, count: usize) -> usize {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;

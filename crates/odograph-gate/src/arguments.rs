@@ -1,14 +1,14 @@
 //! Command-line arguments.
 
 use crate::field;
-use crate::rows::{self, Follow, Row};
+use crate::rows::{self, BenchmarkRow, Follow};
 use clap::Parser;
 use std::path::PathBuf;
 
 /// Measures a fixed set of recordings and compares the figures with a stored baseline.
 #[derive(Debug, Parser)]
 #[command(name = "gate", version)]
-pub struct Arguments {
+pub struct GateArguments {
     /// Only rows whose name contains one of these words.
     pub words: Vec<String>,
     /// The rows of the field instead of the gate's: disturbances of all kinds, for comparison with
@@ -47,17 +47,18 @@ pub struct Arguments {
     pub tables: bool,
 }
 
-impl Arguments {
+impl GateArguments {
     /// Whether the row of that name is selected.
     pub fn asks_for(&self, name: &str) -> bool {
         self.words.is_empty() || self.words.iter().any(|word| name.contains(word.as_str()))
     }
 
     /// The rendered rows that are selected.
-    pub fn rows(&self) -> Vec<Row> {
+    pub fn rows(&self) -> Vec<BenchmarkRow> {
         let rows = if self.field { field::rows() } else { rows::rows() };
         let asked_for = rows.into_iter().filter(|row| self.asks_for(row.name));
-        let as_asked = |row: Row| if self.live { Row { follow: Follow::Live, ..row } } else { row };
+        let as_asked =
+            |row: BenchmarkRow| if self.live { BenchmarkRow { follow: Follow::Live, ..row } } else { row };
         asked_for.map(as_asked).collect()
     }
 

@@ -30,7 +30,7 @@ pub struct Skipped {
 
 /// Results of one run of the gate.
 #[derive(Debug, Clone, Default, Serialize)]
-pub struct Measured {
+pub struct GateResults {
     /// The rows, in the order of the table.
     pub rows: Vec<RowFigures>,
     /// Results that concern the whole process.
@@ -50,7 +50,7 @@ pub struct Baseline {
     pub process: Figures,
 }
 
-impl Measured {
+impl GateResults {
     /// Writes the results as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
         write(self, path)
@@ -70,7 +70,7 @@ impl Baseline {
     }
 
     /// Returns the baseline with the measured rows replaced.
-    pub fn updated(mut self, measured: &Measured) -> Self {
+    pub fn updated(mut self, measured: &GateResults) -> Self {
         for new in &measured.rows {
             match self.rows.iter_mut().find(|old| old.name == new.name) {
                 Some(old) => *old = new.clone(),
@@ -95,7 +95,7 @@ fn write(value: &impl Serialize, path: &Path) -> Result<()> {
 
 /// Outcome of comparing one result with its baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum BaselineVerdict {
     /// Within the tolerance.
     Same,
     /// Worse by more than the tolerance.
@@ -106,7 +106,7 @@ pub enum Verdict {
 
 /// A result that differs from the baseline by more than its tolerance.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Change {
+pub struct ResultChange {
     /// Name of the row; `process` for results of the whole process.
     pub row: String,
     /// Key of the measure.
@@ -116,7 +116,7 @@ pub struct Change {
     /// The measured value; `None` if it is missing.
     pub new: Option<f64>,
     /// Outcome of the comparison.
-    pub verdict: Verdict,
+    pub verdict: BaselineVerdict,
 }
 
 /// Comparison of a run of the gate with the baseline.
@@ -129,12 +129,12 @@ pub struct Comparison {
     /// Number of rows that are not in the baseline with the same seeds.
     pub not_compared: usize,
     /// All results that are better or worse.
-    pub changes: Vec<Change>,
+    pub changes: Vec<ResultChange>,
 }
 
 impl Comparison {
     /// Compares row by row.
-    pub fn new(baseline: &Baseline, measured: &Measured) -> Self {
+    pub fn new(baseline: &Baseline, measured: &GateResults) -> Self {
         let mut comparison = Self::default();
         for row in &measured.rows {
             let same_seeds = |old: &&RowFigures| {
@@ -145,7 +145,7 @@ impl Comparison {
                 continue;
             };
             let changes = changes(&row.name, &old.figures, &row.figures);
-            match changes.iter().any(|change| change.verdict == Verdict::Worse) {
+            match changes.iter().any(|change| change.verdict == BaselineVerdict::Worse) {
                 true => comparison.worse += 1,
                 false => comparison.passed += 1,
             }
@@ -159,13 +159,13 @@ impl Comparison {
 
     /// Whether no result is worse.
     pub fn is_passed(&self) -> bool {
-        !self.changes.iter().any(|change| change.verdict == Verdict::Worse)
+        !self.changes.iter().any(|change| change.verdict == BaselineVerdict::Worse)
     }
 }
 
 /// The results of a row that are better or worse. One that exists only in the baseline counts as
 /// worse.
-fn changes(row: &str, old: &Figures, new: &Figures) -> Vec<Change> {
+fn changes(row: &str, old: &Figures, new: &Figures) -> Vec<ResultChange> {
     let mut changes = Vec::new();
     let factor = looseness(row);
     let sigma_mm = old.get("end_sigma_mm").unwrap_or(0.0);
@@ -179,19 +179,19 @@ fn changes(row: &str, old: &Figures, new: &Figures) -> Vec<Change> {
         let (old, new) = (old.get(measure.key), new.get(measure.key));
         let verdict = match (old, new) {
             (Some(old), Some(new)) => verdict(measure, old, new),
-            _ => Verdict::Worse,
+            _ => BaselineVerdict::Worse,
         };
-        if verdict != Verdict::Same {
-            changes.push(Change { row: row.to_owned(), key: measure.key, old, new, verdict });
+        if verdict != BaselineVerdict::Same {
+            changes.push(ResultChange { row: row.to_owned(), key: measure.key, old, new, verdict });
         }
     }
     changes
 }
 
 /// Compares one result with its baseline, according to the tolerance of its measure.
-pub fn verdict(measure: &Measure, old: f64, new: f64) -> Verdict {
+pub fn verdict(measure: &Measure, old: f64, new: f64) -> BaselineVerdict {
     let (cost, allowed): (fn(f64, f64) -> f64, f64) = match measure.better {
-        Better::Shown => return Verdict::Same,
+        Better::Shown => return BaselineVerdict::Same,
         Better::Lower => (|value, _| value, measure.relative * old.abs() + measure.absolute),
         Better::Higher => (|value, _| -value, measure.relative * old.abs() + measure.absolute),
         Better::Near(_) => (|value, target| (value / target).max(1e-9).ln().abs(), measure.absolute),
@@ -205,11 +205,11 @@ pub fn verdict(measure: &Measure, old: f64, new: f64) -> Verdict {
         _ => allowed,
     };
     if grown > allowed {
-        Verdict::Worse
+        BaselineVerdict::Worse
     } else if -grown > shrunk {
-        Verdict::Better
+        BaselineVerdict::Better
     } else {
-        Verdict::Same
+        BaselineVerdict::Same
     }
 }
 
@@ -224,7 +224,7 @@ mod tests {
 
     fn compared(old: &[(&str, f64)], new: &[(&str, f64)]) -> Comparison {
         let baseline = Baseline { rows: vec![row("asphalt", old)], ..Baseline::default() };
-        Comparison::new(&baseline, &Measured { rows: vec![row("asphalt", new)], ..Measured::default() })
+        Comparison::new(&baseline, &GateResults { rows: vec![row("asphalt", new)], ..GateResults::default() })
     }
 
     #[test]
@@ -247,7 +247,7 @@ mod tests {
     fn nees_may_approach_its_target_from_both_sides() {
         for (old, new) in [(0.1, 3.0), (90.0, 3.0)] {
             let comparison = compared(&[("nees", old)], &[("nees", new)]);
-            assert_eq!(comparison.changes[0].verdict, Verdict::Better);
+            assert_eq!(comparison.changes[0].verdict, BaselineVerdict::Better);
             assert!(!compared(&[("nees", new)], &[("nees", old)]).is_passed());
         }
     }
@@ -256,7 +256,8 @@ mod tests {
     fn rows_with_other_seeds_are_not_compared() {
         let baseline = Baseline { rows: vec![row("asphalt", &[("lost", 0.0)])], ..Baseline::default() };
         let other = RowFigures { seeds: 5, ..row("asphalt", &[("lost", 9.0)]) };
-        let comparison = Comparison::new(&baseline, &Measured { rows: vec![other], ..Measured::default() });
+        let comparison =
+            Comparison::new(&baseline, &GateResults { rows: vec![other], ..GateResults::default() });
         assert!(comparison.is_passed() && comparison.not_compared == 1);
     }
 }

@@ -1,7 +1,7 @@
 //! A recording in memory: frames, calibration as given to the odometry, and ground truth.
 
 use crate::compression;
-use crate::rows::{Row, camera};
+use crate::rows::{BenchmarkRow, camera};
 use odograph::camera::{Camera, Rig};
 use odograph::error::{Error, Result};
 use odograph::image::GrayImage;
@@ -25,7 +25,7 @@ pub struct Clip {
 }
 
 /// Renders a row with a seed.
-pub fn render(row: &Row, seed: u64) -> Result<Clip> {
+pub fn render(row: &BenchmarkRow, seed: u64) -> Result<Clip> {
     let texture = Texture::named(row.texture)
         .ok_or_else(|| Error::usage(format!("{}: no texture is called {}", row.name, row.texture)))?;
     let simulation = Simulation::new(SimulationConfig {

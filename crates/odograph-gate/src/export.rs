@@ -1,6 +1,6 @@
 //! Export of clips for other programs, in the format of `odograph simulate --format y4m`.
 
-use crate::arguments::Arguments;
+use crate::arguments::GateArguments;
 use crate::clip::{Clip, render};
 use odograph::error::{Error, Result};
 use odograph::formats::{camera_file, rig_file, trajectory_file};
@@ -8,7 +8,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 /// Writes the clips of the selected rows, each into `folder/ROW-SEED`.
-pub fn export(arguments: &Arguments, folder: &Path) -> Result<()> {
+pub fn export(arguments: &GateArguments, folder: &Path) -> Result<()> {
     for row in arguments.rows() {
         let seeds = arguments.seeds.unwrap_or(row.seeds);
         for seed in arguments.first_seed..arguments.first_seed + seeds {

@@ -3,14 +3,14 @@
 //! over several seeds beside `bench/opencv_reference.py`.
 
 use crate::alterations::Alteration;
-use crate::rows::{Row, ahead, eight, with};
+use crate::rows::{BenchmarkRow, ahead, eight, with};
 use odograph_simulation::{
     Breathing, Bumper, Dirt, Effects, ExposureJumps, Kerb, Lamp, Relief, Shadow, Sway, Terrain, Undulation,
     Vibration, Wander,
 };
 
 /// All rows of the field.
-pub fn rows() -> Vec<Row> {
+pub fn rows() -> Vec<BenchmarkRow> {
     let noise = || Effects { noise_gray: 2.0, ..Effects::default() };
     let rolling = |readout_s| Effects { readout_s, ..noise() };
     let shaking = Vibration { shift_m: 0.002, turn_rad: 0.005, frequency_hz: 10.0 };
@@ -34,19 +34,19 @@ pub fn rows() -> Vec<Row> {
     let wind =
         |amplitude_m| Effects { sway: Some(Sway { amplitude_m, share: 0.5, period_s: 1.3 }), ..noise() };
     let strong = Vibration { shift_m: 0.006, turn_rad: 0.015, frequency_hz: 8.0 };
-    let concrete = |name, effects| Row { texture: "concrete", ..with(name, effects) };
-    let straight = |name, effects| Row { path: ahead, ..with(name, effects) };
-    let figure = |name, effects| Row { path: eight, ..with(name, effects) };
-    let altered = |name, alteration| Row { alteration: Some(alteration), ..with(name, noise()) };
+    let concrete = |name, effects| BenchmarkRow { texture: "concrete", ..with(name, effects) };
+    let straight = |name, effects| BenchmarkRow { path: ahead, ..with(name, effects) };
+    let figure = |name, effects| BenchmarkRow { path: eight, ..with(name, effects) };
+    let altered = |name, alteration| BenchmarkRow { alteration: Some(alteration), ..with(name, noise()) };
     vec![
-        Row { speed_m_s: 0.5, ..straight("roll10", rolling(0.010)) },
-        Row { speed_m_s: 0.5, ..straight("roll30", rolling(0.030)) },
-        Row { speed_m_s: 1.0, ..straight("roll20-fast", rolling(0.020)) },
+        BenchmarkRow { speed_m_s: 0.5, ..straight("roll10", rolling(0.010)) },
+        BenchmarkRow { speed_m_s: 0.5, ..straight("roll30", rolling(0.030)) },
+        BenchmarkRow { speed_m_s: 1.0, ..straight("roll20-fast", rolling(0.020)) },
         figure("roll10-eight", rolling(0.010)),
         figure("roll30-eight", rolling(0.030)),
         with("roll20-shaken", Effects { vibration: Some(shaking), ..rolling(0.020) }),
-        Row { texture: "grass", ..with("roll20-hand", hand(0.020)) },
-        Row { texture: "grass", h264_qp: Some(30), ..with("phone", phone) },
+        BenchmarkRow { texture: "grass", ..with("roll20-hand", hand(0.020)) },
+        BenchmarkRow { texture: "grass", h264_qp: Some(30), ..with("phone", phone) },
         with("gravel5", gravel(0.005)),
         with("gravel15", gravel(0.015)),
         with("undulation-level", undulating(false)),
@@ -58,12 +58,12 @@ pub fn rows() -> Vec<Row> {
         concrete("specks", Effects { dirt: Some(Dirt { count: 30 }), ..noise() }),
         concrete("shadow", Effects { carrier_shadow: Some(Shadow::default()), ..noise() }),
         concrete("lamp", Effects { lamp: Some(Lamp::default()), ..noise() }),
-        Row { texture: "grass", ..with("wind", wind(0.009)) },
+        BenchmarkRow { texture: "grass", ..with("wind", wind(0.009)) },
         with("blur33-shaken", Effects { vibration: Some(strong), exposure_s: 0.033, ..noise() }),
         with("breathing", Effects { breathing: Some(Breathing { share: 0.005, period_s: 3.0 }), ..noise() }),
         altered("sharpened", Alteration::Sharpened { amount: 1.5 }),
         altered("ghosting", Alteration::Ghosting { share: 0.4 }),
-        Row { texture: "concrete", ..altered("overlay", Alteration::Overlay) },
+        BenchmarkRow { texture: "concrete", ..altered("overlay", Alteration::Overlay) },
         altered("bands", Alteration::Bands { amount: 0.2 }),
         altered("duplicated", Alteration::Duplicated { every: 4 }),
         altered("rain", Alteration::Rain { streaks: 400 }),

@@ -15,7 +15,7 @@ use odograph::trajectory::FrameEstimate;
 
 /// Result of tracking a clip.
 #[derive(Debug, Default)]
-pub struct Followed {
+pub struct TrackedClip {
     /// All frames; in the map frame if a map was built, otherwise in the odometry frame.
     pub frames: Vec<FrameEstimate>,
     /// Processor time of the odometry per frame, milliseconds.
@@ -26,13 +26,13 @@ pub struct Followed {
 
 /// Result of one pass over a clip.
 enum Pass {
-    Finished(Followed),
+    Finished(TrackedClip),
     /// The calibration differs from the given one, so the clip is tracked again with the new one.
     Again(Box<Found>),
 }
 
 /// Tracks a clip from its first frame to its last.
-pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Followed> {
+pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<TrackedClip> {
     let mut config = OdometryConfig::default();
     config.motion.model = model;
     let watched = follow != Follow::Live && model == MotionModel::Auto;
@@ -42,7 +42,7 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Followe
     loop {
         match pass(clip, follow, &config, &camera, rig, watch)? {
             Pass::Finished(followed) => {
-                return Ok(Followed { restarts: restarts + followed.restarts, ..followed });
+                return Ok(TrackedClip { restarts: restarts + followed.restarts, ..followed });
             }
             Pass::Again(found) => {
                 rig = found.rig(&rig);
@@ -69,7 +69,7 @@ fn pass(
     });
     let mut online = (follow == Follow::Live && config.motion.model == MotionModel::Auto)
         .then(|| OnlineCalibration::new(camera, &rig, false));
-    let mut followed = Followed::default();
+    let mut followed = TrackedClip::default();
     let mut references = Vec::new();
     for (time_s, image) in &clip.frames {
         // A decoder would hand over ownership of the image, so the copy is not timed.

@@ -24,14 +24,14 @@ mod report;
 mod rows;
 mod tables;
 
-use arguments::Arguments;
+use arguments::GateArguments;
 use baseline::{Baseline, Comparison};
 use clap::Parser;
 use odograph::error::Result;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = GateArguments::parse();
     match run(&arguments) {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
@@ -43,7 +43,7 @@ fn main() -> ExitCode {
 }
 
 /// Runs the gate; whether it is passed.
-fn run(arguments: &Arguments) -> Result<bool> {
+fn run(arguments: &GateArguments) -> Result<bool> {
     if arguments.tables {
         return tables::rewrite(&arguments.baseline).map(|()| true);
     }

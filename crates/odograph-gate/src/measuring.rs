@@ -1,13 +1,13 @@
 //! Measures rows in parallel.
 
-use crate::arguments::Arguments;
-use crate::baseline::{Measured, RowFigures, Skipped};
+use crate::arguments::GateArguments;
+use crate::baseline::{GateResults, RowFigures, Skipped};
 use crate::clip::{Clip, render};
 use crate::figures::Figures;
-use crate::following::{Followed, follow};
+use crate::following::{TrackedClip, follow};
 use crate::processor::{peak_memory_mb, reference_ms};
-use crate::recordings::{self, Recording};
-use crate::rows::Row;
+use crate::recordings::{self, RealRecording};
+use crate::rows::BenchmarkRow;
 use nalgebra::Vector3;
 use odograph::error::Result;
 use odograph::evaluation::{Alignment, EvaluationOptions, evaluate};
@@ -23,13 +23,13 @@ const SETTLED_FRAMES: usize = 30;
 
 /// A clip to be measured.
 enum Job {
-    Rendered { row: Box<Row>, seed: u64 },
-    Real(Recording),
+    Rendered { row: Box<BenchmarkRow>, seed: u64 },
+    Real(RealRecording),
 }
 
 /// Measures all selected rows; real recordings only if their data is available.
-pub fn measure(arguments: &Arguments) -> Measured {
-    let mut measured = Measured::default();
+pub fn measure(arguments: &GateArguments) -> GateResults {
+    let mut measured = GateResults::default();
     let mut jobs: Vec<(String, Job)> = Vec::new();
     let data = recordings::folder();
     for recording in recordings::all() {
@@ -142,14 +142,14 @@ fn times_lost(frames: &[FrameEstimate]) -> usize {
 }
 
 /// Absolute trajectory error (RMSE of the translation), millimetres.
-fn ate_mm(clip: &Clip, followed: &Followed, alignment: Alignment) -> Result<f64> {
+fn ate_mm(clip: &Clip, followed: &TrackedClip, alignment: Alignment) -> Result<f64> {
     let options = EvaluationOptions { alignment, ..EvaluationOptions::default() };
     let found = evaluate(&Trajectory::from_frames(&followed.frames), &clip.truth, &options)?;
     Ok(1e3 * found.absolute.translation.rmse)
 }
 
 /// Measures that need exact ground truth in the same world frame.
-fn against_exact_truth(clip: &Clip, followed: &Followed) -> Result<Figures> {
+fn against_exact_truth(clip: &Clip, followed: &TrackedClip) -> Result<Figures> {
     let options = EvaluationOptions {
         alignment: Alignment::Origin,
         segment_lengths_m: vec![1.0],

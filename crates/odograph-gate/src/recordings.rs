@@ -19,7 +19,7 @@ use tempfile::NamedTempFile;
 
 /// A real recording and the definition of its error.
 #[derive(Debug, Clone, Copy)]
-pub struct Recording {
+pub struct RealRecording {
     /// Name of its folder.
     pub name: &'static str,
     /// How it is tracked.
@@ -32,7 +32,7 @@ pub struct Recording {
     read: fn(&Path) -> Result<Clip>,
 }
 
-impl Recording {
+impl RealRecording {
     /// Reads the frames and the ground truth.
     pub fn open(&self, data: &Path) -> Result<Clip> {
         (self.read)(&data.join(self.name))
@@ -45,8 +45,8 @@ pub fn folder() -> PathBuf {
 }
 
 /// All real recordings.
-pub fn all() -> Vec<Recording> {
-    let recording = |name, alignment, read| Recording {
+pub fn all() -> Vec<RealRecording> {
+    let recording = |name, alignment, read| RealRecording {
         name,
         follow: Follow::Mapped,
         model: MotionModel::Auto,
@@ -58,7 +58,7 @@ pub fn all() -> Vec<Recording> {
         recording("planar_checker_a", Alignment::Se3, planar_checker),
         recording("static_euroc_v101", Alignment::Origin, static_euroc),
         recording("kylehart_ground", Alignment::Origin, kylehart),
-        Recording {
+        RealRecording {
             model: MotionModel::Free,
             ..recording("nadir_caliterra", Alignment::Sim3, nadir_caliterra)
         },

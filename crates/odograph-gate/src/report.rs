@@ -1,11 +1,11 @@
 //! The output of the gate: Markdown tables and a summary line.
 
-use crate::baseline::{Comparison, Measured, RowFigures, Verdict};
+use crate::baseline::{BaselineVerdict, Comparison, GateResults, RowFigures};
 use crate::figures::{Figures, MEASURES, Measure, measure};
 use std::fmt::Write;
 
 /// Table of all measured rows.
-pub fn table(measured: &Measured) -> String {
+pub fn table(measured: &GateResults) -> String {
     let shown = |m: &&Measure| measured.rows.iter().any(|row| row.figures.get(m.key).is_some());
     let columns: Vec<&Measure> = MEASURES.iter().filter(shown).collect();
     let mut text = rows_table("row", &measured.rows, &columns);
@@ -39,9 +39,9 @@ fn cell(measure: &Measure, figures: &Figures) -> String {
 }
 
 /// The results that became worse or better, and the summary line.
-pub fn comparison(comparison: &Comparison, measured: &Measured) -> String {
+pub fn comparison(comparison: &Comparison, measured: &GateResults) -> String {
     let mut text = String::new();
-    for (verdict, heading) in [(Verdict::Worse, "Worse"), (Verdict::Better, "Better")] {
+    for (verdict, heading) in [(BaselineVerdict::Worse, "Worse"), (BaselineVerdict::Better, "Better")] {
         let changes: Vec<_> = comparison.changes.iter().filter(|c| c.verdict == verdict).collect();
         if changes.is_empty() {
             continue;
@@ -55,7 +55,7 @@ pub fn comparison(comparison: &Comparison, measured: &Measured) -> String {
             let _ = writeln!(text, "| {} | {title} | {old} | {new} |", change.row);
         }
         text += "\n";
-        if verdict == Verdict::Better {
+        if verdict == BaselineVerdict::Better {
             text += "Store them with --update-baseline, together with the change that made them better.\n";
         }
     }
@@ -65,7 +65,7 @@ pub fn comparison(comparison: &Comparison, measured: &Measured) -> String {
     text + &closing_line(comparison, measured)
 }
 
-fn closing_line(comparison: &Comparison, measured: &Measured) -> String {
+fn closing_line(comparison: &Comparison, measured: &GateResults) -> String {
     let mut line = format!("gate: {} rows passed, {} worse", comparison.passed, comparison.worse);
     for (count, what) in [(measured.failed.len(), "failed"), (comparison.not_compared, "not compared")] {
         if count > 0 {

@@ -1,4 +1,4 @@
-//! The rendered rows. To add one, add a `Row { … }` to [`rows`].
+//! The rendered rows. To add one, add a `BenchmarkRow { … }` to [`rows`].
 
 use crate::alterations::Alteration;
 use odograph::camera::{Camera, Distortion, Rig};
@@ -24,7 +24,7 @@ pub enum Follow {
 
 /// One kind of recording, with a different drive for each seed.
 #[derive(Debug, Clone)]
-pub struct Row {
+pub struct BenchmarkRow {
     /// Unique short name in kebab case.
     pub name: &'static str,
     /// A texture name known to `Texture::named`.
@@ -109,8 +109,8 @@ fn noise() -> Effects {
 }
 
 /// An easy drive over asphalt; the base of all other rows.
-pub fn clean() -> Row {
-    Row {
+pub fn clean() -> BenchmarkRow {
+    BenchmarkRow {
         name: "asphalt",
         texture: "asphalt",
         path: wandering,
@@ -130,17 +130,17 @@ pub fn clean() -> Row {
 }
 
 /// The clean drive with other effects.
-pub fn with(name: &'static str, effects: Effects) -> Row {
-    Row { name, effects, ..clean() }
+pub fn with(name: &'static str, effects: Effects) -> BenchmarkRow {
+    BenchmarkRow { name, effects, ..clean() }
 }
 
 /// The same at 320x240 with three seeds, at a quarter of the time per seed.
-fn small(name: &'static str, effects: Effects) -> Row {
-    Row { size_px: SMALL_PX, seeds: 3, ..with(name, effects) }
+fn small(name: &'static str, effects: Effects) -> BenchmarkRow {
+    BenchmarkRow { size_px: SMALL_PX, seeds: 3, ..with(name, effects) }
 }
 
 /// All rendered rows, in the order of the table.
-pub fn rows() -> Vec<Row> {
+pub fn rows() -> Vec<BenchmarkRow> {
     let degree = 1f64.to_radians();
     let vibration = Vibration { shift_m: 0.004, turn_rad: 0.01, frequency_hz: 7.0 };
     let lit = Effects {
@@ -172,14 +172,14 @@ pub fn rows() -> Vec<Row> {
     let dark = vec![Blackout { from_s: 3.0, to_s: 5.0 }];
     vec![
         clean(),
-        Row { name: "carpet", texture: "carpet", ..clean() },
-        Row { name: "grass", texture: "grass", ..clean() },
-        Row { name: "concrete", texture: "concrete", ..clean() },
-        Row { name: "corner-turn", path: corner_turn, ..clean() },
-        Row { name: "tiles", texture: "tiles", ..clean() },
-        Row { name: "bricks", texture: "bricks", ..clean() },
-        Row { texture: "bare", ..with("faint", Effects { noise_gray: 1.0, ..noise() }) },
-        Row { texture: "bare", ..small("faint-noise", noise()) },
+        BenchmarkRow { name: "carpet", texture: "carpet", ..clean() },
+        BenchmarkRow { name: "grass", texture: "grass", ..clean() },
+        BenchmarkRow { name: "concrete", texture: "concrete", ..clean() },
+        BenchmarkRow { name: "corner-turn", path: corner_turn, ..clean() },
+        BenchmarkRow { name: "tiles", texture: "tiles", ..clean() },
+        BenchmarkRow { name: "bricks", texture: "bricks", ..clean() },
+        BenchmarkRow { texture: "bare", ..with("faint", Effects { noise_gray: 1.0, ..noise() }) },
+        BenchmarkRow { texture: "bare", ..small("faint-noise", noise()) },
         with("noise-6-gray", Effects { noise_gray: 6.0, ..noise() }),
         with("vibration", Effects { vibration: Some(vibration), ..noise() }),
         with("blur-10ms", Effects { exposure_s: 0.010, ..noise() }),
@@ -189,58 +189,70 @@ pub fn rows() -> Vec<Row> {
         with("dropped", Effects { timing: Timing { dropped: 0.33, jitter_s: 0.003 }, ..noise() }),
         with("height-10pct", Effects { height_change: height(0.1), ..noise() }),
         with("tilt-3deg", Effects { tilt_change: tilt(3.0), ..noise() }),
-        Row { name: "tilt-untold", rig: tilted, ..clean() },
-        Row { name: "tilt-untold-live", rig: tilted, follow: Follow::Live, ..clean() },
-        Row { name: "height-told-2pct-low", rig_told: Rig::level(0.98 * HEIGHT_M), ..clean() },
-        Row { texture: "grass", ..with("hand-held", hand_held.clone()) },
-        Row { texture: "grass", ..small("hand-held-small", hand_held) },
-        Row {
+        BenchmarkRow { name: "tilt-untold", rig: tilted, ..clean() },
+        BenchmarkRow { name: "tilt-untold-live", rig: tilted, follow: Follow::Live, ..clean() },
+        BenchmarkRow { name: "height-told-2pct-low", rig_told: Rig::level(0.98 * HEIGHT_M), ..clean() },
+        BenchmarkRow { texture: "grass", ..with("hand-held", hand_held.clone()) },
+        BenchmarkRow { texture: "grass", ..small("hand-held-small", hand_held) },
+        BenchmarkRow {
             path: straight,
             // 0.58 m per frame is 60 % of the image width on the ground.
             speed_m_s: 17.3,
             ..with("fast", Effects { exposure_s: 0.0009, ..noise() })
         },
-        Row { path: ahead, ..with("rolling-20ms", rolling.clone()) },
-        Row { path: ahead, readout_is_told: true, ..with("rolling-20ms-told", rolling.clone()) },
-        Row { path: eight, ..with("rolling-eight", rolling.clone()) },
-        Row { path: eight, readout_is_told: true, ..with("rolling-eight-told", rolling.clone()) },
+        BenchmarkRow { path: ahead, ..with("rolling-20ms", rolling.clone()) },
+        BenchmarkRow { path: ahead, readout_is_told: true, ..with("rolling-20ms-told", rolling.clone()) },
+        BenchmarkRow { path: eight, ..with("rolling-eight", rolling.clone()) },
+        BenchmarkRow { path: eight, readout_is_told: true, ..with("rolling-eight-told", rolling.clone()) },
         with("rolling-vibration", Effects { vibration: Some(vibration), ..rolling }),
-        Row {
+        BenchmarkRow {
             texture: "concrete",
             ..with("bumper", Effects { bumper: Some(Bumper { share: 0.15 }), ..noise() })
         },
-        Row { texture: "concrete", ..with("dirt", Effects { dirt: Some(Dirt { count: 30 }), ..noise() }) },
-        Row {
+        BenchmarkRow {
+            texture: "concrete",
+            ..with("dirt", Effects { dirt: Some(Dirt { count: 30 }), ..noise() })
+        },
+        BenchmarkRow {
             texture: "concrete",
             ..with("own-shadow", Effects { carrier_shadow: Some(Shadow::default()), ..noise() })
         },
-        Row { texture: "concrete", ..with("own-lamp", Effects { lamp: Some(Lamp::default()), ..noise() }) },
-        Row { seeds: 1, ..small("relief-5mm", on(Terrain { relief: Some(relief), ..Terrain::default() })) },
-        Row {
+        BenchmarkRow {
+            texture: "concrete",
+            ..with("own-lamp", Effects { lamp: Some(Lamp::default()), ..noise() })
+        },
+        BenchmarkRow {
+            seeds: 1,
+            ..small("relief-5mm", on(Terrain { relief: Some(relief), ..Terrain::default() }))
+        },
+        BenchmarkRow {
             seeds: 1,
             ..small("undulation", on(Terrain { undulation: Some(undulation), ..Terrain::default() }))
         },
-        Row { seeds: 1, ..small("relief-15mm", on(Terrain { relief: Some(gravel), ..Terrain::default() })) },
-        Row {
+        BenchmarkRow {
+            seeds: 1,
+            ..small("relief-15mm", on(Terrain { relief: Some(gravel), ..Terrain::default() }))
+        },
+        BenchmarkRow {
             seeds: 1,
             ..small(
                 "undulation-ride",
                 on(Terrain { undulation: Some(undulation), ride: true, ..Terrain::default() }),
             )
         },
-        Row {
+        BenchmarkRow {
             path: ahead,
             seeds: 1,
             ..small("ramp-ride", on(Terrain { ramp: Some(ramp), ride: true, ..Terrain::default() }))
         },
-        Row {
+        BenchmarkRow {
             path: ahead,
             seeds: 1,
             ..small("kerb", on(Terrain { kerb: Some(kerb), ..Terrain::default() }))
         },
         small("blackout-2s", Effects { blackouts: dark, ..noise() }),
-        Row { name: "h264-qp28", h264_qp: Some(28), ..clean() },
-        Row {
+        BenchmarkRow { name: "h264-qp28", h264_qp: Some(28), ..clean() },
+        BenchmarkRow {
             path: lanes,
             fps: 15.0,
             rig: Rig { roll_rad: 0.3 * degree, pitch_rad: -0.2 * degree, ..Rig::level(HEIGHT_M) },

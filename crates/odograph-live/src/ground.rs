@@ -72,17 +72,17 @@ impl<G: Ground> Ground for Arc<G> {
 
 /// A ground map whose tiles arrive one by one, each complete.
 #[derive(Debug, Default)]
-pub struct GrowingTiles(Mutex<Tiles>);
+pub struct GrowingTiles(Mutex<GroundTiles>);
 
 #[derive(Debug, Default)]
-struct Tiles {
+struct GroundTiles {
     metres_per_pixel: Option<f64>,
     revision: u64,
     squares: BTreeMap<MosaicSquare, (u64, Vec<u8>)>,
 }
 
 impl GrowingTiles {
-    fn tiles(&self) -> MutexGuard<'_, Tiles> {
+    fn tiles(&self) -> MutexGuard<'_, GroundTiles> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

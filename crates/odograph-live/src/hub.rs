@@ -20,7 +20,7 @@ const GROUND_INTERVAL: Duration = Duration::from_millis(250);
 pub struct Hub {
     introduction: Introduction,
     ground: Arc<dyn Ground>,
-    seen: Mutex<Seen>,
+    seen: Mutex<ViewerState>,
     news: Condvar,
     stop_asked: AtomicBool,
     viewers: AtomicUsize,
@@ -28,7 +28,7 @@ pub struct Hub {
 }
 
 #[derive(Default)]
-struct Seen {
+struct ViewerState {
     records: Records,
     view: Option<Arc<View>>,
     views: u64,
@@ -102,7 +102,7 @@ impl Hub {
         &*self.ground
     }
 
-    fn seen(&self) -> MutexGuard<'_, Seen> {
+    fn seen(&self) -> MutexGuard<'_, ViewerState> {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -239,7 +239,7 @@ impl Hub {
         Duration::from_secs_f64(0.9 / rate)
     }
 
-    fn collect(&self, seen: &Seen, cursor: &mut Cursor) -> Option<News> {
+    fn collect(&self, seen: &ViewerState, cursor: &mut Cursor) -> Option<News> {
         let mut news = News::default();
         let mut any = false;
         if seen.records.count() > cursor.records {

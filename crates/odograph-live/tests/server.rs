@@ -15,14 +15,14 @@ use std::time::{Duration, Instant};
 /// Upper bound for the time of any response in these tests.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-struct Place {
+struct ServerFixture {
     hub: Arc<Hub>,
     server: Server,
     _folder: tempfile::TempDir,
 }
 
 /// A server of a folder with one public file, and secret files beside it and above it.
-fn place(token: Option<&str>) -> Place {
+fn place(token: Option<&str>) -> ServerFixture {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     std::fs::create_dir(&run).unwrap();
@@ -45,7 +45,7 @@ fn place(token: Option<&str>) -> Place {
         files: vec!["stats.json".into(), "trajectory.csv".into()],
     };
     let server = Server::start(([127, 0, 0, 1], 0).into(), Arc::clone(&hub), options).unwrap();
-    Place { hub, server, _folder: folder }
+    ServerFixture { hub, server, _folder: folder }
 }
 
 fn connect(address: SocketAddr) -> TcpStream {

@@ -17,12 +17,12 @@ pub struct FrameImages {
     /// Created with the first image.
     file: Option<File>,
     end: u64,
-    kept: BTreeMap<u64, Kept>,
+    kept: BTreeMap<u64, StoredFrame>,
 }
 
 /// Position and parameters of an image in the file.
 #[derive(Debug)]
-struct Kept {
+struct StoredFrame {
     start: u64,
     bytes: usize,
     colored: bool,
@@ -42,7 +42,7 @@ impl FrameImages {
     pub fn keep(&mut self, frame: u64, image: &KeyframeImage) -> Result<()> {
         let StoredImage { colored, luma_scale, luma_offset, jpeg } = image::encode(image)?;
         self.write(&jpeg).map_err(|error| self.failed("written", &error))?;
-        let kept = Kept { start: self.end, bytes: jpeg.len(), colored, luma_scale, luma_offset };
+        let kept = StoredFrame { start: self.end, bytes: jpeg.len(), colored, luma_scale, luma_offset };
         self.end += jpeg.len() as u64;
         self.kept.insert(frame, kept);
         Ok(())

@@ -113,11 +113,11 @@ struct WrittenPath<'a> {
     connection: &'a Connection,
     insert: CachedStatement<'a>,
     session: u32,
-    lines: Vec<Line>,
+    lines: Vec<SegmentLine>,
 }
 
 /// Polyline of one segment.
-struct Line {
+struct SegmentLine {
     segment: usize,
     from_s: f64,
     to_s: f64,
@@ -150,7 +150,7 @@ impl<'a> WrittenPath<'a> {
             pitch_rad
         ])?;
         if self.lines.last().is_none_or(|line| line.segment != segment) {
-            self.lines.push(Line { segment, from_s: time_s, to_s: time_s, points: Vec::new() });
+            self.lines.push(SegmentLine { segment, from_s: time_s, to_s: time_s, points: Vec::new() });
         }
         if let Some(line) = self.lines.last_mut() {
             line.to_s = time_s;
@@ -162,7 +162,9 @@ impl<'a> WrittenPath<'a> {
     fn end(self) -> rusqlite::Result<()> {
         // A polyline has at least two points; a segment of one frame is only in the table of
         // frames.
-        for Line { segment, from_s, to_s, points } in self.lines.into_iter().filter(|l| l.points.len() > 1) {
+        for SegmentLine { segment, from_s, to_s, points } in
+            self.lines.into_iter().filter(|l| l.points.len() > 1)
+        {
             let length_m: f64 =
                 points.windows(2).map(|two| (two[1].0 - two[0].0).hypot(two[1].1 - two[0].1)).sum();
             self.connection.execute(

@@ -4,7 +4,7 @@ use crate::arrays::{Matrix, Vector, numbers, vector};
 use crate::error::{Failure, Result};
 use numpy::IntoPyArray;
 use numpy::ndarray::Array2;
-use odograph_core::camera::{Camera as CoreCamera, Distortion, Rig as CoreRig};
+use odograph_core::camera::{Camera as CoreCamera, Distortion, LeverArm, Rig as CoreRig};
 use odograph_core::formats::{camera_file, rig_file};
 use odograph_session::{Observer, RunBuilder, doubtful_unit, files, read_rig};
 use pyo3::prelude::*;
@@ -127,7 +127,8 @@ fn distortion(model: &str, c: &[f64]) -> Result<Distortion> {
 }
 
 /// How a camera is mounted: height above the ground in metres; roll, pitch and yaw against straight
-/// down with the top of the image forward, radians.
+/// down with the top of the image forward, radians; where known, the camera's place in the robot's
+/// frame (x forward, y left, z up), metres.
 #[pyclass(frozen, eq, module = "odograph")]
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rig(pub CoreRig);
@@ -135,13 +136,14 @@ pub struct Rig(pub CoreRig);
 #[pymethods]
 impl Rig {
     #[new]
-    #[pyo3(signature = (height, *, roll = 0.0, pitch = 0.0, yaw = 0.0))]
-    fn new(height: f64, roll: f64, pitch: f64, yaw: f64) -> Result<Self> {
-        let rig = CoreRig { height_m: height, roll_rad: roll, pitch_rad: pitch, yaw_rad: yaw };
+    #[pyo3(signature = (height, *, roll = 0.0, pitch = 0.0, yaw = 0.0, lever_arm = None))]
+    fn new(height: f64, roll: f64, pitch: f64, yaw: f64, lever_arm: Option<(f64, f64, f64)>) -> Result<Self> {
+        let lever_arm = lever_arm.map(|(x_m, y_m, z_m)| LeverArm { x_m, y_m, z_m });
+        let rig = CoreRig { height_m: height, roll_rad: roll, pitch_rad: pitch, yaw_rad: yaw, lever_arm };
         Ok(Self(rig.validated()?))
     }
 
-    /// The rig of a file (TOML: height_m, roll_deg, pitch_deg, yaw_deg).
+    /// The rig of a file (TOML: height_m, roll_deg, pitch_deg, yaw_deg, and x_m, y_m, z_m).
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> Result<Self> {
         let doubts = Doubts::default();
@@ -179,9 +181,17 @@ impl Rig {
         self.0.yaw_rad
     }
 
+    /// Place of the camera in the robot's frame, metres; None where it is not known.
+    #[getter]
+    fn lever_arm(&self) -> Option<(f64, f64, f64)> {
+        self.0.lever_arm.map(|LeverArm { x_m, y_m, z_m }| (x_m, y_m, z_m))
+    }
+
     fn __repr__(&self) -> String {
-        let CoreRig { height_m, roll_rad, pitch_rad, yaw_rad } = self.0;
-        format!("Rig({height_m}, roll={roll_rad}, pitch={pitch_rad}, yaw={yaw_rad})")
+        let CoreRig { height_m, roll_rad, pitch_rad, yaw_rad, lever_arm } = self.0;
+        let arm = lever_arm
+            .map_or_else(String::new, |arm| format!(", lever_arm=({}, {}, {})", arm.x_m, arm.y_m, arm.z_m));
+        format!("Rig({height_m}, roll={roll_rad}, pitch={pitch_rad}, yaw={yaw_rad}{arm})")
     }
 }
 

@@ -1,13 +1,13 @@
 //! The report's section of quantities over time.
 
-use super::figures::{Figures, sigmas};
+use super::figures::{RunFigures, sigmas};
 use super::plot::{Range, Series, TimeAxis, plot};
 use odograph::geometry::wrap_angle;
 use odograph::trajectory::{FrameSummary, PlaceSummary};
 use std::fmt::Write;
 
 /// Writes the section, with one plot per quantity.
-pub fn over_time(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
+pub fn over_time(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
     let Some(first) = frames.first() else { return };
     let times_s: Vec<f64> = frames.iter().map(|frame| frame.time_s - first.time_s).collect();
     let shaded_s: Vec<(f64, f64)> =

@@ -18,7 +18,7 @@ const ROTATION: &str = "#2a6f97";
 /// for a camera over ground), at the same scale both ways; below it the position and the rotation
 /// error of each compared pose.
 pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
-    let view = View::of(evaluation, truth);
+    let view = PlotView::of(evaluation, truth);
     let below = view.bottom + 60.0;
     let height = below + 430.0;
     let mut out = format!(
@@ -65,7 +65,7 @@ pub fn svg(title: &str, evaluation: &Evaluation, truth: &Trajectory) -> String {
 
 /// Only the paths, from above: an SVG element that fits into a page.
 pub fn from_above(evaluation: &Evaluation, truth: &Trajectory) -> String {
-    let view = View::along(evaluation, truth, |_| (0, 1));
+    let view = PlotView::along(evaluation, truth, |_| (0, 1));
     let (top, height) = (TOP - 10.0, view.bottom - TOP + 60.0);
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 {top} {WIDTH} {height}\" font-family=\"sans-serif\" font-size=\"13\" fill=\"#222222\">\n\
@@ -77,14 +77,14 @@ pub fn from_above(evaluation: &Evaluation, truth: &Trajectory) -> String {
 }
 
 /// A range of values on a line of the drawing.
-struct Axis {
+struct PlotAxis {
     low: f64,
     high: f64,
     from_px: f64,
     to_px: f64,
 }
 
-impl Axis {
+impl PlotAxis {
     fn at(&self, value: f64) -> f64 {
         self.from_px + (value - self.low) / (self.high - self.low) * (self.to_px - self.from_px)
     }
@@ -111,17 +111,17 @@ impl Axis {
 }
 
 /// The paths and how they are seen: along the axis of least extent, at one scale for both axes.
-struct View {
+struct PlotView {
     truth: Vec<[f64; 3]>,
     estimate: Vec<[f64; 3]>,
     across: usize,
     up: usize,
-    x: Axis,
-    y: Axis,
+    x: PlotAxis,
+    y: PlotAxis,
     bottom: f64,
 }
 
-impl View {
+impl PlotView {
     fn of(evaluation: &Evaluation, truth: &Trajectory) -> Self {
         Self::along(evaluation, truth, seen_axes)
     }
@@ -146,7 +146,7 @@ impl View {
         let axis = |i: usize, from_px: f64, to_px: f64| {
             let centre = 0.5 * (low[i] + high[i]);
             let reach = 0.5 * metres_per_px * (to_px - from_px).abs();
-            Axis { low: centre - reach, high: centre + reach, from_px, to_px }
+            PlotAxis { low: centre - reach, high: centre + reach, from_px, to_px }
         };
         let bottom = TOP + tall;
         let (x, y) = (axis(across, LEFT, RIGHT), axis(up, bottom, TOP));
@@ -154,8 +154,8 @@ impl View {
     }
 }
 
-fn draw_paths(out: &mut String, view: &View, evaluation: &Evaluation, truth_name: &str) {
-    let View { truth: true_path, estimate: estimated, across, up, x, y, bottom } = view;
+fn draw_paths(out: &mut String, view: &PlotView, evaluation: &Evaluation, truth_name: &str) {
+    let PlotView { truth: true_path, estimate: estimated, across, up, x, y, bottom } = view;
     let (across, up, bottom) = (*across, *up, *bottom);
     let names = ["x", "y", "z"];
     let step = x.step(8.0);
@@ -212,8 +212,8 @@ fn draw_errors(
         pairs.iter().zip(errors).map(|(pair, &error)| (pair.time_s - start_s, error)).collect();
     let duration_s = points.last().map_or(0.0, |point| point.0);
     let largest = errors.iter().copied().fold(0.0, f64::max);
-    let x = Axis { low: 0.0, high: duration_s.max(1e-3), from_px: LEFT, to_px: RIGHT };
-    let y = Axis { low: 0.0, high: (largest * 1.08).max(1e-5), from_px: bottom, to_px: top };
+    let x = PlotAxis { low: 0.0, high: duration_s.max(1e-3), from_px: LEFT, to_px: RIGHT };
+    let y = PlotAxis { low: 0.0, high: (largest * 1.08).max(1e-5), from_px: bottom, to_px: top };
     frame(out, &x, &y, (x.step(8.0), y.step(4.0)), name);
     let mut from = 0;
     for end in gaps(pairs).chain([points.len()]) {
@@ -227,7 +227,7 @@ fn draw_errors(
 }
 
 /// Grid, tick labels, border, and the name of the vertical axis.
-fn frame(out: &mut String, x: &Axis, y: &Axis, (step_x, step_y): (f64, f64), name: &str) {
+fn frame(out: &mut String, x: &PlotAxis, y: &PlotAxis, (step_x, step_y): (f64, f64), name: &str) {
     let (top, bottom) = (y.to_px, y.from_px);
     let _ = writeln!(out, "<g stroke=\"#dddddd\" stroke-width=\"1\">");
     let ticks_x = x.ticks(step_x);

@@ -18,7 +18,7 @@ pub struct LostStretch {
 
 /// Summary statistics of a run.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Figures {
+pub struct RunFigures {
     pub frames: usize,
     pub with_pose: usize,
     pub duration_s: f64,
@@ -30,7 +30,7 @@ pub struct Figures {
     pub last: Option<PlaceSummary>,
 }
 
-impl Figures {
+impl RunFigures {
     pub fn new(frames: &[FrameSummary]) -> Self {
         let ends = frames.first().zip(frames.last());
         let duration_s = ends.map_or(0.0, |(first, last)| (last.time_s - first.time_s).max(0.0));
@@ -110,7 +110,7 @@ pub fn weakest(frames: &[FrameSummary], count: usize) -> Vec<&FrameSummary> {
     let mut candidates: Vec<&FrameSummary> =
         frames.windows(2).filter(|pair| follows(pair)).map(|pair| &pair[1]).collect();
     candidates.sort_by_key(|frame| (frame.inliers, frame.frame));
-    let duration_s = Figures::new(frames).duration_s;
+    let duration_s = RunFigures::new(frames).duration_s;
     let apart_s = (duration_s / (3.0 * count as f64)).min(5.0);
     let mut chosen: Vec<&FrameSummary> = vec![];
     for frame in candidates {

@@ -2,7 +2,7 @@
 
 use super::charts::over_time;
 use super::evaluation_plot;
-use super::figures::{Figures, sigmas, weakest};
+use super::figures::{RunFigures, sigmas, weakest};
 use super::parts::{card, head, number, warnings};
 use odograph::camera::Distortion;
 use odograph::drawing::MapDrawing;
@@ -19,7 +19,7 @@ const MOST_ROWS: usize = 100;
 
 /// The report as one HTML file without external references.
 pub fn html(input: &ReportInput<'_>) -> String {
-    let figures = Figures::new(input.frames);
+    let figures = RunFigures::new(input.frames);
     let mut page = head(input.title, input.source, "");
     let interrupted = input.interruption.map_or(String::new(), |interruption| {
         format!("<b>The run was {interruption}</b>; nothing after that is known. ")
@@ -43,7 +43,7 @@ pub fn html(input: &ReportInput<'_>) -> String {
 }
 
 /// Summary of the run in one or two sentences.
-fn lead(figures: &Figures) -> String {
+fn lead(figures: &RunFigures) -> String {
     if figures.with_pose == 0 {
         return "No frame could be tracked. The reasons are listed below.".into();
     }
@@ -71,7 +71,7 @@ fn distance_text(distance_m: f64) -> String {
     if (1.0..10_000.0).contains(&distance_m) { format!("{distance_m:.2} m") } else { length_text(distance_m) }
 }
 
-fn cards(figures: &Figures, page: &mut String) {
+fn cards(figures: &RunFigures, page: &mut String) {
     page.push_str("<div class=\"cards\">\n");
     card(
         "Distance",
@@ -244,7 +244,7 @@ fn beside(reference: Option<&ComparedReference>, page: &mut String) {
 }
 
 /// Where it was lost, and the frames with few inliers; nothing if it was sure everywhere.
-fn doubts(frames: &[FrameSummary], figures: &Figures, page: &mut String) {
+fn doubts(frames: &[FrameSummary], figures: &RunFigures, page: &mut String) {
     let weak = unsure(frames);
     if figures.lost.is_empty() && weak.is_empty() {
         return;

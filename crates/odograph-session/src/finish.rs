@@ -262,7 +262,7 @@ impl Finishing<'_> {
         })?;
         let path = smoother.smoothed(&self.plan.odometry.filter);
         let of = self.of;
-        let mut smoothed = Smoothed { frames, path: &path, reckoned: &improved.reckoned };
+        let mut smoothed = FrameSmoother { frames, path: &path, reckoned: &improved.reckoned };
         self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
             smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(&of))))
         })?;
@@ -321,7 +321,7 @@ impl Finishing<'_> {
         };
         let loops = self.tracked.mapping.loops();
         let tracked = &mut self.tracked;
-        let shown = pictures::Shown {
+        let shown = pictures::DrawingInputs {
             description,
             frames,
             loops: &loops,
@@ -448,13 +448,13 @@ fn statistics_of(
 }
 
 /// A smoothed path, its gaps filled from the sensors, along the frames.
-struct Smoothed<'a> {
+struct FrameSmoother<'a> {
     frames: &'a mut KeptFrames,
     path: &'a SmoothedPath,
     reckoned: &'a Reckoned,
 }
 
-impl Smoothed<'_> {
+impl FrameSmoother<'_> {
     /// Visits every frame of the path. Fails if frames cannot be read back, or if `take` fails.
     fn each(&mut self, mut take: impl FnMut(&SmoothedFrame) -> Result<()>) -> Result<()> {
         let (mut walk, mut merge) = (self.path.walk(), self.reckoned.merge());

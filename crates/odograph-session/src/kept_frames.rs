@@ -14,7 +14,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// A frame, and its reference keyframe.
-type Kept = (FrameEstimate, Option<FrameReference>);
+type KeptFrame = (FrameEstimate, Option<FrameReference>);
 
 /// Frames per write to disk.
 const CHUNK: usize = 256;
@@ -31,7 +31,7 @@ pub struct KeptFrames {
     end: u64,
     full: bool,
     /// Frames that are not on disk yet.
-    rest: Vec<Kept>,
+    rest: Vec<KeptFrame>,
     count: u64,
     posed: u64,
     first_time_s: Option<f64>,
@@ -184,7 +184,7 @@ fn pose_of([x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad]: [f64; 6]) -> 
 }
 
 /// A frame as numbers, exact: integers are far below 2⁵³.
-fn encoded((frame, reference): &Kept) -> Vec<f64> {
+fn encoded((frame, reference): &KeptFrame) -> Vec<f64> {
     let status = match frame.status {
         TrackStatus::Tracked => 0,
         TrackStatus::Lost { reason } => 1 + REASONS.iter().position(|known| *known == reason).unwrap_or(0),
@@ -219,7 +219,7 @@ fn encoded((frame, reference): &Kept) -> Vec<f64> {
     numbers
 }
 
-fn decoded(bytes: &[u8]) -> Kept {
+fn decoded(bytes: &[u8]) -> KeptFrame {
     let mut numbers = bytes.chunks_exact(8).map(|bytes| {
         let mut number = [0; 8];
         number.copy_from_slice(bytes);
@@ -267,7 +267,7 @@ mod tests {
     use super::*;
 
     /// Frames with every number different, some of them lost, every third frame of the source.
-    fn frames() -> Vec<Kept> {
+    fn frames() -> Vec<KeptFrame> {
         let kept = |k: u64| {
             let at = |i: u64| (1000 * k + i) as f64 / 7.0;
             let pose = |from: u64| pose_of(std::array::from_fn(|i| at(from + i as u64)));

@@ -18,7 +18,7 @@ use std::panic::resume_unwind;
 use std::thread;
 
 /// Inputs of the drawings.
-pub struct Shown<'a> {
+pub struct DrawingInputs<'a> {
     /// Description of the recording.
     pub description: &'a str,
     pub frames: &'a [FrameSummary],
@@ -43,7 +43,7 @@ pub struct Drawn {
 /// Writes mosaic and drawing, and the mosaic into the map file, concurrently where `threads` allow.
 pub fn write(
     plan: &RunPlan,
-    shown: &Shown<'_>,
+    shown: &DrawingInputs<'_>,
     mapping: &mut Mapping,
     folder: &mut OutputFolder,
     reporter: Option<&dyn RunReporter>,
@@ -83,7 +83,7 @@ pub fn write(
 #[expect(clippy::type_complexity, reason = "two parts of `Drawn`")]
 fn draw(
     plan: &RunPlan,
-    shown: &Shown<'_>,
+    shown: &DrawingInputs<'_>,
     placement: Option<Placement>,
     folder: &mut OutputFolder,
     reporter: Option<&dyn RunReporter>,
@@ -115,7 +115,7 @@ fn draw(
 /// Writes the report, if there is a reporter.
 pub fn write_page(
     plan: &RunPlan,
-    shown: &Shown<'_>,
+    shown: &DrawingInputs<'_>,
     drawn: &Drawn,
     warnings: &[String],
     interruption: Option<&str>,

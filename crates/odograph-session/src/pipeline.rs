@@ -10,7 +10,7 @@ use crate::output::Output;
 use crate::plan::RunPlan;
 use crate::statistics::LiveStatistics;
 use crate::timings::Timings;
-use crate::views::{Posed, Views};
+use crate::views::{MosaicFrames, Posed};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
 use odograph::mounting::{Found, Untold};
@@ -27,7 +27,7 @@ pub struct Tracked {
     /// Frames, each with its reference.
     pub frames: KeptFrames,
     /// Frames of the mosaic.
-    pub views: Views,
+    pub views: MosaicFrames,
     pub mapping: Mapping,
     pub keyframes: u64,
     /// Mask of what is static in the image.
@@ -95,7 +95,7 @@ pub fn track(
     let mut odometry = plan.odometry()?;
     odometry.tell_keyframes();
     let mapping = Mapping::new(plan, folder, &output.map)?;
-    let views = Views::new(&plan.camera, folder.path());
+    let views = MosaicFrames::new(&plan.camera, folder.path());
     let mut tracking = Tracking {
         odometry,
         of: plan.pose_frame()?,
@@ -111,7 +111,7 @@ pub fn track(
     let whole = plan.source.start_s.is_none() && plan.source.end_s.is_none();
     let announced = source.info().frame_count.filter(|_| whole);
     let mut decoding = Decoding { source, times: Timings::default(), observer };
-    let mut ground = Ground { views, mapping, unmapped: None, times: Timings::default() };
+    let mut ground = MappingStage { views, mapping, unmapped: None, times: Timings::default() };
     let outcome = match output.threads() {
         1 => one_by_one(&mut decoding, &mut tracking, &mut ground),
         threads => side_by_side(&mut decoding, &mut tracking, &mut ground, threads, queue(&plan.camera)),
@@ -123,7 +123,7 @@ pub fn track(
         ground.mapping.discard()?;
         return Ok(Ended::IsAnother(Box::new(found)));
     }
-    let Ground { views, mapping, unmapped, times: map_times } = ground;
+    let MappingStage { views, mapping, unmapped, times: map_times } = ground;
     // An interrupt after the last frame changes no result.
     let interrupted = observer.is_stop_asked() && announced != Some(tracking.frames.count() as u64);
     Ok(Ended::Tracked(Box::new(Tracked {
@@ -151,7 +151,11 @@ pub fn track(
 }
 
 /// The three stages in one thread.
-fn one_by_one(decoding: &mut Decoding<'_>, tracking: &mut Tracking<'_>, ground: &mut Ground) -> Result<()> {
+fn one_by_one(
+    decoding: &mut Decoding<'_>,
+    tracking: &mut Tracking<'_>,
+    ground: &mut MappingStage,
+) -> Result<()> {
     while let Some(frame) = decoding.next()? {
         match tracking.next(frame)? {
             Some(followed) => ground.next(followed)?,
@@ -165,12 +169,12 @@ fn one_by_one(decoding: &mut Decoding<'_>, tracking: &mut Tracking<'_>, ground: 
 fn side_by_side(
     decoding: &mut Decoding<'_>,
     tracking: &mut Tracking<'_>,
-    ground: &mut Ground,
+    ground: &mut MappingStage,
     threads: usize,
     queue: usize,
 ) -> Result<()> {
     let (frames_in, frames_out) = mpsc::sync_channel::<Frame>(queue);
-    let (followed_in, followed_out) = mpsc::sync_channel::<Followed>(queue);
+    let (followed_in, followed_out) = mpsc::sync_channel::<TrackedFrame>(queue);
     thread::scope(|scope| {
         let decoder = scope.spawn(move || -> Result<()> {
             while let Some(frame) = decoding.next()? {
@@ -250,7 +254,7 @@ struct Tracking<'a> {
 }
 
 /// Result of stage two for a frame.
-struct Followed {
+struct TrackedFrame {
     /// Present where it has a pose.
     posed: Option<Posed>,
     events: Vec<KeyframeEvent>,
@@ -258,7 +262,7 @@ struct Followed {
 
 impl Tracking<'_> {
     /// `None` once self-calibration is certain of a different camera.
-    fn next(&mut self, frame: Frame) -> Result<Option<Followed>> {
+    fn next(&mut self, frame: Frame) -> Result<Option<TrackedFrame>> {
         let started = Instant::now();
         let estimate = self.odometry.process(frame.gray.clone(), frame.time_s)?;
         let estimate = FrameEstimate { frame: frame.number, ..estimate };
@@ -280,7 +284,7 @@ impl Tracking<'_> {
         self.frames.push(estimate, self.odometry.reference());
         number_as_source(&mut events, |index| self.frames.number_in_source(index));
         let is_keyframe = is_made(&events, frame.number);
-        Ok(Some(Followed { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events }))
+        Ok(Some(TrackedFrame { posed: pose.map(|pose| Posed { frame, pose, segment, is_keyframe }), events }))
     }
 }
 
@@ -301,16 +305,16 @@ pub fn is_made(events: &[KeyframeEvent], frame: u64) -> bool {
 }
 
 /// Stage three: mapping.
-struct Ground {
-    views: Views,
+struct MappingStage {
+    views: MosaicFrames,
     mapping: Mapping,
     unmapped: Option<Error>,
     times: Timings,
 }
 
-impl Ground {
-    fn next(&mut self, followed: Followed) -> Result<()> {
-        let Followed { posed, events } = followed;
+impl MappingStage {
+    fn next(&mut self, followed: TrackedFrame) -> Result<()> {
+        let TrackedFrame { posed, events } = followed;
         if self.unmapped.is_none() {
             self.unmapped = self.mapping.take(events, posed.as_ref().map(|posed| &posed.frame)).err();
         }

@@ -36,7 +36,7 @@ const KEPT_WHERE_NEW: f64 = 0.01;
 const MAX_WAITING: usize = 8;
 
 /// The frames of the mosaic.
-pub struct Views {
+pub struct MosaicFrames {
     covered: Coverage,
     waiting: Vec<Posed>,
     waiting_covers: Coverage,
@@ -45,7 +45,7 @@ pub struct Views {
     images: FrameImages,
 }
 
-impl Views {
+impl MosaicFrames {
     /// For a run with this output folder.
     pub fn new(camera: &Camera, folder: &Path) -> Self {
         Self {

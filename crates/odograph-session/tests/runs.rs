@@ -50,9 +50,9 @@ impl Observer for Listening {
 }
 
 /// Writes how many frames it was shown.
-struct Counting;
+struct CountingReporter;
 
-impl RunReporter for Counting {
+impl RunReporter for CountingReporter {
     fn map_png(&self, svg: &str) -> Result<Vec<u8>> {
         Ok(svg.as_bytes()[..4].to_vec())
     }
@@ -103,7 +103,7 @@ fn a_run_that_is_asked_to_stop_has_written_what_there_is() {
 fn a_reporter_makes_the_page_and_its_files_go_with_it() {
     let folder = tempfile::tempdir().unwrap();
     let run = clip::run(5).folder(folder.path());
-    run.clone().reporter(Counting).run(&()).unwrap();
+    run.clone().reporter(CountingReporter).run(&()).unwrap();
     let text = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
     assert_eq!(text("report.html"), "5 frames of drive.mp4");
     assert_eq!(text("map.png"), "<svg");

@@ -431,27 +431,27 @@ impl Exposure {
 
 /// The moving discs.
 #[derive(Debug, Clone)]
-pub(super) struct Discs {
+pub(super) struct MovingDiscs {
     object: MovingObject,
     seed: u64,
 }
 
 /// A disc at one moment.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Disc {
+pub(super) struct MovingDisc {
     /// Centre of the disc.
     pub(super) center: GroundPoint,
     radius_m: f64,
     seed: u32,
 }
 
-impl Discs {
+impl MovingDiscs {
     pub(super) fn new(object: MovingObject, seed: u64) -> Self {
         Self { object, seed: mix(seed ^ 0x0B1EC7) }
     }
 
     /// Discs that may be in view; `pose_at` is the camera pose as a function of time.
-    pub(super) fn at(&self, time_s: f64, pose_at: impl Fn(f64) -> GroundPose) -> Vec<Disc> {
+    pub(super) fn at(&self, time_s: f64, pose_at: impl Fn(f64) -> GroundPose) -> Vec<MovingDisc> {
         let now = (time_s / self.object.every_s).floor() as i64;
         // The disc of this period, and its neighbours, which may still or already be in view.
         (now - 1..=now + 1)
@@ -463,13 +463,17 @@ impl Discs {
                 let way_m = self.object.speed_m_s * (time_s - meeting_s);
                 let center =
                     GroundPoint::new(below.x_m + way_m * angle.cos(), below.y_m + way_m * angle.sin());
-                Disc { center, radius_m: self.object.radius_m, seed: (self.seed ^ number as u64) as u32 }
+                MovingDisc {
+                    center,
+                    radius_m: self.object.radius_m,
+                    seed: (self.seed ^ number as u64) as u32,
+                }
             })
             .collect()
     }
 }
 
-impl Disc {
+impl MovingDisc {
     /// Colour of the disc at a ground point, and the fraction of a pixel of that footprint that it
     /// covers.
     pub(super) fn color(&self, point: GroundPoint, footprint_m: f64) -> Option<([f32; 3], f32)> {

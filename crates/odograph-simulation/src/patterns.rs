@@ -2,14 +2,14 @@
 
 use super::noise::{cell, fractal, smooth_step, value_noise, visibility};
 
-type Point = (f64, f64);
+type PatternPoint = (f64, f64);
 
 fn tinted(gray: f32, tint: [f32; 3]) -> [f32; 3] {
     tint.map(|t| (gray * t).clamp(0.0, 255.0))
 }
 
 /// Stones in bitumen: octaves from 16 to 1 mm for the detail, metres for the wear.
-pub(super) fn asphalt(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
+pub(super) fn asphalt(seed: u32, at: PatternPoint, footprint_m: f64) -> [f32; 3] {
     let wear = fractal(seed ^ 1, at, footprint_m, 1.2, 4, 0.6);
     let stones = fractal(seed ^ 2, at, footprint_m, 0.016, 5, 0.95);
     let bright =
@@ -19,7 +19,7 @@ pub(super) fn asphalt(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
 
 /// Loops of 5 by 4 mm, each with its own brightness and brighter in the middle; two shades of yarn
 /// in clouds.
-pub(super) fn carpet(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
+pub(super) fn carpet(seed: u32, (x, y): PatternPoint, footprint_m: f64) -> [f32; 3] {
     let (loop_x, loop_y) = (0.005, 0.004);
     // Real rows are not quite straight.
     let bent_x = x + 0.002 * f64::from(value_noise(seed ^ 11, x / 0.05, y / 0.05));
@@ -42,7 +42,7 @@ pub(super) fn carpet(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
 }
 
 /// Square tiles with 4 mm of grout, each slightly lighter or darker, with faint marbling.
-pub(super) fn tiles(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
+pub(super) fn tiles(seed: u32, (x, y): PatternPoint, footprint_m: f64) -> [f32; 3] {
     let side = 0.20;
     let grout = joint(x, side, 0.004, footprint_m).max(joint(y, side, 0.004, footprint_m));
     let (i, j) = ((x / side).floor() as i64 as i32, (y / side).floor() as i64 as i32);
@@ -56,7 +56,7 @@ pub(super) fn tiles(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
 }
 
 /// Bricks in running bond with 8 mm of mortar, each with its own colour and a rough face.
-pub(super) fn bricks(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
+pub(super) fn bricks(seed: u32, (x, y): PatternPoint, footprint_m: f64) -> [f32; 3] {
     let (length, width) = (0.218, 0.073);
     let row = (y / width).floor();
     let along = x + 0.5 * length * row.rem_euclid(2.0);
@@ -73,7 +73,7 @@ pub(super) fn bricks(seed: u32, (x, y): Point, footprint_m: f64) -> [f32; 3] {
 }
 
 /// Blades: noise elongated along five directions, the brightest on top, over dark soil.
-pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3] {
+pub(super) fn grass(seed: u32, at @ (x, y): PatternPoint, footprint_m: f64) -> [f32; 3] {
     // Bent blades: coordinates are shifted by millimetres, with a correlation length of
     // centimetres.
     let bend = |seed: u32| 0.006 * f64::from(value_noise(seed, x / 0.04, y / 0.04));
@@ -94,7 +94,7 @@ pub(super) fn grass(seed: u32, at @ (x, y): Point, footprint_m: f64) -> [f32; 3]
 }
 
 /// Clouds over decimetres, fine grain and sparse pores.
-pub(super) fn concrete(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
+pub(super) fn concrete(seed: u32, at: PatternPoint, footprint_m: f64) -> [f32; 3] {
     let clouds = fractal(seed ^ 51, at, footprint_m, 0.8, 5, 0.6);
     let grain = fractal(seed ^ 52, at, footprint_m, 0.064, 6, 0.9);
     // Thresholding adds frequencies above those of its input, so the pores fade out before a pixel
@@ -105,14 +105,14 @@ pub(super) fn concrete(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
 }
 
 /// A painted floor with a contrast of about one gray level.
-pub(super) fn bare(seed: u32, at: Point, footprint_m: f64) -> [f32; 3] {
+pub(super) fn bare(seed: u32, at: PatternPoint, footprint_m: f64) -> [f32; 3] {
     let clouds = fractal(seed ^ 61, at, footprint_m, 0.5, 4, 0.7);
     let grain = fractal(seed ^ 62, at, footprint_m, 0.02, 4, 0.8);
     tinted(152.0 + 1.6 * clouds + 2.0 * grain, [1.0, 1.0, 1.0])
 }
 
 /// Membership of a point in a patch, 0 to 1; patches cover about a third of the ground.
-pub(super) fn patch(seed: u32, (x, y): Point, patch_m: f64) -> f32 {
+pub(super) fn patch(seed: u32, (x, y): PatternPoint, patch_m: f64) -> f32 {
     let coarse = fractal(seed ^ 71, (x, y), 1e-4, patch_m, 3, 0.4);
     // Borders are ragged at the scale of centimetres.
     let ragged = fractal(seed ^ 72, (x, y), 1e-4, 0.12, 4, 0.7);
@@ -120,7 +120,7 @@ pub(super) fn patch(seed: u32, (x, y): Point, patch_m: f64) -> f32 {
 }
 
 /// Darkness of the shadows fixed to the ground, 0 (lit) to 1.
-pub(super) fn ground_shadow(seed: u32, (x, y): Point) -> f32 {
+pub(super) fn ground_shadow(seed: u32, (x, y): PatternPoint) -> f32 {
     // Elongated, as the shadows of poles and branches are.
     let (along, across) = (0.94 * x + 0.34 * y, -0.34 * x + 0.94 * y);
     let value = value_noise(seed ^ 81, along / 3.0, across / 0.6);

@@ -23,7 +23,7 @@ pub enum Tiling {
 /// A photograph of the ground with its scale.
 #[derive(Debug)]
 pub struct Photograph {
-    levels: Vec<Level>,
+    levels: Vec<PhotographLevel>,
     metres_per_pixel: f64,
     tiling: Tiling,
     mean: [f32; 3],
@@ -31,7 +31,7 @@ pub struct Photograph {
 
 /// A level of the image pyramid: means of 2 × 2 pixels of the level below.
 #[derive(Debug)]
-struct Level {
+struct PhotographLevel {
     width: usize,
     height: usize,
     samples: Vec<[f32; 3]>,
@@ -58,8 +58,8 @@ impl Photograph {
         let mean = std::array::from_fn(|c| {
             (samples.iter().map(|s| f64::from(s[c])).sum::<f64>() / samples.len() as f64) as f32
         });
-        let mut levels = vec![Level { width, height, samples }];
-        while let Some(next) = levels.last().and_then(Level::halved) {
+        let mut levels = vec![PhotographLevel { width, height, samples }];
+        while let Some(next) = levels.last().and_then(PhotographLevel::halved) {
             levels.push(next);
         }
         Ok(Self { levels, metres_per_pixel, tiling, mean })
@@ -97,7 +97,7 @@ impl Photograph {
 
     /// Blends three patches, one for each vertex of the triangle of the skewed grid that contains
     /// the point.
-    fn scattered(&self, seed: u32, (x, y): (f64, f64), level: &Level, scale: f64) -> [f32; 3] {
+    fn scattered(&self, seed: u32, (x, y): (f64, f64), level: &PhotographLevel, scale: f64) -> [f32; 3] {
         let width_m = self.levels[0].width as f64 * self.metres_per_pixel;
         let height_m = self.levels[0].height as f64 * self.metres_per_pixel;
         // A patch extends one grid step around its vertex. Its centre keeps that distance from the
@@ -141,7 +141,7 @@ impl Photograph {
     }
 }
 
-impl Level {
+impl PhotographLevel {
     fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         if width < 8 || height < 8 {

@@ -91,7 +91,7 @@ impl Renderer {
             self.width * self.height * ground.channels(),
             "one sample a pixel and channel"
         );
-        let mut block = Block::default();
+        let mut block = RenderBlock::default();
         for top in (0..self.height).step_by(BLOCK) {
             for left in (0..self.width).step_by(BLOCK) {
                 block.left = left;
@@ -159,7 +159,7 @@ impl Renderer {
         ground: &Ground,
         scene: &Scene<'_>,
         weight: f32,
-        block: &mut Block,
+        block: &mut RenderBlock,
         image: &mut [f32],
     ) {
         block.meet_ground(self, scene);
@@ -270,7 +270,7 @@ impl Span {
 
 /// Working memory of a block of pixels, reused from block to block.
 #[derive(Default)]
-struct Block {
+struct RenderBlock {
     left: usize,
     top: usize,
     columns: usize,
@@ -289,14 +289,14 @@ struct Block {
 }
 
 /// 4 × 4 samples of a chunk and their interpolation weights.
-struct Sampler<'a> {
+struct TextureSampler<'a> {
     chunk: &'a Chunk,
     start: usize,
     weights_x: [f32; 4],
     weights_y: [f32; 4],
 }
 
-impl Block {
+impl RenderBlock {
     /// Intersects every pixel's ray with the level plane, in metres from the scene's origin; NaN
     /// without an intersection.
     fn meet_ground(&mut self, renderer: &Renderer, scene: &Scene<'_>) {
@@ -481,7 +481,7 @@ impl Block {
     }
 
     #[inline]
-    fn sampler(&self, [x, y]: [f32; 2]) -> Option<Sampler<'_>> {
+    fn sampler(&self, [x, y]: [f32; 2]) -> Option<TextureSampler<'_>> {
         let inside = x >= 0.0 && y >= 0.0; // false for NaN
         if !inside {
             return None;
@@ -489,7 +489,7 @@ impl Block {
         let (column, row) = (x as usize, y as usize);
         let (chunk_column, chunk_row) = (column / CHUNK, row / CHUNK);
         let chunk = self.chunks.get(chunk_row * self.chunk_columns + chunk_column)?;
-        Some(Sampler {
+        Some(TextureSampler {
             chunk,
             // The stored chunk begins one texel before its own first.
             start: (row % CHUNK) * STRIDE + column % CHUNK,
@@ -499,7 +499,7 @@ impl Block {
     }
 }
 
-impl Sampler<'_> {
+impl TextureSampler<'_> {
     #[inline]
     fn sample(&self, channel: usize) -> f32 {
         let plane = self.chunk.plane(channel);

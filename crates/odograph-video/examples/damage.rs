@@ -15,9 +15,9 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
 /// SplitMix64 by Sebastiano Vigna.
-struct Random(u64);
+struct DamageRandom(u64);
 
-impl Random {
+impl DamageRandom {
     fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -31,7 +31,7 @@ impl Random {
     }
 }
 
-fn damaged(original: &[u8], random: &mut Random) -> Vec<u8> {
+fn damaged(original: &[u8], random: &mut DamageRandom) -> Vec<u8> {
     let mut bytes = original.to_vec();
     // Half of the damage is in the header, where sizes and counts are.
     let reach = if random.below(2) == 0 { bytes.len().min(4096) } else { bytes.len() };
@@ -84,7 +84,7 @@ fn main() -> Result<()> {
         let copy = std::env::temp_dir().join(format!("odograph-damaged-{}.{extension}", std::process::id()));
         let (mut whole, mut warned, mut refused, mut slowest) = (0, 0, 0, (0.0, 0));
         for number in 0..count {
-            let bytes = damaged(&original, &mut Random(number));
+            let bytes = damaged(&original, &mut DamageRandom(number));
             std::fs::write(&copy, bytes).map_err(|error| Error::output(error.to_string()))?;
             let (sender, receiver) = channel();
             let (start, file) = (Instant::now(), copy.clone());

@@ -366,11 +366,11 @@ fn read_log(log: ChildStderr, messages: &Mutex<Messages>, mut tell: impl FnMut(f
             return;
         }
         let line = String::from_utf8_lossy(&line);
-        match Line::read(line.trim_end()) {
-            Line::TimeBase { numerator, denominator } => ticks_per_s = denominator / numerator,
-            Line::Frame(ticks) => tell(ticks as f64 / ticks_per_s),
-            Line::Head => {}
-            Line::Message(text) => {
+        match LogLine::read(line.trim_end()) {
+            LogLine::TimeBase { numerator, denominator } => ticks_per_s = denominator / numerator,
+            LogLine::Frame(ticks) => tell(ticks as f64 / ticks_per_s),
+            LogLine::Head => {}
+            LogLine::Message(text) => {
                 let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
                 // The first message has the cause of a failure, the later ones mostly its
                 // consequences.
@@ -392,7 +392,7 @@ fn without_speaker(message: &str) -> &str {
 }
 
 #[derive(Debug, PartialEq)]
-enum Line<'a> {
+enum LogLine<'a> {
     /// Time base: seconds per tick.
     TimeBase {
         numerator: f64,
@@ -404,7 +404,7 @@ enum Line<'a> {
     Message(&'a str),
 }
 
-impl<'a> Line<'a> {
+impl<'a> LogLine<'a> {
     /// Parses `#tb 0: 1/25` and `0, dts, pts, duration, size, checksum`; anything else is a
     /// message.
     fn read(line: &'a str) -> Self {
@@ -508,14 +508,17 @@ mod tests {
 
     #[test]
     fn lines_of_the_log() {
-        assert_eq!(Line::read("#tb 0: 1/25"), Line::TimeBase { numerator: 1.0, denominator: 25.0 });
-        assert_eq!(Line::read("#codec_id 0: wrapped_avframe"), Line::Head);
-        assert_eq!(Line::read("0,          3,          3,        1,      456, 0xed0d96bd"), Line::Frame(3));
-        assert_eq!(Line::read("0, what, now"), Line::Message("0, what, now"));
+        assert_eq!(LogLine::read("#tb 0: 1/25"), LogLine::TimeBase { numerator: 1.0, denominator: 25.0 });
+        assert_eq!(LogLine::read("#codec_id 0: wrapped_avframe"), LogLine::Head);
+        assert_eq!(
+            LogLine::read("0,          3,          3,        1,      456, 0xed0d96bd"),
+            LogLine::Frame(3)
+        );
+        assert_eq!(LogLine::read("0, what, now"), LogLine::Message("0, what, now"));
         assert_eq!(
             without_speaker("[mov,mp4 @ 0x55e2] [a @ 0x1] moov atom not found"),
             "moov atom not found"
         );
-        assert_eq!(Line::read("file:x: Invalid data"), Line::Message("file:x: Invalid data"));
+        assert_eq!(LogLine::read("file:x: Invalid data"), LogLine::Message("file:x: Invalid data"));
     }
 }

@@ -423,9 +423,9 @@ mod tests {
     use odograph::image::GrayImage;
 
     /// Single-pixel frames at given times.
-    struct Listed(std::vec::IntoIter<f64>);
+    struct TimedFrames(std::vec::IntoIter<f64>);
 
-    impl Frames for Listed {
+    impl Frames for TimedFrames {
         fn advance(&mut self) -> Result<Option<f64>> {
             Ok(self.0.next())
         }
@@ -442,7 +442,7 @@ mod tests {
     #[test]
     fn frames_with_non_increasing_times_are_dropped_with_a_warning() {
         let opened = Opened {
-            frames: Box::new(Listed(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0].into_iter())),
+            frames: Box::new(TimedFrames(vec![-1.0, 0.0, 0.0, f64::NAN, -0.5, 2.0].into_iter())),
             frame_count: Some(6),
             description: "times".into(),
             times_known: true,

@@ -1,7 +1,7 @@
 //! Decodes samples and reorders the pictures to presentation order.
 
 use crate::codec::{self, Decoded, Decoder, MakeDecoder, Refusal, Stamp};
-use crate::container::{Packet, PacketReader, Times, Track};
+use crate::container::{Packet, PacketReader, Times, VideoTrack};
 use crate::ffmpeg;
 use crate::frame::Picture;
 use crate::source::{Frames, Opened};
@@ -95,7 +95,7 @@ struct Video {
     damaged: u64,
     first_damage: Option<String>,
     current: Option<Picture>,
-    track: Track,
+    track: VideoTrack,
     packet: Packet,
     warnings: Vec<String>,
 }

@@ -15,7 +15,7 @@ const MAX_LINE: u64 = 4096;
 
 /// Layout of a frame, from the `C` tag of the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Layout {
+struct Y4mLayout {
     /// Chroma subsampling: divisors of the luminance width and height; `None` for monochrome.
     chroma_divisors: Option<(usize, usize)>,
     /// Whether there is a fourth plane (alpha) at the size of the luminance.
@@ -23,7 +23,7 @@ struct Layout {
     bits: u8,
 }
 
-impl Layout {
+impl Y4mLayout {
     fn read(tag: &str) -> Option<Self> {
         let (name, bits) = match tag.strip_prefix("mono") {
             Some("") => ("mono", 8),
@@ -53,7 +53,7 @@ pub(crate) struct Y4m<R> {
     reader: R,
     width: usize,
     height: usize,
-    layout: Layout,
+    layout: Y4mLayout,
     full_range: bool,
     keep_color: bool,
     number: u64,
@@ -93,7 +93,7 @@ pub(crate) fn open<R: BufRead + Send + 'static>(
             _ => {}
         }
     }
-    let layout = Layout::read(tag_of_layout).ok_or_else(|| {
+    let layout = Y4mLayout::read(tag_of_layout).ok_or_else(|| {
         Error::input(format!(
             "the Y4M colour space {tag_of_layout} is not known; 420, 422, 444, 411 and mono are"
         ))

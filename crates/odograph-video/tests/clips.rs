@@ -39,7 +39,7 @@ fn ffprobe(clip: &Path, entries: &str) -> Vec<String> {
 
 /// Result of comparing a clip.
 #[derive(Default)]
-struct Comparison {
+struct ClipComparison {
     description: String,
     frames: usize,
     differing_samples: u64,
@@ -48,7 +48,7 @@ struct Comparison {
 }
 
 /// Decodes a clip here and with ffmpeg; panics if the frames or their timestamps differ.
-fn compare(clip: &Path) -> Comparison {
+fn compare(clip: &Path) -> ClipComparison {
     let name = clip.file_name().unwrap().to_string_lossy().into_owned();
     let format = ffprobe(clip, "stream=pix_fmt").remove(0);
     // The luminance plane itself; an RGB source has none and is converted by ffmpeg on both sides.
@@ -82,7 +82,8 @@ fn compare(clip: &Path) -> Comparison {
         ffprobe(clip, "frame=best_effort_timestamp_time").iter().map(|t| t.parse().ok()).collect();
 
     let mut source = open(clip, &SourceOptions::default()).unwrap_or_else(|error| panic!("{error}"));
-    let mut result = Comparison { description: source.info().description.clone(), ..Comparison::default() };
+    let mut result =
+        ClipComparison { description: source.info().description.clone(), ..ClipComparison::default() };
     let mut plane = vec![0; source.info().width * source.info().height];
     while let Some(frame) = source.next_frame().unwrap_or_else(|error| panic!("{error}")) {
         expected.read_exact(&mut plane).unwrap_or_else(|_| panic!("{name}: more frames than ffmpeg gives"));

@@ -23,7 +23,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const RIG_HEIGHT_M: f64 = 0.75;
 
-struct Drive {
+struct AccuracyDrive {
     name: &'static str,
     texture: &'static str,
     path: PathKind,
@@ -44,7 +44,7 @@ fn camera() -> Result<Camera> {
     Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), distortion)
 }
 
-fn drives() -> Result<Vec<Drive>> {
+fn drives() -> Result<Vec<AccuracyDrive>> {
     let rig = Rig::level(RIG_HEIGHT_M);
     let corner =
         camera()?.ray_from_pixel(Pixel::new(0.0, 0.0)).and_then(|ray| rig.first_pose().ground_from_ray(ray));
@@ -54,7 +54,7 @@ fn drives() -> Result<Vec<Drive>> {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 1.0 };
     let mut drives = Vec::new();
     let mut add = |name, textures: &[&'static str], path, model| {
-        drives.extend(textures.iter().map(|&texture| Drive { name, texture, path, model }));
+        drives.extend(textures.iter().map(|&texture| AccuracyDrive { name, texture, path, model }));
     };
     let rich = ["asphalt", "carpet", "grass", "concrete"];
     add("straight 10 m", &rich, straight, MotionModel::Rigid);
@@ -72,7 +72,7 @@ fn drives() -> Result<Vec<Drive>> {
 }
 
 /// Renders and tracks one drive; returns its line of the table.
-fn line(drive: &Drive) -> Result<String> {
+fn line(drive: &AccuracyDrive) -> Result<String> {
     let rig = Rig::level(RIG_HEIGHT_M);
     let simulation = Simulation::new(SimulationConfig {
         camera: camera()?,
@@ -122,7 +122,7 @@ fn line(drive: &Drive) -> Result<String> {
 fn main() -> Result<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let drives = drives()?;
-    let chosen: Vec<&Drive> = drives
+    let chosen: Vec<&AccuracyDrive> = drives
         .iter()
         .filter(|d| {
             let all = format!("{} {} {}", d.name, d.texture, d.model);

@@ -28,7 +28,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 const RIG_HEIGHT_M: f64 = 0.75;
 
 /// One kind of recording, with a different drive for each seed.
-struct Row {
+struct EffectRow {
     name: &'static str,
     texture: &'static str,
     /// Speed over ground, metres per second.
@@ -41,7 +41,7 @@ struct Row {
 
 /// Results of one recording.
 #[derive(Debug, Clone, Copy, Default)]
-struct Figures {
+struct EffectFigures {
     posed_percent: f64,
     drift_percent: f64,
     heading_deg_per_m: f64,
@@ -78,12 +78,12 @@ fn ten_turns(seed: u64) -> PathKind {
     about.map_or(PathKind::Still { duration_s: 1.0 }, |about| PathKind::Pivot { about, turn_rad: 10.0 * TAU })
 }
 
-fn rows() -> Vec<Row> {
+fn rows() -> Vec<EffectRow> {
     let noise = Effects { noise_gray: 2.0, ..Effects::default() };
     let vibration = Vibration { shift_m: 0.004, turn_rad: 0.01, frequency_hz: 7.0 };
     let light = Lighting { drift: 0.25, offset_gray: 8.0, flicker: 0.08, flicker_hz: 97.0 };
     let object = MovingObject { radius_m: 0.09, speed_m_s: 0.3, every_s: 2.5 };
-    let row = |name, texture, path, effects: Effects| Row {
+    let row = |name, texture, path, effects: Effects| EffectRow {
         name,
         texture,
         speed_m_s: 0.6,
@@ -160,7 +160,7 @@ fn rows() -> Vec<Row> {
             with(|e| e.tilt_change = Some(Wander { amplitude: 10f64.to_radians(), period_s: 5.0 })),
         ),
         row("in the hand, all of it at once", "grass", wandering, in_hand),
-        Row {
+        EffectRow {
             // 0.58 m per frame is 60 % of the image width of 0.96 m; during an exposure of 0.9 ms
             // the image moves 10 px.
             speed_m_s: 17.3,
@@ -176,7 +176,7 @@ fn rows() -> Vec<Row> {
 }
 
 /// Renders and tracks one recording.
-fn measure(row: &Row, seed: u64) -> Result<Figures> {
+fn measure(row: &EffectRow, seed: u64) -> Result<EffectFigures> {
     let rig = Rig::level(RIG_HEIGHT_M);
     let simulation = Simulation::new(SimulationConfig {
         camera: camera()?,
@@ -221,7 +221,7 @@ fn measure(row: &Row, seed: u64) -> Result<Figures> {
     };
     let found = evaluate(&estimate, &truth, &options)?;
     let drift = found.drift.first();
-    Ok(Figures {
+    Ok(EffectFigures {
         posed_percent: 100.0 * estimate.poses.len() as f64 / truth.poses.len() as f64,
         drift_percent: drift.map_or(f64::NAN, |d| d.translation_percent),
         heading_deg_per_m: drift.map_or(f64::NAN, |d| d.heading_deg_per_m),
@@ -237,8 +237,8 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Formats the medians of a row as a line of the table.
-fn line(row: &Row, results: &[std::result::Result<Figures, String>]) -> String {
-    let of = |what: fn(&Figures) -> f64| median(results.iter().flatten().map(what));
+fn line(row: &EffectRow, results: &[std::result::Result<EffectFigures, String>]) -> String {
+    let of = |what: fn(&EffectFigures) -> f64| median(results.iter().flatten().map(what));
     let failed = results.iter().find_map(|result| result.as_ref().err());
     format!(
         "| {} | {} | {:.1} % | {:.4} % | {:.4}° | {:.2} mm | {:.3}° | {:.2} |{}",
@@ -267,7 +267,7 @@ fn main() -> Result<()> {
             _ => words.push(argument),
         }
     }
-    let rows: Vec<Row> = rows()
+    let rows: Vec<EffectRow> = rows()
         .into_iter()
         .filter(|row| {
             let all = format!("{} {}", row.name, row.texture);

@@ -34,7 +34,7 @@ enum Fixed {
 
 /// Path of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Way {
+enum DrivePath {
     Straight,
     Eight,
     Walk,
@@ -44,10 +44,10 @@ enum Way {
 
 /// One kind of drive.
 #[derive(Debug, Clone, Copy)]
-struct Drive {
+struct MaskedDrive {
     fixed: Fixed,
     texture: &'static str,
-    way: Way,
+    way: DrivePath,
     speed_m_s: f64,
     /// Whether the illumination drifts and flickers.
     lit: bool,
@@ -55,7 +55,7 @@ struct Drive {
 
 /// Results of one drive.
 #[derive(Debug, Clone, Copy)]
-struct Figures {
+struct DriveFigures {
     lost_percent: f64,
     /// Frames of the first segment whose position error exceeds 10 % of the distance travelled, at
     /// least 20 mm.
@@ -173,13 +173,13 @@ fn camera() -> Result<Camera> {
     Camera::new((640, 480), (500.0, 500.0), (321.0, 238.5), distortion)
 }
 
-fn measure(drive: &Drive, seed: u64, each: bool) -> Result<Figures> {
+fn measure(drive: &MaskedDrive, seed: u64, each: bool) -> Result<DriveFigures> {
     let rig = Rig::level(RIG_HEIGHT_M);
     let way_m = (12.0 * drive.speed_m_s).min(4.0);
     let kind = match drive.way {
-        Way::Straight | Way::Stands => PathKind::Straight { length_m: way_m },
-        Way::Eight => PathKind::FigureEight { length_m: way_m / 2.0, laps: 1.0 },
-        Way::Walk => PathKind::RandomWalk { length_m: way_m, seed: 100 + seed },
+        DrivePath::Straight | DrivePath::Stands => PathKind::Straight { length_m: way_m },
+        DrivePath::Eight => PathKind::FigureEight { length_m: way_m / 2.0, laps: 1.0 },
+        DrivePath::Walk => PathKind::RandomWalk { length_m: way_m, seed: 100 + seed },
     };
     let shadow = (drive.fixed == Fixed::Shadow).then(Shadow::default);
     let lighting =
@@ -198,7 +198,7 @@ fn measure(drive: &Drive, seed: u64, each: bool) -> Result<Figures> {
     let overlay = overlay(drive.fixed, (640, 480), seed);
     let config = OdometryConfig::default();
     let mut odometry = Odometry::new(camera()?, rig, config)?;
-    let standing = if drive.way == Way::Stands { 90 } else { 0 };
+    let standing = if drive.way == DrivePath::Stands { 90 } else { 0 };
     let mut poses: Vec<(GroundPose, Option<(GroundPose, usize)>)> = Vec::new();
     let mut take = |image: &GrayImage, truth: GroundPose| -> Result<()> {
         let number = poses.len();
@@ -229,7 +229,7 @@ fn measure(drive: &Drive, seed: u64, each: bool) -> Result<Figures> {
     Ok(figures)
 }
 
-fn figures(poses: &[(GroundPose, Option<(GroundPose, usize)>)], share: f64) -> Figures {
+fn figures(poses: &[(GroundPose, Option<(GroundPose, usize)>)], share: f64) -> DriveFigures {
     let distance = |a: &GroundPose, b: &GroundPose| (a.x_m - b.x_m).hypot(a.y_m - b.y_m);
     let mut way = vec![0.0];
     for pair in poses.windows(2) {
@@ -269,7 +269,7 @@ fn figures(poses: &[(GroundPose, Option<(GroundPose, usize)>)], share: f64) -> F
     }
     let count = poses.len() as f64;
     let mean = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
-    Figures {
+    DriveFigures {
         lost_percent: 100.0 * lost as f64 / count,
         wrong_percent: 100.0 * wrong as f64 / count,
         drift_percent: if errors.is_empty() { f64::NAN } else { mean },
@@ -278,11 +278,11 @@ fn figures(poses: &[(GroundPose, Option<(GroundPose, usize)>)], share: f64) -> F
     }
 }
 
-fn rows() -> Vec<(String, Vec<Drive>)> {
+fn rows() -> Vec<(String, Vec<MaskedDrive>)> {
     let mut rows = Vec::new();
     let ways = |fixed, texture, speed_m_s, lit| {
-        let drive = move |way| Drive { fixed, texture, way, speed_m_s, lit };
-        [Way::Straight, Way::Eight, Way::Walk].map(drive).to_vec()
+        let drive = move |way| MaskedDrive { fixed, texture, way, speed_m_s, lit };
+        [DrivePath::Straight, DrivePath::Eight, DrivePath::Walk].map(drive).to_vec()
     };
     for texture in ["concrete", "carpet", "tiles", "asphalt"] {
         for (name, fixed) in [
@@ -297,20 +297,26 @@ fn rows() -> Vec<(String, Vec<Drive>)> {
             rows.push((format!("{texture}: {name}"), ways(fixed, texture, 0.5, false)));
         }
     }
-    let one = |fixed, texture, way, speed_m_s, lit| vec![Drive { fixed, texture, way, speed_m_s, lit }];
+    let one = |fixed, texture, way, speed_m_s, lit| vec![MaskedDrive { fixed, texture, way, speed_m_s, lit }];
     for texture in ["concrete", "asphalt"] {
         let bumper = Fixed::Bumper(0.15);
         rows.push((format!("{texture}: bumper 60 %"), ways(Fixed::Bumper(0.6), texture, 0.5, false)));
-        rows.push((format!("{texture}: bumper, stands"), one(bumper, texture, Way::Stands, 0.5, false)));
+        rows.push((
+            format!("{texture}: bumper, stands"),
+            one(bumper, texture, DrivePath::Stands, 0.5, false),
+        ));
         rows.push((
             format!("{texture}: nothing, stands"),
-            one(Fixed::Nothing, texture, Way::Stands, 0.5, false),
+            one(Fixed::Nothing, texture, DrivePath::Stands, 0.5, false),
         ));
-        rows.push((format!("{texture}: bumper, 0.05 m/s"), one(bumper, texture, Way::Straight, 0.05, false)));
+        rows.push((
+            format!("{texture}: bumper, 0.05 m/s"),
+            one(bumper, texture, DrivePath::Straight, 0.05, false),
+        ));
         rows.push((format!("{texture}: bumper, lit"), ways(bumper, texture, 0.5, true)));
         rows.push((
             format!("{texture}: dirt, 0.05 m/s"),
-            one(Fixed::Dirt(20), texture, Way::Walk, 0.05, false),
+            one(Fixed::Dirt(20), texture, DrivePath::Walk, 0.05, false),
         ));
     }
     rows
@@ -331,14 +337,14 @@ fn main() -> Result<()> {
             _ => words.push(argument),
         }
     }
-    let rows: Vec<(String, Vec<Drive>)> = rows()
+    let rows: Vec<(String, Vec<MaskedDrive>)> = rows()
         .into_iter()
         .filter(|(name, _)| words.iter().all(|word| name.contains(word.as_str())))
         .collect();
     println!("| recording | frames lost | frames wrong | error over each metre | worst | way | masked |");
     println!("|---|---|---|---|---|---|---|");
     for (name, drives) in &rows {
-        let jobs: Vec<(Drive, u64)> =
+        let jobs: Vec<(MaskedDrive, u64)> =
             drives.iter().flat_map(|drive| (0..seeds).map(move |seed| (*drive, seed))).collect();
         let (found, next) = (Mutex::new(Vec::new()), AtomicUsize::new(0));
         std::thread::scope(|scope| {
@@ -355,7 +361,7 @@ fn main() -> Result<()> {
             }
         });
         let Ok(found) = found.into_inner() else { continue };
-        let of = |what: fn(&Figures) -> f64| median(found.iter().map(what));
+        let of = |what: fn(&DriveFigures) -> f64| median(found.iter().map(what));
         let worst = found.iter().map(|f| f.drift_percent).fold(f64::NAN, f64::max);
         println!(
             "| {name} | {:.1} % | {:.1} % | {:.4} % | {worst:.4} % | {:.1} % | {:.1} % |",

@@ -57,7 +57,7 @@ fn one_tile() -> Result<Texture> {
 }
 
 /// A camera over a ground.
-struct Scene {
+struct ExampleScene {
     camera: Camera,
     renderer: Renderer,
     ground: Ground,
@@ -65,7 +65,7 @@ struct Scene {
     config: PlacesConfig,
 }
 
-impl Scene {
+impl ExampleScene {
     /// An image width of `size_px`, with a field of view of 0.96 m by 0.72 m.
     fn new(name: &str, size_px: usize, seed: u64) -> Result<Self> {
         let size = (size_px, size_px * 3 / 4);
@@ -175,7 +175,7 @@ struct Score {
 impl Score {
     fn count(
         &mut self,
-        scene: &Scene,
+        scene: &ExampleScene,
         index: &PlaceIndex,
         keyframes: &[GroundPose],
         pose: &GroundPose,
@@ -224,7 +224,7 @@ fn quantile(values: &mut [f64], share: f64) -> f64 {
 }
 
 fn recall(name: &str, seed: u64) -> Result<()> {
-    let mut scene = Scene::new(name, 640, seed)?;
+    let mut scene = ExampleScene::new(name, 640, seed)?;
     let mut index = PlaceIndex::new(&scene.config);
     let (mut keyframes, mut queries) = (Vec::new(), Vec::new());
     for number in 0..60 {
@@ -255,7 +255,7 @@ fn recall(name: &str, seed: u64) -> Result<()> {
 }
 
 /// Keyframes on a grid with a spacing of `step_m`.
-fn field(scene: &mut Scene, side_m: f64, step_m: f64) -> Vec<GroundPose> {
+fn field(scene: &mut ExampleScene, side_m: f64, step_m: f64) -> Vec<GroundPose> {
     let steps = (side_m / step_m).ceil() as usize;
     (0..steps * steps)
         .map(|i| scene.pose((i % steps) as f64 * step_m, (i / steps) as f64 * step_m, 0.02))
@@ -263,7 +263,7 @@ fn field(scene: &mut Scene, side_m: f64, step_m: f64) -> Vec<GroundPose> {
 }
 
 fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
-    let mut scene = Scene::new(name, 320, seed)?;
+    let mut scene = ExampleScene::new(name, 320, seed)?;
     let side_m = area_m2.sqrt();
     let keyframes = field(&mut scene, side_m, 0.5);
     let mut images = MemoryImages::default();
@@ -332,7 +332,7 @@ fn kidnapped(name: &str, seed: u64, area_m2: f64) -> Result<()> {
 const QUERIES: usize = 1000;
 
 fn unknown(name: &str, seed: u64) -> Result<()> {
-    let mut scene = Scene::new(name, 320, seed)?;
+    let mut scene = ExampleScene::new(name, 320, seed)?;
     let keyframes = field(&mut scene, 6.5, 0.3);
     let signatures: Vec<_> = keyframes.iter().map(|keyframe| scene.signature(keyframe, false).0).collect();
     let indexed = |signatures: &[Signature]| {
@@ -366,7 +366,7 @@ fn unknown(name: &str, seed: u64) -> Result<()> {
 }
 
 fn speed(name: &str, seed: u64) -> Result<()> {
-    let mut scene = Scene::new(name, 320, seed)?;
+    let mut scene = ExampleScene::new(name, 320, seed)?;
     let mut index = PlaceIndex::new(&scene.config);
     let keyframes = field(&mut scene, 10.0, 0.5);
     for (number, keyframe) in keyframes.iter().enumerate() {

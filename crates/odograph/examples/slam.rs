@@ -26,7 +26,7 @@ use odograph::trajectory::FrameEstimate;
 use odograph_simulation::{Effects, Path, PathKind, Simulation, SimulationConfig, Texture};
 use processor_time::busy_ms;
 
-struct Drive {
+struct LoopDrive {
     name: &'static str,
     texture: &'static str,
     path: PathKind,
@@ -55,11 +55,11 @@ fn camera((width, height): (usize, usize)) -> Result<Camera> {
     Camera::new((width, height), (500.0 * share, 500.0 * share), centre, distortion)
 }
 
-fn drives() -> Vec<Drive> {
+fn drives() -> Vec<LoopDrive> {
     let eight = PathKind::FigureEight { length_m: 3.0, laps: 2.0 };
     let lanes = PathKind::Lanes { length_m: 4.0, spacing_m: 0.4, count: 6 };
     let large = PathKind::FigureEight { length_m: 8.0, laps: 2.0 };
-    let drive = |name, texture, path, untold| Drive {
+    let drive = |name, texture, path, untold| LoopDrive {
         name,
         texture,
         path,
@@ -79,31 +79,31 @@ fn drives() -> Vec<Drive> {
         drive("lanes", "grass", lanes, (0.0, 0.0)),
         drive("lanes, rig off", "grass", lanes, (0.3 * degree, -0.2 * degree)),
         drive("lanes, rig off", "concrete", lanes, (0.3 * degree, -0.2 * degree)),
-        Drive {
+        LoopDrive {
             size: (320, 240),
             noise_gray: 10.0,
             fps: 15.0,
             ..drive("lanes, poor picture", "concrete", lanes, (0.0, 0.0))
         },
-        Drive {
+        LoopDrive {
             size: (320, 240),
             noise_gray: 10.0,
             fps: 15.0,
             ..drive("lanes, poor picture", "carpet", lanes, (0.0, 0.0))
         },
-        Drive {
+        LoopDrive {
             size: (320, 240),
             noise_gray: 10.0,
             fps: 15.0,
             ..drive("large eight, poor picture", "asphalt", large, (0.0, 0.0))
         },
-        Drive {
+        LoopDrive {
             size: (320, 240),
             noise_gray: 10.0,
             fps: 15.0,
             ..drive("large eight, poor picture", "tiles", large, (0.0, 0.0))
         },
-        Drive {
+        LoopDrive {
             speed_m_s: 2.0,
             // A frame moves by a fifth to a quarter of the view, which can be tracked and takes a
             // minute or two.
@@ -154,7 +154,7 @@ fn errors_mm(simulation: &Simulation, frames: &[FrameEstimate]) -> (f64, f64) {
     (1e3 * mean.sqrt(), 1e3 * squares.iter().copied().fold(0.0, f64::max).sqrt())
 }
 
-fn line(drive: &Drive) -> Result<String> {
+fn line(drive: &LoopDrive) -> Result<String> {
     let told = Rig::level(drive.height_m);
     let rig = Rig { roll_rad: drive.untold.0, pitch_rad: drive.untold.1, ..told };
     let simulation = Simulation::new(SimulationConfig {

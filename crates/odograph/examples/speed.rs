@@ -71,9 +71,9 @@ fn main() -> Result<()> {
 
 /// Processor time of this thread, which excludes other load of the machine. Wall-clock time on
 /// systems without it.
-struct Clock(std::time::Duration);
+struct ThreadClock(std::time::Duration);
 
-impl Clock {
+impl ThreadClock {
     fn now() -> Self {
         #[cfg(unix)]
         {
@@ -144,7 +144,7 @@ fn pass(camera: &Camera, height_m: f64, frames: &[GrayImage], fps: f64) -> Resul
     for (number, frame) in frames.iter().enumerate() {
         // A decoder would hand over ownership of the image, so the copy is not timed.
         let image = frame.clone();
-        let start = Clock::now();
+        let start = ThreadClock::now();
         let found = odometry.process(image, number as f64 / fps)?;
         run.times_ms.push(start.elapsed_ms());
         match found.estimate {
@@ -174,7 +174,7 @@ fn stages(camera: &Camera, frames: &[GrayImage], with_tracks: bool) -> Result<St
             // One run to warm up, then the best of three.
             work();
             let best = (0..3).map(|_| {
-                let start = Clock::now();
+                let start = ThreadClock::now();
                 work();
                 start.elapsed_ms()
             });

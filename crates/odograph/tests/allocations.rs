@@ -20,7 +20,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 /// The system allocator with counters for this thread.
-struct Counting;
+struct CountingAllocator;
 
 thread_local! {
     static ASKED: Cell<usize> = const { Cell::new(0) };
@@ -39,7 +39,7 @@ fn count(more: usize, less: usize) {
 }
 
 // SAFETY: all calls are forwarded unchanged to the system allocator.
-unsafe impl GlobalAlloc for Counting {
+unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size(), 0);
         // SAFETY: the caller's guarantees are those that the system allocator requires.
@@ -60,7 +60,7 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 const HEIGHT_M: f64 = 0.75;
 

@@ -74,11 +74,11 @@ impl Rectangle {
 enum Ink {
     /// A row-major raster of cells whose edges need not be evenly spaced.
     Cells {
-        across: Axis,
-        down: Axis,
+        across: CellAxis,
+        down: CellAxis,
         black: Vec<bool>,
     },
-    Discs(Discs),
+    DiscGrid(DiscGrid),
 }
 
 impl Drawing {
@@ -87,8 +87,8 @@ impl Drawing {
         let (columns, rows, spacing_m) = (board.columns(), board.rows(), board.spacing_m());
         match board.kind() {
             BoardKind::Chessboard => Self::of_cells(
-                Axis::new(-spacing_m, &[0.0], spacing_m, columns + 1, 0.0),
-                Axis::new(-spacing_m, &[0.0], spacing_m, rows + 1, 0.0),
+                CellAxis::new(-spacing_m, &[0.0], spacing_m, columns + 1, 0.0),
+                CellAxis::new(-spacing_m, &[0.0], spacing_m, rows + 1, 0.0),
                 spacing_m,
                 |column, row| (column + row) % 2 == 0,
             ),
@@ -101,8 +101,8 @@ impl Drawing {
                     .chain((0..=cells).map(|cell| margin_m + marker_m * cell as f64 / cells as f64))
                     .collect();
                 Self::of_cells(
-                    Axis::new(-spacing_m, &edges_m, spacing_m, columns, 0.0),
-                    Axis::new(-spacing_m, &edges_m, spacing_m, rows, 0.0),
+                    CellAxis::new(-spacing_m, &edges_m, spacing_m, columns, 0.0),
+                    CellAxis::new(-spacing_m, &edges_m, spacing_m, rows, 0.0),
                     spacing_m,
                     |column, row| {
                         let (square, place) = (column / edges_m.len(), column % edges_m.len());
@@ -127,8 +127,8 @@ impl Drawing {
                     .chain((0..TAG_CELLS).map(|cell| gap_m + tag_m * cell as f64 / TAG_CELLS as f64))
                     .collect();
                 Self::of_cells(
-                    Axis::new(-gap_m, &edges_m, spacing_m, columns, gap_m),
-                    Axis::new(-gap_m, &edges_m, spacing_m, rows, gap_m),
+                    CellAxis::new(-gap_m, &edges_m, spacing_m, columns, gap_m),
+                    CellAxis::new(-gap_m, &edges_m, spacing_m, rows, gap_m),
                     gap_m.max(tag_m / TAG_CELLS as f64),
                     |column, row| {
                         let (tag, place) = (column / edges_m.len(), column % edges_m.len());
@@ -163,13 +163,18 @@ impl Drawing {
                 Self {
                     pattern: around.widened(radius_m),
                     quiet_m: spacing_m - radius_m,
-                    ink: Ink::Discs(Discs { centers, columns, rows, spacing_m, shifted, radius_m }),
+                    ink: Ink::DiscGrid(DiscGrid { centers, columns, rows, spacing_m, shifted, radius_m }),
                 }
             }
         }
     }
 
-    fn of_cells(across: Axis, down: Axis, quiet_m: f64, is_black: impl Fn(usize, usize) -> bool) -> Self {
+    fn of_cells(
+        across: CellAxis,
+        down: CellAxis,
+        quiet_m: f64,
+        is_black: impl Fn(usize, usize) -> bool,
+    ) -> Self {
         let pattern = Rectangle {
             from: BoardPoint { x_m: across.first_m(), y_m: down.first_m() },
             to: BoardPoint { x_m: across.last_m(), y_m: down.last_m() },
@@ -210,7 +215,7 @@ impl Drawing {
                 };
                 merged(black, across.cells()).into_iter().map(rectangle).collect()
             }
-            Ink::Discs(discs) => {
+            Ink::DiscGrid(discs) => {
                 let shape = |center| Shape::Disc { center, radius_m: discs.radius_m };
                 discs.centers.iter().copied().map(shape).collect()
             }
@@ -224,7 +229,7 @@ impl Drawing {
                 (Some(column), Some(row)) => black[row * across.cells() + column],
                 _ => false,
             },
-            Ink::Discs(discs) => discs.is_black(point),
+            Ink::DiscGrid(discs) => discs.is_black(point),
         }
     }
 
@@ -250,7 +255,7 @@ impl Drawing {
                     }
                 }
             }
-            Ink::Discs(discs) => discs.is_black_all_over(part),
+            Ink::DiscGrid(discs) => discs.is_black_all_over(part),
         }
     }
 }
@@ -299,14 +304,14 @@ fn merged(black: &[bool], columns: usize) -> Vec<(Range<usize>, Range<usize>)> {
 
 /// Cell edges along one axis, with a lookup table from position to cell.
 #[derive(Debug, Clone, PartialEq)]
-struct Axis {
+struct CellAxis {
     edges_m: Vec<f64>,
     /// For each of the evenly spaced table positions: the last edge at or before it.
     table: Vec<u32>,
     places_per_m: f64,
 }
 
-impl Axis {
+impl CellAxis {
     /// `count` periods of length `period_m` from `start_m`, each with the same edges, followed by a
     /// last cell of length `end_m` if that is positive.
     fn new(start_m: f64, edges_of_a_period_m: &[f64], period_m: f64, count: usize, end_m: f64) -> Self {
@@ -363,7 +368,7 @@ impl Axis {
 
 /// A grid of discs.
 #[derive(Debug, Clone, PartialEq)]
-struct Discs {
+struct DiscGrid {
     centers: Vec<BoardPoint>,
     columns: usize,
     rows: usize,
@@ -373,7 +378,7 @@ struct Discs {
     radius_m: f64,
 }
 
-impl Discs {
+impl DiscGrid {
     /// Distance from a point to the nearest disc centre, metres.
     fn distance_m(&self, point: BoardPoint) -> f64 {
         let BoardPoint { x_m, y_m } = point;

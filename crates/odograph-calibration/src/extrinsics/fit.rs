@@ -7,7 +7,7 @@ use odograph::geometry::{GroundPoint, GroundPose, Pixel};
 
 /// The pose of one view.
 #[derive(Debug, Clone)]
-pub struct Fit {
+pub struct ViewPoseFit {
     pub pose: GroundPose,
     /// Of (x, y, heading, height, roll, pitch).
     pub information: Matrix6<f64>,
@@ -72,7 +72,7 @@ pub fn start(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> Option<GroundP
 
 /// The pose near `start` of least re-projection error, with Huber's loss (P. Huber, "Robust
 /// statistics", k = 1.345). `None` if the points do not determine it.
-pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose) -> Option<Fit> {
+pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose) -> Option<ViewPoseFit> {
     let mut pose = *start;
     let mut weights = vec![1.0; points.len()];
     for _ in 0..ROBUST_ROUNDS {
@@ -81,7 +81,7 @@ pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose)
         let deviation = deviation_px(&errors, &weights);
         weights = errors.iter().map(|&e| (REACH * deviation / e.max(1e-12)).min(1.0)).collect();
     }
-    let System { information, .. } = system(camera, points, &weights, &pose)?;
+    let PoseSystem { information, .. } = system(camera, points, &weights, &pose)?;
     let errors = distances(camera, points, &pose)?;
     let n = points.len() as f64;
     // Degrees of freedom: two coordinates per point, less six parameters.
@@ -89,7 +89,7 @@ pub fn fit(camera: &Camera, points: &[(GroundPoint, Pixel)], start: &GroundPose)
     let kept: f64 = weights.iter().sum();
     let variance_px2 = squares / (2.0 * kept - 6.0).max(1.0);
     let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt();
-    Some(Fit {
+    Some(ViewPoseFit {
         pose,
         information: information / variance_px2.max(SMALLEST_NOISE_PX * SMALLEST_NOISE_PX),
         rms_px,
@@ -117,7 +117,7 @@ fn distances(camera: &Camera, points: &[(GroundPoint, Pixel)], pose: &GroundPose
     points.iter().map(|(ground, pixel)| Some(posed.see(*ground)?.pixel.distance(*pixel))).collect()
 }
 
-struct System {
+struct PoseSystem {
     information: Matrix6<f64>,
     slope: Vector6<f64>,
     cost: f64,
@@ -129,9 +129,9 @@ fn system(
     points: &[(GroundPoint, Pixel)],
     weights: &[f64],
     pose: &GroundPose,
-) -> Option<System> {
+) -> Option<PoseSystem> {
     let posed = PosedCamera::new(camera, *pose);
-    let mut system = System { information: Matrix6::zeros(), slope: Vector6::zeros(), cost: 0.0 };
+    let mut system = PoseSystem { information: Matrix6::zeros(), slope: Vector6::zeros(), cost: 0.0 };
     for ((ground, pixel), &weight) in points.iter().zip(weights) {
         let seen = posed.see(*ground)?;
         let error = nalgebra::Vector2::new(seen.pixel.x - pixel.x, seen.pixel.y - pixel.y);

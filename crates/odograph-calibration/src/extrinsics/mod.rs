@@ -7,7 +7,7 @@ mod fit;
 mod outliers;
 
 use crate::{Board, BoardKind, BoardView};
-use fit::{Fit, fit};
+use fit::{ViewPoseFit, fit};
 use nalgebra::{Matrix1, Matrix3, Vector1, Vector3};
 use odograph::camera::{Camera, CameraUncertainty, MeasuredRig, Rig, RigDeviations};
 use odograph::error::{Error, Result};
@@ -119,7 +119,7 @@ pub fn rig_from_boards(
     let points: Vec<_> = views.iter().map(|view| floor.points(view)).collect();
     let mut fits: Vec<_> = points.iter().map(|points| fitted(camera, points)).collect();
     outliers::leave_out(&mut fits)?;
-    let used: Vec<(usize, Fit)> = fits
+    let used: Vec<(usize, ViewPoseFit)> = fits
         .iter()
         .enumerate()
         .filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone())))
@@ -140,7 +140,7 @@ pub fn rig_from_boards(
     let mut yaw_variance = yaw.map(|yaw| yaw.variance);
     if let Some(uncertainty) = uncertainty {
         let outcome = |camera: &Camera| {
-            let again: Option<Vec<Fit>> =
+            let again: Option<Vec<ViewPoseFit>> =
                 used.iter().map(|(index, before)| fit(camera, &points[*index], &before.pose)).collect();
             let again = again?;
             let Together { around, combined, yaw } = together(floor, again.iter())?;
@@ -180,7 +180,7 @@ pub fn rig_from_boards(
 #[derive(Debug, Clone)]
 struct LeftOut {
     why: String,
-    fit: Option<Box<Fit>>,
+    fit: Option<Box<ViewPoseFit>>,
 }
 
 /// The combination of the used views.
@@ -198,7 +198,7 @@ struct Yaw {
     scatter_rad: f64,
 }
 
-fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a Fit> + Clone) -> Option<Together> {
+fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a ViewPoseFit> + Clone) -> Option<Together> {
     let first = fits.clone().next()?;
     let around = first.quantities();
     let parts: Vec<Part<3>> = fits.clone().map(|fit| fit.part(&around)).collect::<Option<_>>()?;
@@ -207,7 +207,7 @@ fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a Fit> + Clone)
         let turn = TAU / ambiguity_turns(&floor.board) as f64;
         let nearest = |to: f64, rad: f64| rad - turn * ((rad - to) / turn).round();
         let first = nearest(0.0, wrap_angle(first.pose.heading_rad));
-        let part = |fit: &Fit| {
+        let part = |fit: &ViewPoseFit| {
             let information = 1.0 / fit.heading_variance()?;
             let off = nearest(0.0, fit.pose.heading_rad - first);
             Some(Part { information: Matrix1::new(information), slope: Vector1::new(information * off) })
@@ -224,8 +224,8 @@ fn together<'a>(floor: &FloorBoard, fits: impl Iterator<Item = &'a Fit> + Clone)
 }
 
 /// The pose of one view, or the reason why it has none.
-fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Result<Fit, LeftOut> {
-    let refuse = |why: String, fit: Option<Fit>| Err(LeftOut { why, fit: fit.map(Box::new) });
+fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Result<ViewPoseFit, LeftOut> {
+    let refuse = |why: String, fit: Option<ViewPoseFit>| Err(LeftOut { why, fit: fit.map(Box::new) });
     if points.len() < FEWEST_POINTS {
         return refuse(
             format!(
@@ -254,21 +254,21 @@ fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Resu
     Ok(found)
 }
 
-fn told(fit: std::result::Result<Fit, LeftOut>, thickness_m: f64) -> MountingView {
+fn told(fit: std::result::Result<ViewPoseFit, LeftOut>, thickness_m: f64) -> MountingView {
     let (fit, why_not) = match fit {
         Ok(fit) => (Some(fit), None),
         Err(LeftOut { why, fit }) => (fit.map(|fit| *fit), Some(why)),
     };
     let raised = |pose: GroundPose| GroundPose { height_m: pose.height_m + thickness_m, ..pose };
     MountingView {
-        deviations: fit.as_ref().and_then(Fit::deviations).unwrap_or([f64::INFINITY; 3]),
+        deviations: fit.as_ref().and_then(ViewPoseFit::deviations).unwrap_or([f64::INFINITY; 3]),
         rms_px: fit.as_ref().map_or(f64::INFINITY, |fit| fit.rms_px),
         pose: fit.map(|fit| raised(fit.pose)),
         why_not,
     }
 }
 
-fn notes(floor: &FloorBoard, used: &[(usize, Fit)], yaw: Option<Yaw>) -> Vec<String> {
+fn notes(floor: &FloorBoard, used: &[(usize, ViewPoseFit)], yaw: Option<Yaw>) -> Vec<String> {
     let mut notes = Vec::new();
     let worst = used.iter().max_by(|a, b| a.1.rms_px.total_cmp(&b.1.rms_px));
     if let Some((index, worst)) = worst.filter(|(_, fit)| fit.rms_px > GOOD_FIT_PX) {
@@ -332,7 +332,7 @@ impl FloorBoard {
     }
 }
 
-impl Fit {
+impl ViewPoseFit {
     /// Height, roll and pitch.
     fn quantities(&self) -> Vector3<f64> {
         Vector3::new(self.pose.height_m, self.pose.roll_rad, self.pose.pitch_rad)

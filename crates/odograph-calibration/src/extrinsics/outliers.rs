@@ -1,6 +1,6 @@
 //! Views that contradict the others.
 
-use super::{Fit, LeftOut};
+use super::{LeftOut, ViewPoseFit};
 use nalgebra::Matrix3;
 use odograph::error::{Error, Result};
 use odograph::numerics::{Part, combine, inverse};
@@ -18,9 +18,9 @@ const SAME_RIG: (f64, f64) = (0.05, 3.0);
 /// Excludes the views outside the largest consistent set around one of them; then those that
 /// contradict the rest by their own standard deviations. Fails if no two of several views are
 /// consistent.
-pub fn leave_out(fits: &mut [std::result::Result<Fit, LeftOut>]) -> Result<()> {
-    let all: Vec<(usize, Fit)> = used(fits);
-    let near = |fit: &Fit| -> Vec<usize> {
+pub fn leave_out(fits: &mut [std::result::Result<ViewPoseFit, LeftOut>]) -> Result<()> {
+    let all: Vec<(usize, ViewPoseFit)> = used(fits);
+    let near = |fit: &ViewPoseFit| -> Vec<usize> {
         all.iter().filter(|(_, other)| may_be_of_one_rig(fit, other)).map(|(index, _)| *index).collect()
     };
     // Of equally large sets the first, so that the result is deterministic.
@@ -42,19 +42,19 @@ pub fn leave_out(fits: &mut [std::result::Result<Fit, LeftOut>]) -> Result<()> {
     Ok(())
 }
 
-fn may_be_of_one_rig(a: &Fit, b: &Fit) -> bool {
+fn may_be_of_one_rig(a: &ViewPoseFit, b: &ViewPoseFit) -> bool {
     let (a, b) = (a.quantities(), b.quantities());
     (a[0] / b[0] - 1.0).abs() < SAME_RIG.0 && (a[1] - b[1]).hypot(a[2] - b[2]) < SAME_RIG.1.to_radians()
 }
 
-fn used(fits: &[std::result::Result<Fit, LeftOut>]) -> Vec<(usize, Fit)> {
+fn used(fits: &[std::result::Result<ViewPoseFit, LeftOut>]) -> Vec<(usize, ViewPoseFit)> {
     let used = fits.iter().enumerate();
     used.filter_map(|(index, fit)| Some((index, fit.as_ref().ok()?.clone()))).collect()
 }
 
 /// Excludes the views that contradict all others, worst first, while at least two others remain. Of
 /// two contradictory views either may be wrong.
-fn leave_out_one_by_one(fits: &mut [std::result::Result<Fit, LeftOut>]) {
+fn leave_out_one_by_one(fits: &mut [std::result::Result<ViewPoseFit, LeftOut>]) {
     loop {
         let used = used(fits);
         if used.len() < 3 {
@@ -79,7 +79,7 @@ fn leave_out_one_by_one(fits: &mut [std::result::Result<Fit, LeftOut>]) {
 
 /// Distance of a view from the combination of the others: squared Mahalanobis distance, then
 /// degrees of tilt and relative height.
-fn distance(used: &[(usize, Fit)], left: usize) -> Option<(f64, f64, f64)> {
+fn distance(used: &[(usize, ViewPoseFit)], left: usize) -> Option<(f64, f64, f64)> {
     let fit = &used[left].1;
     let around = fit.quantities();
     let others: Vec<Part<3>> = used

@@ -1,6 +1,6 @@
 //! Kalibr's AprilGrid boards.
 
-use super::markers::{Codes, Layout};
+use super::markers::{Codes, MarkerLayout};
 use super::tagged::TaggedBoard;
 use crate::{Board, BoardKind, Dictionary, Drawing};
 
@@ -46,7 +46,7 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
         points_of_marker.push(touched);
     }
     let side = dictionary.bits_per_side();
-    let layouts = [2, 1].map(|border| Layout { bits: side, border }).to_vec();
+    let layouts = [2, 1].map(|border| MarkerLayout { bits: side, border }).to_vec();
     let gap_m = spacing_m - tag_m;
     Some(TaggedBoard {
         points: board.points(),

@@ -79,7 +79,7 @@ fn darker_than_around(image: &GrayImage, window_px: usize) -> Vec<bool> {
 
 /// Area and moments of a connected component.
 #[derive(Debug, Clone, Copy, Default)]
-struct Moments {
+struct BlobMoments {
     count: f64,
     x: f64,
     y: f64,
@@ -89,7 +89,7 @@ struct Moments {
     at_border: bool,
 }
 
-impl Moments {
+impl BlobMoments {
     fn add(&mut self, other: &Self) {
         self.count += other.count;
         self.x += other.x;
@@ -145,7 +145,7 @@ impl Moments {
 
 /// The elliptical ones of the 8-connected components, by union–find over runs.
 fn components(dark: &[bool], width: usize, height: usize) -> Vec<(usize, Blob)> {
-    let mut moments: Vec<Moments> = Vec::new();
+    let mut moments: Vec<BlobMoments> = Vec::new();
     let mut parent: Vec<u32> = Vec::new();
     fn root(parent: &mut [u32], mut at: u32) -> u32 {
         while parent[at as usize] != at {
@@ -155,8 +155,8 @@ fn components(dark: &[bool], width: usize, height: usize) -> Vec<(usize, Blob)> 
         at
     }
     // Runs of the previous and of the current row: start, end, component.
-    type Run = (usize, usize, u32);
-    let (mut above, mut here): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
+    type PixelRun = (usize, usize, u32);
+    let (mut above, mut here): (Vec<PixelRun>, Vec<PixelRun>) = (Vec::new(), Vec::new());
     for y in 0..height {
         let row = &dark[y * width..(y + 1) * width];
         here.clear();
@@ -190,10 +190,10 @@ fn components(dark: &[bool], width: usize, height: usize) -> Vec<(usize, Blob)> 
                 };
                 touching += 1;
             }
-            let run = Moments::of_run(from, x, y, (width, height));
+            let run = BlobMoments::of_run(from, x, y, (width, height));
             let component = component.unwrap_or_else(|| {
                 parent.push(parent.len() as u32);
-                moments.push(Moments::default());
+                moments.push(BlobMoments::default());
                 parent.len() as u32 - 1
             });
             moments[component as usize].add(&run);

@@ -1,6 +1,6 @@
 //! ChArUco boards: chessboards with markers in the white squares.
 
-use super::markers::{Codes, Layout};
+use super::markers::{Codes, MarkerLayout};
 use super::tagged::TaggedBoard;
 use crate::{Board, BoardKind, Drawing};
 
@@ -49,7 +49,7 @@ pub(super) fn prepare(board: &Board) -> Option<TaggedBoard> {
             points_of_marker.push(touched);
         }
     }
-    let layouts = vec![Layout { bits: dictionary.bits_per_side(), border: 1 }];
+    let layouts = vec![MarkerLayout { bits: dictionary.bits_per_side(), border: 1 }];
     Some(TaggedBoard {
         points: board.points(),
         drawing: Drawing::new(board),

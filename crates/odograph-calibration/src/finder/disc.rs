@@ -21,8 +21,8 @@ pub(super) struct Disc {
 /// Number of unknowns: centre, matrix `[a, b, c]` of the ellipse, half width of the ramp at the
 /// rim, background gray level, its gradient along x and y, and contrast.
 const UNKNOWNS: usize = 10;
-type Unknowns = SVector<f64, UNKNOWNS>;
-type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type DiscUnknowns = SVector<f64, UNKNOWNS>;
+type DiscNormalMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// Radius of the window, in radii of the disc: about half the distance to the rim of the next disc,
 /// which is at three radii or more on usual boards.
@@ -72,7 +72,7 @@ pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
     if ground - dark < 8.0 {
         return None;
     }
-    let mut unknowns = Unknowns::from([0.0, 0.0, a, b, c, 2.0, ground, 0.0, 0.0, ground - dark]);
+    let mut unknowns = DiscUnknowns::from([0.0, 0.0, a, b, c, 2.0, ground, 0.0, 0.0, ground - dark]);
     let (mut normal, mut gradient, mut cost) = normal_equations(&samples, &unknowns)?;
     let mut damping = 1e-3;
     for _ in 0..MOST_STEPS {
@@ -112,7 +112,10 @@ pub(super) fn fit(image: &GrayImage, blob: &Blob) -> Option<Disc> {
 }
 
 /// JᵀJ, Jᵀr and rᵀr; `None` if the matrix is not that of an ellipse.
-fn normal_equations(samples: &[[f64; 4]], unknowns: &Unknowns) -> Option<(Normal, Unknowns, f64)> {
+fn normal_equations(
+    samples: &[[f64; 4]],
+    unknowns: &DiscUnknowns,
+) -> Option<(DiscNormalMatrix, DiscUnknowns, f64)> {
     let [x0, y0, a, b, c, width, ground, slope_x, slope_y, depth] = (*unknowns).into();
     if a <= 0.0 || a * c - b * b <= 0.0 {
         return None;
@@ -157,6 +160,6 @@ fn normal_equations(samples: &[[f64; 4]], unknowns: &Unknowns) -> Option<(Normal
             }
         }
     }
-    let normal = Normal::from_fn(|i, j| normal[i.min(j)][i.max(j)]);
-    Some((normal, Unknowns::from(gradient), cost))
+    let normal = DiscNormalMatrix::from_fn(|i, j| normal[i.min(j)][i.max(j)]);
+    Some((normal, DiscUnknowns::from(gradient), cost))
 }

@@ -15,7 +15,7 @@ pub(super) struct PlaneMap {
 }
 
 /// A board position, its pixel, and a weight.
-pub(super) type Pair = ((f64, f64), Pixel, f64);
+pub(super) type WeightedMatch = ((f64, f64), Pixel, f64);
 
 /// Prior information of the perspective terms, relative to measurements of unit weight. Perspective
 /// changes the scale by some 5 % over one spacing, and positions are measured to about a thousandth
@@ -27,15 +27,16 @@ impl PlaneMap {
     /// geometry", 2nd edition, equation 4.2), in coordinates relative to `centre` in units of
     /// `scale`. A prior pulls the perspective terms to zero, so that few points determine a nearly
     /// affine map. `None` for fewer than three or nearly collinear points.
-    pub fn fit(pairs: &[Pair], centre: (f64, f64), scale: f64) -> Option<Self> {
+    pub fn fit(pairs: &[WeightedMatch], centre: (f64, f64), scale: f64) -> Option<Self> {
         if pairs.len() < 3 {
             return None;
         }
         let total: f64 = pairs.iter().map(|pair| pair.2).sum();
-        let mean = |value: &dyn Fn(&Pair) -> f64| pairs.iter().map(|p| p.2 * value(p)).sum::<f64>() / total;
+        let mean =
+            |value: &dyn Fn(&WeightedMatch) -> f64| pairs.iter().map(|p| p.2 * value(p)).sum::<f64>() / total;
         let middle = Pixel::new(mean(&|p| p.1.x), mean(&|p| p.1.y));
         let spread = mean(&|p| p.1.distance(middle)).max(1e-9);
-        let local = |p: &Pair| ((p.0.0 - centre.0) / scale, (p.0.1 - centre.1) / scale);
+        let local = |p: &WeightedMatch| ((p.0.0 - centre.0) / scale, (p.0.1 - centre.1) / scale);
         let (mu, mv) = (mean(&|p| local(p).0), mean(&|p| local(p).1));
         let (uu, uv, vv) = (
             mean(&|p| (local(p).0 - mu).powi(2)),

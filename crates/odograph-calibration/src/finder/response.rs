@@ -12,7 +12,7 @@ pub(super) const RADIUS: usize = 5;
 
 /// A local maximum of the response.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Peak {
+pub(super) struct ResponsePeak {
     pub x: u32,
     pub y: u32,
     pub response: i16,
@@ -24,7 +24,7 @@ const LEAST_RESPONSE: i16 = 60;
 const APART: usize = 3;
 
 /// The strongest local maxima, at most `most`, in descending order.
-pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<Peak> {
+pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<ResponsePeak> {
     let (width, height) = (image.width(), image.height());
     if width <= 2 * (RADIUS + APART) || height <= 2 * (RADIUS + APART) {
         return Vec::new();
@@ -50,12 +50,12 @@ pub(super) fn peaks(image: &GrayImage, most: usize) -> Vec<Peak> {
                 })
             });
             if largest {
-                peaks.push(Peak { x: x as u32, y: y as u32, response });
+                peaks.push(ResponsePeak { x: x as u32, y: y as u32, response });
             }
         }
     }
     // Ties are broken by position, so that the result does not depend on the sorting algorithm.
-    let order = |peak: &Peak| (std::cmp::Reverse(peak.response), peak.y, peak.x);
+    let order = |peak: &ResponsePeak| (std::cmp::Reverse(peak.response), peak.y, peak.x);
     if peaks.len() > most {
         peaks.select_nth_unstable_by_key(most, order);
         peaks.truncate(most);

@@ -119,7 +119,7 @@ const SHARPEST_PX: f64 = 0.29;
 
 /// The unknowns of [`fit`]: direction (radians) and distance (pixels) of two edges, half width of
 /// their ramp, mean gray level, half contrast, gradient of the illumination along x and y.
-type Unknowns = SVector<f64, 9>;
+type CornerUnknowns = SVector<f64, 9>;
 
 /// A blurred step from −1 to 1 and its derivative; the ramp ends at `half_width`. It is the
 /// integral of the biweight kernel, which approximates a Gaussian step to within 2 % but only costs
@@ -162,7 +162,7 @@ pub(super) fn fit_from(image: &GrayImage, start: Pixel, half_window_px: f64, blu
 fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: f64) -> Option<Saddle> {
     let [first, second] = ring.lines();
     let sign = if ring.white_where_alike() { 1.0 } else { -1.0 };
-    let mut unknowns = Unknowns::from([
+    let mut unknowns = CornerUnknowns::from([
         first,
         0.0,
         second,
@@ -222,7 +222,7 @@ fn fit_edges(image: &GrayImage, centre: Pixel, half: f64, ring: &Ring, blur_px: 
 
 /// Intersection of the edges relative to the centre of the window; `None` if they are nearly
 /// parallel.
-fn crossing(unknowns: &Unknowns) -> Option<(f64, f64)> {
+fn crossing(unknowns: &CornerUnknowns) -> Option<(f64, f64)> {
     let (s1, c1) = unknowns[0].sin_cos();
     let (s2, c2) = unknowns[2].sin_cos();
     // n = (−sin, cos): n · u = distance.
@@ -237,8 +237,8 @@ fn crossing(unknowns: &Unknowns) -> Option<(f64, f64)> {
 /// JᵀWJ (zero unless `MATRIX`), JᵀWr and rᵀWr of the model.
 fn normal_equations<const MATRIX: bool>(
     samples: &[[f64; 4]],
-    unknowns: &Unknowns,
-) -> (SMatrix<f64, 9, 9>, Unknowns, f64) {
+    unknowns: &CornerUnknowns,
+) -> (SMatrix<f64, 9, 9>, CornerUnknowns, f64) {
     let (s1, c1) = unknowns[0].sin_cos();
     let (s2, c2) = unknowns[2].sin_cos();
     let (offset_1, offset_2, width) = (unknowns[1], unknowns[3], unknowns[4]);
@@ -273,5 +273,5 @@ fn normal_equations<const MATRIX: bool>(
         }
     }
     let normal = SMatrix::from_fn(|i, j| normal[i.min(j)][i.max(j)]);
-    (normal, Unknowns::from(gradient), cost)
+    (normal, CornerUnknowns::from(gradient), cost)
 }

@@ -7,7 +7,7 @@ use odograph::geometry::Pixel;
 use odograph::image::GrayImage;
 
 /// A rendered plane with 6x6 samples per pixel, Gaussian blur and noise.
-pub(super) struct Scene<'a> {
+pub(super) struct PlaneScene<'a> {
     pub size: (usize, usize),
     /// Maps a pixel to square coordinates, with the corners at integers.
     pub at: &'a dyn Fn(f64, f64) -> (f64, f64),
@@ -19,9 +19,9 @@ pub(super) struct Scene<'a> {
 }
 
 /// SplitMix64: the same noise on every platform.
-pub(super) struct Random(pub u64);
+pub(super) struct TestRandom(pub u64);
 
-impl Random {
+impl TestRandom {
     pub fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -37,7 +37,7 @@ impl Random {
     }
 }
 
-impl Scene<'_> {
+impl PlaneScene<'_> {
     pub fn render(&self) -> GrayImage {
         let (width, height) = self.size;
         let mut plane = vec![0.0; width * height];
@@ -69,7 +69,7 @@ impl Scene<'_> {
                 }
             }
         }
-        let mut random = Random(self.seed);
+        let mut random = TestRandom(self.seed);
         let samples = plane
             .iter()
             .map(|value| (value + self.noise * random.normal()).round().clamp(0.0, 255.0) as u8)
@@ -99,7 +99,7 @@ fn corner_errors_are_small_under_blur_noise_and_illumination_gradients() {
             };
             let gray = |x: f64, y: f64| squares(x, y) * (1.0 - light * (0.2 * x + 0.1 * y));
             let image =
-                Scene { size: (120, 120), at: &at, gray: &gray, blur_px, noise, seed: 7 + turn as u64 }
+                PlaneScene { size: (120, 120), at: &at, gray: &gray, blur_px, noise, seed: 7 + turn as u64 }
                     .render();
             for (i, j) in (-1..=1).flat_map(|i| (-1..=1).map(move |j| (f64::from(i), f64::from(j)))) {
                 let truth = Pixel::new(

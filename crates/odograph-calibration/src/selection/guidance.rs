@@ -1,6 +1,6 @@
 //! Coverage of the image by the selected views, and guidance for the user.
 
-use super::Kept;
+use super::WeightedSighting;
 use crate::Board;
 use odograph::geometry::Pixel;
 use std::fmt;
@@ -140,7 +140,7 @@ const DISTANCES: f64 = 1.25;
 const MOVES_PX_S: f64 = 100.0;
 
 impl Guidance {
-    pub(super) fn new(board: &Board, chosen: &[&Kept], focal_px: f64) -> Self {
+    pub(super) fn new(board: &Board, chosen: &[&WeightedSighting], focal_px: f64) -> Self {
         let mut points = vec![0; Coverage::CELLS];
         for kept in chosen {
             for (_, pixel) in &kept.seen.points {
@@ -163,7 +163,7 @@ impl Guidance {
 
 /// Focal length and distance are only distinguishable if the board is tilted against the image
 /// plane.
-fn tilts(chosen: &[&Kept], focal_px: f64) -> Vec<Hint> {
+fn tilts(chosen: &[&WeightedSighting], focal_px: f64) -> Vec<Hint> {
     let normals: Vec<_> = chosen.iter().filter_map(|kept| Some(kept.seen.pose(focal_px)?.normal())).collect();
     let few = |tilted: &dyn Fn(&nalgebra::Vector3<f64>) -> f64| {
         normals.iter().filter(|normal| tilted(normal).abs() > TILTED_RAD).count() < TILTED_VIEWS
@@ -200,7 +200,7 @@ fn places(coverage: &Coverage) -> Vec<Hint> {
     poor.into_iter().map(|(_, _, region)| Hint::GoTo(region)).collect()
 }
 
-fn distance(board: &Board, chosen: &[&Kept], focal_px: f64) -> Option<Hint> {
+fn distance(board: &Board, chosen: &[&WeightedSighting], focal_px: f64) -> Option<Hint> {
     let filled = chosen.iter().map(|kept| {
         let (width, height) = kept.seen.size;
         let pixels = || kept.seen.points.iter().map(|(_, pixel)| pixel);

@@ -16,7 +16,7 @@ pub use guidance::{Coverage, Direction, Guidance, Hint, Region};
 pub use sharpness::blur_px;
 
 use super::{Board, BoardView};
-use nominal::{Seen, nominal_focal_px};
+use nominal::{NominalView, nominal_focal_px};
 use odograph::error::{Error, Result};
 use worth::Knowledge;
 
@@ -59,9 +59,9 @@ pub struct Sighting {
 
 /// A sighting with its noise model.
 #[derive(Debug, Clone)]
-struct Kept {
+struct WeightedSighting {
     sighting: Sighting,
-    seen: Seen,
+    seen: NominalView,
     noise_px: f64,
     speed_px_s: f64,
 }
@@ -81,10 +81,10 @@ const MOST_KEPT: usize = 1000;
 pub struct ViewSelector {
     board: Board,
     config: SelectionConfig,
-    kept: Vec<Kept>,
+    kept: Vec<WeightedSighting>,
     /// The latest sighting and the speed towards it. It is stored only when the next sighting
     /// arrives, because its own speed is estimated from both neighbours.
-    last: Option<(Kept, Option<f64>)>,
+    last: Option<(WeightedSighting, Option<f64>)>,
     sightings: usize,
 }
 
@@ -98,8 +98,8 @@ impl ViewSelector {
     /// ignored.
     pub fn add(&mut self, sighting: Sighting) {
         self.sightings += 1;
-        let Some(seen) = Seen::new(&self.board, &sighting.view) else { return };
-        let kept = Kept { sighting, seen, noise_px: 0.0, speed_px_s: 0.0 };
+        let Some(seen) = NominalView::new(&self.board, &sighting.view) else { return };
+        let kept = WeightedSighting { sighting, seen, noise_px: 0.0, speed_px_s: 0.0 };
         let speed_px_s = self.last.as_ref().and_then(|(last, _)| speed_px_s(last, &kept));
         if let Some((last, before)) = self.last.replace((kept, speed_px_s)) {
             self.keep(last, [before, speed_px_s]);
@@ -156,7 +156,7 @@ impl ViewSelector {
     pub fn guidance(&self) -> Guidance {
         let whole = self.with_last();
         let focal_px = whole.focal_px();
-        let chosen: Vec<&Kept> =
+        let chosen: Vec<&WeightedSighting> =
             whole.choose(self.config.most_views).into_iter().map(|index| &whole.kept[index]).collect();
         Guidance::new(&self.board, &chosen, focal_px)
     }
@@ -176,7 +176,7 @@ impl ViewSelector {
 
     /// Stores a sighting if it is distinct from all stored ones, or more informative than the one
     /// it is similar to.
-    fn keep(&mut self, mut new: Kept, speeds_px_s: [Option<f64>; 2]) {
+    fn keep(&mut self, mut new: WeightedSighting, speeds_px_s: [Option<f64>; 2]) {
         let known = || speeds_px_s.into_iter().flatten();
         new.speed_px_s = match (new.sighting.time_s, known().count()) {
             (None, _) => 0.0,
@@ -207,9 +207,9 @@ impl ViewSelector {
         }
     }
 
-    fn better(&self, new: &Kept, at: usize) -> bool {
+    fn better(&self, new: &WeightedSighting, at: usize) -> bool {
         let old = &self.kept[at];
-        let points = |kept: &Kept| kept.sighting.view.points.len() as f64;
+        let points = |kept: &WeightedSighting| kept.sighting.view.points.len() as f64;
         // The information of a view is proportional to its number of points over their variance.
         points(new) / new.noise_px.powi(2) > 1.5 * points(old) / old.noise_px.powi(2)
     }
@@ -242,7 +242,7 @@ impl ViewSelector {
 
 /// Speed of the board in the image between two consecutive sightings, pixels per second; `None` if
 /// they are too far apart in time.
-fn speed_px_s(before: &Kept, after: &Kept) -> Option<f64> {
+fn speed_px_s(before: &WeightedSighting, after: &WeightedSighting) -> Option<f64> {
     let elapsed_s = after.sighting.time_s? - before.sighting.time_s?;
     (elapsed_s > 0.0 && elapsed_s <= FOLLOWS_S).then(|| before.seen.displacement_px(&after.seen) / elapsed_s)
 }

@@ -7,7 +7,7 @@ use odograph::geometry::Pixel;
 
 /// A view with its homography.
 #[derive(Debug, Clone)]
-pub struct Seen {
+pub struct NominalView {
     /// Width and height of the image, pixels.
     pub size: (usize, usize),
     /// Board points with their detected pixels.
@@ -25,7 +25,7 @@ pub struct NominalPose {
     pub translation_m: Vector3<f64>,
 }
 
-impl Seen {
+impl NominalView {
     /// `None` if the points do not determine a homography.
     pub fn new(board: &Board, view: &BoardView) -> Option<Self> {
         let all = board.points();
@@ -125,7 +125,7 @@ const ORDINARY_FOCAL: f64 = 0.9;
 
 /// Closed-form focal length from all views, pixels. Falls back to the default if the views do not
 /// determine it (all of them fronto-parallel).
-pub fn nominal_focal_px<'a>(views: impl Iterator<Item = &'a Seen>) -> f64 {
+pub fn nominal_focal_px<'a>(views: impl Iterator<Item = &'a NominalView>) -> f64 {
     let (mut products, mut squares, mut side) = (0.0, 0.0, 1.0);
     for seen in views {
         side = seen.size.0.max(seen.size.1) as f64;

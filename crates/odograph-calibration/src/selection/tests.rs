@@ -65,7 +65,7 @@ fn nominal_focal_length_and_pose_are_approximately_right() {
     // The model without distortion is biased by a few per cent; that is sufficient for the
     // selection.
     assert!((focal_px - 600.0).abs() < 60.0, "{focal_px}");
-    let seen = Seen::new(&board(), &view([0.05, 0.0, 0.5], [30.0, 0.0, 0.0]).unwrap()).unwrap();
+    let seen = NominalView::new(&board(), &view([0.05, 0.0, 0.5], [30.0, 0.0, 0.0]).unwrap()).unwrap();
     let pose = seen.pose(600.0).unwrap();
     assert!((pose.normal().y.atan2(pose.normal().z).to_degrees() + 30.0).abs() < 3.0, "{pose:?}");
 }

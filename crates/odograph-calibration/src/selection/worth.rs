@@ -2,22 +2,22 @@
 //! out.
 
 use super::guidance::Coverage;
-use super::nominal::Seen;
+use super::nominal::NominalView;
 use nalgebra::{SMatrix, SVector, Vector3};
 
 /// Two focal lengths, the principal point, three radial and two tangential distortion coefficients.
 const UNKNOWNS: usize = 9;
-type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type InformationMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// The contribution of one view.
 #[derive(Debug, Clone)]
 pub struct Lesson {
-    information: Information,
+    information: InformationMatrix,
     /// The image cells covered by the view.
     cells: Vec<usize>,
 }
 
-impl Seen {
+impl NominalView {
     /// The information of the view about a lens near a pinhole with the nominal focal length;
     /// `noise_px` is the standard deviation of a corner.
     ///
@@ -25,9 +25,9 @@ impl Seen {
     /// of the focal length.
     pub fn lesson(&self, focal_px: f64, noise_px: f64) -> Lesson {
         let cells = Coverage::cells_of(self.size, self.points.iter().map(|(_, pixel)| *pixel));
-        let mut lesson = Lesson { information: Information::zeros(), cells };
+        let mut lesson = Lesson { information: InformationMatrix::zeros(), cells };
         let Some(pose) = self.pose(focal_px) else { return lesson };
-        let mut lens = Information::zeros();
+        let mut lens = InformationMatrix::zeros();
         let mut mixed = SMatrix::<f64, UNKNOWNS, 6>::zeros();
         let mut posed = SMatrix::<f64, 6, 6>::zeros();
         for (point, _) in &self.points {
@@ -100,7 +100,7 @@ impl Seen {
 
 /// The accumulated information about the lens.
 pub struct Knowledge {
-    information: Information,
+    information: InformationMatrix,
     log_determinant: f64,
     covered: Vec<bool>,
 }
@@ -113,7 +113,7 @@ const WORTH_OF_A_CELL: f64 = 0.1;
 impl Knowledge {
     /// Prior: every unknown has a standard deviation of 0.5, in units of the focal length.
     pub fn new() -> Self {
-        let information = Information::identity() * 4.0;
+        let information = InformationMatrix::identity() * 4.0;
         let log_determinant = log_determinant(&information);
         Self { information, log_determinant, covered: vec![false; Coverage::CELLS] }
     }
@@ -135,7 +135,7 @@ impl Knowledge {
 
 /// Log-determinant of a positive definite matrix; negative infinity if rounding has made it
 /// indefinite.
-fn log_determinant(information: &Information) -> f64 {
+fn log_determinant(information: &InformationMatrix) -> f64 {
     information
         .cholesky()
         .map_or(f64::NEG_INFINITY, |factor| (0..UNKNOWNS).map(|i| 2.0 * factor.l_dirty()[(i, i)].ln()).sum())

@@ -21,7 +21,7 @@ pub type SharedVector = SVector<f64, SHARED>;
 
 /// A correspondence of a board point and its detected pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
+pub struct BoardCorrespondence {
     pub index: usize,
     /// Position on the board, metres.
     pub on_board: (f64, f64),
@@ -34,15 +34,15 @@ pub struct Sight {
 
 /// The estimated state. `shape` has the order of [`super::result::BoardShape`].
 #[derive(Debug, Clone)]
-pub struct State {
+pub struct BundleState {
     pub lens: Lens,
     pub shape: [f64; 5],
     pub poses: Vec<Isometry3<f64>>,
 }
 
-/// The subset of a [`State`] that is optimised.
+/// The subset of a [`BundleState`] that is optimised.
 #[derive(Debug, Clone)]
-pub struct Unknowns {
+pub struct BundleUnknowns {
     pub lens: Vec<Free>,
     pub shape: bool,
     pub poses: bool,
@@ -51,7 +51,7 @@ pub struct Unknowns {
     pub priors: Vec<(usize, f64, f64)>,
 }
 
-impl Unknowns {
+impl BundleUnknowns {
     pub fn poses_only() -> Self {
         Self { lens: Vec::new(), shape: false, poses: true, priors: Vec::new() }
     }
@@ -82,7 +82,7 @@ pub fn counts_in_full(deviations: f64) -> bool {
 }
 
 /// Position of a point on the deformed board, in the board frame, metres.
-pub fn place(sight: &Sight, shape: &[f64; 5]) -> Vector3<f64> {
+pub fn place(sight: &BoardCorrespondence, shape: &[f64; 5]) -> Vector3<f64> {
     let (u, v) = sight.relative;
     Vector3::new(
         sight.on_board.0 + shape[4] * sight.down_m,
@@ -92,12 +92,12 @@ pub fn place(sight: &Sight, shape: &[f64; 5]) -> Vector3<f64> {
 }
 
 /// JᵀWJ and JᵀWr of one view. `rows` holds the upper triangle, rounded outwards to groups of four.
-struct Products {
+struct ViewProducts {
     rows: [[[f64; 4]; FOURS]; ROW],
     right: [f64; ROW],
 }
 
-impl Products {
+impl ViewProducts {
     fn at(&self, i: usize, j: usize) -> f64 {
         self.rows[i][j / 4][j % 4]
     }
@@ -111,7 +111,7 @@ struct ViewBlock {
 }
 
 /// The normal equations of all views.
-struct Normal {
+struct BundleNormalEquations {
     views: Vec<ViewBlock>,
     shared: SharedMatrix,
     right: SharedVector,
@@ -120,18 +120,18 @@ struct Normal {
 
 /// A bundle adjustment problem. `noise_px` scales the residuals in the robust loss.
 pub struct Bundle<'a> {
-    pub views: &'a [&'a [Sight]],
-    pub unknowns: &'a Unknowns,
+    pub views: &'a [&'a [BoardCorrespondence]],
+    pub unknowns: &'a BundleUnknowns,
     pub noise_px: f64,
 }
 
 impl Bundle<'_> {
-    fn prior_cost(&self, state: &State) -> f64 {
+    fn prior_cost(&self, state: &BundleState) -> f64 {
         let off = |&(at, about, deviation): &(usize, f64, f64)| (state.lens.numbers[at] - about) / deviation;
         self.unknowns.priors.iter().map(|prior| 0.5 * off(prior).powi(2)).sum()
     }
 
-    fn cost(&self, state: &State) -> f64 {
+    fn cost(&self, state: &BundleState) -> f64 {
         let inverse = 1.0 / (self.noise_px * self.noise_px);
         let mut cost = self.prior_cost(state);
         for (sights, pose) in self.views.iter().zip(&state.poses) {
@@ -146,16 +146,16 @@ impl Bundle<'_> {
     }
 
     /// The normal equations linearised at a state. Residuals are detected minus predicted.
-    fn linearise(&self, state: &State) -> Normal {
+    fn linearise(&self, state: &BundleState) -> BundleNormalEquations {
         let shared_count = self.unknowns.shared();
-        let mut normal = Normal {
+        let mut normal = BundleNormalEquations {
             views: Vec::with_capacity(self.views.len()),
             shared: SharedMatrix::zeros(),
             right: SharedVector::zeros(),
             cost: self.prior_cost(state),
         };
         for (sights, pose) in self.views.iter().zip(&state.poses) {
-            let mut products = Products { rows: [[[0.0; 4]; FOURS]; ROW], right: [0.0; ROW] };
+            let mut products = ViewProducts { rows: [[[0.0; 4]; FOURS]; ROW], right: [0.0; ROW] };
             normal.cost += self.add_view(state, pose, sights, shared_count, &mut products);
             let mut block = ViewBlock {
                 own: Matrix6::zeros(),
@@ -198,11 +198,11 @@ impl Bundle<'_> {
     /// the loss.
     fn add_view(
         &self,
-        state: &State,
+        state: &BundleState,
         pose: &Isometry3<f64>,
-        sights: &[Sight],
+        sights: &[BoardCorrespondence],
         shared_count: usize,
-        products: &mut Products,
+        products: &mut ViewProducts,
     ) -> f64 {
         let inverse = 1.0 / (self.noise_px * self.noise_px);
         let rotation: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
@@ -270,7 +270,7 @@ impl Bundle<'_> {
 
     /// Levenberg–Marquardt with scaled diagonal (D. Marquardt, 1963), at most `most` steps. Returns
     /// the loss.
-    pub fn minimise(&self, state: &mut State, most: usize) -> f64 {
+    pub fn minimise(&self, state: &mut BundleState, most: usize) -> f64 {
         let mut damping = 1e-4;
         let mut normal = self.linearise(state);
         for _ in 0..most {
@@ -305,7 +305,12 @@ impl Bundle<'_> {
     }
 
     /// The state after a step; `None` if the lens parameters become invalid.
-    fn moved(&self, state: &State, shared: &SharedVector, poses: &[Vector6<f64>]) -> Option<State> {
+    fn moved(
+        &self,
+        state: &BundleState,
+        shared: &SharedVector,
+        poses: &[Vector6<f64>],
+    ) -> Option<BundleState> {
         let mut next = state.clone();
         for (free, step) in self.unknowns.lens.iter().zip(shared.iter()) {
             next.lens.numbers[free.at] += step;
@@ -327,12 +332,12 @@ impl Bundle<'_> {
 
     /// Information matrix of the shared unknowns with the poses marginalised out, in units of the
     /// noise. Unused unknowns have 1 on the diagonal.
-    pub fn information(&self, state: &State) -> Option<SharedMatrix> {
+    pub fn information(&self, state: &BundleState) -> Option<SharedMatrix> {
         self.linearise(state).reduced(0.0).map(|(information, ..)| information)
     }
 
     /// Information matrix of the pose of each view, conditional on all other unknowns.
-    pub fn pose_information(&self, state: &State) -> Vec<Matrix6<f64>> {
+    pub fn pose_information(&self, state: &BundleState) -> Vec<Matrix6<f64>> {
         self.linearise(state).views.into_iter().map(|view| view.own).collect()
     }
 }
@@ -349,7 +354,7 @@ pub fn moved_pose(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> 
 
 type Eliminated = (Matrix6<f64>, SMatrix<f64, 6, SHARED>, Vector6<f64>);
 
-impl Normal {
+impl BundleNormalEquations {
     /// The reduced (Schur complement) equations of the shared unknowns. For back substitution also
     /// returns, for each view, the inverse pose block times the pose–shared block and times the
     /// right-hand side.
@@ -400,7 +405,7 @@ pub fn residuals<'a>(
     lens: &'a Lens,
     shape: &'a [f64; 5],
     pose: &Isometry3<f64>,
-    sights: &'a [Sight],
+    sights: &'a [BoardCorrespondence],
 ) -> impl Iterator<Item = Option<(f64, f64)>> + use<'a> {
     let rotation: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
     let shift = pose.translation.vector;
@@ -413,7 +418,7 @@ pub fn residuals<'a>(
 /// Robust estimate of the detection noise per axis, pixels. It is the median residual length over
 /// √(2 ln 2), as for Gaussian noise, corrected for the degrees of freedom of `unknowns` estimated
 /// parameters.
-pub fn robust_noise_px(views: &[&[Sight]], state: &State, unknowns: usize) -> f64 {
+pub fn robust_noise_px(views: &[&[BoardCorrespondence]], state: &BundleState, unknowns: usize) -> f64 {
     let mut squares: Vec<f64> = Vec::new();
     for (sights, pose) in views.iter().zip(&state.poses) {
         let off = residuals(&state.lens, &state.shape, pose, sights);
@@ -430,7 +435,12 @@ pub const LEAST_NOISE_PX: f64 = 1e-3;
 
 /// Alternates minimisation and estimation of the noise until the noise changes by less than 5 %, at
 /// most six times. Returns the noise, pixels.
-pub fn adjust(views: &[&[Sight]], state: &mut State, unknowns: &Unknowns, most: usize) -> f64 {
+pub fn adjust(
+    views: &[&[BoardCorrespondence]],
+    state: &mut BundleState,
+    unknowns: &BundleUnknowns,
+    most: usize,
+) -> f64 {
     let count = unknowns.shared() + if unknowns.poses { 6 * views.len() } else { 0 };
     let mut noise_px = robust_noise_px(views, state, count);
     for _ in 0..6 {

@@ -1,8 +1,8 @@
 //! Selection of the lens model by expected ray error and cross-validation.
 
-use super::bundle::Sight;
+use super::bundle::BoardCorrespondence;
 use super::config::LensModel;
-use super::fit::{Fit, HoldOut};
+use super::fit::{HoldOut, LensFit};
 use super::quality::{ErrorMap, covariance, disagreement_px};
 use super::result::Candidate;
 use odograph::camera::Camera;
@@ -20,7 +20,7 @@ const VERY_WIDE_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
 /// A fitted lens model with its cross-validation result and comparison figures.
 pub struct Tried {
-    pub fit: Fit,
+    pub fit: LensFit,
     pub hold_out: HoldOut,
     pub candidate: Candidate,
     pub camera: Camera,
@@ -28,7 +28,7 @@ pub struct Tried {
 
 impl Tried {
     /// Cross-validates a fit; `None` if its parameters are not a valid camera.
-    pub fn new(fit: Fit, sights: &[Vec<Sight>], size: (usize, usize)) -> Option<Self> {
+    pub fn new(fit: LensFit, sights: &[Vec<BoardCorrespondence>], size: (usize, usize)) -> Option<Self> {
         let hold_out = fit.hold_out(sights);
         let camera = fit.state.lens.camera(size).ok()?;
         let map = ErrorMap::new(&camera, &fit.state.lens, &fit.unknowns.lens, covariance(&fit, sights));

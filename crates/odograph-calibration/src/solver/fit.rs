@@ -1,6 +1,8 @@
 //! The fit of one lens model: bundle adjustment, outlier rejection and cross-validation.
 
-use super::bundle::{Bundle, Sight, State, Unknowns, adjust, residuals, robust_noise_px};
+use super::bundle::{
+    BoardCorrespondence, Bundle, BundleState, BundleUnknowns, adjust, residuals, robust_noise_px,
+};
 use super::config::{CalibrationConfig, LensModel};
 use super::lens::{Lens, free_numbers};
 use super::start::{self, coefficient_priors, translated};
@@ -23,32 +25,37 @@ const STEPS: usize = 60;
 
 /// A lens model fitted to a subset of the views.
 #[derive(Debug, Clone)]
-pub struct Fit {
+pub struct LensFit {
     pub model: LensModel,
     /// Indices of the views in the fit, in the order of the poses in `state`.
     pub views: Vec<usize>,
-    pub state: State,
-    pub unknowns: Unknowns,
+    pub state: BundleState,
+    pub unknowns: BundleUnknowns,
     pub noise_px: f64,
 }
 
-fn chosen<'a>(sights: &'a [Vec<Sight>], views: &[usize]) -> Vec<&'a [Sight]> {
+fn chosen<'a>(sights: &'a [Vec<BoardCorrespondence>], views: &[usize]) -> Vec<&'a [BoardCorrespondence]> {
     views.iter().map(|&view| sights[view].as_slice()).collect()
 }
 
 /// The unknowns and priors of a lens model for a configuration.
-pub fn unknowns(model: LensModel, config: &CalibrationConfig, size: (usize, usize), shape: bool) -> Unknowns {
+pub fn unknowns(
+    model: LensModel,
+    config: &CalibrationConfig,
+    size: (usize, usize),
+    shape: bool,
+) -> BundleUnknowns {
     let (w, h) = (size.0 as f64, size.1 as f64);
     let mut priors = vec![(2, (w - 1.0) / 2.0, w), (3, (h - 1.0) / 2.0, w)];
     priors.extend(coefficient_priors(model));
     let lens = free_numbers(model, config.square_pixels, config.centred, model.coefficients());
-    Unknowns { lens, shape, poses: true, priors }
+    BundleUnknowns { lens, shape, poses: true, priors }
 }
 
-impl Fit {
+impl LensFit {
     /// Fits a model, initialised with the lens and the poses from `start`.
     pub fn new(
-        sights: &[Vec<Sight>],
+        sights: &[Vec<BoardCorrespondence>],
         views: &[usize],
         poses: &[Isometry3<f64>],
         lens: &Lens,
@@ -59,7 +66,7 @@ impl Fit {
         let chosen_views = chosen(sights, views);
         let middle = config.centred.then_some(((size.0 as f64 - 1.0) / 2.0, (size.1 as f64 - 1.0) / 2.0));
         let lens = translated(&chosen_views, lens, poses, model, config.square_pixels, middle);
-        let state = State { lens, shape: [0.0; 5], poses: poses.to_vec() };
+        let state = BundleState { lens, shape: [0.0; 5], poses: poses.to_vec() };
         let unknowns = unknowns(model, config, size, false);
         let mut fit = Self { model, views: views.to_vec(), state, unknowns, noise_px: 1.0 };
         fit.adjust(sights);
@@ -74,7 +81,7 @@ impl Fit {
     }
 
     /// Bundle adjustment from the current state.
-    pub fn adjust(&mut self, sights: &[Vec<Sight>]) {
+    pub fn adjust(&mut self, sights: &[Vec<BoardCorrespondence>]) {
         let views = chosen(sights, &self.views);
         self.noise_px = adjust(&views, &mut self.state, &self.unknowns, STEPS);
     }
@@ -92,7 +99,7 @@ impl Fit {
     pub fn extend(
         &mut self,
         views: &[usize],
-        sights: &[Vec<Sight>],
+        sights: &[Vec<BoardCorrespondence>],
         start: &Lens,
         reasons: &mut [Option<String>],
     ) {
@@ -115,27 +122,27 @@ impl Fit {
     }
 
     /// Pose of a view, refined with the fitted lens; `None` if its points do not determine a pose.
-    pub fn pose(&self, sights: &[Sight], start: &Lens) -> Option<Isometry3<f64>> {
+    pub fn pose(&self, sights: &[BoardCorrespondence], start: &Lens) -> Option<Isometry3<f64>> {
         if super::sights::fault(sights).is_some() {
             return None;
         }
         self.refined(sights, start::pose(start, sights)?)
     }
 
-    fn refined(&self, sights: &[Sight], pose: Isometry3<f64>) -> Option<Isometry3<f64>> {
-        let mut one = State { poses: vec![pose], ..self.state.clone() };
-        adjust(&[sights], &mut one, &Unknowns::poses_only(), 20);
+    fn refined(&self, sights: &[BoardCorrespondence], pose: Isometry3<f64>) -> Option<Isometry3<f64>> {
+        let mut one = BundleState { poses: vec![pose], ..self.state.clone() };
+        adjust(&[sights], &mut one, &BundleUnknowns::poses_only(), 20);
         let pose = better_mirrored(sights, &one, self.noise_px).unwrap_or(one.poses[0]);
         pose.translation.vector.iter().all(|number| number.is_finite()).then_some(pose)
     }
 
     /// Resolves the two-fold ambiguity of planar poses: switches views with a large residual to the
     /// mirrored pose if that fits better. Returns whether any view changed.
-    fn turn_mirrored(&mut self, sights: &[Vec<Sight>]) -> bool {
+    fn turn_mirrored(&mut self, sights: &[Vec<BoardCorrespondence>]) -> bool {
         let mut turned = false;
         for at in 0..self.views.len() {
             let view = &sights[self.views[at]];
-            let one = State { poses: vec![self.state.poses[at]], ..self.state.clone() };
+            let one = BundleState { poses: vec![self.state.poses[at]], ..self.state.clone() };
             if robust_noise_px(&[view], &one, 6) > 1.5 * self.noise_px
                 && let Some(pose) = better_mirrored(view, &one, self.noise_px)
             {
@@ -146,13 +153,13 @@ impl Fit {
         turned
     }
 
-    fn squares(&self, sights: &[Sight], pose: &Isometry3<f64>) -> (f64, f64) {
+    fn squares(&self, sights: &[BoardCorrespondence], pose: &Isometry3<f64>) -> (f64, f64) {
         let off = residuals(&self.state.lens, &self.state.shape, pose, sights);
         off.flatten().fold((0.0, 0.0), |(sum, count), (dx, dy)| (sum + dx * dx + dy * dy, count + 1.0))
     }
 
     /// RMS reprojection error over all views of the fit, pixels.
-    pub fn rms_px(&self, sights: &[Vec<Sight>]) -> f64 {
+    pub fn rms_px(&self, sights: &[Vec<BoardCorrespondence>]) -> f64 {
         let all = self.views.iter().zip(&self.state.poses);
         let (sum, count) = all
             .map(|(&view, pose)| self.squares(&sights[view], pose))
@@ -163,13 +170,17 @@ impl Fit {
     /// Rejects outlier views and outlier points, with a new bundle adjustment after each round,
     /// until none remain. Outlier points are removed from `sights`. At most a third of the views is
     /// rejected; the reason is written to `reasons`.
-    pub fn leave_out_wrong(&mut self, sights: &mut [Vec<Sight>], reasons: &mut [Option<String>]) {
+    pub fn leave_out_wrong(
+        &mut self,
+        sights: &mut [Vec<BoardCorrespondence>],
+        reasons: &mut [Option<String>],
+    ) {
         let most = self.views.len() / 3;
         let mut left_out = 0;
         for _ in 0..6 {
             let noises: Vec<f64> = (0..self.views.len())
                 .map(|at| {
-                    let one = State { poses: vec![self.state.poses[at]], ..self.state.clone() };
+                    let one = BundleState { poses: vec![self.state.poses[at]], ..self.state.clone() };
                     robust_noise_px(&[&sights[self.views[at]]], &one, 6)
                 })
                 .collect();
@@ -207,7 +218,7 @@ impl Fit {
 
     /// Rejects outlier points if they are few. Many outliers indicate a wrong lens model instead.
     /// Returns whether any point was removed.
-    fn leave_out_points(&self, sights: &mut [Vec<Sight>]) -> bool {
+    fn leave_out_points(&self, sights: &mut [Vec<BoardCorrespondence>]) -> bool {
         let far_px = (WRONG_DEVIATIONS * self.noise_px).max(WRONG_PX);
         let mut changed = false;
         let (mut far, mut all) = (0, 0);
@@ -234,7 +245,7 @@ impl Fit {
 
     /// Cross-validation with five folds, or leave-one-out with fewer than ten views. The camera is
     /// fitted to the other folds; for each held-out view only the pose is estimated.
-    pub fn hold_out(&self, sights: &[Vec<Sight>]) -> HoldOut {
+    pub fn hold_out(&self, sights: &[Vec<BoardCorrespondence>]) -> HoldOut {
         let count = self.views.len();
         let parts = if count < 10 { count } else { 5 };
         let mut out = HoldOut { views: vec![f64::INFINITY; count], rms_px: f64::INFINITY };
@@ -244,15 +255,16 @@ impl Fit {
         let (mut sum, mut points) = (0.0, 0.0);
         for part in 0..parts {
             let (held, others): (Vec<usize>, Vec<usize>) = (0..count).partition(|at| at % parts == part);
-            let views: Vec<&[Sight]> = others.iter().map(|&at| sights[self.views[at]].as_slice()).collect();
+            let views: Vec<&[BoardCorrespondence]> =
+                others.iter().map(|&at| sights[self.views[at]].as_slice()).collect();
             let mut state = self.state.clone();
             state.poses = others.iter().map(|&at| self.state.poses[at]).collect();
             Bundle { views: &views, unknowns: &self.unknowns, noise_px: self.noise_px }
                 .minimise(&mut state, 12);
             for at in held {
                 let view = sights[self.views[at]].as_slice();
-                let mut one = State { poses: vec![self.state.poses[at]], ..state.clone() };
-                let poses_only = Unknowns::poses_only();
+                let mut one = BundleState { poses: vec![self.state.poses[at]], ..state.clone() };
+                let poses_only = BundleUnknowns::poses_only();
                 Bundle { views: &[view], unknowns: &poses_only, noise_px: self.noise_px }
                     .minimise(&mut one, 12);
                 let limit = (4.0 * self.noise_px).powi(2);
@@ -283,14 +295,18 @@ pub struct HoldOut {
 
 /// The mirrored pose of a single view, refined, if it fits significantly better (two-fold ambiguity
 /// of planar poses).
-pub fn better_mirrored(sights: &[Sight], state: &State, noise_px: f64) -> Option<Isometry3<f64>> {
+pub fn better_mirrored(
+    sights: &[BoardCorrespondence],
+    state: &BundleState,
+    noise_px: f64,
+) -> Option<Isometry3<f64>> {
     let count = sights.len().max(1) as f64;
     let middle =
         sights.iter().fold((0.0, 0.0), |m, s| (m.0 + s.on_board.0 / count, m.1 + s.on_board.1 / count));
-    let poses_only = Unknowns::poses_only();
+    let poses_only = BundleUnknowns::poses_only();
     let bundle = Bundle { views: &[sights], unknowns: &poses_only, noise_px };
     let mut here = state.clone();
     let cost_here = bundle.minimise(&mut here, 20);
-    let mut there = State { poses: vec![mirrored_pose(&here.poses[0], middle)?], ..here };
+    let mut there = BundleState { poses: vec![mirrored_pose(&here.poses[0], middle)?], ..here };
     (bundle.minimise(&mut there, 20) < cost_here * 0.999).then(|| there.poses[0])
 }

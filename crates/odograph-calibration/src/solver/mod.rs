@@ -22,9 +22,9 @@ pub use pose::board_pose;
 pub use result::{BoardPose, BoardShape, CalibratedView, Calibration, Candidate, Parameter, Verdict};
 
 use super::{Board, BoardView};
-use bundle::{Bundle, Sight, residuals};
+use bundle::{BoardCorrespondence, Bundle, residuals};
 use choice::Tried;
-use fit::Fit;
+use fit::LensFit;
 use nalgebra::Isometry3;
 use odograph::error::{Error, Result};
 use quality::{ErrorMap, covariance};
@@ -50,7 +50,7 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
     let (size, gathered) = sights::gather(board, views)?;
     let mut reasons: Vec<Option<String>> =
         gathered.iter().map(|sights| sights.as_ref().err().cloned()).collect();
-    let mut sights: Vec<Vec<Sight>> =
+    let mut sights: Vec<Vec<BoardCorrespondence>> =
         gathered.into_iter().map(std::result::Result::unwrap_or_default).collect();
     let given: Vec<usize> = sights.iter().map(Vec::len).collect();
     let usable: Vec<usize> = (0..sights.len()).filter(|&view| reasons[view].is_none()).collect();
@@ -62,7 +62,7 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
         }
     }
     let compared = evenly(&usable, &sights, COMPARED_POINTS);
-    let chosen: Vec<&[Sight]> = compared.iter().map(|&view| sights[view].as_slice()).collect();
+    let chosen: Vec<&[BoardCorrespondence]> = compared.iter().map(|&view| sights[view].as_slice()).collect();
     let (start_lens, poses) = start::start(&chosen, size).ok_or_else(|| {
         Error::input(
             "no camera fits the views; check that the board's count and kind are right, and take views with more of it and more tilt",
@@ -84,9 +84,10 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
         Some(model) => vec![model],
         None => LensModel::NAMED.map(|(_, model)| model).to_vec(),
     };
-    let fit_model =
-        |model, sights: &[Vec<Sight>]| Fit::new(sights, &compared, &poses, &start_lens, model, config, size);
-    let mut fits: Vec<Fit> = models.iter().map(|&model| fit_model(model, &sights)).collect();
+    let fit_model = |model, sights: &[Vec<BoardCorrespondence>]| {
+        LensFit::new(sights, &compared, &poses, &start_lens, model, config, size)
+    };
+    let mut fits: Vec<LensFit> = models.iter().map(|&model| fit_model(model, &sights)).collect();
     // The best-fitting model decides which points and views are outliers; they are rejected for all
     // models.
     let best = fits.iter_mut().min_by(|a, b| a.noise_px.total_cmp(&b.noise_px));
@@ -110,13 +111,13 @@ pub fn calibrate(board: &Board, views: &[BoardView], config: &CalibrationConfig)
         fit.adjust(&sights);
         fit.leave_out_wrong(&mut sights, &mut reasons);
     }
-    let outcome = Outcome { fit, sights, reasons, given, candidates, hold_out_rms_px, start_lens };
+    let outcome = SolverOutcome { fit, sights, reasons, given, candidates, hold_out_rms_px, start_lens };
     outcome.calibration(config, size)
 }
 
 /// Selects views evenly spaced in the order of `views`, with at most `most` points in total but at
 /// least three views.
-fn evenly(views: &[usize], sights: &[Vec<Sight>], most: usize) -> Vec<usize> {
+fn evenly(views: &[usize], sights: &[Vec<BoardCorrespondence>], most: usize) -> Vec<usize> {
     let points: usize = views.iter().map(|&view| sights[view].len()).sum();
     if points <= most {
         return views.to_vec();
@@ -127,9 +128,9 @@ fn evenly(views: &[usize], sights: &[Vec<Sight>], most: usize) -> Vec<usize> {
 }
 
 /// The fitted model and everything else that goes into the [`Calibration`].
-struct Outcome {
-    fit: Fit,
-    sights: Vec<Vec<Sight>>,
+struct SolverOutcome {
+    fit: LensFit,
+    sights: Vec<Vec<BoardCorrespondence>>,
     reasons: Vec<Option<String>>,
     given: Vec<usize>,
     candidates: Vec<Candidate>,
@@ -137,7 +138,7 @@ struct Outcome {
     start_lens: lens::Lens,
 }
 
-impl Outcome {
+impl SolverOutcome {
     fn calibration(self, config: &CalibrationConfig, size: (usize, usize)) -> Result<Calibration> {
         let Self { fit, sights, .. } = &self;
         let lens = &fit.state.lens;
@@ -173,7 +174,8 @@ impl Outcome {
             reasons: Vec::new(),
             error_map,
         };
-        let chosen: Vec<&[Sight]> = fit.views.iter().map(|&view| sights[view].as_slice()).collect();
+        let chosen: Vec<&[BoardCorrespondence]> =
+            fit.views.iter().map(|&view| sights[view].as_slice()).collect();
         let evidence = verdict::Evidence {
             views: &chosen,
             distinct: sights::distinct(&chosen, size),
@@ -220,7 +222,7 @@ impl Outcome {
         views
     }
 
-    fn pose_unused(&self, sights: &[Sight], view: &mut CalibratedView) -> bool {
+    fn pose_unused(&self, sights: &[BoardCorrespondence], view: &mut CalibratedView) -> bool {
         let Some(pose) = self.fit.pose(sights, &self.start_lens) else { return false };
         view.camera_from_board = pose;
         true
@@ -236,7 +238,8 @@ impl Outcome {
         }
         let mut bent = self.fit.clone();
         bent.unknowns.shape = true;
-        let views: Vec<&[Sight]> = bent.views.iter().map(|&view| self.sights[view].as_slice()).collect();
+        let views: Vec<&[BoardCorrespondence]> =
+            bent.views.iter().map(|&view| self.sights[view].as_slice()).collect();
         let noise_px = self.fit.noise_px;
         Bundle { views: &views, unknowns: &bent.unknowns, noise_px }.minimise(&mut bent.state, 10);
         let (before_px, after_px) = (self.fit.rms_px(&self.sights), bent.rms_px(&self.sights));

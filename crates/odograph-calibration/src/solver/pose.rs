@@ -1,6 +1,6 @@
 //! Pose of a board relative to a calibrated camera.
 
-use super::bundle::{Bundle, State, Unknowns, adjust, residuals, robust_noise_px};
+use super::bundle::{Bundle, BundleState, BundleUnknowns, adjust, residuals, robust_noise_px};
 use super::fit::better_mirrored;
 use super::lens::Lens;
 use super::result::BoardPose;
@@ -42,9 +42,9 @@ pub fn board_pose(camera: &Camera, board: &Board, view: &BoardView) -> Result<Bo
     let misfit = || Error::input("no pose of the board fits its points; check the board and the camera file");
     let homography = zhang::homography(&pairs).ok_or_else(misfit)?;
     let pose = zhang::pose_from_homography(&homography).ok_or_else(misfit)?;
-    let mut state = State { lens: Lens::from_camera(camera), shape: [0.0; 5], poses: vec![pose] };
+    let mut state = BundleState { lens: Lens::from_camera(camera), shape: [0.0; 5], poses: vec![pose] };
     let views = [seen.as_slice()];
-    let poses_only = Unknowns::poses_only();
+    let poses_only = BundleUnknowns::poses_only();
     let mut noise_px = adjust(&views, &mut state, &poses_only, 50);
     if let Some(pose) = better_mirrored(&seen, &state, noise_px) {
         state.poses = vec![pose];

@@ -1,8 +1,8 @@
 //! Uncertainty of a calibration: covariance of the parameters and expected ray error over the
 //! image.
 
-use super::bundle::{Bundle, SHARED, Sight, counts_in_full, residuals};
-use super::fit::Fit;
+use super::bundle::{BoardCorrespondence, Bundle, SHARED, counts_in_full, residuals};
+use super::fit::LensFit;
 use super::lens::{Free, Lens};
 use nalgebra::{DMatrix, Matrix2x3, Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 use odograph::camera::Camera;
@@ -14,8 +14,8 @@ use odograph::geometry::Pixel;
 /// for a robust loss (P. Huber, "Robust statistics", 1981, section 7.6): `σ² · (mean of w² r²) /
 /// (mean of ψ')²`. For this loss the mean of ψ' over both axes is the share of inliers: beyond the
 /// threshold, the negative derivative along the residual cancels the positive one across it.
-pub fn covariance(fit: &Fit, sights: &[Vec<Sight>]) -> DMatrix<f64> {
-    let views: Vec<&[Sight]> = fit.views.iter().map(|&view| sights[view].as_slice()).collect();
+pub fn covariance(fit: &LensFit, sights: &[Vec<BoardCorrespondence>]) -> DMatrix<f64> {
+    let views: Vec<&[BoardCorrespondence]> = fit.views.iter().map(|&view| sights[view].as_slice()).collect();
     let count = fit.unknowns.shared();
     let (mut squares, mut weights, mut within, mut points) = (0.0, 0.0, 0.0, 0.0);
     for (view, pose) in views.iter().zip(&fit.state.poses) {

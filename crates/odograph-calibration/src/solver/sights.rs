@@ -1,12 +1,12 @@
 //! Validation of the input views and conversion to correspondences.
 
-use super::bundle::Sight;
+use super::bundle::BoardCorrespondence;
 use crate::{Board, BoardView};
 use nalgebra::{Matrix2, Vector2};
 use odograph::error::{Error, Result};
 
 /// The correspondences of one view, or the reason why the view is unusable.
-pub type Sights = std::result::Result<Vec<Sight>, String>;
+pub type Sights = std::result::Result<Vec<BoardCorrespondence>, String>;
 
 /// Two views are duplicates if the mean distance of their points is below this share of the image
 /// diagonal.
@@ -14,7 +14,7 @@ const SAME: f64 = 0.004;
 
 /// The correspondences of one view. Fails on NaN coordinates, positions far outside the image, and
 /// indices that are duplicated or not on the board.
-pub fn sights_of(board: &Board, view: &BoardView) -> Result<Vec<Sight>> {
+pub fn sights_of(board: &Board, view: &BoardView) -> Result<Vec<BoardCorrespondence>> {
     let points = board.points();
     let largest = |f: &dyn Fn(usize) -> f64| (0..points.len()).map(f).fold(0.0, f64::max).max(1e-12);
     let (half_x, half_y) = (largest(&|i| points[i].x_m) / 2.0, largest(&|i| points[i].y_m) / 2.0);
@@ -39,7 +39,7 @@ pub fn sights_of(board: &Board, view: &BoardView) -> Result<Vec<Sight>> {
                 point.index, view.size.0, view.size.1
             )));
         }
-        sights.push(Sight {
+        sights.push(BoardCorrespondence {
             index: point.index,
             on_board: (on_board.x_m, on_board.y_m),
             relative: (on_board.x_m / half_x - 1.0, on_board.y_m / half_y - 1.0),
@@ -51,7 +51,7 @@ pub fn sights_of(board: &Board, view: &BoardView) -> Result<Vec<Sight>> {
 }
 
 /// The reason why the points of a view do not determine a pose, if any.
-pub fn fault(sights: &[Sight]) -> Option<String> {
+pub fn fault(sights: &[BoardCorrespondence]) -> Option<String> {
     if sights.len() < 4 {
         return Some(format!("only {} of the board's points are seen; four are needed", sights.len()));
     }
@@ -65,29 +65,30 @@ pub fn fault(sights: &[Sight]) -> Option<String> {
 }
 
 /// Aspect ratio of a point cloud: smaller over larger standard deviation along its principal axes.
-fn thickness(sights: &[Sight], place: impl Fn(&Sight) -> (f64, f64)) -> f64 {
+fn thickness(sights: &[BoardCorrespondence], place: impl Fn(&BoardCorrespondence) -> (f64, f64)) -> f64 {
     let spread = covariance(sights, &place, &place);
     let eigen = spread.symmetric_eigenvalues();
     (eigen.min().max(0.0) / eigen.max().max(1e-300)).sqrt()
 }
 
 fn covariance(
-    sights: &[Sight],
-    a: &dyn Fn(&Sight) -> (f64, f64),
-    b: &dyn Fn(&Sight) -> (f64, f64),
+    sights: &[BoardCorrespondence],
+    a: &dyn Fn(&BoardCorrespondence) -> (f64, f64),
+    b: &dyn Fn(&BoardCorrespondence) -> (f64, f64),
 ) -> Matrix2<f64> {
     let count = sights.len().max(1) as f64;
     let vector = |(x, y): (f64, f64)| Vector2::new(x, y);
-    let mean =
-        |f: &dyn Fn(&Sight) -> (f64, f64)| sights.iter().map(|s| vector(f(s))).sum::<Vector2<f64>>() / count;
+    let mean = |f: &dyn Fn(&BoardCorrespondence) -> (f64, f64)| {
+        sights.iter().map(|s| vector(f(s))).sum::<Vector2<f64>>() / count
+    };
     let (mean_a, mean_b) = (mean(a), mean(b));
-    let product = |s: &Sight| (vector(a(s)) - mean_a) * (vector(b(s)) - mean_b).transpose();
+    let product = |s: &BoardCorrespondence| (vector(a(s)) - mean_a) * (vector(b(s)) - mean_b).transpose();
     sights.iter().map(product).sum::<Matrix2<f64>>() / count
 }
 
 /// Positive if the board is seen from its printed side: sign of the determinant of the best-fitting
 /// affine map from board to image.
-fn handedness(sights: &[Sight]) -> f64 {
+fn handedness(sights: &[BoardCorrespondence]) -> f64 {
     // The map is C_pb C_bb⁻¹, and C_bb is positive definite.
     covariance(sights, &|s| s.pixel, &|s| s.on_board).determinant()
 }
@@ -128,7 +129,8 @@ pub fn gather(board: &Board, views: &[BoardView]) -> Result<((usize, usize), Vec
 
 /// Fails if the usable views are too few or too similar to determine a camera.
 fn enough(all: &[Sights], size: (usize, usize)) -> Result<()> {
-    let usable: Vec<&[Sight]> = all.iter().filter_map(|sights| sights.as_deref().ok()).collect();
+    let usable: Vec<&[BoardCorrespondence]> =
+        all.iter().filter_map(|sights| sights.as_deref().ok()).collect();
     if usable.is_empty() {
         let mirrored = all.iter().filter(|s| matches!(s, Err(why) if why.contains("mirrored"))).count();
         if mirrored == all.len() {
@@ -157,9 +159,9 @@ fn enough(all: &[Sights], size: (usize, usize)) -> Result<()> {
 }
 
 /// Number of distinct views, counted greedily, up to a limit of 50.
-pub fn distinct(views: &[&[Sight]], size: (usize, usize)) -> usize {
+pub fn distinct(views: &[&[BoardCorrespondence]], size: (usize, usize)) -> usize {
     let near_px = SAME * (size.0 as f64).hypot(size.1 as f64);
-    let mut kept: Vec<&[Sight]> = Vec::new();
+    let mut kept: Vec<&[BoardCorrespondence]> = Vec::new();
     for view in views {
         // Larger counts are not needed.
         if kept.len() >= 50 {
@@ -174,7 +176,7 @@ pub fn distinct(views: &[&[Sight]], size: (usize, usize)) -> usize {
 
 /// Mean distance between the common points of two views, pixels; infinite if they have none in
 /// common.
-fn apart_px(a: &[Sight], b: &[Sight]) -> f64 {
+fn apart_px(a: &[BoardCorrespondence], b: &[BoardCorrespondence]) -> f64 {
     let (mut sum, mut count, mut at) = (0.0, 0.0, 0);
     // Assumes that the points are sorted by index, as a finder returns them. Unsorted points only
     // make the views appear more different.

@@ -8,7 +8,7 @@
 //! provides the first hypothesis. It ignores distortion and is off by tens of percent for strong
 //! barrel distortion.
 
-use super::bundle::{Bundle, Sight, State, Unknowns, adjust, residuals};
+use super::bundle::{BoardCorrespondence, Bundle, BundleState, BundleUnknowns, adjust, residuals};
 use super::config::LensModel;
 use super::lens::{Lens, free_numbers};
 use super::zhang;
@@ -27,14 +27,17 @@ const WIDEST_RAD: f64 = 2.0;
 
 /// A Kannala–Brandt lens that approximately fits the views, and the pose of each view (`None` if no
 /// pose was found).
-pub fn start(views: &[&[Sight]], size: (usize, usize)) -> Option<(Lens, Vec<Option<Isometry3<f64>>>)> {
+pub fn start(
+    views: &[&[BoardCorrespondence]],
+    size: (usize, usize),
+) -> Option<(Lens, Vec<Option<Isometry3<f64>>>)> {
     let centre = ((size.0 as f64 - 1.0) / 2.0, (size.1 as f64 - 1.0) / 2.0);
     let half_diagonal = (size.0 as f64).hypot(size.1 as f64) / 2.0;
     let homographies: Vec<_> =
         views.iter().map(|sights| zhang::pixel_homography(sights, centre, half_diagonal)).collect();
     let few = telling_views(&homographies);
-    let thinned: Vec<Vec<Sight>> = few.iter().map(|&view| thin(views[view], POINTS)).collect();
-    let few: Vec<&[Sight]> = thinned.iter().map(Vec::as_slice).collect();
+    let thinned: Vec<Vec<BoardCorrespondence>> = few.iter().map(|&view| thin(views[view], POINTS)).collect();
+    let few: Vec<&[BoardCorrespondence]> = thinned.iter().map(Vec::as_slice).collect();
 
     let known: Vec<_> = homographies.iter().flatten().copied().collect();
     let closed = zhang::focal_length_centred(&known);
@@ -87,13 +90,13 @@ fn telling_views(homographies: &[Option<nalgebra::Matrix3<f64>>]) -> Vec<usize> 
 }
 
 /// A subset of about `most` points, evenly spaced in their order.
-fn thin(sights: &[Sight], most: usize) -> Vec<Sight> {
+fn thin(sights: &[BoardCorrespondence], most: usize) -> Vec<BoardCorrespondence> {
     let kept = sights.len().min(most);
     (0..kept).map(|i| sights[i * sights.len() / kept]).collect()
 }
 
 /// The pose of a board from the homography of its ray directions.
-pub fn pose(lens: &Lens, sights: &[Sight]) -> Option<Isometry3<f64>> {
+pub fn pose(lens: &Lens, sights: &[BoardCorrespondence]) -> Option<Isometry3<f64>> {
     let pairs: Vec<((f64, f64), Vector3<f64>)> = sights
         .iter()
         .filter_map(|sight| Some((sight.on_board, lens.direction(sight.pixel, WIDEST_RAD)?)))
@@ -103,20 +106,20 @@ pub fn pose(lens: &Lens, sights: &[Sight]) -> Option<Isometry3<f64>> {
 
 /// A short bundle adjustment from one hypothesis of the focal length. Returns the misfit (mean of
 /// the smallest 80 % of the residuals, pixels) and the lens.
-fn attempt(few: &[&[Sight]], centre: (f64, f64), focal_px: f64) -> Option<(f64, Lens)> {
+fn attempt(few: &[&[BoardCorrespondence]], centre: (f64, f64), focal_px: f64) -> Option<(f64, Lens)> {
     let lens = Lens::new(LensModel::KannalaBrandt4, focal_px, centre);
-    let posed: Vec<(&[Sight], Isometry3<f64>)> =
+    let posed: Vec<(&[BoardCorrespondence], Isometry3<f64>)> =
         few.iter().filter_map(|sights| Some((*sights, pose(&lens, sights)?))).collect();
     if posed.len() < 3 || 2 * posed.len() < few.len() {
         return None;
     }
-    let views: Vec<&[Sight]> = posed.iter().map(|(sights, _)| *sights).collect();
+    let views: Vec<&[BoardCorrespondence]> = posed.iter().map(|(sights, _)| *sights).collect();
     let poses = posed.into_iter().map(|(_, pose)| pose).collect();
-    let mut state = State { lens, shape: [0.0; 5], poses };
+    let mut state = BundleState { lens, shape: [0.0; 5], poses };
     let model = LensModel::KannalaBrandt4;
     let spread_px = centre.0.hypot(centre.1);
     let priors = vec![(2, centre.0, 0.2 * spread_px), (3, centre.1, 0.2 * spread_px)];
-    let unknowns = |centred, coefficients| Unknowns {
+    let unknowns = |centred, coefficients| BundleUnknowns {
         lens: free_numbers(model, true, centred, coefficients),
         shape: false,
         poses: true,
@@ -124,14 +127,14 @@ fn attempt(few: &[&[Sight]], centre: (f64, f64), focal_px: f64) -> Option<(f64, 
     };
     // Far from the minimum, a wide scale of the robust loss keeps all points as inliers.
     let wide = 0.02 * spread_px;
-    Bundle { views: &views, unknowns: &Unknowns::poses_only(), noise_px: wide }.minimise(&mut state, 4);
+    Bundle { views: &views, unknowns: &BundleUnknowns::poses_only(), noise_px: wide }.minimise(&mut state, 4);
     Bundle { views: &views, unknowns: &unknowns(true, 1), noise_px: wide }.minimise(&mut state, 10);
     adjust(&views, &mut state, &unknowns(false, 2), 8);
     Some((misfit_px(&views, &state), state.lens))
 }
 
 /// Mean of the smallest 80 % of the residuals, pixels; robust against a few outlier views.
-fn misfit_px(views: &[&[Sight]], state: &State) -> f64 {
+fn misfit_px(views: &[&[BoardCorrespondence]], state: &BundleState) -> f64 {
     let mut distances: Vec<f64> = Vec::new();
     for (sights, pose) in views.iter().zip(&state.poses) {
         let off = residuals(&state.lens, &state.shape, pose, sights);
@@ -145,7 +148,7 @@ fn misfit_px(views: &[&[Sight]], state: &State) -> f64 {
 /// Converts a Kannala–Brandt lens to another lens model: the lens parameters are fitted with the
 /// poses fixed.
 pub fn translated(
-    views: &[&[Sight]],
+    views: &[&[BoardCorrespondence]],
     lens: &Lens,
     poses: &[Isometry3<f64>],
     model: LensModel,
@@ -161,11 +164,11 @@ pub fn translated(
         LensModel::DoubleSphere => start.numbers[5] = (2.0 / 3.0 - 2.0 * k1).clamp(0.02, 0.95),
         _ => {}
     }
-    let few: Vec<Vec<Sight>> = views.iter().map(|sights| thin(sights, POINTS)).collect();
-    let few: Vec<&[Sight]> = few.iter().map(Vec::as_slice).collect();
-    let mut state = State { lens: start, shape: [0.0; 5], poses: poses.to_vec() };
+    let few: Vec<Vec<BoardCorrespondence>> = views.iter().map(|sights| thin(sights, POINTS)).collect();
+    let few: Vec<&[BoardCorrespondence]> = few.iter().map(Vec::as_slice).collect();
+    let mut state = BundleState { lens: start, shape: [0.0; 5], poses: poses.to_vec() };
     for coefficients in [2.min(model.coefficients()), model.coefficients()] {
-        let unknowns = Unknowns {
+        let unknowns = BundleUnknowns {
             lens: free_numbers(model, square, true, coefficients)
                 .into_iter()
                 .filter(|free| free.at > 1)

@@ -1,4 +1,4 @@
-use super::bundle::{Bundle, Sight, State, Unknowns, moved_pose, residuals};
+use super::bundle::{BoardCorrespondence, Bundle, BundleState, BundleUnknowns, moved_pose, residuals};
 use super::lens::{Lens, free_numbers};
 use super::*;
 use crate::SeenPoint;
@@ -181,11 +181,11 @@ fn camera_and_lens_project_alike() {
 #[test]
 fn small_perturbations_are_removed_in_two_steps() {
     let waved = Waved { noise_px: 0.0, ..Waved::barrel() };
-    let views: Vec<Vec<Sight>> =
+    let views: Vec<Vec<BoardCorrespondence>> =
         waved.views(6, 1).iter().map(|view| sights::sights_of(&waved.board, view).unwrap()).collect();
-    let refs: Vec<&[Sight]> = views.iter().map(Vec::as_slice).collect();
+    let refs: Vec<&[BoardCorrespondence]> = views.iter().map(Vec::as_slice).collect();
     let truth = calibrate(&waved.board, &waved.views(6, 1), &waved.config(LensModel::BrownConrady4)).unwrap();
-    let mut state = State {
+    let mut state = BundleState {
         lens: Lens { model: LensModel::BrownConrady4, ..Lens::from_camera(&waved.camera) },
         shape: [1e-5, -2e-5, 1e-5, 1e-4, -1e-4],
         poses: truth.views.iter().map(|view| view.camera_from_board).collect(),
@@ -193,7 +193,7 @@ fn small_perturbations_are_removed_in_two_steps() {
     state.lens.numbers[0] += 0.05;
     state.lens.numbers[4] += 1e-4;
     state.poses[2] = moved_pose(&state.poses[2], &Vector6::new(1e-4, -1e-4, 2e-4, 1e-5, 1e-5, -1e-5));
-    let unknowns = Unknowns {
+    let unknowns = BundleUnknowns {
         lens: free_numbers(LensModel::BrownConrady4, false, false, 4),
         shape: true,
         poses: true,

@@ -1,13 +1,13 @@
 //! Overall verdict on a calibration, with reasons and advice for users.
 
-use super::bundle::Sight;
+use super::bundle::BoardCorrespondence;
 use super::result::{Calibration, Verdict};
 use odograph::geometry::Pixel;
 
 /// Inputs of the verdict in addition to the calibration.
 pub struct Evidence<'a> {
     /// The points of the used views.
-    pub views: &'a [&'a [Sight]],
+    pub views: &'a [&'a [BoardCorrespondence]],
     /// Number of distinct views.
     pub distinct: usize,
     /// Relative decrease of the residuals if the board shape is estimated too, and the largest
@@ -163,7 +163,7 @@ fn uncovered(
     let (mut names, mut guessed, mut worst_px) = (Vec::new(), Vec::new(), 0.0f64);
     for (name, x, y) in corners {
         // A corner region extends over a fifth of the image in each direction.
-        let near = |sight: &&Sight| {
+        let near = |sight: &&BoardCorrespondence| {
             (sight.pixel.0 - x).abs() < 0.2 * right && (sight.pixel.1 - y).abs() < 0.2 * bottom
         };
         let covered = evidence.views.iter().flat_map(|view| view.iter()).any(|sight| near(&sight));

@@ -1,6 +1,6 @@
 //! Homographies of the board, poses from homographies, and Zhang's closed-form camera.
 
-use super::bundle::Sight;
+use super::bundle::BoardCorrespondence;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3};
 
 /// The homography `direction ~ H (x, y, 1)` from board points to ray directions, by the direct
@@ -78,7 +78,11 @@ pub fn mirrored_pose(pose: &Isometry3<f64>, middle: (f64, f64)) -> Option<Isomet
 
 /// The homography from board points to pixels relative to `centre`, in units of `unit_px`; input of
 /// the closed-form solutions.
-pub fn pixel_homography(sights: &[Sight], centre: (f64, f64), unit_px: f64) -> Option<Matrix3<f64>> {
+pub fn pixel_homography(
+    sights: &[BoardCorrespondence],
+    centre: (f64, f64),
+    unit_px: f64,
+) -> Option<Matrix3<f64>> {
     let direction = |(x, y): (f64, f64)| {
         Vector3::new((x - centre.0) / unit_px, (y - centre.1) / unit_px, 1.0).normalize()
     };

@@ -26,14 +26,14 @@ pub fn cameras(_: CamerasArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-type Found = Vec<(std::path::PathBuf, String, Vec<odograph_live::capture::camera::Mode>)>;
+type ListedCamera = Vec<(std::path::PathBuf, String, Vec<odograph_live::capture::camera::Mode>)>;
 
 #[cfg(target_os = "linux")]
-fn found() -> Found {
+fn found() -> ListedCamera {
     odograph_live::capture::camera::list()
 }
 
 #[cfg(not(target_os = "linux"))]
-fn found() -> Found {
+fn found() -> ListedCamera {
     Vec::new()
 }

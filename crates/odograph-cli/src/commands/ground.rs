@@ -89,7 +89,7 @@ Examples:
   odograph ground drive.mp4 --camera camera.yaml --distance 6.20 -o rig.toml    # and the height";
 
 /// The measured rig, and what illustrates it.
-struct Measured {
+struct RigMeasurement {
     rig: MeasuredRig,
     /// Lines for people: what it was measured from.
     summary: String,
@@ -188,7 +188,7 @@ impl GroundArguments {
 }
 
 /// The numbers of the rig with their deviations, a line each.
-fn figures(measured: &Measured) -> String {
+fn figures(measured: &RigMeasurement) -> String {
     let MeasuredRig { rig, deviations } = measured.rig;
     let within = |deviation: Option<f64>, unit: f64, name: &str, otherwise: &str| {
         deviation.map_or(otherwise.to_owned(), |value| match value * unit {

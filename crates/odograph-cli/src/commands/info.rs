@@ -31,7 +31,7 @@ Examples:
 
 /// A recording as `--json` tells it.
 #[derive(Serialize)]
-struct Told<'a> {
+struct InfoJson<'a> {
     file: &'a str,
     format: &'a str,
     streams: Vec<ToldStream<'a>>,
@@ -133,7 +133,7 @@ fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String
         camera_fits: *camera_fits,
     });
     let told =
-        Told { file, format: &contents.format, streams: streams.collect(), warnings: &contents.warnings };
+        InfoJson { file, format: &contents.format, streams: streams.collect(), warnings: &contents.warnings };
     let text = serde_json::to_string_pretty(&told)
         .map_err(|error| Error::output(format!("the contents cannot be written as JSON: {error}")))?;
     Ok(text + "\n")

@@ -108,7 +108,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
 
 /// What was found, as JSON.
 #[derive(Serialize)]
-struct Told<'a> {
+struct LocalizationJson<'a> {
     recognised: bool,
     /// `found`, or the reason why not.
     verdict: &'static str,
@@ -129,7 +129,7 @@ fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
     let alike = report.resemblance.as_ref().map_or(&[][..], |resemblance| &resemblance.places);
     let verdict = report.resemblance.as_ref().map_or(Verdict::TooFewFeatures, |one| one.verdict);
     if arguments.json {
-        let told = Told {
+        let told = LocalizationJson {
             recognised: report.place.is_some(),
             verdict: report.place.map_or(verdict.name(), |_| "found"),
             place: report.place,

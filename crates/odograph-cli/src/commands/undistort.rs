@@ -30,10 +30,10 @@ pub struct UndistortArguments {
     output: Option<PathBuf>,
     /// How much of the lens's field of view is kept.
     #[arg(help_heading = "Camera", long, value_name = "WHICH", default_value = "same")]
-    field_of_view_kept: Kept,
+    field_of_view_kept: KeptView,
     /// png: a folder of pictures; y4m: uncompressed video.
     #[arg(help_heading = "Results", long, value_name = "FORMAT", default_value = "png")]
-    format: Format,
+    format: OutputFormat,
     /// Gray frames, even if the source has colour.
     #[arg(help_heading = "Results", long)]
     gray: bool,
@@ -78,7 +78,7 @@ Examples:
 
 /// How much is kept, by the names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Kept {
+enum KeptView {
     /// Focal length and principal point stay as they are.
     Same,
     /// As much as fits without an empty pixel.
@@ -87,19 +87,19 @@ enum Kept {
     All,
 }
 
-impl From<Kept> for FieldOfViewKept {
-    fn from(kept: Kept) -> Self {
+impl From<KeptView> for FieldOfViewKept {
+    fn from(kept: KeptView) -> Self {
         match kept {
-            Kept::Same => Self::SameFocalLength,
-            Kept::Valid => Self::ValidPixels,
-            Kept::All => Self::AllPixels,
+            KeptView::Same => Self::SameFocalLength,
+            KeptView::Valid => Self::ValidPixels,
+            KeptView::All => Self::AllPixels,
         }
     }
 }
 
 /// Format of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Format {
+enum OutputFormat {
     Png,
     Y4m,
 }
@@ -147,7 +147,7 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     corrected.failure.map_or(Ok(Outcome::Done), Err)
 }
 
-fn tell(folder: &Path, correction: &ImageCorrection, corrected: &pipeline::Corrected) -> Result<()> {
+fn tell(folder: &Path, correction: &ImageCorrection, corrected: &pipeline::CorrectionSummary) -> Result<()> {
     let camera = correction.camera();
     let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
     console::print(&format!(

@@ -9,7 +9,7 @@ use std::process::{Child, ChildStdin, Command, Output, Stdio};
 use std::thread::JoinHandle;
 use tungstenite::{Message, WebSocket};
 
-pub struct Camera {
+pub struct WatchedCamera {
     child: Child,
     frames: Option<ChildStdin>,
     socket: WebSocket<TcpStream>,
@@ -19,7 +19,7 @@ pub struct Camera {
     pub url: String,
 }
 
-impl Camera {
+impl WatchedCamera {
     /// Starts the program with a camera of the given size, and listens like a page.
     pub fn start(command: &mut Command, (width, height): (usize, usize)) -> Self {
         let mut child =

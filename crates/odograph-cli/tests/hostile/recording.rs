@@ -48,14 +48,14 @@ pub fn y4m(frames: usize) -> Vec<u8> {
 }
 
 /// An image to be written as PNG.
-pub struct Picture {
+pub struct PngPicture {
     color: png::ColorType,
     depth: png::BitDepth,
     rows: usize,
     samples: Vec<u8>,
 }
 
-impl Picture {
+impl PngPicture {
     fn new(
         color: png::ColorType,
         depth: png::BitDepth,
@@ -100,7 +100,7 @@ impl Picture {
 }
 
 /// Writes a folder of numbered images.
-pub fn picture_folder(folder: &Path, pictures: usize, picture: impl Fn(usize) -> Picture) {
+pub fn picture_folder(folder: &Path, pictures: usize, picture: impl Fn(usize) -> PngPicture) {
     fs::create_dir(folder).unwrap();
     for number in 0..pictures {
         picture(number).write(&folder.join(format!("{number:06}.png")));

@@ -2,7 +2,7 @@
 
 #![cfg(target_os = "linux")]
 
-use super::program::{self, DEMO, Place, statistics, write_uncompressed};
+use super::program::{self, DEMO, LiveFolder, statistics, write_uncompressed};
 use serde_json::json;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -43,7 +43,7 @@ impl Drop for SmallDisk {
 
 #[test]
 fn a_nearly_full_disk_stops_recording_but_not_tracking() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     std::fs::create_dir(place.path("disk")).unwrap();
     let disk = match SmallDisk::mount(&place.path("disk"), 32 << 20) {
         Ok(disk) => disk,
@@ -54,7 +54,7 @@ fn a_nearly_full_disk_stops_recording_but_not_tracking() {
     };
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime 4 --print poses -o disk/out"));
     let mut poses = BufReader::new(live.output()).lines();
-    let mut status = |live: &program::Serving| {
+    let mut status = |live: &program::ServingProgram| {
         assert!(poses.by_ref().take(20).count() == 20, "the drive ended");
         serde_json::from_str::<serde_json::Value>(&live.get("/state")).unwrap()["status"].clone()
     };
@@ -93,7 +93,7 @@ fn a_nearly_full_disk_stops_recording_but_not_tracking() {
 
 #[test]
 fn a_map_too_large_for_its_disk_costs_no_trajectory() {
-    let place = Place::new();
+    let place = LiveFolder::new();
     write_uncompressed(&place.path("drive.y4m"));
     std::fs::create_dir(place.path("disk")).unwrap();
     let _disk = match SmallDisk::mount(&place.path("disk"), 300 << 10) {

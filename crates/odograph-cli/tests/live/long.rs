@@ -1,7 +1,7 @@
 //! Slow tests and measurements, run on request.
 
 use super::browser::Browser;
-use super::program::{DEMO, Place};
+use super::program::{DEMO, LiveFolder};
 use serde_json::json;
 use std::io::{BufRead, BufReader};
 
@@ -11,7 +11,7 @@ use std::io::{BufRead, BufReader};
 #[ignore = "a measurement; cargo test -p odograph-cli --test live -- --ignored --nocapture hour"]
 fn an_hour_on_the_page() {
     let mut browser = Browser::start().unwrap();
-    let place = Place::new();
+    let place = LiveFolder::new();
     std::fs::create_dir(place.path("hour")).unwrap();
     std::fs::write(place.path("hour/trajectory.csv"), place.table_of(108_000)).unwrap();
     let mut view = place.server("view", "hour");
@@ -55,7 +55,7 @@ fn an_hour_on_the_page() {
 #[ignore = "takes as long as the drive, half a minute"]
 fn loop_closures_correct_the_page_but_never_the_pose_stream() {
     let mut browser = Browser::start().unwrap();
-    let place = Place::new();
+    let place = LiveFolder::new();
     let mut live = place.server("live", &format!("{DEMO}/drive.mp4 --realtime --print poses -o out"));
     let output = live.output();
     let told = std::thread::spawn(move || {

@@ -13,11 +13,11 @@ use tempfile::TempDir;
 /// The bundled drive with its camera and rig.
 pub const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/demo");
 
-pub struct Place {
+pub struct LiveFolder {
     temporary: TempDir,
 }
 
-impl Place {
+impl LiveFolder {
     pub fn new() -> Self {
         Self { temporary: tempfile::tempdir().unwrap() }
     }
@@ -56,7 +56,7 @@ impl Place {
     }
 
     /// The same with a page, on a free port.
-    pub fn server(&self, name: &str, arguments: &str) -> Serving {
+    pub fn server(&self, name: &str, arguments: &str) -> ServingProgram {
         let arguments = format!("{arguments} --serve 127.0.0.1:0");
         let mut command = self.command(name, &arguments);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -68,17 +68,17 @@ impl Place {
         }
         let url = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap().to_owned();
         std::thread::spawn(move || told.lines().for_each(drop));
-        Serving { child, url }
+        ServingProgram { child, url }
     }
 }
 
 /// A running program that serves a page.
-pub struct Serving {
+pub struct ServingProgram {
     child: Child,
     pub url: String,
 }
 
-impl Serving {
+impl ServingProgram {
     pub fn output(&mut self) -> ChildStdout {
         self.child.stdout.take().unwrap()
     }
@@ -115,7 +115,7 @@ impl Serving {
     }
 }
 
-impl Drop for Serving {
+impl Drop for ServingProgram {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();

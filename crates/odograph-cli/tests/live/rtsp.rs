@@ -10,11 +10,11 @@ use std::process::{Command, Stdio};
 use std::thread::JoinHandle;
 
 /// A stream as a list of images, each of them a list of H.264 NAL units without start codes.
-type Clip = Vec<Vec<Vec<u8>>>;
+type NalStream = Vec<Vec<Vec<u8>>>;
 
 /// The first seconds of the drive in H.264 as from a camera: no B-frames, a keyframe every half
 /// second.
-pub fn clip(path: &Path) -> Result<Clip, String> {
+pub fn clip(path: &Path) -> Result<NalStream, String> {
     let arguments =
         "-c:v libx264 -preset ultrafast -tune zerolatency -bf 0 -g 15 -x264-params sliced-threads=0 -f h264";
     let done = Command::new("ffmpeg")
@@ -28,7 +28,7 @@ pub fn clip(path: &Path) -> Result<Clip, String> {
         return Err(format!("ffmpeg makes no H.264 here: {}", String::from_utf8_lossy(&done.stderr)));
     }
     let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
-    let mut clip: Clip = vec![Vec::new()];
+    let mut clip: NalStream = vec![Vec::new()];
     for unit in units(&bytes) {
         let last = clip.last_mut().unwrap();
         last.push(unit.to_vec());
@@ -51,14 +51,14 @@ fn units(bytes: &[u8]) -> Vec<&[u8]> {
     starts.iter().zip(ends).map(|(&start, end)| &bytes[start..start + trimmed(&bytes[start..end])]).collect()
 }
 
-pub struct Server {
+pub struct RtspServer {
     address: SocketAddr,
     pictures: u64,
     serving: JoinHandle<Vec<String>>,
 }
 
-impl Server {
-    pub fn start(clip: Clip) -> Self {
+impl RtspServer {
+    pub fn start(clip: NalStream) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         let pictures = clip.len() as u64;

@@ -7,7 +7,7 @@ use odograph_video::{Frame, Source, SourceInfo};
 use std::time::{Duration, Instant};
 
 /// Opens the stream.
-type Open = Box<dyn FnMut() -> Result<Source> + Send>;
+type OpenStream = Box<dyn FnMut() -> Result<Source> + Send>;
 
 /// Least time from one frame to the next, seconds: cameras in networks have no more than 120
 /// frames a second.
@@ -15,7 +15,7 @@ const LEAST_STEP_S: f64 = 1.0 / 120.0;
 
 /// A network stream with reconnection.
 pub struct NetworkStream {
-    open: Open,
+    open: OpenStream,
     place: String,
     info: SourceInfo,
     source: Option<Source>,
@@ -42,10 +42,10 @@ impl NetworkStream {
     ///
     /// # Errors
     /// If there is no such stream.
-    pub fn open(address: &str, mut open: Open, patience: Duration, watch: Watch) -> Result<Self> {
+    pub fn open(address: &str, mut open: OpenStream, patience: Duration, watch: Watch) -> Result<Self> {
         let (address, place) = (address.to_owned(), without_credentials(address));
         // Error messages of other programs may contain the address with its password.
-        let mut open: Open = {
+        let mut open: OpenStream = {
             let place = place.clone();
             Box::new(move || {
                 open().map_err(|error| Error::input(error.to_string().replace(&address, &place)))
@@ -158,11 +158,11 @@ mod tests {
     use odograph_video::SourceOptions;
 
     /// A camera that delivers the given number of images per opening; 0 means that opening fails.
-    fn camera(pictures: &'static [usize]) -> (tempfile::TempDir, Open) {
+    fn camera(pictures: &'static [usize]) -> (tempfile::TempDir, OpenStream) {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().to_owned();
         let mut turns = pictures.iter();
-        let open: Open = Box::new(move || {
+        let open: OpenStream = Box::new(move || {
             let count = *turns.next().unwrap_or(&0);
             let path = place.join(format!("{}.y4m", turns.len()));
             let frames = b"FRAME\n".iter().chain(&[90; 16 * 12]).copied().collect::<Vec<u8>>().repeat(count);

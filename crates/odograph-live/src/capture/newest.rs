@@ -19,12 +19,12 @@ pub enum Policy {
 pub struct Newest<T> {
     policy: Policy,
     capacity: usize,
-    state: Mutex<State<T>>,
+    state: Mutex<QueueState<T>>,
     changed: Condvar,
 }
 
 #[derive(Debug)]
-struct State<T> {
+struct QueueState<T> {
     queue: VecDeque<T>,
     given: u64,
     dropped: u64,
@@ -45,11 +45,11 @@ pub enum Taken<T> {
 impl<T> Newest<T> {
     /// Creates a queue for at most `capacity` items (at least one).
     pub fn new(policy: Policy, capacity: usize) -> Self {
-        let state = State { queue: VecDeque::new(), given: 0, dropped: 0, closed: false };
+        let state = QueueState { queue: VecDeque::new(), given: 0, dropped: 0, closed: false };
         Self { policy, capacity: capacity.max(1), state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    fn state(&self) -> MutexGuard<'_, State<T>> {
+    fn state(&self) -> MutexGuard<'_, QueueState<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -25,7 +25,7 @@ pub struct Access {
 
 /// Outcome of the access check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum AccessVerdict {
     /// The request is answered.
     Allowed,
     /// The request is answered with a cookie that stores the token, so that later URLs need not
@@ -45,24 +45,28 @@ impl Access {
         format!("{COOKIE}={}; Path=/; HttpOnly; SameSite=Strict", self.token.as_deref().unwrap_or_default())
     }
 
-    pub fn judge(&self, request: &Request) -> Verdict {
+    pub fn judge(&self, request: &Request) -> AccessVerdict {
         let Some(token) = &self.token else {
             // Without a token only this machine is served. A foreign page can make a local browser
             // send requests here under its own host name (DNS rebinding); the `Host` header reveals
             // that.
             let named = request.header("host").is_some_and(is_loopback_name);
-            return if named && same_origin(request) { Verdict::Allowed } else { Verdict::Denied };
+            return if named && same_origin(request) {
+                AccessVerdict::Allowed
+            } else {
+                AccessVerdict::Denied
+            };
         };
         let bearer = request.header("authorization").and_then(|value| value.strip_prefix("Bearer "));
         let known = |given: Option<&str>| given.is_some_and(|given| same(given.as_bytes(), token.as_bytes()));
         if !same_origin(request) {
-            Verdict::Denied
+            AccessVerdict::Denied
         } else if known(request.cookie(COOKIE)) || known(bearer) {
-            Verdict::Allowed
+            AccessVerdict::Allowed
         } else if known(request.query_value("token")) {
-            Verdict::AllowedWithCookie
+            AccessVerdict::AllowedWithCookie
         } else {
-            Verdict::Denied
+            AccessVerdict::Denied
         }
     }
 }

@@ -38,7 +38,7 @@ pub enum Method {
 
 /// The reason why a request is refused: HTTP status code and reason phrase.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Refusal(pub u16, pub &'static str);
+pub struct HttpRefusal(pub u16, pub &'static str);
 
 impl Request {
     /// The value of a header; `name` must be in lower case.
@@ -80,23 +80,27 @@ impl RequestReader {
     }
 
     /// The next request; `None` if the client closed the connection or sent nothing in time.
-    pub fn next(&mut self) -> Result<Option<Request>, Refusal> {
+    pub fn next(&mut self) -> Result<Option<Request>, HttpRefusal> {
         self.stream.allow(REQUEST_PATIENCE);
         let (mut request, head_length, body_length) = loop {
             match parse_head(&self.buffer)? {
                 Some(parsed) => break parsed,
                 None if self.buffer.len() >= MOST_HEAD => {
-                    return Err(Refusal(431, "Request Header Fields Too Large"));
+                    return Err(HttpRefusal(431, "Request Header Fields Too Large"));
                 }
                 None => {}
             }
             if !self.read_more(MOST_HEAD)? {
-                return if self.buffer.is_empty() { Ok(None) } else { Err(Refusal(408, "Request Timeout")) };
+                return if self.buffer.is_empty() {
+                    Ok(None)
+                } else {
+                    Err(HttpRefusal(408, "Request Timeout"))
+                };
             }
         };
         while self.buffer.len() < head_length + body_length {
             if !self.read_more(head_length + body_length)? {
-                return Err(Refusal(408, "Request Timeout"));
+                return Err(HttpRefusal(408, "Request Timeout"));
             }
         }
         request.body = self.buffer[head_length..head_length + body_length].to_vec();
@@ -106,7 +110,7 @@ impl RequestReader {
 
     /// Reads once, until the buffer holds at most `most` bytes. `false` at the end of the stream or
     /// after the deadline.
-    fn read_more(&mut self, most: usize) -> Result<bool, Refusal> {
+    fn read_more(&mut self, most: usize) -> Result<bool, HttpRefusal> {
         let before = self.buffer.len();
         self.buffer.resize(most.max(before + 1), 0);
         let read = self.stream.read(&mut self.buffer[before..]).unwrap_or(0);
@@ -117,20 +121,22 @@ impl RequestReader {
 
 /// Parses a request without its body. Returns it with the length of its header section and of its
 /// body, or `None` while the header section is incomplete.
-fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, Refusal> {
+fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, HttpRefusal> {
     let mut space = [httparse::EMPTY_HEADER; 64];
     let mut head = httparse::Request::new(&mut space);
     let length = match head.parse(bytes) {
         Ok(httparse::Status::Complete(length)) => length,
         Ok(httparse::Status::Partial) => return Ok(None),
-        Err(httparse::Error::TooManyHeaders) => return Err(Refusal(431, "Request Header Fields Too Large")),
-        Err(_) => return Err(Refusal(400, "Bad Request")),
+        Err(httparse::Error::TooManyHeaders) => {
+            return Err(HttpRefusal(431, "Request Header Fields Too Large"));
+        }
+        Err(_) => return Err(HttpRefusal(400, "Bad Request")),
     };
     let method = match head.method {
         Some("GET") => Method::Get,
         Some("HEAD") => Method::Head,
         Some("POST") => Method::Post,
-        _ => return Err(Refusal(405, "Method Not Allowed")),
+        _ => return Err(HttpRefusal(405, "Method Not Allowed")),
     };
     let text = |value: &[u8]| String::from_utf8_lossy(value).trim().to_owned();
     let headers: Vec<_> = head.headers.iter().map(|h| (h.name.to_ascii_lowercase(), text(h.value))).collect();
@@ -150,16 +156,16 @@ fn parse_head(bytes: &[u8]) -> Result<Option<(Request, usize, usize)>, Refusal> 
     // A request with two conflicting lengths enables request smuggling; no client of this page
     // needs `Transfer-Encoding`.
     if request.header("transfer-encoding").is_some() {
-        return Err(Refusal(411, "Length Required"));
+        return Err(HttpRefusal(411, "Length Required"));
     }
     let lengths: Vec<_> = request.headers.iter().filter(|(name, _)| name == "content-length").collect();
     let body_length = match lengths.as_slice() {
         [] => 0,
-        [(_, value)] => value.parse::<usize>().map_err(|_| Refusal(400, "Bad Request"))?,
-        _ => return Err(Refusal(400, "Bad Request")),
+        [(_, value)] => value.parse::<usize>().map_err(|_| HttpRefusal(400, "Bad Request"))?,
+        _ => return Err(HttpRefusal(400, "Bad Request")),
     };
     if body_length > MOST_BODY {
-        return Err(Refusal(413, "Content Too Large"));
+        return Err(HttpRefusal(413, "Content Too Large"));
     }
     Ok(Some((request, length, body_length)))
 }
@@ -179,7 +185,7 @@ impl Answer {
         Self { status: 200, reason: "OK", content_type, headers: Vec::new(), body: body.into() }
     }
 
-    pub fn refusal(Refusal(status, reason): Refusal) -> Self {
+    pub fn refusal(HttpRefusal(status, reason): HttpRefusal) -> Self {
         let body = format!("{reason}\n").into_bytes();
         Self { status, reason, content_type: "text/plain; charset=utf-8", headers: Vec::new(), body }
     }
@@ -221,7 +227,7 @@ mod tests {
     use super::*;
 
     fn refused(text: &str) -> Option<u16> {
-        parse_head(text.as_bytes()).err().map(|Refusal(status, _)| status)
+        parse_head(text.as_bytes()).err().map(|HttpRefusal(status, _)| status)
     }
 
     #[test]

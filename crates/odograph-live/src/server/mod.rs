@@ -43,12 +43,12 @@ pub struct ServerOptions {
 pub struct Server {
     address: SocketAddr,
     token: Option<String>,
-    shared: Arc<Shared>,
+    shared: Arc<ServerState>,
     acceptor: Option<JoinHandle<()>>,
 }
 
 /// State shared by the threads of all connections.
-struct Shared {
+struct ServerState {
     hub: Arc<Hub>,
     access: Access,
     options: ServerOptions,
@@ -56,7 +56,7 @@ struct Shared {
     ended: AtomicBool,
 }
 
-impl std::fmt::Debug for Shared {
+impl std::fmt::Debug for ServerState {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Shared").field("connections", &self.connections).finish_non_exhaustive()
     }
@@ -74,7 +74,7 @@ impl Server {
         let listener = TcpListener::bind(address)
             .map_err(|error| Error::usage(format!("the page cannot be served at {address}: {error}")))?;
         let bound = listener.local_addr().unwrap_or(address);
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ServerState {
             hub,
             access: Access::new(options.token.clone()),
             options: options.clone(),
@@ -136,7 +136,7 @@ impl Drop for Server {
     }
 }
 
-fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
+fn accept(listener: &TcpListener, shared: &Arc<ServerState>) {
     loop {
         let accepted = listener.accept();
         if shared.ended.load(Ordering::Relaxed) {
@@ -160,10 +160,10 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
 }
 
 /// One counted connection; releases its slot when dropped.
-struct Seat(Arc<Shared>);
+struct Seat(Arc<ServerState>);
 
 impl Seat {
-    fn take(shared: &Arc<Shared>) -> Option<Self> {
+    fn take(shared: &Arc<ServerState>) -> Option<Self> {
         if shared.connections.fetch_add(1, Ordering::Relaxed) >= MOST_CONNECTIONS {
             shared.connections.fetch_sub(1, Ordering::Relaxed);
             return None;

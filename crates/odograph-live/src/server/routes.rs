@@ -1,9 +1,9 @@
 //! The routes of the server.
 
-use super::Shared;
-use super::access::Verdict;
+use super::ServerState;
+use super::access::AccessVerdict;
 use super::deadline::Deadlined;
-use super::http::{ANSWER_PATIENCE, Answer, Method, Refusal, Request};
+use super::http::{ANSWER_PATIENCE, Answer, HttpRefusal, Method, Request};
 use crate::ground::tile_png;
 use crate::record::TrackRecord;
 use odograph::mosaic::MosaicSquare;
@@ -34,18 +34,20 @@ const PAGE: [(&str, &str, &str); 9] = [
     ("/plots.js", "text/javascript; charset=utf-8", include_str!("../page/plots.js")),
 ];
 
-const NOT_FOUND: Refusal = Refusal(404, "Not Found");
+const NOT_FOUND: HttpRefusal = HttpRefusal(404, "Not Found");
 const JSON: &str = "application/json";
 
 /// Answers a request.
-pub fn answer(shared: &Shared, request: &Request, stream: &mut Deadlined) -> io::Result<Next> {
+pub fn answer(shared: &ServerState, request: &Request, stream: &mut Deadlined) -> io::Result<Next> {
     let verdict = shared.access.judge(request);
     let answer = match (verdict, request.method, request.path.as_str()) {
-        (Verdict::Denied, _, _) => Answer::refusal(Refusal(403, "Forbidden")),
+        (AccessVerdict::Denied, _, _) => Answer::refusal(HttpRefusal(403, "Forbidden")),
         // Moves the token from the URL into a cookie.
-        (Verdict::AllowedWithCookie, Method::Get, "/") => Answer::refusal(Refusal(303, "See Other"))
-            .with("Location", "/")
-            .with("Set-Cookie", shared.access.cookie()),
+        (AccessVerdict::AllowedWithCookie, Method::Get, "/") => {
+            Answer::refusal(HttpRefusal(303, "See Other"))
+                .with("Location", "/")
+                .with("Set-Cookie", shared.access.cookie())
+        }
         (_, Method::Get, "/socket") => match upgrade(request) {
             Ok(head) => {
                 stream.allow(ANSWER_PATIENCE);
@@ -68,7 +70,7 @@ pub fn answer(shared: &Shared, request: &Request, stream: &mut Deadlined) -> io:
 }
 
 /// Responds to an invalid request.
-pub fn refuse(mut stream: Deadlined, refusal: Refusal) -> io::Result<()> {
+pub fn refuse(mut stream: Deadlined, refusal: HttpRefusal) -> io::Result<()> {
     let answer = Answer::refusal(refusal);
     stream.allow(Duration::from_secs(2));
     let mut bytes = answer.head(answer.body.len() as u64, false).into_bytes();
@@ -91,7 +93,7 @@ pub fn refuse_for_want_of_room(mut stream: TcpStream) {
     let _ = stream.set_nonblocking(true).and_then(|()| stream.write_all(full));
 }
 
-fn get(shared: &Shared, path: &str) -> Answer {
+fn get(shared: &ServerState, path: &str) -> Answer {
     if let Some((_, content_type, body)) = PAGE.iter().find(|(known, _, _)| *known == path) {
         return Answer::ok(content_type, *body);
     }
@@ -117,11 +119,11 @@ fn get(shared: &Shared, path: &str) -> Answer {
     found.unwrap_or_else(|| Answer::refusal(NOT_FOUND))
 }
 
-fn post(shared: &Shared, request: &Request, path: &str) -> Answer {
+fn post(shared: &ServerState, request: &Request, path: &str) -> Answer {
     match path {
         "/mark" => match shared.hub.mark(&String::from_utf8_lossy(&request.body)) {
             Some(mark) => Answer::ok(JSON, json!(mark).to_string()),
-            None => Answer::refusal(Refusal(409, "Conflict")),
+            None => Answer::refusal(HttpRefusal(409, "Conflict")),
         },
         "/stop" => {
             shared.hub.ask_to_stop();
@@ -138,7 +140,7 @@ fn tile(path: &str) -> Option<MosaicSquare> {
 }
 
 /// The downloadable files that exist, with their sizes in bytes.
-fn files(shared: &Shared) -> Vec<serde_json::Value> {
+fn files(shared: &ServerState) -> Vec<serde_json::Value> {
     let Some(folder) = &shared.options.folder else { return Vec::new() };
     let described = |name: &String| {
         let bytes = std::fs::metadata(folder.join(name)).ok()?.len();
@@ -149,7 +151,7 @@ fn files(shared: &Shared) -> Vec<serde_json::Value> {
 
 /// Opens a file of the run. The requested name must be equal to one of the list, so no part of the
 /// request ever becomes part of a path.
-fn file<'a>(shared: &'a Shared, name: &str) -> Option<(File, &'a str)> {
+fn file<'a>(shared: &'a ServerState, name: &str) -> Option<(File, &'a str)> {
     let known = shared.options.files.iter().find(|known| *known == name || encoded(known) == name)?;
     let file = File::open(shared.options.folder.as_ref()?.join(known)).ok()?;
     file.metadata().ok()?.is_file().then_some((file, known.as_str()))
@@ -205,7 +207,7 @@ fn safe_in_header(letter: char) -> char {
 }
 
 /// The response that upgrades a connection to a WebSocket (RFC 6455, section 4.2.2).
-fn upgrade(request: &Request) -> Result<String, Refusal> {
+fn upgrade(request: &Request) -> Result<String, HttpRefusal> {
     let asks = |name: &str, wanted: &str| {
         request
             .header(name)
@@ -220,6 +222,6 @@ fn upgrade(request: &Request) -> Result<String, Refusal> {
                 "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {accept}\r\n\r\n"
             ))
         }
-        _ => Err(Refusal(426, "Upgrade Required")),
+        _ => Err(HttpRefusal(426, "Upgrade Required")),
     }
 }

@@ -9,7 +9,7 @@ use crate::file::MapFile;
 use odograph::error::Result;
 use odograph::geometry::Placement;
 use odograph::mosaic::{MOSAIC_TILE_PX, MapMosaic, Mosaic, MosaicPicture, MosaicSquare, MosaicTile};
-use pyramid::Pyramid;
+use pyramid::TilePyramid;
 use rusqlite::OptionalExtension;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -103,7 +103,7 @@ impl MapFile {
         resolution_m: f64,
     ) -> Result<bool> {
         let mut pyramid =
-            Pyramid::begin(&self.connection, tiles, resolution_m).while_writing(&self.complaint)?;
+            TilePyramid::begin(&self.connection, tiles, resolution_m).while_writing(&self.complaint)?;
         let first = pyramid.first();
         let mut parents = BTreeSet::new();
         for MosaicSquare { column, row } in mosaic.changed_since(0) {
@@ -149,7 +149,7 @@ impl MapFile {
     }
 
     fn lay_all(&mut self, mut laying: MapMosaic, progress: &mut dyn FnMut(usize) -> bool) -> Result<bool> {
-        let mut pyramid = Pyramid::begin(&self.connection, laying.tiles(), laying.resolution_m())
+        let mut pyramid = TilePyramid::begin(&self.connection, laying.tiles(), laying.resolution_m())
             .while_writing(&self.complaint)?;
         while let Some(tiles) = laying.next_tiles(self)? {
             for tile in &tiles {

@@ -9,7 +9,7 @@ use std::ops::Range;
 const SIDE: i64 = MOSAIC_TILE_PX as i64;
 
 /// The pyramid while its finest level is written.
-pub(super) struct Pyramid {
+pub(super) struct TilePyramid {
     finest: u32,
     resolution_m: f64,
     /// Tile column and row of the upper left corner, relative to the world's origin.
@@ -19,7 +19,7 @@ pub(super) struct Pyramid {
     shown: Option<[i64; 4]>,
 }
 
-impl Pyramid {
+impl TilePyramid {
     /// Deletes the stored pyramid and starts one of 2ⁿ × 2ⁿ tiles that includes the given tile
     /// columns and rows at the given resolution, metres per pixel.
     pub fn begin(

@@ -32,7 +32,7 @@ pub struct Thinning {
 
 /// Thins a map to at most `most` keyframes.
 pub(crate) fn thinning(map: &GroundMap, most: usize) -> Thinning {
-    let mut coverage = Coverage::of(map);
+    let mut coverage = KeyframeCoverage::of(map);
     let mut ties = Ties::of(map);
     let mut gone = Vec::new();
     // Lazy priority queue: costs only increase as keyframes are removed, so an outdated cost is a
@@ -61,12 +61,12 @@ pub(crate) fn edges_without(map: &GroundMap, gone: &[KeyframeId]) -> Vec<MapEdge
 }
 
 /// Cells covered by each keyframe, and the number of keyframes that cover each cell.
-struct Coverage {
+struct KeyframeCoverage {
     cells: Vec<Vec<usize>>,
     counts: Vec<u32>,
 }
 
-impl Coverage {
+impl KeyframeCoverage {
     fn of(map: &GroundMap) -> Self {
         let points: Vec<Vec<(f64, f64)>> =
             map.keyframes.iter().map(|keyframe| shown(&map.camera, &keyframe.pose)).collect();

@@ -17,13 +17,13 @@ const BELOW: f64 = 30.0;
 const HIGHEST: f64 = 720.0;
 
 /// A drawing: SVG elements, and their size in drawing units.
-pub struct Drawing {
+pub struct PageDrawing {
     pub width: f64,
     pub height: f64,
     pub body: String,
 }
 
-impl Drawing {
+impl PageDrawing {
     /// The drawing as an element of a page.
     pub fn inline(&self, name: &str) -> String {
         format!(
@@ -125,7 +125,7 @@ impl ImageFrame {
 
     /// Draws the frame and its labels over `content`; `more` is additional height below it, drawing
     /// units.
-    pub fn drawing(&self, content: &str, more: f64) -> Drawing {
+    pub fn drawing(&self, content: &str, more: f64) -> PageDrawing {
         let mut body = content.to_owned();
         let (left, right, bottom) = (self.left, self.right, self.bottom);
         let _ = writeln!(
@@ -156,6 +156,6 @@ impl ImageFrame {
                 label(value, step)
             );
         }
-        Drawing { width: right + (WIDTH - RIGHT), height: bottom + BELOW + more, body }
+        PageDrawing { width: right + (WIDTH - RIGHT), height: bottom + BELOW + more, body }
     }
 }

@@ -1,6 +1,6 @@
 //! Drawings of the lens: its distortion and its uncertainty.
 
-use super::drawing::{Drawing, ImageFrame};
+use super::drawing::{ImageFrame, PageDrawing};
 use odograph::camera::Camera;
 use odograph::drawing::scale::{label, round_step};
 use odograph::drawing::svg::coordinate;
@@ -8,7 +8,7 @@ use odograph::geometry::{Pixel, Ray};
 use std::fmt::Write;
 
 /// A grid of straight lines as distorted by the lens, over the same grid through a pinhole camera.
-pub fn distortion(camera: &Camera) -> Drawing {
+pub fn distortion(camera: &Camera) -> PageDrawing {
     let frame = ImageFrame::new((camera.width(), camera.height()));
     let (reach_x, reach_y) = reach(camera);
     let (focal, middle) = (focal_on_axis_px(camera), camera.principal_px());
@@ -158,7 +158,7 @@ impl ExpectedError {
     }
 
     /// The image coloured by the error, with a colour scale below it and values at nine positions.
-    pub fn drawing(&self) -> Drawing {
+    pub fn drawing(&self) -> PageDrawing {
         let frame = ImageFrame::new(self.size);
         let known = self.known();
         // A few cells at the edge of the lens's view may be worse by a factor of 1000; they must

@@ -7,7 +7,7 @@ mod views;
 
 pub use lens::{ExpectedError, pixels_text};
 pub use page::{BoardDetections, CalibrationReport, lens_name};
-pub use views::{Residual, ShownView};
+pub use views::{ReprojectionError, ShownView};
 
 /// Style rules in addition to those of all pages.
 const STYLE: &str = include_str!("style.css");

@@ -1,6 +1,6 @@
 //! The report page of a calibration: the verdict first, then its basis.
 
-use super::drawing::Drawing;
+use super::drawing::PageDrawing;
 use super::lens::{self, ExpectedError, pixels_text};
 use super::views::{self, ShownView};
 use crate::drawing_png;
@@ -77,7 +77,7 @@ struct Named {
     file: &'static str,
     title: &'static str,
     says: String,
-    drawing: Drawing,
+    drawing: PageDrawing,
 }
 
 /// The display name of a lens model.

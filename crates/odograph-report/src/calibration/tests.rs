@@ -24,7 +24,11 @@ fn views(count: usize) -> Vec<ShownView> {
                 .map(|k| {
                     let seen = Pixel::new(left + 28.0 * (k % 9) as f64, top + 26.0 * (k / 9) as f64);
                     let pull = 0.0006 * (seen.x - 320.0);
-                    Residual { seen, dx_px: 0.2 * random(&mut state) + pull, dy_px: 0.2 * random(&mut state) }
+                    ReprojectionError {
+                        seen,
+                        dx_px: 0.2 * random(&mut state) + pull,
+                        dy_px: 0.2 * random(&mut state),
+                    }
                 })
                 .collect();
             ShownView {
@@ -142,8 +146,11 @@ fn the_report_is_self_contained_and_deterministic() {
 
 #[test]
 fn drawings_tolerate_non_finite_numbers() {
-    let nowhere =
-        Residual { seen: Pixel::new(f64::NAN, f64::INFINITY), dx_px: f64::NAN, dy_px: f64::INFINITY };
+    let nowhere = ReprojectionError {
+        seen: Pixel::new(f64::NAN, f64::INFINITY),
+        dx_px: f64::NAN,
+        dy_px: f64::INFINITY,
+    };
     let views = [
         ShownView { name: String::new(), residuals: vec![nowhere; 20], rms_px: f64::NAN, why_not: None },
         ShownView { name: "x".into(), residuals: vec![], rms_px: f64::INFINITY, why_not: Some("?".into()) },

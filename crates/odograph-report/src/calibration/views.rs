@@ -1,6 +1,6 @@
 //! Drawings of the detected points and their residuals.
 
-use super::drawing::{Drawing, ImageFrame};
+use super::drawing::{ImageFrame, PageDrawing};
 use super::lens::pixels_text;
 use odograph::drawing::scale::{label, multiples, round_step};
 use odograph::drawing::svg::{coordinate, escape, fitted};
@@ -10,7 +10,7 @@ use std::fmt::Write;
 
 /// A detected point and its reprojection error (detected minus projected), pixels.
 #[derive(Debug, Clone, Copy)]
-pub struct Residual {
+pub struct ReprojectionError {
     /// Where it was detected.
     pub seen: Pixel,
     /// The error along x, pixels.
@@ -24,7 +24,7 @@ pub struct ShownView {
     /// Name of its frame or file.
     pub name: String,
     /// Of each point of the board in it.
-    pub residuals: Vec<Residual>,
+    pub residuals: Vec<ReprojectionError>,
     /// Root mean square of them, pixels.
     pub rms_px: f64,
     /// The reason why it was not used; `None` if it was used.
@@ -35,7 +35,7 @@ pub struct ShownView {
 /// page stays small.
 const MOST_MARKS: usize = 5000;
 
-fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &Residual> + Clone {
+fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &ReprojectionError> + Clone {
     let of = move || {
         views.iter().filter(move |view| view.why_not.is_none() == used).flat_map(|view| &view.residuals)
     };
@@ -48,7 +48,7 @@ fn marks(views: &[ShownView], used: bool) -> impl Iterator<Item = &Residual> + C
 }
 
 /// All detected corners, over the grid cells of the image that contain any.
-pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) -> Drawing {
+pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) -> PageDrawing {
     let frame = ImageFrame::new(size);
     let (left, right, top, bottom) = frame.sides();
     let (width, height) = ((right - left) / Coverage::COLUMNS as f64, (bottom - top) / Coverage::ROWS as f64);
@@ -79,7 +79,7 @@ pub fn coverage(size: (usize, usize), views: &[ShownView], coverage: &Coverage) 
 /// The residuals of all used corners as enlarged arrows from the projected to the detected
 /// position, and the mean residual of each grid cell, which is small if the lens model fits. The
 /// numbers returned are the magnifications.
-pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (Drawing, f64, f64) {
+pub fn residuals(size: (usize, usize), views: &[ShownView]) -> (PageDrawing, f64, f64) {
     let frame = ImageFrame::new(size);
     let lengths = |of: &[(f64, f64)]| {
         let mut lengths: Vec<f64> =
@@ -163,7 +163,7 @@ fn means(size: (usize, usize), views: &[ShownView]) -> Vec<(Pixel, f64, f64)> {
 }
 
 /// The error of each view as a bar with its name; views that were not used are labelled.
-pub fn errors(views: &[ShownView], rms_px: f64) -> Drawing {
+pub fn errors(views: &[ShownView], rms_px: f64) -> PageDrawing {
     const WIDTH: f64 = 720.0;
     const NAMES: f64 = 190.0;
     const RIGHT: f64 = WIDTH - 66.0;
@@ -214,5 +214,5 @@ pub fn errors(views: &[ShownView], rms_px: f64) -> Drawing {
         coordinate(0.5 * (NAMES + RIGHT)),
         coordinate(bottom + 38.0)
     );
-    Drawing { width: WIDTH, height: bottom + 46.0, body: content }
+    PageDrawing { width: WIDTH, height: bottom + 46.0, body: content }
 }

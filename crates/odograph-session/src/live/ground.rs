@@ -1,6 +1,6 @@
 //! The mosaic of a live run, shown while it grows.
 
-use super::laying::{Kept, Laying};
+use super::laying::{Laying, LayingSummary};
 use crate::views::Posed;
 use odograph::camera::Camera;
 use odograph::error::Result;
@@ -21,10 +21,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub struct LiveGround {
     camera: Camera,
     shown: bool,
-    state: Arc<Mutex<State>>,
+    state: Arc<Mutex<LiveGroundState>>,
 }
 
-struct State {
+struct LiveGroundState {
     mosaic: Stage,
     /// Number of complete renderings; the revisions of each are larger than all before.
     generation: u64,
@@ -51,7 +51,7 @@ pub struct Relaying {
 /// Revisions of one rendering: more than frames in a run.
 const REVISIONS: u64 = 1 << 40;
 
-impl State {
+impl LiveGroundState {
     fn mosaic(&self) -> Option<&Mosaic> {
         match &self.mosaic {
             Stage::Growing(laying) => Some(laying.mosaic()),
@@ -66,11 +66,15 @@ impl LiveGround {
     /// before the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         let laying = Laying::new(camera.clone(), folder, shown);
-        let state = State { mosaic: Stage::Growing(Box::new(laying)), generation: 0, bare: BTreeSet::new() };
+        let state = LiveGroundState {
+            mosaic: Stage::Growing(Box::new(laying)),
+            generation: 0,
+            bare: BTreeSet::new(),
+        };
         Self { camera, shown, state: Arc::new(Mutex::new(state)) }
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, LiveGroundState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -109,7 +113,7 @@ impl LiveGround {
     }
 
     /// Finishes rendering; viewers see the mosaic as it is. `None` if it is finished already.
-    pub fn finish(&self) -> Option<Kept> {
+    pub fn finish(&self) -> Option<LayingSummary> {
         let mut state = self.state();
         let Stage::Growing(laying) = std::mem::replace(&mut state.mosaic, Stage::Away) else { return None };
         let (mosaic, kept) = laying.finished();

@@ -1,7 +1,7 @@
 //! Incremental rendering of the mosaic.
 
 use crate::timings::Timings;
-use crate::views::{Posed, Views};
+use crate::views::{MosaicFrames, Posed};
 use odograph::camera::Camera;
 use odograph::error::Error;
 use odograph::geometry::{PlaneTransform, Sim2};
@@ -18,7 +18,7 @@ pub struct Laying {
     mosaic: Mosaic,
     /// Correction of the poses: identity until a loop moves the map.
     correction: Sim2,
-    views: Views,
+    views: MosaicFrames,
     /// Error of the first frame that could not be stored.
     failure: Option<Error>,
     times: Timings,
@@ -28,8 +28,8 @@ pub struct Laying {
 }
 
 /// Results besides the mosaic.
-pub struct Kept {
-    pub views: Views,
+pub struct LayingSummary {
+    pub views: MosaicFrames,
     /// Why not all frames for the final mosaic could be stored.
     pub failure: Option<Error>,
     /// Rendering time of each frame.
@@ -40,7 +40,7 @@ impl Laying {
     /// For a run with this output folder. Without viewers frames are only stored for the end.
     pub fn new(camera: Camera, folder: &Path, shown: bool) -> Self {
         Self {
-            views: Views::new(&camera, folder),
+            views: MosaicFrames::new(&camera, folder),
             camera,
             shown,
             mosaic: Mosaic::new(Default::default()),
@@ -90,11 +90,11 @@ impl Laying {
     }
 
     /// The mosaic with the last frame, and the rest.
-    pub fn finished(mut self) -> (Mosaic, Kept) {
+    pub fn finished(mut self) -> (Mosaic, LayingSummary) {
         if let Some(before) = self.before.take() {
             self.lay(&before);
         }
         let Self { mosaic, views, failure, times, .. } = self;
-        (mosaic, Kept { views, failure, times })
+        (mosaic, LayingSummary { views, failure, times })
     }
 }

@@ -9,7 +9,7 @@ use super::mcap::McapLog;
 use super::recorder::Recorder;
 use super::sinks::{LiveSinks, PoseSink};
 use super::source::LiveInput;
-use super::straight::{self, Straightening};
+use super::straight::{self, MapFrameUpdates};
 use crate::finish::{Ending, finish};
 use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -90,7 +90,7 @@ pub fn follow(
     following.queue.close();
     let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
     following.tell_status(Phase::Saving);
-    let Some(laying::Kept { views, failure: not_kept, times }) = ground.finish() else {
+    let Some(laying::LayingSummary { views, failure: not_kept, times }) = ground.finish() else {
         return Err(Error::usage("a live run ends once"));
     };
     following.times.map = times;
@@ -140,12 +140,12 @@ struct Happened {
 struct Beside {
     laying: Newest<Posed>,
     mapping: Newest<Happened>,
-    views: Newest<Sight>,
+    views: Newest<PageImage>,
     relaying: Newest<Relaying>,
 }
 
 /// An image for the page.
-struct Sight {
+struct PageImage {
     record: usize,
     gray: GrayImage,
     tracks: Vec<TrackView>,
@@ -193,7 +193,7 @@ impl Following<'_, '_> {
             }
             scope.spawn(move || each(&beside.laying, |posed| ground.lay(posed)));
             scope.spawn(move || {
-                each(&beside.views, |sight: Sight| {
+                each(&beside.views, |sight: PageImage| {
                     if let Some(view) = View::new(sight.record, &sight.gray, &sight.tracks) {
                         hub.show_view(view);
                     }
@@ -202,7 +202,7 @@ impl Following<'_, '_> {
             scope.spawn(move || straight::relay(&beside.relaying, ground));
             let mapper = scope.spawn(move || {
                 let (mut failure, mut not_compared) = (None, 0);
-                let mut straightening = Straightening::new(hub, &beside.relaying);
+                let mut straightening = MapFrameUpdates::new(hub, &beside.relaying);
                 let mut hurried = false;
                 each(&beside.mapping, |happened: Happened| {
                     let waiting = beside.mapping.waiting();
@@ -286,7 +286,7 @@ impl Following<'_, '_> {
             let record = self.hub.add_record(&record);
             if self.hub.viewers() > 0 {
                 let tracks = self.odometry.tracks().to_vec();
-                beside.views.give(Sight { record, gray: frame.gray.clone(), tracks });
+                beside.views.give(PageImage { record, gray: frame.gray.clone(), tracks });
             }
         }
         self.distance_m += self.step_m(&seen);

@@ -29,14 +29,14 @@ const TOLD_EVERY: Duration = Duration::from_secs(1);
 const REST: u32 = 9;
 
 /// Watches the map for loops.
-pub struct Straightening<'a> {
+pub struct MapFrameUpdates<'a> {
     hub: &'a Hub,
     relaying: &'a Newest<Relaying>,
     loops: usize,
     told: Option<Instant>,
 }
 
-impl<'a> Straightening<'a> {
+impl<'a> MapFrameUpdates<'a> {
     pub fn new(hub: &'a Hub, relaying: &'a Newest<Relaying>) -> Self {
         Self { hub, relaying, loops: 0, told: None }
     }

@@ -6,7 +6,7 @@
 mod motion;
 
 use super::noise::Wobble;
-use motion::{Bend, Law, Motion, curve};
+use motion::{Bend, Law, SegmentShape, curve};
 use odograph::camera::Rig;
 use odograph::error::{Error, Result};
 use odograph::geometry::{GroundPoint, GroundPose, PlaneTransform, Se2};
@@ -102,7 +102,7 @@ struct Segment {
     start_s: f64,
     start: Se2,
     law: Law,
-    motion: Motion,
+    motion: SegmentShape,
 }
 
 impl Path {
@@ -116,11 +116,11 @@ impl Path {
         positive("turn rate", turn_rate_rad_s, "radians per second")?;
         let mut path =
             Builder { speed_m_s, turn_rate_rad_s, segments: vec![], end: Se2::IDENTITY, end_s: 0.0 };
-        let line = |direction_rad: f64| Motion::Line { direction_rad };
+        let line = |direction_rad: f64| SegmentShape::Line { direction_rad };
         match kind {
             PathKind::Still { duration_s } => {
                 positive("duration", duration_s, "seconds")?;
-                path.add(Motion::Still, Law::constant(duration_s, 1.0));
+                path.add(SegmentShape::Still, Law::constant(duration_s, 1.0));
             }
             PathKind::Straight { length_m } => {
                 positive("length", length_m, "metres")?;
@@ -138,7 +138,7 @@ impl Path {
                 for side in 0..4 {
                     path.add(line(0.0), path.drive(side_m, at_rest || side > 0, true));
                     let law = path.turn(FRAC_PI_2, true, at_rest || side < 3);
-                    path.add(Motion::Turn { about: (0.0, 0.0), sign: 1.0 }, law);
+                    path.add(SegmentShape::Turn { about: (0.0, 0.0), sign: 1.0 }, law);
                 }
             }
             PathKind::Pivot { about, turn_rad } => {
@@ -147,12 +147,12 @@ impl Path {
                 }
                 positive("turn", turn_rad.abs(), "radians")?;
                 let law = path.turn(turn_rad.abs(), at_rest, at_rest);
-                path.add(Motion::Turn { about: (about.x_m, about.y_m), sign: turn_rad.signum() }, law);
+                path.add(SegmentShape::Turn { about: (about.x_m, about.y_m), sign: turn_rad.signum() }, law);
             }
             PathKind::FigureEight { length_m, laps } => {
                 positive("length", length_m, "metres")?;
                 positive("number of laps", laps, "laps")?;
-                let motion = Motion::Eight { half_length_m: length_m / 2.0 };
+                let motion = SegmentShape::Eight { half_length_m: length_m / 2.0 };
                 // The mean speed over a lap is the configured speed.
                 let rate = speed_m_s * TAU / motion.lap_length_m();
                 path.add(motion, Law::ramped(TAU * laps, rate, at_rest, at_rest));
@@ -278,7 +278,7 @@ impl Builder {
         Law::ramped(angle_rad, self.turn_rate_rad_s, from_rest, to_rest)
     }
 
-    fn add(&mut self, motion: Motion, law: Law) {
+    fn add(&mut self, motion: SegmentShape, law: Law) {
         let start = self.end;
         self.end = start * motion.end(law.amount);
         self.segments.push(Segment { start_s: self.end_s, start, law, motion });

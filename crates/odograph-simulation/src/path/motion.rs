@@ -6,7 +6,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Shape of a segment, as a function of progress from 0 to the law's amount.
 #[derive(Debug, Clone)]
-pub(super) enum Motion {
+pub(super) enum SegmentShape {
     Still,
     /// Progress in metres along a direction relative to the heading.
     Line {
@@ -87,7 +87,7 @@ impl Law {
     }
 }
 
-impl Motion {
+impl SegmentShape {
     /// Pose after the given progress, relative to the start of the segment.
     pub(super) fn end(&self, progress: f64) -> Se2 {
         match self {
@@ -144,7 +144,7 @@ impl Motion {
 
 /// A curve of that length: positions are tabulated every few centimetres and integrated exactly
 /// between.
-pub(super) fn curve(bend: Bend, length_m: f64) -> Motion {
+pub(super) fn curve(bend: Bend, length_m: f64) -> SegmentShape {
     let steps = (length_m / 0.05).ceil().max(16.0);
     let step_m = length_m / steps;
     let mut nodes = vec![(0.0, 0.0)];
@@ -154,7 +154,7 @@ pub(super) fn curve(bend: Bend, length_m: f64) -> Motion {
         at = (at.0 + dx, at.1 + dy);
         nodes.push(at);
     }
-    Motion::Curve { bend, step_m, nodes }
+    SegmentShape::Curve { bend, step_m, nodes }
 }
 
 impl Bend {

@@ -1,6 +1,6 @@
 //! A simulated image sequence.
 
-use super::effects::{Breathing, Disc, Discs, Disturbance, Effects, Exposure, row_offset_s};
+use super::effects::{Breathing, Disturbance, Effects, Exposure, MovingDisc, MovingDiscs, row_offset_s};
 use super::ground::Ground;
 use super::noise::{GaussianStream, mix, uniform};
 use super::path::Path;
@@ -49,7 +49,7 @@ pub struct Simulation {
     sway: Option<Swaying>,
     disturbance: Disturbance,
     exposure: Exposure,
-    discs: Option<Discs>,
+    discs: Option<MovingDiscs>,
     times_s: Vec<f64>,
 }
 
@@ -119,7 +119,7 @@ impl Simulation {
                 config.camera.height(),
                 config.seed,
             ),
-            discs: config.effects.object.map(|object| Discs::new(object, config.seed)),
+            discs: config.effects.object.map(|object| MovingDiscs::new(object, config.seed)),
             times_s: times_s(&config)?,
             config,
         };
@@ -245,7 +245,7 @@ impl Simulation {
         let mut view = vec![0.0; planes.len()];
         renderer.add_scene(&self.ground, &scene, weight, &mut view);
         let carrier = |time_s: f64| self.config.path.pose(time_s, &self.config.rig);
-        let discs: Vec<Vec<Disc>> = times_s.iter().map(|time_s| discs.at(*time_s, carrier)).collect();
+        let discs: Vec<Vec<MovingDisc>> = times_s.iter().map(|time_s| discs.at(*time_s, carrier)).collect();
         let pose_of_row = |row: usize| self.over_ground(poses[row.min(rows - 1)]);
         renderer.cover(&self.ground, pose_of_row, weight, &mut view, |row, point, footprint_m| {
             discs[row.min(rows - 1)].iter().find_map(|disc| disc.color(point, footprint_m))

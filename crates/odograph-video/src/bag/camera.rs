@@ -2,7 +2,7 @@
 
 use super::messages::camera_info::CameraInfo;
 use super::messages::{Role, frame_id};
-use super::recording::{Recording, Topic};
+use super::recording::{MessageReader, Topic};
 use super::topics;
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -39,7 +39,7 @@ pub fn recorded_camera(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Op
 }
 
 /// The camera of a topic with images, and rewinds the recording.
-pub(super) fn camera_of(recording: &mut dyn Recording, images: &Topic) -> Result<Option<RecordedCamera>> {
+pub(super) fn camera_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<RecordedCamera>> {
     let all: Vec<Topic> =
         recording.topics().iter().filter(|topic| Role::of(topic) == Role::CameraInfo).cloned().collect();
     if all.is_empty() {
@@ -68,7 +68,7 @@ type Described = (CameraInfo, String);
 /// The first calibrated camera_info of each topic with its frame of reference, and the frame of
 /// reference of the first image.
 fn first_infos(
-    recording: &mut dyn Recording,
+    recording: &mut dyn MessageReader,
     images: &Topic,
     all: &[Topic],
 ) -> Result<(Vec<Option<Described>>, String)> {

@@ -2,14 +2,14 @@
 
 use super::camera::camera_of;
 use super::messages::{Role, seconds, stamp_ns};
-use super::recording::{Recording, Topic};
+use super::recording::{MessageReader, Topic};
 use super::topics::{FirstImage, first_images};
 use crate::contents::{Contents, Stream, StreamUse};
 use crate::limits;
 use odograph::error::Result;
 
 /// Lists the topics of a recording. Reads it once from begin to end, for the times of all messages.
-pub(crate) fn contents(mut recording: Box<dyn Recording>) -> Result<Contents> {
+pub(crate) fn contents(mut recording: Box<dyn MessageReader>) -> Result<Contents> {
     let recording = recording.as_mut();
     let topics: Vec<Topic> = recording.topics().to_vec();
     let roles: Vec<Role> = topics.iter().map(Role::of).collect();

@@ -30,7 +30,7 @@ impl Serialization {
 
 /// Cursor over a message; every read returns `None` past the end.
 #[derive(Debug, Clone)]
-pub(crate) struct Cursor<'a> {
+pub(crate) struct MessageCursor<'a> {
     data: &'a [u8],
     at: usize,
     /// Largest alignment of a number, bytes, counted from the start of `data`: 1 packs them.
@@ -57,7 +57,7 @@ macro_rules! number {
     };
 }
 
-impl<'a> Cursor<'a> {
+impl<'a> MessageCursor<'a> {
     /// Cursor over packed little-endian data.
     pub fn packed(data: &'a [u8]) -> Self {
         Self { data, at: 0, alignment: 1, big_endian: false }
@@ -154,32 +154,32 @@ mod tests {
     #[test]
     fn cdr_aligns_from_behind_its_four_bytes() {
         let little = [0, 1, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xf0, 0x3f];
-        let mut cursor = Cursor::new(&little, &Serialization::Cdr).unwrap();
+        let mut cursor = MessageCursor::new(&little, &Serialization::Cdr).unwrap();
         assert_eq!((cursor.u8(), cursor.f64(), cursor.u8()), (Some(7), Some(1.0), None));
         let big = [0, 0, 0, 0, 7, 0, 0, 0, 0, 0, 1, 2];
-        let mut cursor = Cursor::new(&big, &Serialization::Cdr).unwrap();
+        let mut cursor = MessageCursor::new(&big, &Serialization::Cdr).unwrap();
         assert_eq!((cursor.u8(), cursor.u32()), (Some(7), Some(258)));
         // XCDR version 2 aligns a double to four bytes.
         let second = [0, 7, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xf0, 0x3f];
-        let mut cursor = Cursor::new(&second, &Serialization::Cdr).unwrap();
+        let mut cursor = MessageCursor::new(&second, &Serialization::Cdr).unwrap();
         assert_eq!((cursor.u8(), cursor.f64()), (Some(7), Some(1.0)));
-        assert!(Cursor::new(&[0, 3, 0, 0], &Serialization::Cdr).is_none());
-        assert!(Cursor::new(&[0, 1], &Serialization::Cdr).is_none());
+        assert!(MessageCursor::new(&[0, 3, 0, 0], &Serialization::Cdr).is_none());
+        assert!(MessageCursor::new(&[0, 1], &Serialization::Cdr).is_none());
     }
 
     #[test]
     fn strings_and_headers_of_both_kinds() {
         let ros1 = [9, 0, 0, 0, 1, 0, 0, 0, 5, 0, 0, 0, 2, 0, 0, 0, b'a', b'b'];
-        let header = Cursor::packed(&ros1).header().unwrap();
+        let header = MessageCursor::packed(&ros1).header().unwrap();
         assert_eq!(header, Header { stamp_ns: 1_000_000_005, frame: "ab".into() });
         let ros2 = [0, 1, 0, 0, 0xff, 0xff, 0xff, 0xff, 5, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0];
-        let header = Cursor::new(&ros2, &Serialization::Cdr).unwrap().header().unwrap();
+        let header = MessageCursor::new(&ros2, &Serialization::Cdr).unwrap().header().unwrap();
         assert_eq!(header, Header { stamp_ns: -999_999_995, frame: "ab".into() });
     }
 
     #[test]
     fn lengths_beyond_the_end_are_refused() {
-        let mut cursor = Cursor::packed(&[0xff, 0xff, 0xff, 0xff, 1]);
+        let mut cursor = MessageCursor::packed(&[0xff, 0xff, 0xff, 0xff, 1]);
         assert!(cursor.clone().bytes().is_none());
         assert!(cursor.clone().double_sequence(usize::MAX).is_none());
         assert!(cursor.double_sequence(8).is_none());

@@ -5,7 +5,7 @@
 //! neither an index nor a sort is needed, and a damaged or truncated file is read up to the damage.
 
 use super::cursor::Serialization;
-use super::recording::{Message, Recording, Topic, Topics};
+use super::recording::{Message, MessageReader, Topic, Topics};
 use crate::limits;
 use odograph::error::{Error, Result};
 use rusqlite::limits::Limit;
@@ -25,14 +25,14 @@ pub(super) struct Database {
     /// Topics by their number in the table.
     numbers: HashMap<i64, usize>,
     /// Rows that have been read ahead, the next one last.
-    ahead: Vec<Row>,
-    current: Option<Row>,
+    ahead: Vec<DatabaseRow>,
+    current: Option<DatabaseRow>,
     last_number: i64,
     at_end: bool,
     damage: Option<String>,
 }
 
-struct Row {
+struct DatabaseRow {
     topic: usize,
     log_ns: u64,
     data: Vec<u8>,
@@ -149,7 +149,7 @@ impl Database {
             {
                 bytes += data.len();
                 let log_ns = u64::try_from(log_ns).unwrap_or(0);
-                self.ahead.push(Row { topic, log_ns, data: data.to_vec() });
+                self.ahead.push(DatabaseRow { topic, log_ns, data: data.to_vec() });
             }
             if self.ahead.len() >= ROWS_AT_A_TIME || bytes >= BYTES_AT_A_TIME {
                 self.at_end = false;
@@ -199,7 +199,7 @@ fn address(path: &Path) -> String {
     address + "?immutable=1"
 }
 
-impl Recording for Database {
+impl MessageReader for Database {
     fn format(&self) -> String {
         "a rosbag2 database".to_owned()
     }

@@ -4,7 +4,7 @@
 use super::compression::{Compression, ZSTD_MAGIC, unpack_zstd};
 use super::database::{self, Database};
 use super::mcap::{self, Mcap};
-use super::recording::{Message, Recording, Topic, Topics};
+use super::recording::{Message, MessageReader, Topic, Topics};
 use super::rosbag1::{self, RosBag};
 use crate::limits;
 use odograph::error::{Error, Result};
@@ -17,7 +17,7 @@ const MOST_UNPACKED: u64 = 64 << 30;
 
 /// Format of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Format {
+pub(crate) enum BagFormat {
     Mcap,
     RosBag,
     /// An SQLite database, which may be a recording.
@@ -26,7 +26,7 @@ pub(crate) enum Format {
     Zstd,
 }
 
-impl Format {
+impl BagFormat {
     /// The format of a file with these first bytes; `None` if it cannot be a recording.
     pub fn of(head: &[u8]) -> Option<Self> {
         [
@@ -56,30 +56,30 @@ fn open_file(path: &Path) -> Result<File> {
 }
 
 /// An opened file, and the temporary file that it was unpacked to.
-struct Part {
-    recording: Box<dyn Recording>,
+struct OpenedPart {
+    recording: Box<dyn MessageReader>,
     _unpacked: Option<tempfile::TempPath>,
     /// Own index of each of its topics.
     topics: Vec<usize>,
 }
 
-fn open_part(path: &Path) -> Result<Part> {
-    let (format, unpacked, whole) = match Format::of_file(path)? {
-        Some(Format::Zstd) => {
+fn open_part(path: &Path) -> Result<OpenedPart> {
+    let (format, unpacked, whole) = match BagFormat::of_file(path)? {
+        Some(BagFormat::Zstd) => {
             let (unpacked, whole) = unpack(path)?;
-            (Format::of_file(&unpacked)?, Some(unpacked), whole)
+            (BagFormat::of_file(&unpacked)?, Some(unpacked), whole)
         }
         format => (format, None, true),
     };
     let place = unpacked.as_deref().unwrap_or(path);
     let recording = match format {
-        Some(Format::Mcap) => Box::new(Mcap::open(open_file(place)?)?) as Box<dyn Recording>,
-        Some(Format::RosBag) => Box::new(RosBag::open(open_file(place)?)?),
-        Some(Format::Database) => Box::new(Database::open(place)?),
+        Some(BagFormat::Mcap) => Box::new(Mcap::open(open_file(place)?)?) as Box<dyn MessageReader>,
+        Some(BagFormat::RosBag) => Box::new(RosBag::open(open_file(place)?)?),
+        Some(BagFormat::Database) => Box::new(Database::open(place)?),
         _ if !whole => return Err(Error::input("the compressed file is damaged or cut off")),
         _ => return Err(Error::input("this is not an MCAP file, a ROS bag or a rosbag2 database")),
     };
-    Ok(Part { recording, _unpacked: unpacked, topics: Vec::new() })
+    Ok(OpenedPart { recording, _unpacked: unpacked, topics: Vec::new() })
 }
 
 /// Unpacks a file to a temporary one; false if it is damaged or cut off.
@@ -105,8 +105,8 @@ pub(super) fn is_packed_recording(path: &Path) -> bool {
         Some(head)
     };
     matches!(
-        head().and_then(|head| Format::of(&head)),
-        Some(Format::Mcap | Format::RosBag | Format::Database)
+        head().and_then(|head| BagFormat::of(&head)),
+        Some(BagFormat::Mcap | BagFormat::RosBag | BagFormat::Database)
     )
 }
 
@@ -114,7 +114,7 @@ pub(super) fn is_packed_recording(path: &Path) -> bool {
 pub(super) struct Files {
     files: Vec<PathBuf>,
     topics: Topics,
-    current: Option<Part>,
+    current: Option<OpenedPart>,
     /// The current message, if messages are compressed one by one.
     unpacked: Option<Vec<u8>>,
     /// The file that is opened next.
@@ -185,7 +185,7 @@ impl Files {
         Ok(false)
     }
 
-    fn select_in(&self, part: &mut Part) {
+    fn select_in(&self, part: &mut OpenedPart) {
         let wanted: Vec<bool> = part.topics.iter().map(|&own| self.topics.is_wanted(own)).collect();
         let names: Vec<(String, String)> = part
             .recording
@@ -216,7 +216,7 @@ fn name_of(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-impl Recording for Files {
+impl MessageReader for Files {
     fn format(&self) -> String {
         match self.files.len() {
             1 => self.format.clone(),

@@ -1,6 +1,6 @@
 //! The folder of a rosbag2 recording: which files it consists of, and in what order.
 
-use super::files::Format;
+use super::files::BagFormat;
 use crate::pictures::natural_order;
 use odograph::error::{Error, Result};
 use serde::Deserialize;
@@ -14,11 +14,11 @@ const MAX_METADATA: u64 = 16 << 20;
 /// What is read of `metadata.yaml`.
 #[derive(Deserialize)]
 struct Metadata {
-    rosbag2_bagfile_information: Information,
+    rosbag2_bagfile_information: BagMetadata,
 }
 
 #[derive(Deserialize)]
-struct Information {
+struct BagMetadata {
     #[serde(default)]
     relative_file_paths: Vec<String>,
 }
@@ -77,7 +77,7 @@ fn is_part(path: &Path) -> bool {
     !name.starts_with('.')
         && endings.iter().any(|ending| name.ends_with(ending))
         && path.is_file()
-        && matches!(Format::of_file(path), Ok(Some(_)))
+        && matches!(BagFormat::of_file(path), Ok(Some(_)))
 }
 
 /// The name of a file without the number of the part and the endings.

@@ -1,9 +1,9 @@
 //! The frames of a topic: images one by one, or the packets of a video for a decoder.
 
 use super::messages::{Role, VideoMessage, image, seconds, stamp_ns};
-use super::recording::{Recording, Topic};
+use super::recording::{MessageReader, Topic};
 use super::topics;
-use crate::container::{Packet, PacketReader, Times, Track};
+use crate::container::{Packet, PacketReader, Times, VideoTrack};
 use crate::frame::Picture;
 use crate::rotation::Orientation;
 use crate::source::{Frames, Opened, SourceOptions};
@@ -11,7 +11,7 @@ use crate::video;
 use odograph::error::{Error, Result};
 
 /// Opens the topic with images that the options name, or the only one.
-pub(crate) fn open_frames(mut recording: Box<dyn Recording>, options: &SourceOptions) -> Result<Opened> {
+pub(crate) fn open_frames(mut recording: Box<dyn MessageReader>, options: &SourceOptions) -> Result<Opened> {
     let topic = topics::with_frames(recording.as_mut(), options.topic.as_deref())?;
     let place = format!("{}, {}", topic.name, recording.format());
     let frame_count = Some(topic.count);
@@ -35,7 +35,7 @@ pub(crate) fn open_frames(mut recording: Box<dyn Recording>, options: &SourceOpt
 
 /// The messages of one topic with their times.
 struct TopicMessages {
-    recording: Box<dyn Recording>,
+    recording: Box<dyn MessageReader>,
     topic: Topic,
     /// Times are those of recording, because the messages have none.
     by_log: Option<bool>,
@@ -43,7 +43,7 @@ struct TopicMessages {
 }
 
 impl TopicMessages {
-    fn new(mut recording: Box<dyn Recording>, topic: Topic) -> Result<Self> {
+    fn new(mut recording: Box<dyn MessageReader>, topic: Topic) -> Result<Self> {
         recording.select(&|other| other.name == topic.name && other.type_name == topic.type_name);
         recording.rewind()?;
         Ok(Self { recording, topic, by_log: None, warnings: Vec::new() })
@@ -120,7 +120,7 @@ impl Frames for ImageTopic {
 struct VideoTopic {
     messages: TopicMessages,
     kind: VideoMessage,
-    track: Track,
+    track: VideoTrack,
     damaged: u64,
 }
 
@@ -130,7 +130,7 @@ impl VideoTopic {
             return Err(Error::input("there is no video packet in it"));
         }
         let format = image::video_packet(&messages.topic, kind, messages.data())?.format.into_owned();
-        let track = Track {
+        let track = VideoTrack {
             container: "a robot recording",
             codec: image::codec(&format),
             width: 0,
@@ -148,7 +148,7 @@ impl VideoTopic {
 }
 
 impl PacketReader for VideoTopic {
-    fn track(&self) -> &Track {
+    fn track(&self) -> &VideoTrack {
         &self.track
     }
 

@@ -4,9 +4,9 @@
 //! without one, such as a truncated one, is read once more to list them.
 
 use super::compression::Compression;
-use super::cursor::{Cursor, Serialization};
+use super::cursor::{MessageCursor, Serialization};
 use super::reader::RecordFile;
-use super::recording::{Message, Recording, Topic, Topics, count};
+use super::recording::{Message, MessageReader, Topic, Topics, count};
 use odograph::error::{Error, Result};
 use std::collections::HashMap;
 use std::fs::File;
@@ -79,7 +79,7 @@ impl Mcap {
         let Some(footer_at) = self.file.length().checked_sub(FOOTER_BYTES) else { return Ok(None) };
         self.file.seek(footer_at)?;
         self.file.read(FOOTER_BYTES, &mut self.packed)?;
-        let mut footer = Cursor::packed(&self.packed);
+        let mut footer = MessageCursor::packed(&self.packed);
         let Some((op::FOOTER, 20, summary)) = (|| Some((footer.u8()?, footer.u64()?, footer.u64()?)))()
         else {
             return Ok(None);
@@ -90,7 +90,7 @@ impl Mcap {
         self.file.seek(summary)?;
         self.file.read((footer_at - summary).min(MAX_BYTES), &mut self.chunk)?;
         let records = std::mem::take(&mut self.chunk);
-        let mut cursor = Cursor::packed(&records);
+        let mut cursor = MessageCursor::packed(&records);
         let mut counted = None;
         while let Some((kind, body)) = record(&mut cursor) {
             match kind {
@@ -103,10 +103,10 @@ impl Mcap {
     }
 
     fn take_statistics(&mut self, body: &[u8]) -> Option<()> {
-        let mut body = Cursor::packed(body);
+        let mut body = MessageCursor::packed(body);
         body.take(8 + 2 + 4 + 4 + 4 + 4)?;
         let span_ns = (body.u64()?, body.u64()?);
-        let mut counts = Cursor::packed(body.bytes()?);
+        let mut counts = MessageCursor::packed(body.bytes()?);
         let mut told = false;
         while let (Some(channel), Some(count)) = (counts.u16(), counts.u64()) {
             let topic = *self.channels.get(&channel)?;
@@ -118,7 +118,7 @@ impl Mcap {
 
     /// Takes note of a schema or a channel.
     fn register(&mut self, kind: u8, body: &[u8]) {
-        let mut body = Cursor::packed(body);
+        let mut body = MessageCursor::packed(body);
         let _: Option<()> = (|| {
             if kind == op::SCHEMA {
                 self.schemas.insert(body.u16()?, body.string()?.into_owned());
@@ -138,13 +138,13 @@ impl Mcap {
         let chunk = std::mem::take(&mut self.chunk);
         let mut found = false;
         while !found {
-            let mut cursor = Cursor::packed(chunk.get(self.next..).unwrap_or_default());
+            let mut cursor = MessageCursor::packed(chunk.get(self.next..).unwrap_or_default());
             let Some((kind, body)) = record(&mut cursor) else { break };
             self.next += cursor.position();
             match kind {
                 op::SCHEMA | op::CHANNEL => self.register(kind, body),
                 op::MESSAGE => {
-                    let mut fields = Cursor::packed(body);
+                    let mut fields = MessageCursor::packed(body);
                     let head = (|| Some((fields.u16()?, fields.u32()?, fields.u64()?, fields.u64()?)))();
                     let topic = head.and_then(|(channel, ..)| self.channels.get(&channel));
                     if let (Some((_, _, log_ns, _)), Some(&topic)) = (head, topic)
@@ -169,7 +169,7 @@ impl Mcap {
         loop {
             let mut head = Vec::new();
             self.file.read(9, &mut head)?;
-            let mut cursor = Cursor::packed(&head);
+            let mut cursor = MessageCursor::packed(&head);
             let (Some(kind), Some(length)) = (cursor.u8(), cursor.u64()) else {
                 self.cut_off = true;
                 return Ok(false);
@@ -209,7 +209,7 @@ impl Mcap {
     /// Unpacks the chunk in `packed`; false if it is damaged. Of a chunk that is cut off, what
     /// there is of it is unpacked.
     fn unpack(&mut self) -> Result<bool> {
-        let mut body = Cursor::packed(&self.packed);
+        let mut body = MessageCursor::packed(&self.packed);
         let head = (|| {
             body.take(16)?;
             Some((body.u64()?, body.u32()?, body.string()?, body.u64()?))
@@ -236,12 +236,12 @@ impl Mcap {
 }
 
 /// The next record: its kind and its body.
-fn record<'a>(cursor: &mut Cursor<'a>) -> Option<(u8, &'a [u8])> {
+fn record<'a>(cursor: &mut MessageCursor<'a>) -> Option<(u8, &'a [u8])> {
     let (kind, length) = (cursor.u8()?, cursor.u64()?);
     Some((kind, cursor.take(usize::try_from(length).ok()?)?))
 }
 
-impl Recording for Mcap {
+impl MessageReader for Mcap {
     fn format(&self) -> String {
         "an MCAP file".to_owned()
     }

@@ -1,8 +1,8 @@
 //! Robot recordings: MCAP files, ROS 1 bags, and rosbag2 folders and databases.
 //!
-//! A recording is read sequentially ([`recording::Recording`]); its image topic becomes a source of
-//! frames, its other topics the camera and the sensors beside it. Formats are detected by the first
-//! bytes: a bag of JPEG images looks like a Motion JPEG stream, with the images of all its cameras
+//! A recording is read sequentially ([`recording::MessageReader`]); its image topic becomes a
+//! source of frames, its other topics the camera and the sensors beside it. Formats are detected by
+//! the first bytes: a bag of JPEG images looks like a Motion JPEG stream, with the images of all its cameras
 //! interleaved and without times.
 
 mod camera;
@@ -24,11 +24,11 @@ mod topics;
 
 pub use camera::{RecordedCamera, recorded_camera};
 pub(crate) use contents::contents;
-use files::{Files, Format};
+use files::{BagFormat, Files};
 pub(crate) use frames::open_frames;
 pub use mount::{RecordedMount, recorded_mount};
 use odograph::error::Result;
-use recording::Recording;
+use recording::MessageReader;
 pub use sensors::recorded_sensor;
 use std::path::Path;
 
@@ -36,7 +36,7 @@ use std::path::Path;
 ///
 /// Fails if it is one and cannot be read. An SQLite database that is not a recording fails as well:
 /// nothing else reads one.
-pub(crate) fn open(path: &Path) -> Result<Option<Box<dyn Recording>>> {
+pub(crate) fn open(path: &Path) -> Result<Option<Box<dyn MessageReader>>> {
     let files = if path.is_dir() {
         match folder::files(path)? {
             Some(files) => files,
@@ -54,8 +54,8 @@ fn is_recording_file(path: &Path) -> Result<bool> {
     if !path.is_file() {
         return Ok(false);
     }
-    Ok(match Format::of_file(path)? {
-        Some(Format::Zstd) => files::is_packed_recording(path),
+    Ok(match BagFormat::of_file(path)? {
+        Some(BagFormat::Zstd) => files::is_packed_recording(path),
         format => format.is_some(),
     })
 }

@@ -2,7 +2,7 @@
 //! (`/tf_static`), with the frames of ROS REP-105.
 
 use super::messages::{frame_id, transforms};
-use super::recording::{Recording, Topic};
+use super::recording::{MessageReader, Topic};
 use super::topics;
 use nalgebra::Isometry3;
 use odograph::camera::{LeverArm, Rig};
@@ -53,7 +53,7 @@ pub fn recorded_mount(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Opt
 /// Transforms that are published once come with the first messages: more of them are not looked at.
 const MOST_MESSAGES: usize = 1000;
 
-fn mount_of(recording: &mut dyn Recording, images: &Topic) -> Result<Option<RecordedMount>> {
+fn mount_of(recording: &mut dyn MessageReader, images: &Topic) -> Result<Option<RecordedMount>> {
     if !recording.topics().iter().any(transforms::is_static) {
         return Ok(None);
     }

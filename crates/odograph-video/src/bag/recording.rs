@@ -99,7 +99,7 @@ pub(crate) struct Message<'a> {
 /// Reads the messages of a recording in the order in which they were recorded.
 ///
 /// A damaged or truncated recording is not an error: what can be read is read, with a warning.
-pub(crate) trait Recording: Send {
+pub(crate) trait MessageReader: Send {
     /// Human-readable name of the format.
     fn format(&self) -> String;
     fn topics(&self) -> &[Topic];
@@ -116,7 +116,7 @@ pub(crate) trait Recording: Send {
 }
 
 /// Counts the messages of a recording without an index by reading it, and rewinds it.
-pub(super) fn count<R: Recording>(recording: &mut R, add: impl Fn(&mut R, usize, u64)) -> Result<()> {
+pub(super) fn count<R: MessageReader>(recording: &mut R, add: impl Fn(&mut R, usize, u64)) -> Result<()> {
     while recording.advance()? {
         let Message { topic, log_ns, .. } = recording.message();
         add(recording, topic, log_ns);

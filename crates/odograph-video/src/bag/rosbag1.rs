@@ -5,9 +5,9 @@
 //! without one (`.bag.active`, a truncated bag) is read once more to list them.
 
 use super::compression::Compression;
-use super::cursor::{Cursor, Serialization};
+use super::cursor::{MessageCursor, Serialization};
 use super::reader::RecordFile;
-use super::recording::{Message, Recording, Topic, Topics, count};
+use super::recording::{Message, MessageReader, Topic, Topics, count};
 use odograph::error::{Error, Result};
 use std::collections::HashMap;
 use std::fs::File;
@@ -49,7 +49,7 @@ pub(super) struct RosBag {
 
 /// The fields of a record's header: `name=value`, each with its length before it.
 #[derive(Clone)]
-struct Fields<'a>(Cursor<'a>);
+struct Fields<'a>(MessageCursor<'a>);
 
 impl<'a> Fields<'a> {
     fn get(&self, name: &str) -> Option<&'a [u8]> {
@@ -69,15 +69,15 @@ impl<'a> Fields<'a> {
     }
 
     fn u32(&self, name: &str) -> Option<u32> {
-        Cursor::packed(self.get(name)?).u32()
+        MessageCursor::packed(self.get(name)?).u32()
     }
 
     fn u64(&self, name: &str) -> Option<u64> {
-        Cursor::packed(self.get(name)?).u64()
+        MessageCursor::packed(self.get(name)?).u64()
     }
 
     fn time_ns(&self, name: &str) -> Option<u64> {
-        u64::try_from(Cursor::packed(self.get(name)?).time_ns()?).ok()
+        u64::try_from(MessageCursor::packed(self.get(name)?).time_ns()?).ok()
     }
 
     fn text(&self, name: &str) -> Option<String> {
@@ -118,7 +118,7 @@ impl RosBag {
     fn read_index(&mut self) -> Result<Option<()>> {
         let mut header = Vec::new();
         let Some(length) = self.read_head(&mut header)? else { return Ok(None) };
-        let fields = Fields(Cursor::packed(&header));
+        let fields = Fields(MessageCursor::packed(&header));
         let numbers =
             || Some((fields.u64("index_pos")?, fields.u32("conn_count")?, fields.u32("chunk_count")?));
         let Some((index, connections, chunks)) = numbers().filter(|_| fields.op() == op::BAG_HEADER) else {
@@ -131,15 +131,15 @@ impl RosBag {
         for _ in 0..connections {
             let Some(op::CONNECTION) = self.read_record(&mut header)? else { return Ok(None) };
             let data = std::mem::take(&mut self.chunk);
-            self.register(&Fields(Cursor::packed(&header)), &data);
+            self.register(&Fields(MessageCursor::packed(&header)), &data);
         }
         for _ in 0..chunks {
             let Some(op::CHUNK_INFO) = self.read_record(&mut header)? else { return Ok(None) };
-            let fields = Fields(Cursor::packed(&header));
+            let fields = Fields(MessageCursor::packed(&header));
             let (Some(begin), Some(end)) = (fields.time_ns("start_time"), fields.time_ns("end_time")) else {
                 return Ok(None);
             };
-            let mut counts = Cursor::packed(&self.chunk);
+            let mut counts = MessageCursor::packed(&self.chunk);
             while let (Some(connection), Some(count)) = (counts.u32(), counts.u32()) {
                 if let Some(&topic) = self.connections.get(&connection) {
                     self.topics.all[topic].add(u64::from(count), (begin, end));
@@ -153,13 +153,13 @@ impl RosBag {
     fn read_head(&mut self, header: &mut Vec<u8>) -> Result<Option<u64>> {
         let mut length = Vec::new();
         self.file.read(4, &mut length)?;
-        let Some(bytes) = Cursor::packed(&length).u32().map(u64::from) else { return Ok(None) };
+        let Some(bytes) = MessageCursor::packed(&length).u32().map(u64::from) else { return Ok(None) };
         if bytes > MAX_HEADER || bytes > self.file.remaining() {
             return Ok(None);
         }
         self.file.read(bytes, header)?;
         self.file.read(4, &mut length)?;
-        Ok(Cursor::packed(&length).u32().map(u64::from))
+        Ok(MessageCursor::packed(&length).u32().map(u64::from))
     }
 
     /// Reads a record, its data into `chunk`; `None` if it is not whole.
@@ -169,14 +169,14 @@ impl RosBag {
             return Ok(None);
         }
         self.file.read(length, &mut self.chunk)?;
-        Ok(Some(Fields(Cursor::packed(header)).op()))
+        Ok(Some(Fields(MessageCursor::packed(header)).op()))
     }
 
     /// Takes note of a connection.
     fn register(&mut self, fields: &Fields<'_>, data: &[u8]) {
         let _: Option<()> = (|| {
             let number = fields.u32("conn")?;
-            let inner = Fields(Cursor::packed(data));
+            let inner = Fields(MessageCursor::packed(data));
             let name = fields.text("topic").or_else(|| inner.text("topic"))?;
             let topic = self.topics.index(&name, &inner.text("type")?, Serialization::Ros1)?;
             self.connections.insert(number, topic);
@@ -189,10 +189,10 @@ impl RosBag {
         let chunk = std::mem::take(&mut self.chunk);
         let mut found = false;
         while !found {
-            let mut cursor = Cursor::packed(chunk.get(self.next..).unwrap_or_default());
+            let mut cursor = MessageCursor::packed(chunk.get(self.next..).unwrap_or_default());
             let (Some(header), Some(data)) = (cursor.bytes(), cursor.bytes()) else { break };
             self.next += cursor.position();
-            let fields = Fields(Cursor::packed(header));
+            let fields = Fields(MessageCursor::packed(header));
             match fields.op() {
                 op::CONNECTION => self.register(&fields, data),
                 op::MESSAGE => {
@@ -226,7 +226,7 @@ impl RosBag {
             };
             let there = length.min(self.file.remaining());
             let whole = there == length;
-            let fields = Fields(Cursor::packed(&header));
+            let fields = Fields(MessageCursor::packed(&header));
             match fields.op() {
                 op::MESSAGE | op::CONNECTION if whole && length <= MAX_BYTES => {
                     self.file.read(length, &mut self.packed)?;
@@ -269,7 +269,7 @@ impl RosBag {
     }
 }
 
-impl Recording for RosBag {
+impl MessageReader for RosBag {
     fn format(&self) -> String {
         "a ROS 1 bag".to_owned()
     }

@@ -1,7 +1,7 @@
 //! Which topic a run follows, and which one a sensor is.
 
 use super::messages::{Role, image};
-use super::recording::{Recording, Topic};
+use super::recording::{MessageReader, Topic};
 use odograph::error::{Error, Result};
 
 /// Whether a topic is meant by a name: as it is, or without its leading slash.
@@ -13,7 +13,7 @@ pub(super) fn is_named(topic: &Topic, name: &str) -> bool {
 ///
 /// Fails with a list of the topics with images if there are several, or the named one is not among
 /// them.
-pub(super) fn with_frames(recording: &mut dyn Recording, name: Option<&str>) -> Result<Topic> {
+pub(super) fn with_frames(recording: &mut dyn MessageReader, name: Option<&str>) -> Result<Topic> {
     let has_frames = |topic: &Topic| Role::of(topic).has_frames() && topic.count > 0;
     let all: Vec<Topic> = recording.topics().iter().filter(|topic| has_frames(topic)).cloned().collect();
     if let Some(name) = name {
@@ -66,7 +66,7 @@ fn others(topics: &[Topic]) -> String {
 }
 
 /// Topics with images as a list for people, a line each: name, type, size, rate and number.
-fn list(recording: &mut dyn Recording, topics: &[Topic]) -> Result<String> {
+fn list(recording: &mut dyn MessageReader, topics: &[Topic]) -> Result<String> {
     let firsts = first_images(recording, topics)?;
     let row = |(topic, first): (&Topic, &Option<FirstImage>)| {
         let image = match first {
@@ -103,7 +103,7 @@ pub(super) struct FirstImage {
 
 /// The first image of each of the topics, and rewinds the recording.
 pub(super) fn first_images(
-    recording: &mut dyn Recording,
+    recording: &mut dyn MessageReader,
     topics: &[Topic],
 ) -> Result<Vec<Option<FirstImage>>> {
     let mut firsts = vec![None; topics.len()];

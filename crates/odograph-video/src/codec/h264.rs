@@ -5,9 +5,9 @@
 //! with the frames of ffmpeg. Neither supports 4:4:4 and lossless coding.
 
 use super::h264_parameters::SequenceParameters;
-use super::nal::Framing;
+use super::nal::NalFraming;
 use super::{Decoded, Decoder, MakeDecoder, Refusal, Stamp};
-use crate::container::{Times, Track};
+use crate::container::{Times, VideoTrack};
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::guard::guarded;
 use crate::limits;
@@ -20,7 +20,7 @@ const MAX_REORDER: usize = 16;
 
 /// The decoders for a track, the fast one first unless the parameters exclude it, and a description
 /// of the stream.
-pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
+pub(crate) fn decoders(track: &VideoTrack, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
     let set_up = SetUp::read(track, color)?;
     let name = set_up.description();
     let fast_may_do = set_up.parameters.as_ref().is_none_or(|p| {
@@ -46,7 +46,7 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, 
 /// Stream configuration for both decoders.
 #[derive(Debug, Clone)]
 struct SetUp {
-    framing: Framing,
+    framing: NalFraming,
     /// Parameter sets from the container, which precede the first sample.
     parameter_sets: Vec<Vec<u8>>,
     parameters: Option<SequenceParameters>,
@@ -59,9 +59,9 @@ struct SetUp {
 }
 
 impl SetUp {
-    fn read(track: &Track, color: bool) -> Result<Self> {
+    fn read(track: &VideoTrack, color: bool) -> Result<Self> {
         let mut set_up = Self {
-            framing: Framing::StartCodes,
+            framing: NalFraming::StartCodes,
             parameter_sets: Vec::new(),
             parameters: None,
             encoding: track.encoding,
@@ -74,13 +74,13 @@ impl SetUp {
             [] => {}
             [0, 0, ..] => {
                 let mut units = Vec::new();
-                Framing::StartCodes.split(&track.configuration, &mut units);
+                NalFraming::StartCodes.split(&track.configuration, &mut units);
                 for unit in units {
                     set_up.parameter_set(unit);
                 }
             }
             [_, _, _, _, lengths, rest @ ..] => {
-                set_up.framing = Framing::Lengths(usize::from(lengths & 3) + 1);
+                set_up.framing = NalFraming::Lengths(usize::from(lengths & 3) + 1);
                 set_up.read_sets(rest);
             }
             _ => return Err(Error::input("the set-up of the H.264 stream (avcC) is cut off")),
@@ -261,7 +261,7 @@ impl Complete {
     /// Whether a sample is a complete picture. It is in every container; in raw streams it need not
     /// be, and the two fields of an interlaced picture must not be separated.
     fn sample_is_picture(&self) -> bool {
-        matches!(self.set_up.framing, Framing::Lengths(_))
+        matches!(self.set_up.framing, NalFraming::Lengths(_))
             || self.set_up.parameters.as_ref().is_some_and(|p| p.only_frames)
     }
 

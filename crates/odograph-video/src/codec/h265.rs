@@ -1,10 +1,10 @@
 //! H.265 (HEVC) with `rust_h265`: 8 to 12 bits, 4:2:0 and 4:4:4.
 
-use super::h265_parameters::SequenceParameters;
-use super::nal::Framing;
+use super::h265_parameters::HevcSequenceParameters;
+use super::nal::NalFraming;
 use super::{Decoded, Decoder, MakeDecoder, Refusal, Stamp};
 use crate::container::bytes::Bytes;
-use crate::container::{Times, Track};
+use crate::container::{Times, VideoTrack};
 use crate::frame::{Chroma, Color, ColorEncoding, Picture};
 use crate::guard::guarded;
 use crate::limits;
@@ -16,7 +16,7 @@ use rust_h265::{DecodeError, PixelData};
 const MAX_REORDER: usize = 16;
 
 /// The decoder for a track.
-pub(crate) fn decoders(track: &Track, color: bool) -> Result<Vec<MakeDecoder>> {
+pub(crate) fn decoders(track: &VideoTrack, color: bool) -> Result<Vec<MakeDecoder>> {
     let track = track.clone();
     Ok(vec![Box::new(move || Ok(Box::new(Hevc::new(&track, color)?)))])
 }
@@ -24,8 +24,8 @@ pub(crate) fn decoders(track: &Track, color: bool) -> Result<Vec<MakeDecoder>> {
 /// `rust_h265` in decoding order: decodes an access unit to a picture.
 struct Hevc {
     decoder: rust_h265::Decoder,
-    framing: Framing,
-    parameters: Option<SequenceParameters>,
+    framing: NalFraming,
+    parameters: Option<HevcSequenceParameters>,
     encoding: Option<ColorEncoding>,
     order_by_time: bool,
     color: bool,
@@ -37,10 +37,10 @@ struct Hevc {
 }
 
 impl Hevc {
-    fn new(track: &Track, color: bool) -> Result<Self> {
+    fn new(track: &VideoTrack, color: bool) -> Result<Self> {
         let mut decoder = Self {
             decoder: rust_h265::Decoder::new(),
-            framing: Framing::StartCodes,
+            framing: NalFraming::StartCodes,
             parameters: None,
             encoding: track.encoding,
             order_by_time: track.times == Times::Presentation,
@@ -53,12 +53,12 @@ impl Hevc {
         let mut sets = Vec::new();
         match track.configuration.as_slice() {
             [] => {}
-            [0, 0, ..] => Framing::StartCodes.split(&track.configuration, &mut sets),
+            [0, 0, ..] => NalFraming::StartCodes.split(&track.configuration, &mut sets),
             configuration => {
                 let lengths = configuration
                     .get(21)
                     .ok_or_else(|| Error::input("the set-up of the H.265 stream (hvcC) is cut off"))?;
-                decoder.framing = Framing::Lengths(usize::from(lengths & 3) + 1);
+                decoder.framing = NalFraming::Lengths(usize::from(lengths & 3) + 1);
                 let _ = parameter_sets(&configuration[22..], &mut sets);
             }
         }
@@ -73,7 +73,7 @@ impl Hevc {
     }
 
     fn look_for_parameters(&mut self, unit: &[u8]) -> Result<()> {
-        if let Some(read) = SequenceParameters::read(unit) {
+        if let Some(read) = HevcSequenceParameters::read(unit) {
             limits::check_video_size(read.width, read.height)?;
             self.parameters = Some(read);
         }

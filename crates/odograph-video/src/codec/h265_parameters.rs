@@ -6,7 +6,7 @@ use super::nal::unescape;
 use crate::frame::{ColorEncoding, Matrix};
 
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct SequenceParameters {
+pub(crate) struct HevcSequenceParameters {
     pub profile: u8,
     pub width: usize,
     pub height: usize,
@@ -16,7 +16,7 @@ pub(crate) struct SequenceParameters {
     pub frames_per_second: Option<f64>,
 }
 
-impl SequenceParameters {
+impl HevcSequenceParameters {
     /// Parses a NAL unit of type 33, including its two header bytes.
     pub fn read(unit: &[u8]) -> Option<Self> {
         if unit.first()? >> 1 & 63 != 33 {

@@ -11,7 +11,7 @@ mod vp9;
 
 pub(crate) use h264::{narrow, narrow_full_scale, narrow_little_endian};
 
-use crate::container::{Codec, Track};
+use crate::container::{Codec, VideoTrack};
 use crate::frame::Picture;
 use odograph::error::{Error, Result};
 
@@ -76,7 +76,7 @@ pub(crate) trait Decoder: Send {
 
 /// Constructors of the decoders for a track, the fastest first, and a human-readable description of
 /// the track.
-pub(crate) fn decoders(track: &Track, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
+pub(crate) fn decoders(track: &VideoTrack, color: bool) -> Result<(Vec<MakeDecoder>, String)> {
     Ok(match &track.codec {
         Codec::H264 => h264::decoders(track, color)?,
         Codec::H265 => (h265::decoders(track, color)?, "H.265".to_string()),

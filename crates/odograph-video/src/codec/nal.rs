@@ -2,14 +2,14 @@
 
 /// Framing of the NAL units of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Framing {
+pub(crate) enum NalFraming {
     /// Start codes between the units (Annex B).
     StartCodes,
     /// A big-endian length of the given number of bytes (1, 2 or 4) before each unit.
     Lengths(usize),
 }
 
-impl Framing {
+impl NalFraming {
     /// Splits a sample into its units, without start codes or lengths. A truncated unit is dropped.
     pub fn split<'a>(self, sample: &'a [u8], units: &mut Vec<&'a [u8]>) {
         units.clear();
@@ -87,14 +87,14 @@ mod tests {
     fn start_codes_of_three_and_four_bytes() {
         let bytes = [9, 0, 0, 0, 1, 0x67, 1, 2, 0, 0, 1, 0x68, 3, 0, 0, 0, 1, 0x65];
         let mut units = Vec::new();
-        Framing::StartCodes.split(&bytes, &mut units);
+        NalFraming::StartCodes.split(&bytes, &mut units);
         assert_eq!(units, [&[0x67, 1, 2][..], &[0x68, 3], &[0x65]]);
     }
 
     #[test]
     fn truncated_units_are_dropped() {
         let mut units = Vec::new();
-        Framing::Lengths(2).split(&[0, 1, 7, 0, 9, 1], &mut units);
+        NalFraming::Lengths(2).split(&[0, 1, 7, 0, 9, 1], &mut units);
         assert_eq!(units, [&[7][..]]);
     }
 

@@ -1,7 +1,7 @@
 //! VP9 with `rusty_vp9`: all profiles, 8 to 12 bits.
 
 use super::{Decoded, Decoder, Refusal, Stamp, narrow_little_endian};
-use crate::container::Track;
+use crate::container::VideoTrack;
 use crate::frame::{Chroma, Color, ColorEncoding, Matrix, Picture};
 use crate::guard::guarded;
 use crate::limits;
@@ -20,7 +20,7 @@ pub(crate) struct Vp9 {
 }
 
 impl Vp9 {
-    pub fn new(track: &Track, color: bool) -> Self {
+    pub fn new(track: &VideoTrack, color: bool) -> Self {
         Self {
             decoder: Vp9Decoder::new(),
             encoding: track.encoding,

@@ -1,7 +1,7 @@
 //! Raw H.264 and H.265 streams: NAL units between start codes, without timestamps (Annex B of both
 //! standards).
 
-use super::{Codec, Packet, PacketReader, Times, Track};
+use super::{Codec, Packet, PacketReader, Times, VideoTrack};
 use crate::codec::nal::find_start_code;
 use crate::limits;
 use crate::rotation::Orientation;
@@ -33,7 +33,7 @@ pub(crate) fn codec(bytes: &[u8]) -> Option<Codec> {
 /// Reads a raw stream access unit by access unit.
 pub(crate) struct AnnexBReader {
     file: File,
-    track: Track,
+    track: VideoTrack,
     buffer: Vec<u8>,
     /// Position up to which the buffer has been searched for start codes.
     searched: usize,
@@ -46,7 +46,7 @@ pub(crate) struct AnnexBReader {
 
 impl AnnexBReader {
     pub fn open(file: File, codec: Codec) -> Self {
-        let track = Track {
+        let track = VideoTrack {
             container: "a raw stream",
             codec,
             width: 0,
@@ -122,7 +122,7 @@ impl AnnexBReader {
 }
 
 impl PacketReader for AnnexBReader {
-    fn track(&self) -> &Track {
+    fn track(&self) -> &VideoTrack {
         &self.track
     }
 

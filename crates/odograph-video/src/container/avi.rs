@@ -5,7 +5,7 @@
 //! the truncation.
 
 use super::bytes::{Bytes, read_up_to};
-use super::{Codec, Packet, PacketReader, Times, Track};
+use super::{Codec, Packet, PacketReader, Times, VideoTrack};
 use crate::limits;
 use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
@@ -18,7 +18,7 @@ pub(crate) struct AviReader {
     length: u64,
     at: u64,
     first_sample: u64,
-    track: Track,
+    track: VideoTrack,
     /// Stream number: the two digits that its chunk names start with.
     stream: [u8; 2],
     /// The frame duration is `scale / rate` seconds; the first frame starts after `start` frames.
@@ -45,7 +45,7 @@ impl AviReader {
             length,
             at: 0,
             first_sample: 0,
-            track: Track {
+            track: VideoTrack {
                 container: "AVI",
                 codec: Codec::Other(String::new()),
                 width: 0,
@@ -190,7 +190,7 @@ impl AviReader {
 }
 
 impl PacketReader for AviReader {
-    fn track(&self) -> &Track {
+    fn track(&self) -> &VideoTrack {
         &self.track
     }
 

@@ -5,7 +5,7 @@
 //! their lengths, so unknown or wrong lengths do no harm.
 
 use super::bytes::{Bytes, read_up_to};
-use super::{Codec, Packet, PacketReader, Times, Track};
+use super::{Codec, Packet, PacketReader, Times, VideoTrack};
 use crate::frame::{ColorEncoding, Matrix};
 use crate::limits;
 use crate::rotation::Orientation;
@@ -31,7 +31,7 @@ pub(crate) struct MatroskaReader {
     length: u64,
     at: u64,
     first_cluster: u64,
-    track: Track,
+    track: VideoTrack,
     number: u64,
     /// Bytes to prepend to every sample (header stripping compression).
     stripped: Vec<u8>,
@@ -48,7 +48,7 @@ impl MatroskaReader {
             length,
             at: 0,
             first_cluster: 0,
-            track: Track {
+            track: VideoTrack {
                 container: "Matroska",
                 codec: Codec::Other(String::new()),
                 width: 0,
@@ -295,7 +295,7 @@ impl MatroskaReader {
 }
 
 impl PacketReader for MatroskaReader {
-    fn track(&self) -> &Track {
+    fn track(&self) -> &VideoTrack {
         &self.track
     }
 

@@ -38,7 +38,7 @@ pub(crate) enum Times {
 
 /// The video track of a file.
 #[derive(Debug, Clone)]
-pub(crate) struct Track {
+pub(crate) struct VideoTrack {
     /// Common name of the container.
     pub container: &'static str,
     pub codec: Codec,
@@ -66,7 +66,7 @@ pub(crate) struct Packet {
 
 /// Reads the samples of a track sequentially, in decoding order.
 pub(crate) trait PacketReader: Send {
-    fn track(&self) -> &Track;
+    fn track(&self) -> &VideoTrack;
     /// Reads the next sample into `packet`; false at the end.
     fn next_packet(&mut self, packet: &mut Packet) -> Result<bool>;
     /// Restarts at the first sample.

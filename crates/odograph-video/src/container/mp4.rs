@@ -6,7 +6,7 @@
 use super::bytes::read_up_to;
 use super::mp4_fragments::Fragments;
 use super::mp4_tables::{self, Edit, Sample};
-use super::{Packet, PacketReader, Track};
+use super::{Packet, PacketReader, VideoTrack};
 use crate::limits;
 use odograph::error::{Error, Result};
 use std::fs::File;
@@ -15,7 +15,7 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 /// Reads the samples of the first video track of an MP4 or QuickTime file.
 pub(crate) struct Mp4Reader {
     file: BufReader<File>,
-    track: Track,
+    track: VideoTrack,
     samples: Vec<Sample>,
     /// Ticks per second of the sample timestamps.
     timescale: f64,
@@ -70,7 +70,7 @@ impl Mp4Reader {
 }
 
 impl PacketReader for Mp4Reader {
-    fn track(&self) -> &Track {
+    fn track(&self) -> &VideoTrack {
         &self.track
     }
 

@@ -2,12 +2,12 @@
 
 use super::bytes::Bytes;
 use super::mp4_tables::{Boxes, child};
-use super::{Codec, Times, Track};
+use super::{Codec, Times, VideoTrack};
 use crate::frame::{ColorEncoding, Matrix};
 use crate::rotation::Orientation;
 
 /// Codec, size and codec configuration of the first sample entry.
-pub(super) fn describe(stsd: &[u8]) -> Option<Track> {
+pub(super) fn describe(stsd: &[u8]) -> Option<VideoTrack> {
     let mut bytes = Bytes::new(stsd);
     bytes.skip(8)?;
     let (kind, entry) = Boxes::new(bytes.rest()).next()?;
@@ -30,7 +30,7 @@ pub(super) fn describe(stsd: &[u8]) -> Option<Track> {
         },
         other => (Codec::Other(name(other)), None),
     };
-    Some(Track {
+    Some(VideoTrack {
         container: "MP4",
         codec,
         width,

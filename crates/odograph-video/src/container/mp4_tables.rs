@@ -3,7 +3,7 @@
 use super::bytes::Bytes;
 use super::mp4_description::describe;
 use super::mp4_fragments::Fragments;
-use super::{Times, Track};
+use super::{Times, VideoTrack};
 use crate::limits::MAX_SAMPLES;
 use crate::rotation::Orientation;
 use odograph::error::{Error, Result};
@@ -26,7 +26,7 @@ pub(super) struct Edit {
 }
 
 pub(super) struct Movie {
-    pub track: Track,
+    pub track: VideoTrack,
     pub timescale: u32,
     pub samples: Vec<Sample>,
     pub edits: Vec<Edit>,

@@ -7,7 +7,7 @@
 use crate::camera::{Camera, Distortion};
 use crate::error::{Error, Result};
 use crate::geometry::{Pixel, Ray};
-use crate::image::simd::remap::{ONE, Place, Remap};
+use crate::image::simd::remap::{ONE, Remap, SourcePosition};
 use crate::image::{GrayImage, RgbImage};
 
 /// Undistorts a pixel: its position in a pinhole camera of the same focal lengths and principal
@@ -162,9 +162,9 @@ fn source_pixel(source: &Camera, corrected: &Camera, pixel: Pixel) -> Option<Pix
     source.pixel_from_ray(pinhole_ray(corrected, pixel)).filter(|&at| source.contains(at, -0.5))
 }
 
-/// Quantises a source position to a [`Place`]; positions beyond the outermost pixel centres are
-/// clamped to them.
-fn rounded(camera: &Camera, place: Pixel) -> Place {
+/// Quantises a source position to a [`SourcePosition`]; positions beyond the outermost pixel
+/// centres are clamped to them.
+fn rounded(camera: &Camera, place: Pixel) -> SourcePosition {
     let split = |place: f64, size: usize| {
         let place = place.clamp(0.0, size as f64 - 1.0);
         let first = (place as usize).min(size.saturating_sub(2));
@@ -172,19 +172,19 @@ fn rounded(camera: &Camera, place: Pixel) -> Place {
     };
     let (column, right) = split(place.x, camera.width());
     let (row, down) = split(place.y, camera.height());
-    Place { column, row, right, down }
+    SourcePosition { column, row, right, down }
 }
 
 /// A rectangular field of view: tangents of the angles of its left, right, top and bottom sides.
 #[derive(Debug, Clone, Copy)]
-struct View {
+struct TangentBounds {
     left: f64,
     right: f64,
     top: f64,
     bottom: f64,
 }
 
-impl View {
+impl TangentBounds {
     /// The pinhole camera of the same image size centred on this view, with focal lengths `zoom`
     /// times those of `camera`.
     fn pinhole(&self, camera: &Camera, zoom: f64) -> Result<Camera> {
@@ -222,8 +222,12 @@ fn edge_pixels(camera: &Camera) -> impl Iterator<Item = Pixel> {
 fn whole_view(camera: &Camera) -> Result<Camera> {
     const OUT_OF_REACH: &str = "the lens model does not reach the edge of the image, so that not all pixels can be kept; keep \
                                 the valid pixels or the focal length instead";
-    let mut view =
-        View { left: f64::INFINITY, right: f64::NEG_INFINITY, top: f64::INFINITY, bottom: f64::NEG_INFINITY };
+    let mut view = TangentBounds {
+        left: f64::INFINITY,
+        right: f64::NEG_INFINITY,
+        top: f64::INFINITY,
+        bottom: f64::NEG_INFINITY,
+    };
     for pixel in edge_pixels(camera) {
         let ray = camera.ray_from_pixel(pixel).ok_or_else(|| Error::input(OUT_OF_REACH))?;
         view.left = view.left.min(ray.x);
@@ -240,8 +244,12 @@ fn valid_view(camera: &Camera) -> Result<Camera> {
     const NOTHING: &str = "the lens model leaves no rectangle of valid pixels; keep the focal length instead";
     let nothing = || Error::input(NOTHING);
     let (last_x, last_y) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
-    let mut view =
-        View { left: f64::NEG_INFINITY, right: f64::INFINITY, top: f64::NEG_INFINITY, bottom: f64::INFINITY };
+    let mut view = TangentBounds {
+        left: f64::NEG_INFINITY,
+        right: f64::INFINITY,
+        top: f64::NEG_INFINITY,
+        bottom: f64::INFINITY,
+    };
     for pixel in edge_pixels(camera) {
         // Where the model does not reach the border, the fallback below applies.
         let Some(ray) = camera.ray_from_pixel(pixel) else { continue };

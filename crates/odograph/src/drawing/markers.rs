@@ -3,7 +3,7 @@
 use super::path::Path;
 use super::scale::{duration_text, length_text, round_step};
 use super::svg::{coordinate as c, text_width};
-use super::window::{RIGHT_MARGIN, Window};
+use super::window::{DrawingWindow, RIGHT_MARGIN};
 use super::{BACKGROUND, INK, MUTED, TIME_COLOURS, hex, time_colour};
 use crate::geometry::{GroundPoint, wrap_angle};
 use crate::trajectory::PlaceSummary;
@@ -33,7 +33,12 @@ pub(super) struct Shown {
 }
 
 /// A ring at every loop closure, and a line to the place from where its ground was seen before.
-pub(super) fn loops(loops: &[[GroundPoint; 2]], window: &Window, shown: &mut Shown, body: &mut String) {
+pub(super) fn loops(
+    loops: &[[GroundPoint; 2]],
+    window: &DrawingWindow,
+    shown: &mut Shown,
+    body: &mut String,
+) {
     let mut taken = BTreeSet::new();
     let mut drawn = String::new();
     for [now, before] in loops {
@@ -65,7 +70,7 @@ pub(super) fn loops(loops: &[[GroundPoint; 2]], window: &Window, shown: &mut Sho
 
 /// Darts that point where the top of the image points, at regular distances and wherever the camera
 /// has turned by 45°.
-pub(super) fn headings(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
+pub(super) fn headings(path: &Path<'_>, window: &DrawingWindow, shown: &mut Shown, body: &mut String) {
     let every_m = round_step(70.0 / window.scale, 1.0);
     let mut taken = BTreeSet::new();
     let mut ticks = String::new();
@@ -122,7 +127,7 @@ fn two_sigma(at: &PlaceSummary) -> Option<(f64, f64, f64)> {
 
 /// The 2-sigma ellipses of the position that are large enough to be seen and do not overlap; always
 /// that of the end.
-pub(super) fn ellipses(path: &Path<'_>, window: &Window, shown: &mut Shown, body: &mut String) {
+pub(super) fn ellipses(path: &Path<'_>, window: &DrawingWindow, shown: &mut Shown, body: &mut String) {
     let mut drawn: Vec<String> = vec![];
     // Centres, and how far from them the next ellipse must be. The end comes first: it is always
     // there.
@@ -192,7 +197,7 @@ fn end_mark(x: f64, y: f64) -> String {
 }
 
 /// Start and end with their labels, placed where they hide least of the path.
-pub(super) fn ends(path: &Path<'_>, window: &Window, body: &mut String) {
+pub(super) fn ends(path: &Path<'_>, window: &DrawingWindow, body: &mut String) {
     let (Some(first), Some(last)) = (path.places().next(), path.places().next_back()) else {
         return;
     };
@@ -229,7 +234,7 @@ pub(super) fn ends(path: &Path<'_>, window: &Window, body: &mut String) {
 
 /// Points along the drawn path and along its heading ticks, close enough together to find what a
 /// word would cover.
-fn inked(path: &Path<'_>, window: &Window) -> Vec<(f64, f64)> {
+fn inked(path: &Path<'_>, window: &DrawingWindow) -> Vec<(f64, f64)> {
     let mut ink: Vec<(f64, f64)> = vec![];
     for stretch in &path.stretches {
         let mut before: Option<(f64, f64)> = None;
@@ -260,7 +265,7 @@ fn best_place(
     (x, y): (f64, f64),
     word: &str,
     ink: &[(f64, f64)],
-    window: &Window,
+    window: &DrawingWindow,
 ) -> (f64, f64, &'static str) {
     let width = text_width(word, 16.0);
     let places = [
@@ -306,7 +311,7 @@ fn round_length(length_m: f64) -> String {
 }
 
 /// The row under the drawing that explains its marks; returns where the page ends.
-pub(super) fn legend(path: &Path<'_>, window: &Window, shown: &Shown, body: &mut String) -> f64 {
+pub(super) fn legend(path: &Path<'_>, window: &DrawingWindow, shown: &Shown, body: &mut String) -> f64 {
     let mut items: Vec<(f64, String)> = vec![];
     let text = |x: f64, words: &str| {
         format!("<text class=\"ink\" fill=\"{INK}\" x=\"{}\" y=\"5\">{words}</text>", c(x))

@@ -17,7 +17,7 @@ use crate::trajectory::{FrameSummary, distance_m};
 use path::{Path, simplified};
 use std::fmt::Write;
 use svg::{coordinate, escape};
-use window::Window;
+use window::DrawingWindow;
 
 /// Colours of the drawing on a light page.
 const INK: &str = "#1b2430";
@@ -75,7 +75,7 @@ impl MapDrawing<'_> {
         let mut heading = String::new();
         let top = self.heading(frames, &path, page_width, &mut heading);
         let backed = backdrop.map(|b| (b.placement, b.width_px, b.height_px));
-        let window = Window::around(&path, backed, page_width, top);
+        let window = DrawingWindow::around(&path, backed, page_width, top);
         let mut body = String::new();
         window.ground(&mut body);
         let _ = writeln!(body, "<g clip-path=\"url(#{})\">", window.clip_name());
@@ -164,7 +164,7 @@ impl Backdrop<'_> {
         finite && metres_per_pixel > 0.0 && self.width_px > 0 && self.height_px > 0
     }
 
-    fn draw(&self, window: &Window, body: &mut String) {
+    fn draw(&self, window: &DrawingWindow, body: &mut String) {
         let corner = self.placement.ground_from_pixel(-0.5, -0.5);
         let (x, y) = window.page(corner.x_m, corner.y_m);
         let side = self.placement.metres_per_pixel * window.scale;
@@ -205,7 +205,7 @@ fn hex((red, green, blue): (u8, u8, u8)) -> String {
 }
 
 /// The measured parts: a pale casing for contrast with the ground, then the line, coloured by time.
-fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
+fn stretches(path: &Path<'_>, window: &DrawingWindow, body: &mut String) {
     let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let _ = writeln!(body, "<g fill=\"none\" stroke-linejoin=\"round\" stroke-linecap=\"round\">");
     for stretch in &path.stretches {
@@ -232,7 +232,7 @@ fn stretches(path: &Path<'_>, window: &Window, body: &mut String) {
 }
 
 /// Dashed lines over the gaps, where the path is unknown. Returns the ends of the gaps.
-fn gaps(path: &Path<'_>, window: &Window, body: &mut String) -> Vec<(f64, f64)> {
+fn gaps(path: &Path<'_>, window: &DrawingWindow, body: &mut String) -> Vec<(f64, f64)> {
     let at = |place: &path::Place<'_>| window.page(place.at.x_m, place.at.y_m);
     let mut breaks = vec![];
     for pair in path.stretches.windows(2) {

@@ -28,7 +28,7 @@ pub(super) fn left(page_width: f64) -> f64 {
 
 /// A rectangle of ground and its place on the page; the same scale on both axes.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Window {
+pub(super) struct DrawingWindow {
     centre_m: (f64, f64),
     /// Drawing units a metre.
     pub scale: f64,
@@ -38,7 +38,7 @@ pub(super) struct Window {
     pub height: f64,
 }
 
-impl Window {
+impl DrawingWindow {
     /// The window that shows the whole path, and all of the backdrop.
     pub fn around(
         path: &Path<'_>,

@@ -69,7 +69,7 @@ pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity
             rigid(first, true)
         }
         Alignment::Se2 => {
-            let mut sums = Sums::of(pairs);
+            let mut sums = AlignmentSums::of(pairs);
             // With zero rows and columns for z, only a rotation about z changes the objective.
             for index in 0..3 {
                 sums.covariance[(2, index)] = 0.0;
@@ -86,13 +86,13 @@ pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity
             rigid(Isometry3::from_parts(shift.into(), rotation), determined)
         }
         Alignment::Se3 => {
-            let sums = Sums::of(pairs);
+            let sums = AlignmentSums::of(pairs);
             let best = sums.best_rotation();
             let shift = sums.truth_mean - best.rotation * sums.estimate_mean;
             rigid(Isometry3::from_parts(shift.into(), best.rotation), best.determined)
         }
         Alignment::Sim3 => {
-            let sums = Sums::of(pairs);
+            let sums = AlignmentSums::of(pairs);
             let best = sums.best_rotation();
             let scale = sums.scale(&best).ok_or_else(|| {
                 Error::input(
@@ -112,7 +112,7 @@ pub(super) fn fit(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity
 
 /// The scale of [`Alignment::Sim3`]; `None` if the positions do not determine it.
 pub(super) fn scale(pairs: &[PosePair]) -> Option<f64> {
-    let sums = Sums::of(pairs);
+    let sums = AlignmentSums::of(pairs);
     sums.scale(&sums.best_rotation())
 }
 
@@ -120,7 +120,7 @@ pub(super) fn scale(pairs: &[PosePair]) -> Option<f64> {
 const DETERMINED: f64 = 1e-12;
 
 /// Sufficient statistics of the alignment.
-struct Sums {
+struct AlignmentSums {
     estimate_mean: Vector3<f64>,
     truth_mean: Vector3<f64>,
     /// Sum of squared distances of the estimated positions from their mean, square metres.
@@ -141,7 +141,7 @@ struct BestRotation {
     determined: bool,
 }
 
-impl Sums {
+impl AlignmentSums {
     fn of(pairs: &[PosePair]) -> Self {
         let count = pairs.len().max(1) as f64;
         let estimate_mean =

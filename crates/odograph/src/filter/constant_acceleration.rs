@@ -30,7 +30,7 @@ pub struct Filtered {
 /// The filter: three independent axes for x, y and heading.
 #[derive(Debug, Clone)]
 pub struct ConstantAcceleration {
-    axes: [Axis; 3],
+    axes: [CoordinateFilter; 3],
     time_s: f64,
 }
 
@@ -40,7 +40,7 @@ impl ConstantAcceleration {
     /// (rad/s) and 10 m/s² (rad/s²).
     pub fn new(time_s: f64, measured: [f64; 3], variances: [f64; 3], config: &FilterConfig) -> Self {
         let densities = [config.jerk_density, config.jerk_density, config.heading_jerk_density];
-        let axis = |i: usize| Axis::new(measured[i], variances[i], densities[i]);
+        let axis = |i: usize| CoordinateFilter::new(measured[i], variances[i], densities[i]);
         Self { axes: [axis(0), axis(1), axis(2)], time_s }
     }
 
@@ -88,7 +88,7 @@ const OUT_OF_PROPORTION: f64 = 16.0;
 
 /// Kalman filter of one coordinate.
 #[derive(Debug, Clone)]
-pub(super) struct Axis {
+pub(super) struct CoordinateFilter {
     /// Position, velocity, acceleration.
     state: Vector3<f64>,
     covariance: Matrix3<f64>,
@@ -98,7 +98,7 @@ pub(super) struct Axis {
     least_density: f64,
 }
 
-impl Axis {
+impl CoordinateFilter {
     /// Initialises the state at a measurement, with unknown velocity and acceleration.
     pub(super) fn new(measured: f64, variance: f64, least_density: f64) -> Self {
         Self {

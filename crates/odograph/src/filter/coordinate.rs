@@ -6,7 +6,9 @@
 //! 1973), which inverts only the innovation variance. The process model is that of
 //! [`super::ConstantAcceleration`].
 
-use super::constant_acceleration::{Axis, SMALLEST_VARIANCE, transition, unknown_motion, white_jerk};
+use super::constant_acceleration::{
+    CoordinateFilter, SMALLEST_VARIANCE, transition, unknown_motion, white_jerk,
+};
 use nalgebra::{Matrix3, Vector3};
 
 /// A measured value and its variance; `None` for a missing sample.
@@ -27,7 +29,7 @@ pub(super) fn adapted(times_s: &[f64], measured: &[Measured], least_density: f64
     let mut run = |order: &mut dyn Iterator<Item = usize>| {
         let mut known = order.filter_map(|i| measured[i].map(|(z, r)| (i, z, r)));
         let Some((mut before, z, r)) = known.next() else { return };
-        let mut axis = Axis::new(z, r, least_density);
+        let mut axis = CoordinateFilter::new(z, r, least_density);
         for (i, z, r) in known {
             let step_s = (times_s[i] - times_s[before]).abs();
             let density = axis.update(step_s, z, r);
@@ -44,7 +46,7 @@ pub(super) fn adapted(times_s: &[f64], measured: &[Measured], least_density: f64
 
 /// State of the forward filter at one sample, stored for the backward pass.
 #[derive(Debug, Clone)]
-struct Step {
+struct FilterStep {
     state: Vector3<f64>,
     covariance: Matrix3<f64>,
     transition: Matrix3<f64>,
@@ -52,7 +54,7 @@ struct Step {
     update: Option<(f64, f64, Vector3<f64>)>,
 }
 
-impl Step {
+impl FilterStep {
     /// Initial state; the first sample must be measured.
     fn first(measured: Measured) -> Self {
         let (value, variance) = measured.unwrap_or((0.0, 1e6));
@@ -95,8 +97,8 @@ pub(super) fn smooth_coordinate(
     density: impl Fn(usize) -> f64,
 ) -> Vec<Smoothed> {
     let Some(&first) = measured.first() else { return Vec::new() };
-    let next = |step: &Step, i: usize| step.next(times_s[i] - times_s[i - 1], density(i), measured[i]);
-    let mut step = Step::first(first);
+    let next = |step: &FilterStep, i: usize| step.next(times_s[i] - times_s[i - 1], density(i), measured[i]);
+    let mut step = FilterStep::first(first);
     let mut kept = vec![step.clone()];
     for i in 1..measured.len() {
         step = next(&step, i);
@@ -106,7 +108,7 @@ pub(super) fn smooth_coordinate(
     }
     let mut smoothed = vec![Smoothed { state: Vector3::zeros(), variance: 0.0 }; measured.len()];
     let mut wayback = WayBack { adjoint: Vector3::zeros(), information: Matrix3::zeros() };
-    let mut steps: Vec<Step> = Vec::with_capacity(MADE_AGAIN);
+    let mut steps: Vec<FilterStep> = Vec::with_capacity(MADE_AGAIN);
     for (block, start) in kept.into_iter().enumerate().rev() {
         let from = block * MADE_AGAIN;
         steps.clear();
@@ -130,7 +132,7 @@ struct WayBack {
 
 impl WayBack {
     /// Smoothed estimate at a step; then propagates the recursion backward through that step.
-    fn pass(&mut self, step: &Step) -> Smoothed {
+    fn pass(&mut self, step: &FilterStep) -> Smoothed {
         let Self { adjoint, information } = self;
         let covariance = step.covariance - step.covariance * *information * step.covariance;
         let here = Smoothed {

@@ -17,7 +17,7 @@ mod statistics;
 pub use image_mask::{CELL_PX, ImageMask};
 
 use crate::image::{GrayImage, noise_variance};
-use statistics::{Cells, Change, Statistics};
+use statistics::{Cells, Change, GradientStatistics};
 use std::sync::Arc;
 
 /// Result of the comparison of an image with the last one that was used.
@@ -39,7 +39,7 @@ pub struct FixedPattern {
     images: u64,
     last: Cells,
     now: Cells,
-    statistics: Statistics,
+    statistics: GradientStatistics,
     change: Change,
     /// Variance of the pixel noise, gray levels².
     noise: f64,
@@ -92,7 +92,7 @@ impl FixedPattern {
             images: 0,
             last: Cells::new(size),
             now: Cells::new(size),
-            statistics: Statistics::new(size),
+            statistics: GradientStatistics::new(size),
             change: Change::new(size),
             noise: LEAST_NOISE,
             before: vec![false; count],

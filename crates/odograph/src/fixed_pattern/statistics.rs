@@ -158,7 +158,7 @@ impl Change {
 
 /// Temporal mean and variance of the gradient of each cell.
 #[derive(Debug)]
-pub(super) struct Statistics {
+pub(super) struct GradientStatistics {
     columns: usize,
     rows: usize,
     samples: u32,
@@ -210,7 +210,7 @@ const GROWN_CELLS: usize = 4;
 const MOVES: f32 = 0.5;
 const LEAST_MOVING: f64 = 0.25;
 
-impl Statistics {
+impl GradientStatistics {
     pub fn new(size: (usize, usize)) -> Self {
         let (columns, rows) = cells(size);
         let none = || vec![0.0f32; columns * rows];

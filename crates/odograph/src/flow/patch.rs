@@ -27,14 +27,14 @@ pub fn sample_products(
     linear: &Matrix2<f64>,
     appearance: &Appearance,
     samples: &mut Samples,
-) -> Option<Products> {
+) -> Option<TemplateProducts> {
     let grid = grid_inside(image, centre, linear)?;
     let [contrast, x, y] = sample_and_multiply(image, &grid, appearance, samples);
-    Some(Products { contrast, gradient: Vector2::new(x, y) })
+    Some(TemplateProducts { contrast, gradient: Vector2::new(x, y) })
 }
 
 /// Products of samples with a template's contrast and gradients.
-pub struct Products {
+pub struct TemplateProducts {
     pub contrast: f64,
     pub gradient: Vector2<f64>,
 }

@@ -1,6 +1,6 @@
 //! Coarse coverage of the ground: enough to choose the few frames of which a mosaic is made.
 
-use super::footprint::{Footprint, View};
+use super::footprint::{Footprint, GroundCamera};
 use crate::camera::Camera;
 use crate::geometry::{GroundPoint, GroundPose, Pixel, Ray};
 use std::collections::BTreeMap;
@@ -58,7 +58,7 @@ impl Coverage {
     /// The share of a frame from this pose, 0 to 1, whose ground neither this nor `other` has. 0
     /// where the camera does not look at the ground.
     pub fn share_new(&self, other: Option<&Self>, pose: &GroundPose) -> f64 {
-        let Some(view) = View::new(&self.camera, pose) else { return 0.0 };
+        let Some(view) = GroundCamera::new(&self.camera, pose) else { return 0.0 };
         let (mut looks, mut new) = (0, 0);
         for ray in &self.rays {
             let Some(point) = pose.ground_from_ray(*ray).filter(|point| view.look(*point).is_some()) else {
@@ -72,7 +72,7 @@ impl Coverage {
 
     /// Adds what a frame from this pose shows.
     pub fn add(&mut self, pose: &GroundPose) {
-        let Some(view) = View::new(&self.camera, pose) else { return };
+        let Some(view) = GroundCamera::new(&self.camera, pose) else { return };
         let own_m = view.centre_resolution_m() * self.camera.width().max(self.camera.height()) as f64 / CELLS;
         if self.side_m.is_some_and(|side_m| (own_m / side_m).max(side_m / own_m) > OTHER_SCALE) {
             self.side_m = None;

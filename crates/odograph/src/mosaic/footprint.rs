@@ -34,7 +34,7 @@ impl Footprint {
     }
 
     /// Where the grid meets the ground, `None` where it does not or is seen too coarsely.
-    fn grid(&self, view: &View<'_>) -> Vec<Option<GroundPoint>> {
+    fn grid(&self, view: &GroundCamera<'_>) -> Vec<Option<GroundPoint>> {
         let ground = |ray: &Option<Ray>| {
             let point = view.pose.ground_from_ray((*ray)?)?;
             view.look(point).map(|_| point)
@@ -43,13 +43,13 @@ impl Footprint {
     }
 
     /// The ground points of the grid.
-    pub fn ground_points(&self, view: &View<'_>) -> impl Iterator<Item = GroundPoint> + use<> {
+    pub fn ground_points(&self, view: &GroundCamera<'_>) -> impl Iterator<Item = GroundPoint> + use<> {
         self.grid(view).into_iter().flatten()
     }
 
     /// The least and the greatest x and y of the footprint, with a margin of the widest mesh of the
     /// grid.
-    pub fn bounds(&self, view: &View<'_>) -> Option<(GroundPoint, GroundPoint)> {
+    pub fn bounds(&self, view: &GroundCamera<'_>) -> Option<(GroundPoint, GroundPoint)> {
         let grid = self.grid(view);
         let mut widest: f64 = 0.0;
         for (k, point) in grid.iter().enumerate() {
@@ -79,7 +79,7 @@ impl Footprint {
 }
 
 /// A camera at a pose, ready to say where it sees a ground point.
-pub(super) struct View<'a> {
+pub(super) struct GroundCamera<'a> {
     camera: &'a Camera,
     pose: &'a GroundPose,
     camera_from_world: Matrix3<f64>,
@@ -91,7 +91,7 @@ pub(super) struct View<'a> {
 
 /// Where a ground point is in the image and how finely it is seen.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Look {
+pub(super) struct GroundSample {
     /// Pixel coordinates; may lie outside the image.
     pub x: f64,
     pub y: f64,
@@ -99,14 +99,14 @@ pub(super) struct Look {
     density: f64,
 }
 
-impl Look {
+impl GroundSample {
     /// How much this view of the point counts against others, up to 1.
     pub fn quality(&self) -> f64 {
         self.density.min(1.0).powi(2)
     }
 }
 
-impl<'a> View<'a> {
+impl<'a> GroundCamera<'a> {
     /// `None` where the pose is not finite or the middle of the image does not look at the ground.
     pub fn new(camera: &'a Camera, pose: &'a GroundPose) -> Option<Self> {
         let GroundPose { x_m, y_m, heading_rad, height_m, roll_rad, pitch_rad } = *pose;
@@ -140,10 +140,10 @@ impl<'a> View<'a> {
 
     /// Where a ground point is seen; `None` where it is not in front of the lens or is seen too
     /// coarsely.
-    pub fn look(&self, point: GroundPoint) -> Option<Look> {
+    pub fn look(&self, point: GroundPoint) -> Option<GroundSample> {
         let (pixel, derivative) = self.project(point)?;
         let density = least_stretch(&derivative) / self.centre_density.0;
-        (density >= LEAST_DENSITY).then_some(Look { x: pixel.x, y: pixel.y, density })
+        (density >= LEAST_DENSITY).then_some(GroundSample { x: pixel.x, y: pixel.y, density })
     }
 
     /// The pixel of a ground point and its derivative by the point, pixels a metre.
@@ -182,7 +182,7 @@ mod tests {
     fn a_level_camera_sees_its_field_of_view() {
         let camera = Camera::from_field_of_view((640, 480), (1.2, 0.9), 1.0).unwrap();
         let pose = GroundPose::level(1.0);
-        let view = View::new(&camera, &pose).unwrap();
+        let view = GroundCamera::new(&camera, &pose).unwrap();
         assert!((view.centre_resolution_m() - 1.2 / 640.0).abs() < 1e-9);
         let mut cache = None;
         let (low, high) = Footprint::of(&mut cache, &camera).bounds(&view).unwrap();
@@ -193,9 +193,9 @@ mod tests {
     fn a_tilted_camera_does_not_reach_for_the_horizon() {
         let camera = Camera::from_field_of_view((640, 480), (1.2, 0.9), 1.0).unwrap();
         let pose = GroundPose { pitch_rad: -1.2, ..GroundPose::level(1.0) };
-        let view = View::new(&camera, &pose).unwrap();
+        let view = GroundCamera::new(&camera, &pose).unwrap();
         let (_, high) = Footprint::of(&mut None, &camera).bounds(&view).unwrap();
         assert!(high.x_m < 12.0, "{high:?}");
-        assert!(View::new(&camera, &GroundPose { pitch_rad: -1.6, ..pose }).is_none());
+        assert!(GroundCamera::new(&camera, &GroundPose { pitch_rad: -1.6, ..pose }).is_none());
     }
 }

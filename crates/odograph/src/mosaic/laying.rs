@@ -2,7 +2,7 @@
 //! feathering.
 
 use super::Mosaic;
-use super::footprint::{Look, View};
+use super::footprint::{GroundCamera, GroundSample};
 use super::tiles::{Lookup, TILE};
 use crate::camera::Camera;
 use crate::geometry::GroundPoint;
@@ -20,14 +20,14 @@ const GAIN_SHARE: f64 = 0.95;
 
 /// A corner of a block: where it is in the image, and how well the ground is seen there.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Corner {
+pub(super) struct BlockCorner {
     pub x: f32,
     pub y: f32,
     pub quality: f32,
 }
 
-impl From<Look> for Corner {
-    fn from(look: Look) -> Self {
+impl From<GroundSample> for BlockCorner {
+    fn from(look: GroundSample) -> Self {
         Self { x: look.x as f32, y: look.y as f32, quality: look.quality() as f32 }
     }
 }
@@ -40,13 +40,13 @@ pub(super) struct Blocks {
 
 impl Mosaic {
     /// Where the corners of all blocks are in the image.
-    pub(super) fn find_corners(&mut self, blocks: &Blocks, view: &View<'_>, resolution_m: f64) {
+    pub(super) fn find_corners(&mut self, blocks: &Blocks, view: &GroundCamera<'_>, resolution_m: f64) {
         self.corners.clear();
         let side = BLOCK as f64 * resolution_m;
         for row in blocks.rows.start..=blocks.rows.end {
             for column in blocks.columns.start..=blocks.columns.end {
                 let look = view.look(GroundPoint::new(column as f64 * side, -(row as f64) * side));
-                self.corners.push(look.map(Corner::from));
+                self.corners.push(look.map(BlockCorner::from));
             }
         }
     }
@@ -84,7 +84,7 @@ impl Mosaic {
     pub(super) fn lay<const N: usize>(
         &mut self,
         blocks: &Blocks,
-        view: &View<'_>,
+        view: &GroundCamera<'_>,
         resolution_m: f64,
         camera: &Camera,
     ) -> bool {
@@ -113,7 +113,9 @@ impl Mosaic {
                     let pixels = &mut tile[(in_y + j) * TILE as usize + in_x..];
                     let Some(pixels) = pixels.first_chunk_mut::<{ BLOCK as usize }>() else { continue };
                     let places = match corners {
-                        [Some(a), Some(b), Some(c), Some(d)] => Corner::places(Corner::row(a, b, c, d, j)),
+                        [Some(a), Some(b), Some(c), Some(d)] => {
+                            BlockCorner::places(BlockCorner::row(a, b, c, d, j))
+                        }
                         _ => row_by_itself(view, resolution_m, left, top + j as i64),
                     };
                     laid |= lay_eight(&frame, &places, pixels);
@@ -130,7 +132,7 @@ pub(super) fn feather(camera: &Camera) -> Feather {
 }
 
 /// Image coordinates of a row of a block with an unusable corner: each computed on its own.
-fn row_by_itself(view: &View<'_>, resolution_m: f64, left: i64, row: i64) -> Places {
+fn row_by_itself(view: &GroundCamera<'_>, resolution_m: f64, left: i64, row: i64) -> Places {
     let nowhere = [f32::NAN; BLOCK as usize];
     let mut places = Places { x: nowhere, y: nowhere, quality: nowhere };
     for i in 0..BLOCK as usize {
@@ -145,13 +147,18 @@ fn row_by_itself(view: &View<'_>, resolution_m: f64, left: i64, row: i64) -> Pla
 }
 
 /// What is known at the four corners of a block.
-fn corners_of(corners: &[Option<Corner>], blocks: &Blocks, column: i64, row: i64) -> [Option<Corner>; 4] {
+fn corners_of(
+    corners: &[Option<BlockCorner>],
+    blocks: &Blocks,
+    column: i64,
+    row: i64,
+) -> [Option<BlockCorner>; 4] {
     let stride = (blocks.columns.end - blocks.columns.start + 1) as usize;
     let at = (row - blocks.rows.start) as usize * stride + (column - blocks.columns.start) as usize;
     [corners[at], corners[at + 1], corners[at + stride], corners[at + stride + 1]]
 }
 
-impl Corner {
+impl BlockCorner {
     fn mix(self, other: Self, share: f32) -> Self {
         let mix = |a: f32, b: f32| a + (b - a) * share;
         Self { x: mix(self.x, other.x), y: mix(self.y, other.y), quality: mix(self.quality, other.quality) }

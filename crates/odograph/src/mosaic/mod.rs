@@ -18,10 +18,10 @@ use crate::geometry::GroundPose;
 use crate::geometry::Placement;
 use crate::image::{GrayImage, RgbImage};
 pub use coverage::Coverage;
-use footprint::{Footprint, View};
-use laying::{BLOCK, Blocks, Corner, feather};
+use footprint::{Footprint, GroundCamera};
+use laying::{BLOCK, BlockCorner, Blocks, feather};
 pub use relaid::{MOSAIC_TILE_PX, MapMosaic, MosaicTile};
-use sampling::Samples;
+use sampling::FrameSamples;
 use std::borrow::Cow;
 use std::ops::Range;
 use tiles::{TILE, Tiles};
@@ -134,8 +134,8 @@ pub struct Mosaic {
     resolution_m: Option<f64>,
     tiles: Tiles,
     footprint: Option<Footprint>,
-    corners: Vec<Option<Corner>>,
-    samples: Samples,
+    corners: Vec<Option<BlockCorner>>,
+    samples: FrameSamples,
 }
 
 impl Mosaic {
@@ -147,7 +147,7 @@ impl Mosaic {
             tiles: Tiles::default(),
             footprint: None,
             corners: vec![],
-            samples: Samples::default(),
+            samples: FrameSamples::default(),
         }
     }
 
@@ -192,7 +192,7 @@ impl Mosaic {
     /// frame of each stretch: no other shows the ground between it and the last one wanted.
     pub fn wants(&mut self, camera: &Camera, pose: &GroundPose) -> bool {
         let footprint = Footprint::of(&mut self.footprint, camera);
-        let Some(view) = View::new(camera, pose) else {
+        let Some(view) = GroundCamera::new(camera, pose) else {
             return false;
         };
         let Some(resolution_m) = self.resolution_m else {
@@ -231,7 +231,9 @@ impl Mosaic {
             MosaicSource::Gray(gray) => (gray.width(), gray.height()),
             MosaicSource::Rgb(rgb) => (rgb.width(), rgb.height()),
         };
-        let Some(view) = View::new(camera, pose).filter(|_| size == (camera.width(), camera.height())) else {
+        let Some(view) =
+            GroundCamera::new(camera, pose).filter(|_| size == (camera.width(), camera.height()))
+        else {
             return false;
         };
         let sample_m = view.centre_resolution_m();

@@ -5,7 +5,7 @@ use crate::image::simd::ground::{Feather, Laid};
 
 /// A frame's samples, one or three channels, halved `level` times.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Samples {
+pub(super) struct FrameSamples {
     width: usize,
     height: usize,
     channels: usize,
@@ -20,7 +20,7 @@ pub(super) struct Samples {
     spare: Vec<u8>,
 }
 
-impl Samples {
+impl FrameSamples {
     pub fn channels(&self) -> usize {
         self.channels
     }

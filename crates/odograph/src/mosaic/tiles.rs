@@ -8,13 +8,13 @@ pub(super) const TILE: i64 = 256;
 const SIDE: usize = TILE as usize;
 
 /// Red, green, blue and weight; weight 0 is ground not seen yet.
-type Tile = Vec<[u8; 4]>;
+type WeightedTile = Vec<[u8; 4]>;
 
 /// All tiles, by row (against world y) and column (along world x).
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tiles {
     index: BTreeMap<(i64, i64), usize>,
-    tiles: Vec<Tile>,
+    tiles: Vec<WeightedTile>,
     /// The revision in which each tile last changed.
     changed: Vec<u64>,
     revision: u64,

@@ -478,7 +478,7 @@ fn judge(
         mean(keyframe, &found, camera, prediction, config, random)
     } else {
         let prior = learned.rig_prior.prior(prediction, &config.motion);
-        let mut measure = |near: &GroundPose, prior: &RigPrior, plane: Plane| {
+        let mut measure = |near: &GroundPose, prior: &RigPrior, plane: GroundHypothesis| {
             let shutter = learned.shutter_at(camera, near);
             let frame_shutter = learned
                 .frame_shutter
@@ -498,7 +498,7 @@ fn judge(
         let near = settled.unwrap_or(*prediction);
         // A keyframe that is off the mount by more than the mount is seen to move still holds its frames.
         let prior = [prior, prior.reaching(&keyframe.pose)];
-        let mut best = |plane: Plane| {
+        let mut best = |plane: GroundHypothesis| {
             let first = prior.iter().find_map(|prior| Some((measure(&near, prior, plane)?, prior)));
             match first {
                 // The rates were those of the predicted pose: once more with those of the measured.
@@ -509,11 +509,11 @@ fn judge(
             }
         };
         let relief_m2 = learned.relief_m2();
-        let found = best(Plane { relief_m2, is_tilted: false });
+        let found = best(GroundHypothesis { relief_m2, is_tilted: false });
         let is_poor = found.as_ref().is_none_or(|found| found.residual_px > POOR_PX);
         if is_poor && relief_m2 == 0.0 && learned.may_see_skew() {
-            let rough = best(Plane { relief_m2: learned.least_relief_m2(), is_tilted: false });
-            let mut tilted = || best(Plane { relief_m2: 0.0, is_tilted: true });
+            let rough = best(GroundHypothesis { relief_m2: learned.least_relief_m2(), is_tilted: false });
+            let mut tilted = || best(GroundHypothesis { relief_m2: 0.0, is_tilted: true });
             match rough {
                 Some(rough)
                     if rough.residual_px < POOR_PX
@@ -554,7 +554,7 @@ fn is_better(rough: &MotionEstimate, flat: &Option<MotionEstimate>, factor: f64)
 
 /// What the ground may be beside the plane z = 0.
 #[derive(Clone, Copy)]
-struct Plane {
+struct GroundHypothesis {
     /// Variance of elevations, metres².
     relief_m2: f64,
     /// Whether the keyframe may have had another tilt over it, and the shutter may roll.
@@ -564,7 +564,7 @@ struct Plane {
 /// Standard deviation of a tilt that was not in the rig file, radians.
 const UNKNOWN_TILT: f64 = 0.05;
 
-impl Plane {
+impl GroundHypothesis {
     /// Covariance of height, roll and pitch of the keyframe.
     fn tilt_covariance(&self) -> Matrix3<f64> {
         let variance = if self.is_tilted { UNKNOWN_TILT * UNKNOWN_TILT } else { 0.0 };

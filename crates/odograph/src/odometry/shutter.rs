@@ -12,7 +12,7 @@ pub struct ShutterState {
     readout: Readout,
     /// What was known of it before the first image.
     first: Readout,
-    phase: Phase,
+    phase: ShutterDecision,
     steps_seen: u64,
     /// How far the camera has moved while it was undecided, in heights.
     moved: f64,
@@ -21,16 +21,16 @@ pub struct ShutterState {
     /// Mean rates between the last poses, the newest first.
     history: VecDeque<PoseRates>,
     /// Skew over rates of x, y and heading, of the frames measured against the present keyframe.
-    serving: [Line; 3],
+    serving: [SkewRegression; 3],
     /// Of those before.
-    past: Sums,
+    past: RegressionSums,
     /// Skew against the keyframe's, its variances, and the displacement from there, of the last frame.
     waiting: Option<(PoseRates, PoseRates, PoseRates)>,
 }
 
 /// What the shutter is taken for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Phase {
+enum ShutterDecision {
     /// Its readout time was given, or found to be none.
     Settled,
     /// Nothing is known yet: images may be skewed as much as any readout time does it.
@@ -95,16 +95,18 @@ impl ShutterState {
             readout,
             first: readout,
             phase: match camera.readout_s() {
-                Some(known_s) if camera.readout_deviation_s() > SURE * known_s.abs() => Phase::Rolling,
-                Some(_) => Phase::Settled,
-                None => Phase::Undecided,
+                Some(known_s) if camera.readout_deviation_s() > SURE * known_s.abs() => {
+                    ShutterDecision::Rolling
+                }
+                Some(_) => ShutterDecision::Settled,
+                None => ShutterDecision::Undecided,
             },
             steps_seen: 0,
             moved: 0.0,
             rate_variance: PoseRates::new(shift, shift, turn, 0.0, 0.0, 0.0),
             history: VecDeque::with_capacity(MOST_STEPS + 1),
             serving: Default::default(),
-            past: Sums::default(),
+            past: RegressionSums::default(),
             waiting: None,
         }
     }
@@ -124,13 +126,13 @@ impl ShutterState {
 
     /// The readout time that images are taken to have, seconds.
     pub fn assumed_readout_s(&self) -> f64 {
-        if self.phase == Phase::TakenGlobal { 0.0 } else { self.readout.mean_s }
+        if self.phase == ShutterDecision::TakenGlobal { 0.0 } else { self.readout.mean_s }
     }
 
     /// The mean square of what the readout time that is taken may be off by, seconds².
     pub fn readout_doubt_s2(&self) -> f64 {
         let Readout { mean_s, variance_s2 } = self.readout;
-        if self.phase == Phase::TakenGlobal { mean_s * mean_s + variance_s2 } else { variance_s2 }
+        if self.phase == ShutterDecision::TakenGlobal { mean_s * mean_s + variance_s2 } else { variance_s2 }
     }
 
     /// Whether the camera has moved far enough for the readout time to matter.
@@ -140,28 +142,28 @@ impl ShutterState {
 
     /// Whether the readout time is known to a third, so that rates can be told from rows.
     pub fn is_known(&self) -> bool {
-        self.phase == Phase::Settled
-            || (self.phase != Phase::TakenGlobal
+        self.phase == ShutterDecision::Settled
+            || (self.phase != ShutterDecision::TakenGlobal
                 && self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2))
     }
 
     /// Whether the skew of an image is known so well that what is left of the residuals is not skew.
     pub fn is_sure(&self) -> bool {
         match self.phase {
-            Phase::Settled | Phase::TakenGlobal | Phase::Undecided => true,
-            Phase::Rolling => self.readout.variance_s2 < (SURE * self.readout.mean_s).powi(2),
+            ShutterDecision::Settled | ShutterDecision::TakenGlobal | ShutterDecision::Undecided => true,
+            ShutterDecision::Rolling => self.readout.variance_s2 < (SURE * self.readout.mean_s).powi(2),
         }
     }
 
     /// Whether all rows are exposed at once.
     pub fn is_global(&self) -> bool {
-        self.phase == Phase::Settled && self.readout.mean_s == 0.0
+        self.phase == ShutterDecision::Settled && self.readout.mean_s == 0.0
     }
 
     /// What is expected of the image at `time_s`; `None` where the shutter is global.
     pub fn prior(&self, last: &LastPose, time_s: f64) -> Option<ShutterPrior> {
         let step_s = time_s - last.time_s;
-        let applies = self.phase != Phase::TakenGlobal;
+        let applies = self.phase != ShutterDecision::TakenGlobal;
         let is_looked_at = applies || self.steps_seen.is_multiple_of(LOOKED_AT);
         if self.is_global() || step_s <= 0.0 || !is_looked_at {
             return None;
@@ -176,7 +178,7 @@ impl ShutterState {
         let rate_variance = self.rate_variance * (more * more);
         // What is only looked at may be anything.
         let readout = match self.phase {
-            Phase::TakenGlobal => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
+            ShutterDecision::TakenGlobal => Readout { mean_s: 0.0, variance_s2: UNKNOWN_READOUT_S.powi(2) },
             _ => self.readout,
         };
         let (acceleration_by_pose, acceleration_offset) = self.accelerations(last, step_s);
@@ -214,8 +216,8 @@ impl ShutterState {
     pub fn saw_step(&mut self, step: Option<PoseRates>, moved: f64, height_m: f64) {
         self.steps_seen += 1;
         self.moved += moved / height_m;
-        if self.phase == Phase::Undecided && self.moved > UNDECIDED_HEIGHTS {
-            self.phase = Phase::TakenGlobal;
+        if self.phase == ShutterDecision::Undecided && self.moved > UNDECIDED_HEIGHTS {
+            self.phase = ShutterDecision::TakenGlobal;
         }
         let Some(step) = step else {
             self.history.clear();
@@ -250,7 +252,7 @@ impl ShutterState {
         keyframe_rates: &PoseRates,
         displacement: PoseRates,
     ) {
-        if self.phase == Phase::Settled {
+        if self.phase == ShutterDecision::Settled {
             return;
         }
         let skew = seen.evidence - prior.readout.mean_s * keyframe_rates;
@@ -289,25 +291,26 @@ impl ShutterState {
     fn estimate(&mut self) {
         let all = self.serving.iter().fold(self.past, |sum, line| sum.and(&line.sums()));
         let Some((readout_s, variance_s2)) = all.slope() else { return };
-        let is_explained = self.phase != Phase::Rolling && all.left_by(readout_s) > all.left_by_displacement;
+        let is_explained =
+            self.phase != ShutterDecision::Rolling && all.left_by(readout_s) > all.left_by_displacement;
         let (readout_s, variance_s2) =
             if is_explained { (0.0, variance_s2 + readout_s * readout_s) } else { (readout_s, variance_s2) };
         let (before, now) = (1.0 / self.first.variance_s2, 1.0 / variance_s2);
         let mean_s = (before * self.first.mean_s + now * readout_s) / (before + now);
         let seen =
             mean_s.abs() > LEAST_ROLLING_S && readout_s * readout_s > SIGNIFICANT.powi(2) * variance_s2;
-        if seen && self.phase != Phase::Rolling {
-            self.phase = Phase::Rolling;
+        if seen && self.phase != ShutterDecision::Rolling {
+            self.phase = ShutterDecision::Rolling;
         }
-        if is_explained && self.phase == Phase::Undecided && all.degrees > ENOUGH_DEGREES {
-            self.phase = Phase::TakenGlobal;
+        if is_explained && self.phase == ShutterDecision::Undecided && all.degrees > ENOUGH_DEGREES {
+            self.phase = ShutterDecision::TakenGlobal;
         }
         self.readout.mean_s = mean_s.clamp(-Camera::LONGEST_READOUT_S, Camera::LONGEST_READOUT_S);
         self.readout.variance_s2 = (1.0 / (before + now)).max(LEAST_READOUT_S.powi(2));
         let deviation_s = self.readout.variance_s2.sqrt();
         if deviation_s < GLOBAL_WITHIN_S && self.readout.mean_s.abs() < 3.0 * GLOBAL_WITHIN_S {
             self.readout = Readout { mean_s: 0.0, variance_s2: 0.0 };
-            self.phase = Phase::Settled;
+            self.phase = ShutterDecision::Settled;
         }
     }
 }
@@ -320,7 +323,7 @@ impl ShutterState {
 /// and ground that slopes or bends look like a skew that grows with the displacement from the keyframe:
 /// where that explains the skews better than the rates do, no shutter rolls.
 #[derive(Debug, Clone, Copy, Default)]
-struct Line {
+struct SkewRegression {
     weight: f64,
     /// Weighted sums of skew, rates, instrument and displacement.
     first: [f64; 4],
@@ -334,7 +337,7 @@ const RATES: usize = 1;
 const INSTRUMENT: usize = 2;
 const DISPLACEMENT: usize = 3;
 
-impl Line {
+impl SkewRegression {
     fn add(&mut self, weight: f64, values: [f64; 4]) {
         self.weight += weight;
         for i in 0..4 {
@@ -347,13 +350,13 @@ impl Line {
     }
 
     /// The sums about the means.
-    fn sums(&self) -> Sums {
+    fn sums(&self) -> RegressionSums {
         if self.count < 3.0 {
-            return Sums::default();
+            return RegressionSums::default();
         }
         let about = |i: usize, k: usize| self.second[i][k] - self.first[i] * self.first[k] / self.weight;
         let displaced = about(SKEW, DISPLACEMENT).powi(2) / about(DISPLACEMENT, DISPLACEMENT);
-        Sums {
+        RegressionSums {
             skew_instrument: about(SKEW, INSTRUMENT),
             rates_instrument: about(RATES, INSTRUMENT),
             instrument_square: about(INSTRUMENT, INSTRUMENT),
@@ -368,7 +371,7 @@ impl Line {
 
 /// Sums over the lines of several keyframes.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sums {
+struct RegressionSums {
     skew_instrument: f64,
     rates_instrument: f64,
     instrument_square: f64,
@@ -380,7 +383,7 @@ struct Sums {
     degrees: f64,
 }
 
-impl Sums {
+impl RegressionSums {
     fn and(&self, other: &Self) -> Self {
         Self {
             skew_instrument: self.skew_instrument + other.skew_instrument,

@@ -1,6 +1,6 @@
 //! Feature extraction from the orthorectified view: corners, orientation and descriptors.
 
-use super::view::View;
+use super::view::OrthoView;
 use super::{GroundFeature, MOST_FEATURES, PlacesConfig};
 use crate::detection::{Corner, DetectionConfig, detect};
 use crate::image::GrayImage;
@@ -33,7 +33,7 @@ const STRONG: f32 = 3.0;
 const MORE_GROUND: (f64, f64) = (0.1, 1.7);
 
 /// The features of a view.
-pub(super) fn features(view: &View, config: &PlacesConfig) -> Vec<GroundFeature> {
+pub(super) fn features(view: &OrthoView, config: &PlacesConfig) -> Vec<GroundFeature> {
     let usual = (PlacesConfig::SPOTS.0 * PlacesConfig::SPOTS.1) as f64;
     let share = (view.area / usual).clamp(MORE_GROUND.0, MORE_GROUND.1);
     let count = (share * config.features as f64) as usize;
@@ -60,7 +60,7 @@ struct Smooth {
 }
 
 impl Smooth {
-    fn new(view: &View) -> Self {
+    fn new(view: &OrthoView) -> Self {
         let (width, height) = (view.image.width(), view.image.height());
         let samples: Vec<i32> = view.image.samples().iter().map(|&sample| i32::from(sample)).collect();
         let near = box_sums(&samples, width, height, SMOOTHING);
@@ -93,7 +93,7 @@ impl Smooth {
         median(&mut sizes).unwrap_or(0.0) as f32
     }
 
-    fn feature(&self, view: &View, corner: &Corner) -> GroundFeature {
+    fn feature(&self, view: &OrthoView, corner: &Corner) -> GroundFeature {
         let centre = corner.y * self.width + corner.x;
         let (right, down) = self.moment(centre);
         // In the view, x is up and y is left.

@@ -18,12 +18,12 @@ pub(super) struct Features {
     pub worth: Vec<f32>,
     low: [f32; 2],
     high: [f32; 2],
-    cells: Cells,
+    cells: FeatureCells,
 }
 
 /// The features in each cell of a grid.
 #[derive(Debug, Clone, Default)]
-struct Cells {
+struct FeatureCells {
     columns: usize,
     rows: usize,
     per_spot: f32,
@@ -61,7 +61,7 @@ impl Features {
         let descriptors: Vec<_> = features.iter().map(|feature| feature.descriptor).collect();
         Self {
             worth: worth(&descriptors),
-            cells: Cells::new(&positions, low, high),
+            cells: FeatureCells::new(&positions, low, high),
             directions_rad: features.iter().map(|feature| feature.direction_rad).collect(),
             positions,
             descriptors,
@@ -99,7 +99,7 @@ impl Features {
     }
 }
 
-impl Cells {
+impl FeatureCells {
     fn new(positions: &[[f32; 2]], low: [f32; 2], high: [f32; 2]) -> Self {
         if positions.is_empty() {
             return Self::default();

@@ -99,7 +99,7 @@ impl Signature {
     /// The pyramid should reach down to pixels of about a spot; with fewer levels fine grain
     /// disturbs. Empty if the ground has no features.
     pub fn of(pyramid: &Pyramid, camera: &Camera, pose: &GroundPose, config: &PlacesConfig) -> Self {
-        let Some(view) = view::View::new(pyramid, camera, pose, config.spot_m) else {
+        let Some(view) = view::OrthoView::new(pyramid, camera, pose, config.spot_m) else {
             return Self::default();
         };
         Self { features: descriptor::features(&view, config) }

@@ -14,13 +14,13 @@ fn camera() -> Camera {
 }
 
 /// A camera over a ground, with noise of 3 gray levels (standard deviation).
-struct Scene {
+struct TestScene {
     renderer: Renderer,
     ground: Ground,
     random: Random,
 }
 
-impl Scene {
+impl TestScene {
     fn new(texture: Texture) -> Self {
         let renderer = Renderer::new(&camera());
         let ground = Ground::new(texture, renderer.footprint_m(HEIGHT_M), false, 3).unwrap();
@@ -57,7 +57,7 @@ fn keyframes() -> Vec<GroundPose> {
 
 #[test]
 fn a_place_is_recognised_under_shift_rotation_and_tilt() {
-    let mut scene = Scene::new(Texture::Asphalt);
+    let mut scene = TestScene::new(Texture::Asphalt);
     let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
     for (number, keyframe) in keyframes().iter().enumerate() {
         index.insert(KeyframeId(number as u64), &scene.signature(keyframe));
@@ -89,7 +89,7 @@ fn a_place_is_recognised_under_shift_rotation_and_tilt() {
 #[test]
 fn unseen_tiles_are_not_recognised() {
     for texture in [Texture::Asphalt, Texture::Tiles] {
-        let mut scene = Scene::new(texture);
+        let mut scene = TestScene::new(texture);
         let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
         for (number, keyframe) in keyframes().iter().enumerate() {
             index.insert(KeyframeId(number as u64), &scene.signature(keyframe));
@@ -104,7 +104,7 @@ fn unseen_tiles_are_not_recognised() {
 
 #[test]
 fn what_is_removed_is_not_found_and_the_others_are() {
-    let mut scene = Scene::new(Texture::Grass);
+    let mut scene = TestScene::new(Texture::Grass);
     let mut index = PlaceIndex::new(&PlacesConfig::new(&camera(), HEIGHT_M));
     let signatures: Vec<_> = keyframes().iter().take(3).map(|keyframe| scene.signature(keyframe)).collect();
     let finds = |index: &PlaceIndex, number: usize| {

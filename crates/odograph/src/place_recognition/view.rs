@@ -18,7 +18,7 @@ const REACH_IN_HEIGHTS: f64 = 2.5;
 
 /// A picture of the ground from straight above: rows run against x (forward is up), columns against
 /// y (left is left).
-pub(super) struct View {
+pub(super) struct OrthoView {
     /// One sample a spot; outside the camera's image, what its border shows.
     pub image: GrayImage,
     /// Share of the view that the camera's image covers, in spots.
@@ -37,7 +37,7 @@ struct Mesh {
     last: [f32; 2],
 }
 
-impl View {
+impl OrthoView {
     /// `None` where less than 64 spots of ground are seen along a side.
     pub fn new(pyramid: &Pyramid, camera: &Camera, pose: &GroundPose, spot_m: f64) -> Option<Self> {
         const LEAST: usize = 64;

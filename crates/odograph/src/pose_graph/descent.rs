@@ -1,7 +1,7 @@
 //! Levenberg–Marquardt on all keyframes, or on rigid pieces of the map.
 
 use super::edge::{Linearized, Weighted};
-use super::normal_equations::NormalEquations;
+use super::normal_equations::GraphNormalEquations;
 use super::pieces::{MOST_PIECES, Pieces};
 use super::{Heights, PoseGraph};
 use crate::geometry::pose_index::{HEADING, X, Y};
@@ -32,7 +32,7 @@ pub struct Optimization {
 /// The unknowns and their normal equations.
 pub(super) struct Descent {
     pieces: Pieces,
-    equations: NormalEquations,
+    equations: GraphNormalEquations,
     /// Whether the mount's rotation is among the unknowns.
     with_mount: bool,
 }
@@ -196,7 +196,7 @@ impl PoseGraph {
             (unknown[edge.from], unknown[edge.to], with_mount && edge.bends())
         });
         let size = if self.heights == Heights::Held { 3 } else { 4 };
-        let equations = NormalEquations::new(size, count, ties, unknown.clone())?;
+        let equations = GraphNormalEquations::new(size, count, ties, unknown.clone())?;
         Some(Descent { pieces, equations, with_mount })
     }
 

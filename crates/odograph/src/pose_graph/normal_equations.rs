@@ -10,7 +10,7 @@ use nalgebra::{DVector, Matrix4, Vector2, Vector4};
 use nalgebra_sparse::factorization::CscCholesky;
 use nalgebra_sparse::{CscMatrix, pattern::SparsityPattern};
 
-pub struct NormalEquations {
+pub struct GraphNormalEquations {
     /// Unknowns per block: 3 or 4.
     size: usize,
     /// For each node of the graph, its block; `None` if it is fixed.
@@ -26,7 +26,7 @@ pub struct NormalEquations {
     right: DVector<f64>,
 }
 
-impl NormalEquations {
+impl GraphNormalEquations {
     /// The pattern for `count` blocks and their connections; a connection has its two ends (`None`
     /// if fixed) and whether it depends on the mount. `None` if no order is found, which cannot
     /// happen for well-formed connections.

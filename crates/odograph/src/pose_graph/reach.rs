@@ -32,15 +32,15 @@ pub struct Reached {
 pub struct Reach<'a> {
     graph: &'a PoseGraph,
     root: usize,
-    open: BinaryHeap<Open>,
-    ways: Vec<Way>,
+    open: BinaryHeap<OpenPath>,
+    ways: Vec<GraphPath>,
     /// For each reached keyframe, its path.
     way_to: Vec<Option<u32>>,
 }
 
 /// A path through the graph.
 #[derive(Debug, Clone)]
-struct Way {
+struct GraphPath {
     node: usize,
     /// Covariance of its end in world axes, without the mount's part.
     noise: Matrix4<f64>,
@@ -52,24 +52,24 @@ struct Way {
 
 /// A path that may be the most certain to its end.
 #[derive(Debug, Clone)]
-struct Open {
+struct OpenPath {
     doubt: f64,
     node: usize,
     way: u32,
 }
 
-impl PartialEq for Open {
+impl PartialEq for OpenPath {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
-impl Eq for Open {}
-impl PartialOrd for Open {
+impl Eq for OpenPath {}
+impl PartialOrd for OpenPath {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
-impl Ord for Open {
+impl Ord for OpenPath {
     fn cmp(&self, other: &Self) -> Ordering {
         // The heap returns the greatest first.
         other.doubt.total_cmp(&self.doubt).then(other.node.cmp(&self.node))
@@ -81,14 +81,14 @@ impl PoseGraph {
     pub fn reach(&self, from: KeyframeId) -> Option<Reach<'_>> {
         let root = *self.index.get(&from)?;
         let none = (Matrix4::zeros(), Matrix4x2::zeros());
-        let start = Way { node: root, noise: none.0, by_mount: none.1, edges: 0, across_gap: false };
+        let start = GraphPath { node: root, noise: none.0, by_mount: none.1, edges: 0, across_gap: false };
         // Every edge is followed at most once.
         let mut ways = Vec::with_capacity(self.edges.len() + 1);
         ways.push(start);
         Some(Reach {
             graph: self,
             root,
-            open: BinaryHeap::from([Open { doubt: 0.0, node: root, way: 0 }]),
+            open: BinaryHeap::from([OpenPath { doubt: 0.0, node: root, way: 0 }]),
             ways,
             way_to: vec![None; self.nodes.len()],
         })
@@ -107,7 +107,7 @@ impl Reach<'_> {
 
     /// Reaches the next keyframe and returns its number; [`Reach::to`] has the rest.
     pub fn further(&mut self) -> Option<KeyframeId> {
-        let Open { node, way, .. } = loop {
+        let OpenPath { node, way, .. } = loop {
             let open = self.open.pop()?;
             if self.way_to[open.node].is_none() {
                 break open;
@@ -118,7 +118,7 @@ impl Reach<'_> {
             let other = self.graph.edges[edge].other(node);
             if self.way_to[other].is_none() {
                 let (further, doubt) = self.along(&self.ways[way as usize], edge);
-                self.open.push(Open { doubt, node: other, way: self.ways.len() as u32 });
+                self.open.push(OpenPath { doubt, node: other, way: self.ways.len() as u32 });
                 self.ways.push(further);
             }
         }
@@ -140,7 +140,7 @@ impl Reach<'_> {
     }
 
     /// The path extended by an edge, and its uncertainty.
-    fn along(&self, way: &Way, edge: usize) -> (Way, f64) {
+    fn along(&self, way: &GraphPath, edge: usize) -> (GraphPath, f64) {
         let graph = self.graph;
         let edge = &graph.edges[edge];
         let (here, there) = (&graph.nodes[way.node].pose, &graph.nodes[edge.other(way.node)].pose);
@@ -169,7 +169,7 @@ impl Reach<'_> {
         let doubt = variance(X) + variance(Y) + variance(HEADING) * here.height_m.powi(2);
         let across_gap = way.across_gap || edge.kind == EdgeKind::Gap;
         let node = edge.other(way.node);
-        (Way { node, noise, by_mount, edges: way.edges + 1, across_gap }, doubt)
+        (GraphPath { node, noise, by_mount, edges: way.edges + 1, across_gap }, doubt)
     }
 }
 

@@ -18,12 +18,12 @@ fn normal(random: &mut Random) -> f64 {
 }
 
 /// A walk to and fro over a grid, measured with noise; neighbouring rows see each other.
-struct Grid {
+struct GridWalk {
     truth: Vec<GroundPose>,
     edges: Vec<MapEdge>,
 }
 
-fn grid(side: usize, sigma: f64, bend_per_m: f64, heights: Heights) -> Grid {
+fn grid(side: usize, sigma: f64, bend_per_m: f64, heights: Heights) -> GridWalk {
     let mut random = Random::new(7);
     let place = |i: usize| {
         let (row, along) = (i / side, i % side);
@@ -56,7 +56,7 @@ fn grid(side: usize, sigma: f64, bend_per_m: f64, heights: Heights) -> Grid {
             measure((row - 1) * side + side - 1 - along, i, EdgeKind::Loop);
         }
     }
-    Grid { truth, edges }
+    GridWalk { truth, edges }
 }
 
 /// A graph whose poses are what the odometry edges alone say.
@@ -105,7 +105,7 @@ fn a_loop_closed_by_equal_links_shares_its_misclosure_equally() {
 #[test]
 fn the_covariance_of_a_noisy_grid_is_true() {
     for heights in [Heights::Held, Heights::Free] {
-        let Grid { truth, edges } = grid(12, 0.01, 0.0, heights);
+        let GridWalk { truth, edges } = grid(12, 0.01, 0.0, heights);
         let mut graph = dead_reckoned(&edges, &truth, heights);
         let before = worst_m(&graph, &truth);
         let done = graph.optimize(50);
@@ -130,7 +130,7 @@ fn the_covariance_of_a_noisy_grid_is_true() {
 
 #[test]
 fn a_false_loop_is_not_followed() {
-    let Grid { truth, mut edges } = grid(12, 0.01, 0.0, Heights::Held);
+    let GridWalk { truth, mut edges } = grid(12, 0.01, 0.0, Heights::Held);
     let mut right = dead_reckoned(&edges, &truth, Heights::Held);
     right.optimize(50);
     // Two keyframes ten metres apart taken for the same place.
@@ -144,7 +144,7 @@ fn a_false_loop_is_not_followed() {
 #[test]
 fn a_mount_that_turns_every_metre_is_found_out() {
     let bend = 0.004;
-    let Grid { truth, edges } = grid(12, 0.002, bend, Heights::Held);
+    let GridWalk { truth, edges } = grid(12, 0.002, bend, Heights::Held);
     let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
     let before = worst_m(&graph, &truth);
     graph.optimize(50);
@@ -158,7 +158,7 @@ fn a_mount_that_turns_every_metre_is_found_out() {
 
 #[test]
 fn the_best_path_is_never_more_certain_than_the_graph() {
-    let Grid { truth, edges } = grid(8, 0.01, 0.0, Heights::Held);
+    let GridWalk { truth, edges } = grid(8, 0.01, 0.0, Heights::Held);
     let mut graph = dead_reckoned(&edges, &truth, Heights::Held);
     graph.optimize(50);
     let whole = graph.covariances();
@@ -191,7 +191,7 @@ fn unconnected_parts_do_not_move() {
 #[test]
 fn a_large_graph_comes_near_its_best_by_pieces() {
     // The path is measured step by step and relaxed at every tenth loop, as in a run.
-    let Grid { truth, edges } = grid(30, 0.003, 0.0, Heights::Held);
+    let GridWalk { truth, edges } = grid(30, 0.003, 0.0, Heights::Held);
     let mut graph = PoseGraph::new(Heights::Held, 1.0);
     graph.insert(KeyframeId(0), truth[0], 1.0);
     let mut fresh = Vec::new();
@@ -222,7 +222,7 @@ fn a_large_graph_comes_near_its_best_by_pieces() {
 #[test]
 fn a_large_graph_estimates_the_mount_turn_while_running() {
     let bend = 0.004;
-    let Grid { truth, edges } = grid(22, 0.002, bend, Heights::Held);
+    let GridWalk { truth, edges } = grid(22, 0.002, bend, Heights::Held);
     let mut graph = PoseGraph::new(Heights::Held, 1.0);
     graph.insert(KeyframeId(0), truth[0], 1.0);
     for edge in &edges {

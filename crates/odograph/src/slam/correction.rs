@@ -83,12 +83,12 @@ pub struct Straightening<'a> {
     rest: &'a [Stretch],
     index: usize,
     /// The correction of the first of them; `None` until it is needed.
-    laid: Option<Laid<'a>>,
+    laid: Option<GroupCorrection<'a>>,
 }
 
 /// The correction of a group of frames.
 #[derive(Debug, Clone, Copy)]
-struct Laid<'a> {
+struct GroupCorrection<'a> {
     /// The keyframe; `None` where it is not in the map.
     here: Option<&'a MapKeyframe>,
     end: Option<Sim2>,
@@ -104,7 +104,7 @@ impl<'a> Straightening<'a> {
         else {
             return frame;
         };
-        let laid = *self.laid.get_or_insert_with(|| Laid::new(self.mapper, stretch));
+        let laid = *self.laid.get_or_insert_with(|| GroupCorrection::new(self.mapper, stretch));
         if let (Some(known), Some(here)) = (&mut frame.estimate, laid.here) {
             // The last frame of a group is where the next keyframe has it.
             let share = (index - stretch.first + 1) as f64 / stretch.count as f64;
@@ -117,7 +117,7 @@ impl<'a> Straightening<'a> {
     }
 }
 
-impl<'a> Laid<'a> {
+impl<'a> GroupCorrection<'a> {
     fn new(mapper: &'a Mapper, stretch: &Stretch) -> Self {
         let here = mapper.of_run(stretch.keyframe);
         let end = stretch.end.and_then(|(next, in_next, measured)| {

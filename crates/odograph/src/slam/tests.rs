@@ -12,7 +12,7 @@ const HEIGHT_M: f64 = 0.75;
 const FRAME_S: f64 = 1.0 / 15.0;
 
 /// A camera that sees 0.96 m across and 0.72 m along, and the ground below it.
-struct World {
+struct SlamWorld {
     camera: Camera,
     ground: Box<dyn Fn(&GroundPose) -> GrayImage>,
     noise: u32,
@@ -22,7 +22,7 @@ fn camera() -> Camera {
     Camera::new((320, 240), (250.0, 250.0), (160.0, 119.5), crate::camera::Distortion::None).unwrap()
 }
 
-impl World {
+impl SlamWorld {
     fn new(texture: &str) -> Self {
         let camera = camera();
         let renderer = Renderer::new(&camera);
@@ -126,7 +126,7 @@ fn worst_mm(frames: &[FrameEstimate], truth: &[Option<GroundPose>]) -> f64 {
 
 #[test]
 fn without_loops_nothing_is_changed() {
-    let world = World::new("asphalt");
+    let world = SlamWorld::new("asphalt");
     let poses: Vec<_> = along((0.0, 0.0), 0.0, 40).collect();
     let mut mapper = world.mapper();
     let driven = world.drive(&mut mapper, &mut MemoryImages::default(), &poses);
@@ -136,7 +136,7 @@ fn without_loops_nothing_is_changed() {
 
 #[test]
 fn ground_seen_again_after_darkness_ties_the_path_together() {
-    let world = World::new("asphalt");
+    let world = SlamWorld::new("asphalt");
     let mut poses: Vec<_> = along((0.0, 0.0), 0.0, 60).collect();
     poses.extend([None; 20]);
     // Meanwhile the camera was turned and moved to another place of its path.
@@ -161,7 +161,7 @@ fn ground_seen_again_after_darkness_ties_the_path_together() {
 
 #[test]
 fn a_floor_of_equal_tiles_does_not_fool_it() {
-    let world = World::repeating(0.31);
+    let world = SlamWorld::repeating(0.31);
     let mut poses: Vec<_> = along((0.0, 0.0), 0.0, 50).collect();
     poses.extend([None; 20]);
     poses.extend(along((1.17, 0.13), 0.4, 45));
@@ -173,7 +173,7 @@ fn a_floor_of_equal_tiles_does_not_fool_it() {
 
 #[test]
 fn a_second_drive_is_recognised_in_the_first_map() {
-    let world = World::new("carpet");
+    let world = SlamWorld::new("carpet");
     let mut images = MemoryImages::default();
     let mut first = world.mapper();
     world.drive(&mut first, &mut images, &along((0.0, 0.0), 0.0, 60).collect::<Vec<_>>());
@@ -211,7 +211,7 @@ fn a_second_drive_is_recognised_in_the_first_map() {
 
 #[test]
 fn a_map_elsewhere_is_not_recognised() {
-    let world = World::new("asphalt");
+    let world = SlamWorld::new("asphalt");
     let mut images = MemoryImages::default();
     let mut first = world.mapper();
     world.drive(&mut first, &mut images, &along((0.0, 0.0), 0.0, 40).collect::<Vec<_>>());
@@ -239,7 +239,7 @@ fn revisited(mapper: &mut Mapper, images: &mut MemoryImages, times: usize) -> us
 
 #[test]
 fn repeated_laps_do_not_grow_the_graph() {
-    let world = World::new("asphalt");
+    let world = SlamWorld::new("asphalt");
     let mut mapper =
         Mapper::new(&world.camera, Rig::level(HEIGHT_M), &config(), LoopClosureConfig::default());
     let mut images = MemoryImages::default();
@@ -276,7 +276,7 @@ fn bent_lanes() -> (Vec<GroundPose>, Vec<MapEdge>) {
 
 #[test]
 fn bent_lanes_that_see_each_other_come_out_straight() {
-    let world = World::new("concrete");
+    let world = SlamWorld::new("concrete");
     let (truth, ties) = bent_lanes();
     let (mut mapper, mut images) = (world.mapper(), MemoryImages::default());
     let (mut pose, mut bent_m) = (truth[0], 0.0f64);
@@ -316,7 +316,7 @@ fn bent_lanes_that_see_each_other_come_out_straight() {
 
 #[test]
 fn the_map_pose_follows_the_frame_as_it_comes() {
-    let world = World::new("asphalt");
+    let world = SlamWorld::new("asphalt");
     let images = Box::new(MemoryImages::default());
     let rig = Rig::level(HEIGHT_M);
     let mut slam =

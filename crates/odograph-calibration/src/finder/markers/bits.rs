@@ -6,14 +6,14 @@ use odograph::image::GrayImage;
 
 /// The printed layout of a marker family.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Layout {
+pub(crate) struct MarkerLayout {
     /// Number of bits along a side, without the border.
     pub bits: usize,
     /// Width of the black border, in bits.
     pub border: usize,
 }
 
-impl Layout {
+impl MarkerLayout {
     /// Number of bits along a side, including the border.
     pub fn side(self) -> usize {
         self.bits + 2 * self.border
@@ -47,7 +47,7 @@ const SMALL_BIT_PX: f64 = 5.0;
 /// marker is not inside the image, or if its border and surroundings do not match a marker.
 pub(crate) fn read(
     image: &GrayImage,
-    layout: Layout,
+    layout: MarkerLayout,
     quiet: f64,
     bit_px: f64,
     pixel: &impl Fn(f64, f64) -> Option<Pixel>,
@@ -68,7 +68,7 @@ pub(crate) fn read(
         )
     };
     let mut grid = [0.0; MOST_SIDE * MOST_SIDE];
-    let (mut black, mut white) = (Level::default(), Level::default());
+    let (mut black, mut white) = (GraySamples::default(), GraySamples::default());
     for row in 0..side {
         for column in 0..side {
             let value = of_bit(at(column), at(row))?;
@@ -129,11 +129,11 @@ const MOST_SIDE: usize = 10;
 
 /// Gray level samples at positions on the marker.
 #[derive(Default)]
-struct Level {
+struct GraySamples {
     samples: Vec<(f64, f64, f64)>,
 }
 
-impl Level {
+impl GraySamples {
     fn add(&mut self, x: f64, y: f64, value: f64) {
         self.samples.push((x, y, value));
     }

@@ -10,7 +10,7 @@ mod outlines;
 mod quadrangles;
 mod threshold;
 
-pub(super) use bits::{Layout, interpolated, read};
+pub(super) use bits::{MarkerLayout, interpolated, read};
 
 use super::plane_map::{PlaneMap, least_width};
 use bits::Reading;
@@ -23,7 +23,7 @@ use threshold::Dark;
 #[derive(Debug, Clone)]
 pub(super) struct Codes {
     /// Possible layouts of the printed markers; the first one that can be decoded is used.
-    pub layouts: Vec<Layout>,
+    pub layouts: Vec<MarkerLayout>,
     /// Width of the white quiet zone around a marker, in sides of the marker.
     pub quiet: f64,
     /// The code of each marker, rotated clockwise by 0 to 3 quarter turns.
@@ -67,7 +67,7 @@ const MOST_QUADRANGLES: usize = 4000;
 impl Codes {
     /// Codes for markers of `bits` by `bits`. The number of corrected bit errors is one less than
     /// the minimum Hamming distance of these markers permits.
-    pub fn new(markers: &[u64], layouts: Vec<Layout>, quiet: f64, windows: &[(usize, f64)]) -> Self {
+    pub fn new(markers: &[u64], layouts: Vec<MarkerLayout>, quiet: f64, windows: &[(usize, f64)]) -> Self {
         let bits = layouts.first().map_or(0, |layout| layout.bits);
         let turned: Vec<[u64; 4]> = markers
             .iter()

@@ -15,7 +15,7 @@ struct Area {
 }
 
 /// A run of dark pixels in a row, from `start` to before `end`.
-struct Run {
+struct DarkRun {
     row: usize,
     start: usize,
     end: usize,
@@ -23,7 +23,7 @@ struct Run {
     parent: usize,
 }
 
-fn first(runs: &mut [Run], mut run: usize) -> usize {
+fn first(runs: &mut [DarkRun], mut run: usize) -> usize {
     while runs[run].parent != run {
         let parent = runs[run].parent;
         runs[run].parent = runs[parent].parent;
@@ -35,7 +35,7 @@ fn first(runs: &mut [Run], mut run: usize) -> usize {
 /// All dark regions whose bounding box is at least `least` pixels wide and high and that do not
 /// touch the image border.
 fn areas(dark: &Dark, least: usize) -> Vec<Area> {
-    let mut runs: Vec<Run> = Vec::new();
+    let mut runs: Vec<DarkRun> = Vec::new();
     let mut above = 0..0;
     for y in 0..dark.height {
         let row = &dark.dark[y * dark.width..][..dark.width];
@@ -46,7 +46,7 @@ fn areas(dark: &Dark, least: usize) -> Vec<Area> {
             let start = x + skip;
             let end = row[start..].iter().position(|&d| d == 0).map_or(dark.width, |n| start + n);
             let this = runs.len();
-            runs.push(Run { row: y, start, end, parent: this });
+            runs.push(DarkRun { row: y, start, end, parent: this });
             while candidate < above.end && runs[candidate].end <= start {
                 candidate += 1;
             }

@@ -42,7 +42,7 @@ pub(super) fn quadrangle(outline: &[Pixel]) -> Option<[Pixel; 4]> {
     {
         return None;
     }
-    let mut lines = [Line { at: middle, direction: (1.0, 0.0) }; 4];
+    let mut lines = [EdgeLine { at: middle, direction: (1.0, 0.0) }; 4];
     for side in 0..4 {
         let (from, to) = (corners[side], corners[(side + 1) % 4]);
         let to = if to <= from { to + count } else { to };
@@ -52,7 +52,7 @@ pub(super) fn quadrangle(outline: &[Pixel]) -> Option<[Pixel; 4]> {
         {
             return None;
         }
-        lines[side] = Line::through((from + inset..to - inset).map(|i| outline[i % count]))?;
+        lines[side] = EdgeLine::through((from + inset..to - inset).map(|i| outline[i % count]))?;
     }
     let mut result = [middle; 4];
     for (side, corner) in result.iter_mut().enumerate() {
@@ -67,7 +67,7 @@ pub(super) fn quadrangle(outline: &[Pixel]) -> Option<[Pixel; 4]> {
 /// Moves the sides of a dark quadrangle to the maximum image gradient, which makes them independent
 /// of the threshold. `None` if a side has no edge.
 pub(super) fn moved_to_edges(image: &GrayImage, corners: &[Pixel; 4]) -> Option<[Pixel; 4]> {
-    let mut lines = [Line { at: corners[0], direction: (1.0, 0.0) }; 4];
+    let mut lines = [EdgeLine { at: corners[0], direction: (1.0, 0.0) }; 4];
     let shortest = (0..4).map(|i| corners[i].distance(corners[(i + 1) % 4])).fold(f64::MAX, f64::min);
     // The profile has steps of half a pixel. It extends by a quarter of a side into the bright area
     // and a sixth into the dark area, where other squares and the bits begin.
@@ -107,7 +107,8 @@ pub(super) fn moved_to_edges(image: &GrayImage, corners: &[Pixel; 4]) -> Option<
             }
         }
         let off = 0.5 * (peak - f64::from(inwards));
-        lines[side] = Line { at: Pixel::new(from.x + off * normal.0, from.y + off * normal.1), direction };
+        lines[side] =
+            EdgeLine { at: Pixel::new(from.x + off * normal.0, from.y + off * normal.1), direction };
     }
     let mut result = *corners;
     for (side, corner) in result.iter_mut().enumerate() {
@@ -147,12 +148,12 @@ fn cut(outline: &[Pixel], from: usize, to: usize, tolerance: f64, corners: &mut 
 }
 
 #[derive(Clone, Copy)]
-struct Line {
+struct EdgeLine {
     at: Pixel,
     direction: (f64, f64),
 }
 
-impl Line {
+impl EdgeLine {
     /// Total least-squares line through points.
     fn through(points: impl Iterator<Item = Pixel> + Clone) -> Option<Self> {
         let (mut n, mut x, mut y) = (0.0, 0.0, 0.0);

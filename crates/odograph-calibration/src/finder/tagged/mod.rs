@@ -7,8 +7,8 @@
 //! squares, so they tolerate lens distortion.
 
 use super::NotFound;
-use super::markers::{self, Codes, Layout, Marker};
-use super::plane_map::{Pair, PlaneMap, least_width};
+use super::markers::{self, Codes, Marker, MarkerLayout};
+use super::plane_map::{PlaneMap, WeightedMatch, least_width};
 use super::points::{Expected, PointLook, look_at};
 use crate::{BoardPoint, BoardView, Drawing, SeenPoint};
 use odograph::geometry::Pixel;
@@ -61,7 +61,7 @@ const OFF_SPACINGS: f64 = 0.12;
 const OFF_PX: f64 = 1.0;
 
 /// State of the region growing in one image.
-struct View<'a> {
+struct GrowingView<'a> {
     image: &'a GrayImage,
     board: &'a TaggedBoard,
     seen: Vec<Option<Pixel>>,
@@ -95,7 +95,7 @@ impl TaggedBoard {
                 found => NotFound::TooFewMarkers { found, least: self.least_markers },
             });
         }
-        let mut view = View {
+        let mut view = GrowingView {
             image,
             board: self,
             seen: vec![None; self.points.len()],
@@ -138,7 +138,7 @@ impl TaggedBoard {
             .iter()
             .map(|seed| {
                 let places = self.corners_of_marker[seed.id];
-                let pairs: Vec<Pair> = (0..4).map(|i| (places[i], seed.corners[i], 1.0)).collect();
+                let pairs: Vec<WeightedMatch> = (0..4).map(|i| (places[i], seed.corners[i], 1.0)).collect();
                 PlaneMap::fit(&pairs, places[0], self.spacing_m)
             })
             .collect();
@@ -185,7 +185,7 @@ impl TaggedBoard {
 /// Maximum number of copies of one marker that are considered; an image may show several boards.
 const MOST_COPIES: usize = 24;
 
-impl View<'_> {
+impl GrowingView<'_> {
     /// Region growing: locates points from known ones until no more are found.
     fn grow(&mut self) {
         let board = self.board;
@@ -234,7 +234,7 @@ impl View<'_> {
     ) -> Option<PlaneMap> {
         let board = self.board;
         let (columns, rows) = board.grid;
-        let mut pairs: Vec<Pair> = Vec::with_capacity(64);
+        let mut pairs: Vec<WeightedMatch> = Vec::with_capacity(64);
         let weight = |at: (f64, f64)| {
             let distance = (at.0 - place.0).hypot(at.1 - place.1) / board.spacing_m;
             (-0.5 * (distance / 1.5).powi(2)).exp()
@@ -360,7 +360,7 @@ impl View<'_> {
         let map = self.map_around(at(0.5, 0.5), column, row, None)?;
         let side = (b.0 - a.0).hypot(b.1 - a.1);
         let width = least_width(map.steps(at(0.5, 0.5), side)?);
-        let readings = board.codes.layouts.iter().filter_map(|&layout: &Layout| {
+        let readings = board.codes.layouts.iter().filter_map(|&layout: &MarkerLayout| {
             let bit_px = width / layout.side() as f64;
             markers::read(self.image, layout, board.codes.quiet, bit_px, &|x, y| map.pixel(at(x, y)))
         });

@@ -61,7 +61,7 @@ Examples:
 
 /// The format, by the extension of the file.
 #[derive(Debug, Clone, Copy)]
-enum Format {
+enum BoardFormat {
     Pdf,
     Svg,
     Png,
@@ -77,9 +77,9 @@ pub fn board(arguments: BoardArguments) -> Result<Outcome> {
     }
     let page = Page::new(board, *paper)?;
     let bytes = match format {
-        Format::Pdf => pdf::pdf(&page),
-        Format::Svg => svg::svg(&page).into_bytes(),
-        Format::Png => png::png(&page, *dpi)?,
+        BoardFormat::Pdf => pdf::pdf(&page),
+        BoardFormat::Svg => svg::svg(&page).into_bytes(),
+        BoardFormat::Png => png::png(&page, *dpi)?,
     };
     files::make_folder_of(output)?;
     files::write(output, &bytes)?;
@@ -95,12 +95,12 @@ pub fn board(arguments: BoardArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn format(output: &Path) -> Result<Format> {
+fn format(output: &Path) -> Result<BoardFormat> {
     let ending = output.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
     match ending.as_deref() {
-        Some("pdf") => Ok(Format::Pdf),
-        Some("svg") => Ok(Format::Svg),
-        Some("png") => Ok(Format::Png),
+        Some("pdf") => Ok(BoardFormat::Pdf),
+        Some("svg") => Ok(BoardFormat::Svg),
+        Some("png") => Ok(BoardFormat::Png),
         _ => Err(Error::usage(format!(
             "{} does not end in .pdf, .svg or .png, which decides what is written",
             output.display()

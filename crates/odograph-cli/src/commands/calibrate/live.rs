@@ -2,7 +2,7 @@
 //! next, until the result is good.
 
 use super::search::{Gathering, look};
-use super::{CalibrateArguments, Calibrated, Source, conclude, input::Look, output::Output};
+use super::{CalibrateArguments, CalibrationResult, SearchedSource, conclude, input::Look, output::Output};
 use crate::commands::live::{Offer, Serving};
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
@@ -99,7 +99,7 @@ pub fn calibrate(
     search.warnings.extend(farewell.warnings);
     // A lost camera ends the calibration; the views until then may suffice.
     search.warnings.extend(farewell.failure.as_ref().map(ToString::to_string));
-    let source = Source { description: name.to_owned(), searched: started.elapsed() };
+    let source = SearchedSource { description: name.to_owned(), searched: started.elapsed() };
     let concluded = conclude(arguments, board, search, selection, source).and_then(|calibrated| {
         output.write(&calibrated)?;
         Ok(calibrated)
@@ -269,7 +269,7 @@ fn corners(view: &BoardView) -> Vec<TrackView> {
     view.points.iter().map(|point| shown(point.pixel)).collect()
 }
 
-fn tell_result(hub: &Hub, calibrated: &Calibrated) {
+fn tell_result(hub: &Hub, calibrated: &CalibrationResult) {
     let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
     let missing: Vec<String> = match calibration.verdict {
         Verdict::Good => Vec::new(),

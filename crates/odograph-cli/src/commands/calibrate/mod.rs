@@ -16,7 +16,7 @@ use odograph_calibration::{
 };
 use odograph_video::SourceOptions;
 use output::Output;
-use search::Search;
+use search::BoardSearch;
 use std::fmt::Display;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -141,9 +141,9 @@ impl Model {
 }
 
 /// A calibration with what it was made from.
-struct Calibrated {
+struct CalibrationResult {
     board: Board,
-    search: Search,
+    search: BoardSearch,
     /// Names of the views that were given to the calibration, in its order.
     names: Vec<String>,
     views: Vec<BoardView>,
@@ -174,7 +174,7 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
     let started = Instant::now();
     let mut input = Input::open(&arguments.sources, &options)?;
     let search = search::search(&mut input, &board, selection, arguments.threads, arguments.quiet)?;
-    let source = Source { description: input.description, searched: started.elapsed() };
+    let source = SearchedSource { description: input.description, searched: started.elapsed() };
     let mut calibrated = conclude(&arguments, board, search, selection, source)?;
     if interrupt::asked() {
         let search = &mut calibrated.search;
@@ -187,7 +187,7 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
 }
 
 /// What was searched, and how long that took.
-struct Source {
+struct SearchedSource {
     description: String,
     searched: Duration,
 }
@@ -217,11 +217,11 @@ impl CalibrateArguments {
 fn conclude(
     arguments: &CalibrateArguments,
     board: Board,
-    search: Search,
+    search: BoardSearch,
     selection: SelectionConfig,
-    source: Source,
-) -> Result<Calibrated> {
-    let Source { description, searched } = source;
+    source: SearchedSource,
+) -> Result<CalibrationResult> {
+    let SearchedSource { description, searched } = source;
     let began = Instant::now();
     let (guidance, chosen) = choose(&search, selection.most_views, &board, &description)?;
     let (names, views): (Vec<_>, Vec<_>) = chosen
@@ -231,11 +231,11 @@ fn conclude(
     let calibration = odograph_calibration::calibrate(&board, &views, &arguments.config())
         .map_err(|error| error.at(&description))?;
     let times = [searched, began.elapsed()];
-    Ok(Calibrated { board, search, names, views, guidance, calibration, description, times })
+    Ok(CalibrationResult { board, search, names, views, guidance, calibration, description, times })
 }
 
 /// Prints the result; returns the outcome.
-fn tell(arguments: &CalibrateArguments, calibrated: &Calibrated, output: &Output) -> Result<Outcome> {
+fn tell(arguments: &CalibrateArguments, calibrated: &CalibrationResult, output: &Output) -> Result<Outcome> {
     calibrated.search.warnings.iter().for_each(|warning| console::warn(warning));
     if arguments.json {
         console::print(&summary::json(calibrated))?;
@@ -251,7 +251,7 @@ fn tell(arguments: &CalibrateArguments, calibrated: &Calibrated, output: &Output
 /// The views to calibrate with: all images, if there are not too many; otherwise the most
 /// informative ones.
 fn choose<'a>(
-    search: &'a Search,
+    search: &'a BoardSearch,
     most_views: usize,
     board: &Board,
     place: &str,

@@ -1,8 +1,8 @@
 //! The camera file and the folder of its report.
 
-use super::{Calibrated, summary};
+use super::{CalibrationResult, summary};
 use crate::files;
-use crate::report::calibration::{CalibrationReport, ExpectedError, Residual, ShownView};
+use crate::report::calibration::{CalibrationReport, ExpectedError, ReprojectionError, ShownView};
 use odograph::error::{Error, Result};
 use odograph_calibration::calibration_file;
 use std::ffi::OsString;
@@ -73,7 +73,7 @@ impl Output {
     }
 
     /// Writes the report and then the camera file, so that a camera file implies a complete report.
-    pub fn write(&self, calibrated: &Calibrated) -> Result<()> {
+    pub fn write(&self, calibrated: &CalibrationResult) -> Result<()> {
         let calibration = &calibrated.calibration;
         let views = shown_views(calibrated);
         let size = (calibration.camera.width(), calibration.camera.height());
@@ -114,7 +114,7 @@ impl Output {
     }
 }
 
-fn shown_views(calibrated: &Calibrated) -> Vec<ShownView> {
+fn shown_views(calibrated: &CalibrationResult) -> Vec<ShownView> {
     let views = calibrated.calibration.views.iter().zip(&calibrated.views).zip(&calibrated.names);
     views
         .map(|((view, seen), name)| ShownView {
@@ -124,7 +124,7 @@ fn shown_views(calibrated: &Calibrated) -> Vec<ShownView> {
                 .iter()
                 .filter_map(|&(index, dx_px, dy_px)| {
                     let at = seen.points.binary_search_by_key(&index, |point| point.index).ok()?;
-                    Some(Residual { seen: seen.points[at].pixel, dx_px, dy_px })
+                    Some(ReprojectionError { seen: seen.points[at].pixel, dx_px, dy_px })
                 })
                 .collect(),
             rms_px: view.rms_px,

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 
 /// What a search has found.
-pub struct Search {
+pub struct BoardSearch {
     pub found: BoardDetections,
     pub selector: ViewSelector,
     /// The sightings in pictures, while there are few enough of them that all can be used.
@@ -53,7 +53,7 @@ pub fn search(
     selection: SelectionConfig,
     threads: Option<u16>,
     quiet: bool,
-) -> Result<Search> {
+) -> Result<BoardSearch> {
     let finder = BoardFinder::new(board);
     let mut gathering = Gathering {
         photographs: input.frame_count.is_some_and(|count| count <= selection.most_views as u64),
@@ -140,7 +140,7 @@ pub fn look(finder: &BoardFinder, frame: Look) -> Looked {
 
 /// What has been found so far, frame by frame in their order.
 pub struct Gathering {
-    search: Search,
+    search: BoardSearch,
     most_views: usize,
     /// Whether the images were taken one by one, so that their times carry no information about the
     /// motion of the board.
@@ -155,7 +155,7 @@ impl Gathering {
     /// Nothing so far, of a kind of recording that is named; silent.
     pub fn new(board: &Board, selection: SelectionConfig, kind: String) -> Self {
         Self {
-            search: Search {
+            search: BoardSearch {
                 found: BoardDetections::default(),
                 selector: ViewSelector::new(board, selection),
                 pictures: Vec::new(),
@@ -233,7 +233,7 @@ impl Gathering {
     }
 
     /// What was found in all of them.
-    pub fn finished(mut self) -> Search {
+    pub fn finished(mut self) -> BoardSearch {
         // The most frequent first; of equals the first.
         self.reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
         self.search.found.reasons =

@@ -1,6 +1,6 @@
 //! The summary on the terminal: the verdict first, then where to look and what to do next.
 
-use super::Calibrated;
+use super::CalibrationResult;
 use super::output::Output;
 use crate::report::calibration::{lens_name, pixels_text};
 use odograph::drawing::scale::label;
@@ -8,7 +8,7 @@ use odograph_calibration::{Calibration, Verdict};
 use std::fmt::Write;
 
 /// The summary of a calibration.
-pub fn text(calibrated: &Calibrated, output: &Output) -> String {
+pub fn text(calibrated: &CalibrationResult, output: &Output) -> String {
     let calibration = &calibrated.calibration;
     let verdict = match calibration.verdict {
         Verdict::Good => "Good",
@@ -92,7 +92,7 @@ pub fn focal_px(calibration: &Calibration) -> (f64, f64) {
 }
 
 /// The figures of a calibration for other programs, on one line.
-pub fn json(calibrated: &Calibrated) -> String {
+pub fn json(calibrated: &CalibrationResult) -> String {
     let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
     let parameters: serde_json::Map<String, serde_json::Value> = calibration
         .parameters

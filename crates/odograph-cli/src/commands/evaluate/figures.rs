@@ -6,7 +6,7 @@ use serde::Serialize;
 use std::path::Path;
 
 #[derive(Serialize)]
-struct Figures<'a> {
+struct EvaluationFigures<'a> {
     estimate: String,
     truth: String,
     alignment: AlignmentFigures,
@@ -60,7 +60,7 @@ pub fn json(estimate: &Path, truth: &Path, options: &EvaluationOptions, e: &Eval
         let errors = Errors { translation_m: &r.translation, rotation_rad: &r.rotation };
         RelativeFigures { delta, delta_unit, all_pairs: options.all_pairs, errors }
     });
-    let figures = Figures {
+    let figures = EvaluationFigures {
         estimate: estimate.display().to_string(),
         truth: truth.display().to_string(),
         alignment: AlignmentFigures {

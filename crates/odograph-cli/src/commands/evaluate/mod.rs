@@ -34,7 +34,7 @@ pub struct EvaluateArguments {
     max_time_difference: f64,
     /// Format of both files [default: recognised by the number of columns]
     #[arg(long, value_enum)]
-    format: Option<Format>,
+    format: Option<EvaluatedFormat>,
     /// Times of the poses of KITTI files, a number of seconds a line
     ///
     /// [default: the number of the pose]
@@ -92,18 +92,18 @@ impl From<Align> for Alignment {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Format {
+enum EvaluatedFormat {
     /// time x y z qx qy qz qw
     Tum,
     /// 3x4 matrices
     Kitti,
 }
 
-impl From<Format> for TrajectoryFormat {
-    fn from(format: Format) -> Self {
+impl From<EvaluatedFormat> for TrajectoryFormat {
+    fn from(format: EvaluatedFormat) -> Self {
         match format {
-            Format::Tum => Self::Tum,
-            Format::Kitti => Self::Kitti,
+            EvaluatedFormat::Tum => Self::Tum,
+            EvaluatedFormat::Kitti => Self::Kitti,
         }
     }
 }

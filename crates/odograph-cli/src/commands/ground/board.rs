@@ -1,6 +1,6 @@
 //! The rig from pictures and clips of a board on the floor.
 
-use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
+use super::{CAMERA_UNKNOWN, GroundArguments, RigMeasurement, read_camera};
 use crate::interrupt;
 use odograph::error::{Error, Result};
 use odograph::image::RgbImage;
@@ -17,7 +17,7 @@ const MOVED_PX: f64 = 3.0;
 const MOST_TOLD: usize = 8;
 
 /// What was found in all sources.
-struct Found {
+struct BoardSightings {
     views: Vec<BoardView>,
     names: Vec<String>,
     frames: usize,
@@ -29,7 +29,7 @@ struct Found {
     warnings: Vec<String>,
 }
 
-pub fn measure(arguments: &GroundArguments, board: Board) -> Result<Measured> {
+pub fn measure(arguments: &GroundArguments, board: Board) -> Result<RigMeasurement> {
     let floor =
         FloorBoard { board, thickness_m: arguments.thickness.unwrap_or(0.0), forward: arguments.forward };
     let found = look(arguments, &board)?;
@@ -60,7 +60,7 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<Measured> {
     }
     warnings.extend(mounting.notes.iter().cloned());
     warnings.extend(uncertainty.is_none().then(|| CAMERA_UNKNOWN.to_owned()));
-    Ok(Measured {
+    Ok(RigMeasurement {
         rig: mounting.measured,
         summary: summary(&board, &mounting, &found.names, found.still),
         warnings,
@@ -71,9 +71,9 @@ pub fn measure(arguments: &GroundArguments, board: Board) -> Result<Measured> {
 }
 
 /// Looks for the board in every frame of every source.
-fn look(arguments: &GroundArguments, board: &Board) -> Result<Found> {
+fn look(arguments: &GroundArguments, board: &Board) -> Result<BoardSightings> {
     let finder = BoardFinder::new(board);
-    let mut found = Found {
+    let mut found = BoardSightings {
         views: Vec::new(),
         names: Vec::new(),
         frames: 0,

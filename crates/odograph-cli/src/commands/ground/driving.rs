@@ -1,6 +1,6 @@
 //! Roll and pitch, and with a known distance the height, from a recording of driving.
 
-use super::{CAMERA_UNKNOWN, GroundArguments, Measured, read_camera};
+use super::{CAMERA_UNKNOWN, GroundArguments, RigMeasurement, read_camera};
 use crate::commands::run::ConsoleObserver;
 use crate::lengths::Typed;
 use crate::{console, interrupt};
@@ -15,7 +15,7 @@ use odograph::odometry::{Odometry, OdometryConfig};
 use odograph_session::read_rig;
 
 /// One pass over the recording.
-struct Pass {
+struct CalibrationPass {
     driven: DrivenTilt,
     found: TiltMeasurement,
     /// The lens, if it was found to differ from the camera file.
@@ -30,7 +30,7 @@ struct Pass {
 /// shapes of patches depend on the tilt.
 const AGAIN_DEG: f64 = 0.1;
 
-pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
+pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
     let [path] = arguments.sources.as_slice() else {
         return Err(Error::usage(
             "give one recording of driving, or --board BOARD for pictures of a board on the floor",
@@ -106,7 +106,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<Measured> {
     if lost > 0.0 {
         warnings.push(format!("{:.1} % of the frames could not be tracked", 100.0 * lost));
     }
-    Ok(Measured {
+    Ok(RigMeasurement {
         rig: MeasuredRig {
             rig: Rig { height_m, roll_rad: found.roll_rad, pitch_rad: found.pitch_rad, ..begin },
             deviations: RigDeviations {
@@ -136,7 +136,7 @@ fn follow(
     uncertainty: Option<&CameraUncertainty>,
     rig: Rig,
     number: usize,
-) -> Result<Pass> {
+) -> Result<CalibrationPass> {
     let mut source = odograph_video::open(path, &arguments.source_options())?;
     let mut odometry = Odometry::new(camera.clone(), rig, OdometryConfig::default())?;
     let mut driven = DrivenTilt::new(camera, DrivingConfig::default());
@@ -166,7 +166,7 @@ fn follow(
     let lens = driven.self_calibration(&rig, 0).ok().and_then(|calibration| calibration.lens);
     let lens = lens.map(|(lens, _)| lens).filter(LensMeasurement::is_another);
     progress.finish_and_clear();
-    Ok(Pass { driven, found, lens, frame, warnings: source.take_warnings(), length_by_frames_m })
+    Ok(CalibrationPass { driven, found, lens, frame, warnings: source.take_warnings(), length_by_frames_m })
 }
 
 fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
@@ -190,7 +190,7 @@ fn not_revealed(path: &str, worst: [f64; 2], deviation_rad: f64) -> String {
 /// The length of a path depends on its sampling: measured from frame to frame it contains the
 /// vibration of the mount, along chords of a twentieth of the height it cuts the curves. The driven
 /// distance lies between; the mean is used, with half of the difference as its standard deviation.
-fn by_distance(path: &str, pass: &Pass, distance: Typed) -> Result<(f64, Option<f64>)> {
+fn by_distance(path: &str, pass: &CalibrationPass, distance: Typed) -> Result<(f64, Option<f64>)> {
     let (by_chords, deviation) = pass.driven.path_length_m().ok_or_else(|| {
         Error::input(format!(
             "{path}: tracking was lost, so the length of the path is not known; give --height, or \

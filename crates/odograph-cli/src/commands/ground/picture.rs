@@ -1,7 +1,7 @@
 //! A picture of what was measured: the frame with the plumb point, angles about it, the carrier's
 //! directions and the board's points.
 
-use super::Measured;
+use super::RigMeasurement;
 use crate::files;
 use crate::report::drawing_png;
 use odograph::camera::Camera;
@@ -13,7 +13,7 @@ use std::fmt::Write;
 const RINGS_DEG: [f64; 8] = [10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0];
 
 /// The picture as the bytes of a PNG file.
-pub fn drawn(camera: &Camera, measured: &Measured) -> Result<Vec<u8>> {
+pub fn drawn(camera: &Camera, measured: &RigMeasurement) -> Result<Vec<u8>> {
     let (width, height) = (camera.width(), camera.height());
     let png = files::png_from_rgb(&measured.frame)?;
     // Lines as wide in a large picture as in a small one.

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 /// Show what a map holds.
 #[derive(Debug, clap::Args)]
-pub struct InfoArguments {
+pub struct MapInfoArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
@@ -65,7 +65,7 @@ struct MosaicInfo {
 }
 
 /// Runs the command.
-pub fn info(arguments: &InfoArguments) -> Result<Outcome> {
+pub fn info(arguments: &MapInfoArguments) -> Result<Outcome> {
     let mut file = MapFile::open_read_only(&arguments.map)?;
     if arguments.check {
         file.check()?;

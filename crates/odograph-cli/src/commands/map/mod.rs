@@ -21,7 +21,7 @@ pub struct MapArguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum MapCommand {
-    Info(info::InfoArguments),
+    Info(info::MapInfoArguments),
     Merge(merge::MergeArguments),
     Export(export::ExportArguments),
     Mosaic(mosaic::MosaicArguments),

@@ -24,7 +24,7 @@ const PICTURE_EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "pgm
 
 /// One of several recordings.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Recording {
+pub struct ListedRecording {
     source: String,
     /// Name of its output folder.
     name: String,
@@ -32,7 +32,7 @@ pub struct Recording {
 
 /// The recordings of a call with more than one source or with a folder of videos; `None` for a
 /// single one.
-pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<Recording>>> {
+pub fn recordings(arguments: &RunArguments) -> Result<Option<Vec<ListedRecording>>> {
     let given = || std::iter::once(&arguments.source).chain(&arguments.more);
     let mut sources = Vec::new();
     for source in given() {
@@ -87,7 +87,7 @@ fn videos_in(folder: &Path) -> Vec<PathBuf> {
 
 /// Names each folder after its recording, without the ending; equal names get a number from the
 /// second on.
-fn named(sources: Vec<String>) -> Vec<Recording> {
+fn named(sources: Vec<String>) -> Vec<ListedRecording> {
     let mut taken = HashSet::new();
     let name = |source: &String| {
         let path = Path::new(source);
@@ -98,7 +98,7 @@ fn named(sources: Vec<String>) -> Vec<Recording> {
         free.unwrap_or(own)
     };
     let names: Vec<String> = sources.iter().map(name).collect();
-    sources.into_iter().zip(names).map(|(source, name)| Recording { source, name }).collect()
+    sources.into_iter().zip(names).map(|(source, name)| ListedRecording { source, name }).collect()
 }
 
 /// How one of them ended.
@@ -110,7 +110,7 @@ enum End {
 }
 
 /// Runs all recordings and prints how each ended. A failure does not stop the others.
-pub fn run(recordings: &[Recording], arguments: &RunArguments, folder: &Path) -> Result<Outcome> {
+pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Path) -> Result<Outcome> {
     let cores = arguments
         .output
         .threads
@@ -149,7 +149,12 @@ pub fn run(recordings: &[Recording], arguments: &RunArguments, folder: &Path) ->
 }
 
 /// Runs one recording as it would run alone, but without output.
-fn one(recording: &Recording, arguments: &RunArguments, folder: &Path, threads: usize) -> Result<RunOutcome> {
+fn one(
+    recording: &ListedRecording,
+    arguments: &RunArguments,
+    folder: &Path,
+    threads: usize,
+) -> Result<RunOutcome> {
     let alone = arguments.builder(&recording.source, &folder.join(&recording.name))?.threads(threads);
     let run = || alone.run(&ConsoleObserver::new(true));
     catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
@@ -159,19 +164,24 @@ fn one(recording: &Recording, arguments: &RunArguments, folder: &Path, threads: 
 
 /// One of several recordings in `--json`.
 #[derive(Serialize)]
-struct Told<'a> {
+struct RecordingJson<'a> {
     source: &'a str,
     folder: PathBuf,
     error: Option<String>,
     statistics: Option<&'a Statistics>,
 }
 
-fn tell(recordings: &[Recording], ends: &[End], arguments: &RunArguments, results: &Path) -> Result<()> {
+fn tell(
+    recordings: &[ListedRecording],
+    ends: &[End],
+    arguments: &RunArguments,
+    results: &Path,
+) -> Result<()> {
     if arguments.output.json {
-        let told: Vec<Told<'_>> = recordings
+        let told: Vec<RecordingJson<'_>> = recordings
             .iter()
             .zip(ends)
-            .map(|(recording, end)| Told {
+            .map(|(recording, end)| RecordingJson {
                 source: &recording.source,
                 folder: results.join(&recording.name),
                 error: match end {

@@ -20,7 +20,7 @@ pub struct Writer<W> {
 
 /// Size and timing of the stream.
 #[derive(Clone, Copy)]
-pub struct Format {
+pub struct StreamFormat {
     /// Width and height, pixels.
     pub size: (usize, usize),
     /// Frames per second, as a fraction.
@@ -33,7 +33,7 @@ pub struct Format {
 
 impl<W: Write + Seek> Writer<W> {
     /// Begins a file.
-    pub fn new(mut file: W, format: Format) -> io::Result<Self> {
+    pub fn new(mut file: W, format: StreamFormat) -> io::Result<Self> {
         file.write_all(&header(format, 0, 0))?;
         Ok(Self { file, index: vec![], movie_bytes: 0, largest: 0 })
     }
@@ -65,7 +65,7 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     /// Writes the index, and the sizes that are known only at the end.
-    pub fn finish(mut self, format: Format) -> io::Result<W> {
+    pub fn finish(mut self, format: StreamFormat) -> io::Result<W> {
         self.file.write_all(b"idx1")?;
         self.file.write_all(&(self.index.len() as u32).to_le_bytes())?;
         self.file.write_all(&self.index)?;
@@ -85,7 +85,7 @@ impl<W: Write + Seek> Writer<W> {
 const HEADER_BYTES: u64 = 224;
 
 /// Everything before the first picture; `after_header` bytes follow it.
-fn header(format: Format, after_header: u32, largest: u32) -> Vec<u8> {
+fn header(format: StreamFormat, after_header: u32, largest: u32) -> Vec<u8> {
     let (width, height) = (format.size.0 as u32, format.size.1 as u32);
     let (rate, scale) = (format.fps.0 as u32, format.fps.1 as u32);
     let frames = format.frames as u32;
@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn every_index_entry_points_to_its_picture() {
-        let format = Format { size: (64, 48), fps: (30, 1), frames: 3, bits: 24 };
+        let format = StreamFormat { size: (64, 48), fps: (30, 1), frames: 3, bits: 24 };
         let mut writer = Writer::new(Cursor::new(vec![]), format).unwrap();
         let pictures = [vec![1u8; 10], vec![2u8; 11], vec![3u8; 12]];
         pictures.iter().for_each(|picture| writer.add(picture).unwrap());

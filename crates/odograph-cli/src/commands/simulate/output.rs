@@ -212,7 +212,7 @@ impl Output {
 
     fn write_avi(&self, simulation: &Simulation) -> Result<()> {
         let config = simulation.config();
-        let format = avi::Format {
+        let format = avi::StreamFormat {
             size: (config.camera.width(), config.camera.height()),
             fps: fraction(config.fps)?,
             frames: simulation.len(),

@@ -1,6 +1,6 @@
 //! The folder of corrected frames, which gets its name only when it is complete.
 
-use super::Format;
+use super::OutputFormat;
 use crate::files;
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -21,14 +21,14 @@ pub struct Output {
     folder: PathBuf,
     /// Whether the folder was created by this run.
     made: bool,
-    frames: Frames,
+    frames: FrameWriter,
     /// The frames' names and times, for `frames.txt`.
     list: String,
     times_s: Vec<f64>,
     whole: bool,
 }
 
-enum Frames {
+enum FrameWriter {
     Pictures,
     Stream { file: BufWriter<File>, begun: Option<StreamKind> },
 }
@@ -60,8 +60,8 @@ impl Drop for Output {
     fn drop(&mut self) {
         if !self.whole {
             let _ = match self.frames {
-                Frames::Pictures => fs::remove_dir_all(self.part()),
-                Frames::Stream { .. } => fs::remove_file(self.part()),
+                FrameWriter::Pictures => fs::remove_dir_all(self.part()),
+                FrameWriter::Stream { .. } => fs::remove_file(self.part()),
             };
             if self.made {
                 let _ = fs::remove_dir(&self.folder); // only where it is empty
@@ -73,7 +73,7 @@ impl Drop for Output {
 impl Output {
     /// Prepares the folder. Fails if results exist and `force` does not allow replacing them, or if
     /// it cannot be written.
-    pub fn new(folder: &Path, format: Format, force: bool) -> Result<Self> {
+    pub fn new(folder: &Path, format: OutputFormat, force: bool) -> Result<Self> {
         if folder.exists() && !folder.is_dir() {
             return Err(Error::usage(format!("{} is a file; the results need a folder", folder.display())));
         }
@@ -86,20 +86,20 @@ impl Output {
         let made = !folder.exists();
         fs::create_dir_all(folder)
             .map_err(|error| Error::output(format!("{} cannot be made: {error}", folder.display())))?;
-        let begin = || -> io::Result<Frames> {
+        let begin = || -> io::Result<FrameWriter> {
             Ok(match format {
-                Format::Png => {
+                OutputFormat::Png => {
                     let part = files::beside(&folder.join(PICTURES));
                     // What a killed run has left.
                     if part.exists() {
                         fs::remove_dir_all(&part)?;
                     }
                     fs::create_dir(&part)?;
-                    Frames::Pictures
+                    FrameWriter::Pictures
                 }
-                Format::Y4m => {
+                OutputFormat::Y4m => {
                     let file = File::create(files::beside(&folder.join(STREAM)))?;
-                    Frames::Stream { file: BufWriter::new(file), begun: None }
+                    FrameWriter::Stream { file: BufWriter::new(file), begun: None }
                 }
             })
         };
@@ -110,8 +110,8 @@ impl Output {
             Error::output(format!("{} cannot be written: {error}", folder.display()))
         })?;
         let list = match format {
-            Format::Png => "# time_s name\n",
-            Format::Y4m => "# time_s\n",
+            OutputFormat::Png => "# time_s name\n",
+            OutputFormat::Y4m => "# time_s\n",
         };
         Ok(Self {
             folder: folder.to_owned(),
@@ -125,8 +125,8 @@ impl Output {
 
     fn place(&self) -> PathBuf {
         self.folder.join(match self.frames {
-            Frames::Pictures => PICTURES,
-            Frames::Stream { .. } => STREAM,
+            FrameWriter::Pictures => PICTURES,
+            FrameWriter::Stream { .. } => STREAM,
         })
     }
 
@@ -143,12 +143,12 @@ impl Output {
     pub fn add(&mut self, frame: &Encoded) -> Result<()> {
         let (failed, part) = (self.failed(), self.part());
         let written = match &mut self.frames {
-            Frames::Pictures => {
+            FrameWriter::Pictures => {
                 let name = format!("{:06}.png", frame.number);
                 let _ = writeln!(self.list, "{:.9} {PICTURES}/{name}", frame.time_s);
                 fs::write(part.join(name), &frame.bytes)
             }
-            Frames::Stream { file, begun } => {
+            FrameWriter::Stream { file, begun } => {
                 let _ = writeln!(self.list, "{:.9}", frame.time_s);
                 let header = match begun {
                     Some(_) => String::new(),
@@ -173,8 +173,8 @@ impl Output {
             _ => None,
         };
         let placed = match &mut self.frames {
-            Frames::Pictures => place_pictures(&part, &place),
-            Frames::Stream { file, begun } => {
+            FrameWriter::Pictures => place_pictures(&part, &place),
+            FrameWriter::Stream { file, begun } => {
                 finish_stream(file, *begun, rate).and_then(|()| fs::rename(&part, &place))
             }
         };
@@ -191,8 +191,8 @@ impl Output {
     fn remove_other_format(&self) -> io::Result<()> {
         let (stream, pictures) = (self.folder.join(STREAM), self.folder.join(PICTURES));
         match self.frames {
-            Frames::Pictures if stream.is_file() => fs::remove_file(stream),
-            Frames::Stream { .. } if pictures.is_dir() => {
+            FrameWriter::Pictures if stream.is_file() => fs::remove_file(stream),
+            FrameWriter::Stream { .. } if pictures.is_dir() => {
                 remove_own_pictures(&pictures)?;
                 // May fail if other files are in it.
                 let _ = fs::remove_dir(&pictures);

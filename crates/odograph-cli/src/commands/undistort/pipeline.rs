@@ -2,7 +2,7 @@
 //! threads gives the same bytes.
 
 use super::output::{Encoded, Output};
-use super::{Format, UndistortArguments};
+use super::{OutputFormat, UndistortArguments};
 use crate::commands::simulate::y4m;
 use crate::{files, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 
 /// The result for a recording.
-pub struct Corrected {
+pub struct CorrectionSummary {
     pub frames: u64,
     /// The first frame, original and corrected, side by side.
     pub before_after: Option<RgbImage>,
@@ -31,14 +31,14 @@ pub fn correct(
     correction: &ImageCorrection,
     arguments: &UndistortArguments,
     output: &mut Output,
-) -> Result<Corrected> {
+) -> Result<CorrectionSummary> {
     let available = || thread::available_parallelism().map_or(1, usize::from);
     let threads = arguments.threads.map_or_else(available, usize::from);
     let bar = progress(source.info().frame_count, arguments.quiet);
     let (format, mut frames, mut before_after) = (arguments.format, 0, None);
     let failure = thread::scope(|scope| -> Result<Option<Error>> {
         let (decoded_in, decoded_out) = mpsc::sync_channel::<(u64, Frame)>(threads);
-        let (encoded_in, encoded_out) = mpsc::sync_channel::<(u64, Result<Work>)>(threads);
+        let (encoded_in, encoded_out) = mpsc::sync_channel::<(u64, Result<FinishedFrame>)>(threads);
         let source = &mut source;
         let decoder = scope.spawn(move || -> Result<()> {
             for place in 0.. {
@@ -86,31 +86,36 @@ pub fn correct(
     if interrupt::asked() {
         warnings.push(format!("interrupted: the first {frames} frames have been written"));
     }
-    Ok(Corrected { frames, before_after, warnings, failure: failure? })
+    Ok(CorrectionSummary { frames, before_after, warnings, failure: failure? })
 }
 
 /// A frame when all work on it is done.
-struct Work {
+struct FinishedFrame {
     encoded: Encoded,
     before_after: Option<RgbImage>,
 }
 
-fn corrected(frame: &Frame, compare: bool, correction: &ImageCorrection, format: Format) -> Result<Work> {
+fn corrected(
+    frame: &Frame,
+    compare: bool,
+    correction: &ImageCorrection,
+    format: OutputFormat,
+) -> Result<FinishedFrame> {
     let (bytes, before_after);
     if frame.has_color() {
         let before = frame.rgb();
         let after = correction.apply_rgb(&before)?;
         bytes = match format {
-            Format::Png => files::png_from_rgb(&after)?,
+            OutputFormat::Png => files::png_from_rgb(&after)?,
             // Not the decoded luminance, whose range the stream decides.
-            Format::Y4m => y4m::frame(&luminance(&after), Some(&after)),
+            OutputFormat::Y4m => y4m::frame(&luminance(&after), Some(&after)),
         };
         before_after = compare.then(|| side_by_side(&before, &after));
     } else {
         let after = correction.apply(&frame.gray)?;
         bytes = match format {
-            Format::Png => files::png_from_gray(&after)?,
-            Format::Y4m => y4m::frame(&after, None),
+            OutputFormat::Png => files::png_from_gray(&after)?,
+            OutputFormat::Y4m => y4m::frame(&after, None),
         };
         before_after = compare.then(|| side_by_side(&RgbImage::from(&frame.gray), &RgbImage::from(&after)));
     }
@@ -122,7 +127,7 @@ fn corrected(frame: &Frame, compare: bool, correction: &ImageCorrection, format:
         colored: frame.has_color(),
         bytes,
     };
-    Ok(Work { encoded, before_after })
+    Ok(FinishedFrame { encoded, before_after })
 }
 
 /// Luminance of BT.601 in full range.

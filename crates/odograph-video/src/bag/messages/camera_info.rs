@@ -1,6 +1,6 @@
 //! `sensor_msgs/CameraInfo`: the camera that took the images of a topic.
 
-use crate::bag::cursor::Cursor;
+use crate::bag::cursor::MessageCursor;
 use crate::bag::recording::Topic;
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -28,7 +28,7 @@ const MOST_COEFFICIENTS: usize = 64;
 impl CameraInfo {
     /// Reads a message; `None` if it is cut off.
     pub fn read(topic: &Topic, data: &[u8]) -> Option<Self> {
-        let mut message = Cursor::new(data, &topic.serialization)?;
+        let mut message = MessageCursor::new(data, &topic.serialization)?;
         message.header()?;
         let (height, width) = (message.u32()?, message.u32()?);
         let model = message.string()?.into_owned();

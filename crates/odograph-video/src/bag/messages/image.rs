@@ -1,7 +1,7 @@
 //! Image messages: `sensor_msgs/Image`, `sensor_msgs/CompressedImage`, and packets of videos.
 
 use super::{RawImage, Role, VideoMessage, VideoPacket, protobuf};
-use crate::bag::cursor::{Cursor, Serialization};
+use crate::bag::cursor::{MessageCursor, Serialization};
 use crate::bag::recording::Topic;
 use crate::bayer::BayerPattern;
 use crate::container::Codec;
@@ -21,7 +21,7 @@ pub(crate) fn raw_image<'a>(topic: &Topic, data: &'a [u8]) -> Result<RawImage<'a
         return protobuf::raw_image(data).ok_or_else(cut_off);
     }
     let read = || {
-        let mut message = Cursor::new(data, &topic.serialization)?;
+        let mut message = MessageCursor::new(data, &topic.serialization)?;
         message.header()?;
         let (height, width) = (message.u32()? as usize, message.u32()? as usize);
         let (encoding, big_endian) = (message.string()?, message.u8()? != 0);
@@ -71,7 +71,7 @@ fn compressed_image<'a>(topic: &Topic, data: &'a [u8]) -> Result<&'a [u8]> {
         return protobuf::compressed_image(data).ok_or_else(cut_off);
     }
     let read = || {
-        let mut message = Cursor::new(data, &topic.serialization)?;
+        let mut message = MessageCursor::new(data, &topic.serialization)?;
         message.header()?;
         message.string()?;
         message.bytes()
@@ -114,7 +114,7 @@ pub(crate) fn video_packet<'a>(topic: &Topic, kind: VideoMessage, data: &'a [u8]
         if topic.serialization == Serialization::Protobuf {
             return protobuf::compressed_video(data);
         }
-        let mut message = Cursor::new(data, &topic.serialization)?;
+        let mut message = MessageCursor::new(data, &topic.serialization)?;
         match kind {
             VideoMessage::Foxglove => {
                 message.time_ns()?;

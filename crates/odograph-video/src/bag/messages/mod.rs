@@ -6,7 +6,7 @@ pub(crate) mod image;
 pub(crate) mod sensor;
 pub(crate) mod transforms;
 
-use super::cursor::{Cursor, Serialization};
+use super::cursor::{MessageCursor, Serialization};
 use super::recording::Topic;
 use std::borrow::Cow;
 
@@ -92,8 +92,10 @@ pub(crate) fn stamp_ns(topic: &Topic, data: &[u8]) -> Option<i64> {
     let stamp_ns = match (Role::of(topic), &topic.serialization) {
         (Role::Other, _) => None,
         (_, Serialization::Protobuf) => protobuf::stamp_ns(data),
-        (Role::Video(VideoMessage::Foxglove), serialization) => Cursor::new(data, serialization)?.time_ns(),
-        (_, serialization) => Cursor::new(data, serialization)?.header().map(|header| header.stamp_ns),
+        (Role::Video(VideoMessage::Foxglove), serialization) => {
+            MessageCursor::new(data, serialization)?.time_ns()
+        }
+        (_, serialization) => MessageCursor::new(data, serialization)?.header().map(|header| header.stamp_ns),
     };
     stamp_ns.filter(|&stamp_ns| stamp_ns != 0)
 }
@@ -103,7 +105,7 @@ pub(crate) fn frame_id(topic: &Topic, data: &[u8]) -> String {
     if topic.serialization == Serialization::Protobuf {
         return String::new();
     }
-    let header = Cursor::new(data, &topic.serialization).and_then(|mut cursor| cursor.header());
+    let header = MessageCursor::new(data, &topic.serialization).and_then(|mut cursor| cursor.header());
     header.map(|header| header.frame.into_owned()).unwrap_or_default()
 }
 

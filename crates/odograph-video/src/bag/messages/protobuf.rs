@@ -6,7 +6,7 @@ use std::borrow::Cow;
 
 /// Value of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Value<'a> {
+enum FieldValue<'a> {
     Number(u64),
     Bytes(&'a [u8]),
 }
@@ -36,18 +36,18 @@ impl<'a> FieldReader<'a> {
 }
 
 impl<'a> Iterator for FieldReader<'a> {
-    type Item = (u64, Value<'a>);
+    type Item = (u64, FieldValue<'a>);
 
     fn next(&mut self) -> Option<Self::Item> {
         let key = self.variable()?;
         let value = match key & 7 {
-            0 => Value::Number(self.variable()?),
-            1 => Value::Number(u64::from_le_bytes(self.take(8)?.try_into().ok()?)),
+            0 => FieldValue::Number(self.variable()?),
+            1 => FieldValue::Number(u64::from_le_bytes(self.take(8)?.try_into().ok()?)),
             2 => {
                 let length = self.variable()?;
-                Value::Bytes(self.take(length)?)
+                FieldValue::Bytes(self.take(length)?)
             }
-            5 => Value::Number(u32::from_le_bytes(self.take(4)?.try_into().ok()?).into()),
+            5 => FieldValue::Number(u32::from_le_bytes(self.take(4)?.try_into().ok()?).into()),
             _ => return None,
         };
         Some((key >> 3, value))
@@ -56,12 +56,12 @@ impl<'a> Iterator for FieldReader<'a> {
 
 /// Field 1 of every message of Foxglove: `google.protobuf.Timestamp`.
 pub(super) fn stamp_ns(data: &[u8]) -> Option<i64> {
-    let Value::Bytes(stamp) = FieldReader(data).find(|(field, _)| *field == 1)?.1 else { return None };
+    let FieldValue::Bytes(stamp) = FieldReader(data).find(|(field, _)| *field == 1)?.1 else { return None };
     let (mut seconds, mut nanoseconds) = (0, 0);
     for (field, value) in FieldReader(stamp) {
         match (field, value) {
-            (1, Value::Number(value)) => seconds = value.cast_signed(),
-            (2, Value::Number(value)) => nanoseconds = value.cast_signed(),
+            (1, FieldValue::Number(value)) => seconds = value.cast_signed(),
+            (2, FieldValue::Number(value)) => nanoseconds = value.cast_signed(),
             _ => {}
         }
     }
@@ -78,11 +78,11 @@ pub(super) fn raw_image(data: &[u8]) -> Option<RawImage<'_>> {
         RawImage { width: 0, height: 0, encoding: "".into(), big_endian: false, step: 0, data: &[] };
     for (field, value) in FieldReader(data) {
         match (field, value) {
-            (2, Value::Number(width)) => image.width = usize::try_from(width).ok()?,
-            (3, Value::Number(height)) => image.height = usize::try_from(height).ok()?,
-            (4, Value::Bytes(name)) => image.encoding = text(name),
-            (5, Value::Number(step)) => image.step = usize::try_from(step).ok()?,
-            (6, Value::Bytes(data)) => image.data = data,
+            (2, FieldValue::Number(width)) => image.width = usize::try_from(width).ok()?,
+            (3, FieldValue::Number(height)) => image.height = usize::try_from(height).ok()?,
+            (4, FieldValue::Bytes(name)) => image.encoding = text(name),
+            (5, FieldValue::Number(step)) => image.step = usize::try_from(step).ok()?,
+            (6, FieldValue::Bytes(data)) => image.data = data,
             _ => {}
         }
     }
@@ -92,7 +92,7 @@ pub(super) fn raw_image(data: &[u8]) -> Option<RawImage<'_>> {
 /// `foxglove.CompressedImage`
 pub(super) fn compressed_image(data: &[u8]) -> Option<&[u8]> {
     let fields = FieldReader(data).filter_map(|field| match field {
-        (2, Value::Bytes(data)) => Some(data),
+        (2, FieldValue::Bytes(data)) => Some(data),
         _ => None,
     });
     fields.last()
@@ -103,8 +103,8 @@ pub(super) fn compressed_video(data: &[u8]) -> Option<VideoPacket<'_>> {
     let mut packet = VideoPacket { format: "".into(), data: &[] };
     for (field, value) in FieldReader(data) {
         match (field, value) {
-            (3, Value::Bytes(data)) => packet.data = data,
-            (4, Value::Bytes(format)) => packet.format = text(format),
+            (3, FieldValue::Bytes(data)) => packet.data = data,
+            (4, FieldValue::Bytes(format)) => packet.format = text(format),
             _ => {}
         }
     }

@@ -1,7 +1,7 @@
 //! Sensors beside the camera: `sensor_msgs/Imu`, `nav_msgs/Odometry`, `sensor_msgs/Range`.
 
 use super::Role;
-use crate::bag::cursor::Cursor;
+use crate::bag::cursor::MessageCursor;
 use crate::bag::recording::Topic;
 use odograph::filter::fusion::Quantity;
 
@@ -18,7 +18,7 @@ pub(crate) fn quantity(role: Role) -> Option<Quantity> {
 /// The values of a message: one for each channel of its quantity; `None` if it is cut off or has
 /// none, as a range finder that sees nothing.
 pub(crate) fn values(topic: &Topic, data: &[u8]) -> Option<Vec<f64>> {
-    let mut message = Cursor::new(data, &topic.serialization)?;
+    let mut message = MessageCursor::new(data, &topic.serialization)?;
     message.header()?;
     let values = match Role::of(topic) {
         Role::Gyro => {

@@ -1,6 +1,6 @@
 //! Static transforms: `tf2_msgs/TFMessage` on `/tf_static`.
 
-use crate::bag::cursor::{Cursor, Serialization};
+use crate::bag::cursor::{MessageCursor, Serialization};
 use crate::bag::recording::Topic;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
@@ -21,7 +21,7 @@ pub(crate) fn each(topic: &Topic, data: &[u8], mut take: impl FnMut(&str, &str, 
 }
 
 fn read(topic: &Topic, data: &[u8], take: &mut dyn FnMut(&str, &str, Isometry3<f64>)) -> Option<()> {
-    let mut message = Cursor::new(data, &topic.serialization)?;
+    let mut message = MessageCursor::new(data, &topic.serialization)?;
     for _ in 0..message.u32()?.min(MOST) {
         let parent = message.header()?.frame;
         let child = message.string()?;

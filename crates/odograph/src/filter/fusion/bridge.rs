@@ -1,6 +1,6 @@
 //! Tracking gaps: the camera's velocity around a gap, and dead-reckoned frames within it.
 
-use super::camera_motion::{Node, Step};
+use super::camera_motion::{MeasuredFrame, Step};
 use super::reckoning::{BodyRates, Reckoned};
 use crate::filter::smoother::{PoseSource, SmoothedFrame};
 use crate::geometry::pose_index::HEADING;
@@ -48,7 +48,7 @@ pub fn rates_around(steps: &[Step], before: usize, after: Option<usize>) -> [Bod
 impl Bridge {
     /// Dead-reckoned frames of the gap in world coordinates, adjusted to the measured poses at its
     /// ends.
-    pub fn laid(&self, frames: &[FrameEstimate], nodes: &[Node]) -> Vec<SmoothedFrame> {
+    pub fn laid(&self, frames: &[FrameEstimate], nodes: &[MeasuredFrame]) -> Vec<SmoothedFrame> {
         let before = &frames[nodes[self.before].index];
         let after = self.after.map(|after| &frames[nodes[after].index]);
         let Some(start) = &before.estimate else { return Vec::new() };

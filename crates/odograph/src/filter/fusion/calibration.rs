@@ -1,8 +1,8 @@
 //! Calibration of a sensor against the camera (clock offset, scale, bias, mounting, noise), and its
 //! acceptance.
 
-use super::camera_motion::{Node, Step};
-use super::fit::{Fit, Prior, Row, TimeOffset, fit, time_offset};
+use super::camera_motion::{MeasuredFrame, Step};
+use super::fit::{Fit, ObservationRow, ParameterPrior, TimeOffset, fit, time_offset};
 use super::rejection::Reason;
 use super::series::{Quantity, SensorRecord};
 use crate::numerics::{median, normal_sigma};
@@ -64,7 +64,7 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
         for channel in 0..channels {
             design[channel] = record.between(channel, step.from_s + offset_s, step.to_s + offset_s)?;
         }
-        Some(Row { design, target: step.turn_rad, duration_s: step.duration_s(), second: false })
+        Some(ObservationRow { design, target: step.turn_rad, duration_s: step.duration_s(), second: false })
     };
     let turned_rad: f64 = steps.iter().map(|step| step.turn_rad.abs()).sum();
     if channels == 3 && turned_rad < LEAST_TURN_RAD {
@@ -73,8 +73,11 @@ pub fn gyro(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason>
     // A single axis is vertical, upright or upside down, with a scale error of a few percent; three
     // axes have an unknown orientation.
     let prior = |sign: f64| match channels {
-        1 => Prior { mean: Vector4::new(sign, 0.0, 0.0, 0.0), sigma: Vector4::new(0.03, 1e-6, 1e-6, 0.5) },
-        _ => Prior { mean: Vector4::zeros(), sigma: Vector4::new(1.0, 1.0, 1.0, 0.5) },
+        1 => ParameterPrior {
+            mean: Vector4::new(sign, 0.0, 0.0, 0.0),
+            sigma: Vector4::new(0.03, 1e-6, 1e-6, 0.5),
+        },
+        _ => ParameterPrior { mean: Vector4::zeros(), sigma: Vector4::new(1.0, 1.0, 1.0, 0.5) },
     };
     let signs: &[f64] = if channels == 1 { &[1.0, -1.0] } else { &[1.0] };
     let calibrate = |&sign: &f64| {
@@ -96,7 +99,7 @@ pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason
     let rows = |step: &Step, offset_s: f64| {
         let way_m = record.between(0, step.from_s + offset_s, step.to_s + offset_s)?;
         let (turn, duration_s) = (step.turn_rad, step.duration_s());
-        let row = |design, target, second| Row { design, target, duration_s, second };
+        let row = |design, target, second| ObservationRow { design, target, duration_s, second };
         Some(vec![
             row(Vector4::new(way_m, 0.0, 0.0, -turn), step.ahead_m, false),
             row(Vector4::new(0.0, way_m, turn, 0.0), step.left_m, true),
@@ -106,7 +109,7 @@ pub fn wheel(record: &SensorRecord, steps: &[Step]) -> Result<Calibrated, Reason
     if moved_m < LEAST_WAY_M {
         return Err(Reason::TooLittleMovement);
     }
-    let prior = Prior { mean: Vector4::zeros(), sigma: Vector4::new(10.0, 10.0, 0.5, 0.5) };
+    let prior = ParameterPrior { mean: Vector4::zeros(), sigma: Vector4::new(10.0, 10.0, 0.5, 0.5) };
     let (found, seconds) = calibrated(steps, 2, &prior, rows)?;
     let duration_s: f64 = steps.iter().map(Step::duration_s).sum();
     let worst_m = WORST_WAY_M + WORST_WAY_SHARE * moved_m / duration_s;
@@ -149,18 +152,18 @@ impl Seconds {
 fn calibrated(
     steps: &[Step],
     rows_per_step: usize,
-    prior: &Prior,
-    rows: impl Fn(&Step, f64) -> Option<Vec<Row>>,
+    prior: &ParameterPrior,
+    rows: impl Fn(&Step, f64) -> Option<Vec<ObservationRow>>,
 ) -> Result<(Calibrated, Vec<Seconds>), Reason> {
     let few = thinned(steps);
     let all_rows = |offset_s: f64| few.iter().filter_map(|step| rows(step, offset_s)).flatten().collect();
     let offset = time_offset(all_rows, prior, 1.0);
-    let compared: Vec<(Step, Vec<Row>)> =
+    let compared: Vec<(Step, Vec<ObservationRow>)> =
         steps.iter().filter_map(|step| rows(step, offset.offset_s).map(|rows| (*step, rows))).collect();
     if compared.iter().map(|(step, _)| step.duration_s()).sum::<f64>() < LEAST_S {
         return Err(Reason::NoOverlap);
     }
-    let flat: Vec<Row> = compared.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
+    let flat: Vec<ObservationRow> = compared.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
     let Fit { parameters, covariance, residuals, density: fitted, .. } = fit(&flat, prior, None);
     // Each direction has its own noise; the sensor's is the larger one, because a wheel carries
     // little information about lateral motion.
@@ -248,28 +251,28 @@ const WINDOW_S: f64 = 0.4;
 /// the variance of the camera's value relative to the start.
 fn sighted(
     record: &SensorRecord,
-    factor: impl Fn(&Node) -> f64,
-    nodes: &[Node],
-    camera: impl Fn(&Node) -> f64,
-    drift: impl Fn(&Node) -> f64,
+    factor: impl Fn(&MeasuredFrame) -> f64,
+    nodes: &[MeasuredFrame],
+    camera: impl Fn(&MeasuredFrame) -> f64,
+    drift: impl Fn(&MeasuredFrame) -> f64,
 ) -> Result<Sighted, Reason> {
     // The clock offset is estimated from window averages: values interpolated between two samples
     // have less noise than the samples, which would bias the offset.
-    let mean = |node: &Node, time_s: f64| {
+    let mean = |node: &MeasuredFrame, time_s: f64| {
         let (from_s, to_s) = (time_s - 0.5 * WINDOW_S, time_s + 0.5 * WINDOW_S);
         record.between(0, from_s, to_s).map(|sum| factor(node) * sum / WINDOW_S)
     };
-    let reading = |node: &Node, time_s: f64| record.at(0, time_s).map(|z| factor(node) * z);
+    let reading = |node: &MeasuredFrame, time_s: f64| record.at(0, time_s).map(|z| factor(node) * z);
     let stride = nodes.len().div_ceil(MOST_ROWS).max(1);
     let spacing_s = match nodes {
         [first, .., last] => (last.time_s - first.time_s) / (nodes.len() - 1) as f64 * stride as f64,
         _ => WINDOW_S,
     };
-    let nothing = Prior { mean: Vector4::zeros(), sigma: Vector4::repeat(1.0) };
+    let nothing = ParameterPrior { mean: Vector4::zeros(), sigma: Vector4::repeat(1.0) };
     // Differences over one second cancel the sensor's bias and the camera's drift.
     let rows = |offset_s: f64| {
         let read = nodes.iter().step_by(stride);
-        let differences: Vec<(&Node, f64)> = read
+        let differences: Vec<(&MeasuredFrame, f64)> = read
             .filter_map(|node| mean(node, node.time_s + offset_s).map(|z| (node, z - camera(node))))
             .collect();
         let mut earlier = 0;
@@ -280,7 +283,7 @@ fn sighted(
             }
             let (before, then) = &differences[earlier.saturating_sub(1)];
             if earlier > 0 && before.segment == node.segment {
-                rows.push(Row {
+                rows.push(ObservationRow {
                     design: Vector4::zeros(),
                     target: difference - then,
                     duration_s: 1.0,
@@ -321,7 +324,7 @@ fn sighted(
     // readings, scaled to one reading, so that correlated errors have more weight. The part
     // explained by the camera's own drift is subtracted.
     let lasting = |length: usize| {
-        let means: Vec<(&Node, f64)> = sights
+        let means: Vec<(&MeasuredFrame, f64)> = sights
             .chunks_exact(length)
             .map(|chunk| {
                 let difference = |sight: &Sight| sight.reading - camera(&nodes[sight.node]);
@@ -366,15 +369,15 @@ const WORST_HEADING_RAD: f64 = 0.35;
 const WORST_HEIGHT_SHARE: f64 = 0.05;
 
 /// Calibrates a compass against the camera's heading.
-pub fn heading(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
+pub fn heading(record: &SensorRecord, nodes: &[MeasuredFrame]) -> Result<Sighted, Reason> {
     let found = sighted(record, |_| 1.0, nodes, |node| node.heading_rad, |node| node.carried[(2, 2)])?;
     within(found, nodes, |node| node.heading_rad, WORST_HEADING_RAD)
 }
 
 /// Calibrates a range finder against the camera's height.
-pub fn range(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
+pub fn range(record: &SensorRecord, nodes: &[MeasuredFrame]) -> Result<Sighted, Reason> {
     let along_axis = record.quantity() == Quantity::AxisDistance;
-    let factor = |node: &Node| if along_axis { node.tilt_cosine } else { 1.0 };
+    let factor = |node: &MeasuredFrame| if along_axis { node.tilt_cosine } else { 1.0 };
     let found = sighted(record, factor, nodes, |node| node.height_m, |node| node.height_variance)?;
     let height_m = nodes.iter().map(|node| node.height_m).sum::<f64>() / nodes.len().max(1) as f64;
     within(found, nodes, |node| node.height_m, WORST_HEIGHT_SHARE * height_m)
@@ -382,8 +385,8 @@ pub fn range(record: &SensorRecord, nodes: &[Node]) -> Result<Sighted, Reason> {
 
 fn within(
     found: Sighted,
-    nodes: &[Node],
-    camera: impl Fn(&Node) -> f64,
+    nodes: &[MeasuredFrame],
+    camera: impl Fn(&MeasuredFrame) -> f64,
     worst: f64,
 ) -> Result<Sighted, Reason> {
     if found.sigma <= worst {

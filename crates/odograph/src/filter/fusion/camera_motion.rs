@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 
 /// A measured frame.
 #[derive(Debug, Clone, Copy)]
-pub struct Node {
+pub struct MeasuredFrame {
     /// Index of the frame.
     pub index: usize,
     pub time_s: f64,
@@ -47,15 +47,15 @@ impl Step {
 }
 
 /// The measured frames, in order of time; of frames with the same timestamp only the first.
-pub fn nodes(frames: &[FrameEstimate]) -> Vec<Node> {
-    let mut nodes: Vec<Node> = Vec::new();
+pub fn nodes(frames: &[FrameEstimate]) -> Vec<MeasuredFrame> {
+    let mut nodes: Vec<MeasuredFrame> = Vec::new();
     for (index, frame) in frames.iter().enumerate() {
         let Some(known) = &frame.estimate else { continue };
         if nodes.last().is_some_and(|before| before.time_s >= frame.time_s) {
             continue;
         }
         let (plane, pose) = (&known.measured, &known.pose);
-        nodes.push(Node {
+        nodes.push(MeasuredFrame {
             index,
             time_s: frame.time_s,
             segment: frame.segment,
@@ -72,7 +72,7 @@ pub fn nodes(frames: &[FrameEstimate]) -> Vec<Node> {
 }
 
 /// Motions between consecutive nodes of one segment, except across intervals of more than a second.
-pub fn steps(nodes: &[Node]) -> Vec<Step> {
+pub fn steps(nodes: &[MeasuredFrame]) -> Vec<Step> {
     let pairs = nodes.windows(2).enumerate();
     let connected = pairs
         .filter(|(_, pair)| pair[0].segment == pair[1].segment && pair[1].time_s - pair[0].time_s <= 1.0);

@@ -8,7 +8,7 @@
 //! bias.
 
 use super::calibration::{CONSISTENT_NIS, Sight};
-use super::camera_motion::Node;
+use super::camera_motion::MeasuredFrame;
 use super::reckoning::Reckoned;
 use crate::geometry::pose_index::{HEADING, LN_SCALE, X, Y};
 use crate::geometry::{PlaneTransform, Se2, Sim2, propagated, wrap_angle};
@@ -16,8 +16,8 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// x, y (metres), heading correction (radians), logarithm of the scale correction, bias of the
 /// compass (radians), bias of the range finder (metres).
-type State = SVector<f64, 6>;
-type Square = SMatrix<f64, 6, 6>;
+type FusionState = SVector<f64, 6>;
+type StateMatrix = SMatrix<f64, 6, 6>;
 
 /// Where the zeros of the compass and of the range finder stand in the state.
 const COMPASS: usize = 4;
@@ -63,14 +63,19 @@ pub struct Estimate {
 
 /// One event of the forward pass, stored for the backward pass.
 enum Event {
-    Moved(Square),
-    Measured { row: State, innovation: f64, spread: f64, gain: State },
-    Node(State, Square),
+    Moved(StateMatrix),
+    Measured { row: FusionState, innovation: f64, spread: f64, gain: FusionState },
+    MeasuredFrame(FusionState, StateMatrix),
 }
 
 /// Estimates the path over `nodes`. `gaps[k]` is the dead-reckoned motion from node k − 1 to node k
 /// if there is a gap between them.
-pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], range: &[Sight]) -> Estimate {
+pub fn estimate(
+    nodes: &[MeasuredFrame],
+    gaps: &[Option<Reckoned>],
+    heading: &[Sight],
+    range: &[Sight],
+) -> Estimate {
     let mut forward = Forward::new(&nodes[0]);
     let (mut headings, mut ranges) = (heading.iter().peekable(), range.iter().peekable());
     for (k, node) in nodes.iter().enumerate() {
@@ -84,7 +89,7 @@ pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], ra
             }
         }
         while let Some(sight) = headings.next_if(|sight| sight.node <= k) {
-            let mut row = State::zeros();
+            let mut row = FusionState::zeros();
             (row[HEADING], row[COMPASS]) = (1.0, 1.0);
             let expected = node.heading_rad + forward.state[HEADING] + forward.state[COMPASS];
             let innovation = wrap_angle(sight.reading - expected);
@@ -92,19 +97,19 @@ pub fn estimate(nodes: &[Node], gaps: &[Option<Reckoned>], heading: &[Sight], ra
         }
         while let Some(sight) = ranges.next_if(|sight| sight.node <= k) {
             let height_m = node.height_m * forward.state[LN_SCALE].exp();
-            let mut row = State::zeros();
+            let mut row = FusionState::zeros();
             (row[LN_SCALE], row[RANGE]) = (height_m, -1.0);
             let innovation = sight.reading - (height_m - forward.state[RANGE]);
             forward.measure(row, innovation, sight.variance, |forward| &mut forward.range);
         }
-        forward.events.push(Event::Node(forward.state, forward.covariance));
+        forward.events.push(Event::MeasuredFrame(forward.state, forward.covariance));
     }
     forward.back(nodes.len())
 }
 
 struct Forward {
-    state: State,
-    covariance: Square,
+    state: FusionState,
+    covariance: StateMatrix,
     /// Largest relative variance of the camera's height so far.
     height_variance: f64,
     events: Vec<Event>,
@@ -113,10 +118,10 @@ struct Forward {
 }
 
 impl Forward {
-    fn new(first: &Node) -> Self {
-        let mut state = State::zeros();
+    fn new(first: &MeasuredFrame) -> Self {
+        let mut state = FusionState::zeros();
         (state[X], state[Y]) = (first.x_m, first.y_m);
-        let mut covariance = Square::zeros();
+        let mut covariance = StateMatrix::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&first.carried);
         // Uninformative prior of the two biases: any heading zero, any mounting.
         (covariance[(COMPASS, COMPASS)], covariance[(RANGE, RANGE)]) = (10.0, 10.0);
@@ -126,18 +131,18 @@ impl Forward {
     }
 
     /// Propagates by the camera's own motion.
-    fn follow(&mut self, before: &Node, node: &Node) {
+    fn follow(&mut self, before: &MeasuredFrame, node: &MeasuredFrame) {
         let (dx, dy) = (node.x_m - before.x_m, node.y_m - before.y_m);
         let corrected = Sim2::about_origin(self.state[HEADING], self.state[LN_SCALE].exp());
         let (mx, my) = corrected.rotate(dx, dy);
-        let mut transition = Square::identity();
+        let mut transition = StateMatrix::identity();
         transition.fixed_view_mut::<4, 4>(0, 0).copy_from(&Sim2::lever_arm(mx, my));
         self.state[X] += mx;
         self.state[Y] += my;
         // Process noise: growth of the camera's covariance beyond the propagation of the previous
         // errors.
         let grown = node.carried - propagated(&Se2::lever_arm(dx, dy), &before.carried);
-        let mut noise = Square::zeros();
+        let mut noise = StateMatrix::zeros();
         for i in 0..3 {
             noise[(i, i)] = grown[(i, i)].max(0.0);
         }
@@ -150,16 +155,22 @@ impl Forward {
     }
 
     /// Propagates across a gap by dead reckoning.
-    fn cross(&mut self, before: &Node, node: &Node, reckoned: &Reckoned, height_change: f64) {
+    fn cross(
+        &mut self,
+        before: &MeasuredFrame,
+        node: &MeasuredFrame,
+        reckoned: &Reckoned,
+        height_change: f64,
+    ) {
         let heading_rad = before.heading_rad + self.state[HEADING];
         let turned = Se2::rotation(heading_rad);
         let (mx, my) = turned.rotate(reckoned.pose[X], reckoned.pose[Y]);
-        let mut transition = Square::identity();
+        let mut transition = StateMatrix::identity();
         transition.fixed_view_mut::<3, 3>(0, 0).copy_from(&Se2::lever_arm(mx, my));
         self.state[X] += mx;
         self.state[Y] += my;
         self.state[HEADING] = heading_rad + reckoned.pose[HEADING] - node.heading_rad;
-        let mut noise = Square::zeros();
+        let mut noise = StateMatrix::zeros();
         let own = propagated(&turned.product_by_right(), &reckoned.covariance);
         noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&own);
         if node.height_variance > 0.0 {
@@ -169,14 +180,14 @@ impl Forward {
         self.moved(transition, noise);
     }
 
-    fn moved(&mut self, transition: Square, noise: Square) {
+    fn moved(&mut self, transition: StateMatrix, noise: StateMatrix) {
         self.covariance = propagated(&transition, &self.covariance) + noise;
         self.events.push(Event::Moved(transition));
     }
 
     fn measure(
         &mut self,
-        row: State,
+        row: FusionState,
         innovation: f64,
         variance: f64,
         consistency: impl Fn(&mut Self) -> &mut Consistency,
@@ -193,13 +204,13 @@ impl Forward {
         }
         let gain = across / spread;
         self.state += gain * innovation;
-        let keep = Square::identity() - gain * row.transpose();
+        let keep = StateMatrix::identity() - gain * row.transpose();
         self.covariance = keep * self.covariance * keep.transpose() + gain * gain.transpose() * variance;
         self.events.push(Event::Measured { row, innovation, spread, gain });
     }
 
     fn back(self, count: usize) -> Estimate {
-        let (mut adjoint, mut information) = (State::zeros(), Square::zeros());
+        let (mut adjoint, mut information) = (FusionState::zeros(), StateMatrix::zeros());
         let mut corrected = Vec::with_capacity(count);
         let (heading_zero, range_zero) =
             [COMPASS, RANGE].map(|i| (self.state[i], self.covariance[(i, i)])).into();
@@ -210,11 +221,11 @@ impl Forward {
                     information = transition.transpose() * information * transition;
                 }
                 Event::Measured { row, innovation, spread, gain } => {
-                    let keep = Square::identity() - gain * row.transpose();
+                    let keep = StateMatrix::identity() - gain * row.transpose();
                     adjoint = keep.transpose() * adjoint - row * (innovation / spread);
                     information = keep.transpose() * information * keep + row * row.transpose() / *spread;
                 }
-                Event::Node(state, covariance) => {
+                Event::MeasuredFrame(state, covariance) => {
                     let state = state - covariance * adjoint;
                     let covariance = covariance - covariance * information * covariance;
                     corrected.push(Corrected {
@@ -236,7 +247,7 @@ impl Forward {
 /// Standard deviation of the logarithm of the height's change over a gap of the given length: twice
 /// the root mean square change over such a time where it is measured, at most
 /// [`HEIGHT_CHANGE_PER_S`], which is also used where there are too few pairs of frames.
-fn height_change(nodes: &[Node], gap_s: f64) -> f64 {
+fn height_change(nodes: &[MeasuredFrame], gap_s: f64) -> f64 {
     let most = HEIGHT_CHANGE_PER_S * gap_s;
     let (mut later, mut squares, mut pairs) = (0, 0.0, 0);
     for node in nodes {

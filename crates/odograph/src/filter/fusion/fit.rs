@@ -9,7 +9,7 @@ use nalgebra::{Matrix4, Vector4};
 ///
 /// with noise variance proportional to `duration_s` (white noise, integrated).
 #[derive(Debug, Clone, Copy)]
-pub struct Row {
+pub struct ObservationRow {
     pub design: Vector4<f64>,
     pub target: f64,
     pub duration_s: f64,
@@ -19,7 +19,7 @@ pub struct Row {
 
 /// Gaussian prior of the parameters: means and standard deviations.
 #[derive(Debug, Clone, Copy)]
-pub struct Prior {
+pub struct ParameterPrior {
     pub mean: Vector4<f64>,
     pub sigma: Vector4<f64>,
 }
@@ -41,7 +41,7 @@ const LOSS: Loss = Loss::Huber(1.5);
 
 /// Iteratively reweighted least squares with Huber weights. `scale` is the square root of the noise
 /// density; if `None`, it is estimated from the median absolute residual.
-pub fn fit(rows: &[Row], prior: &Prior, scale: Option<f64>) -> Fit {
+pub fn fit(rows: &[ObservationRow], prior: &ParameterPrior, scale: Option<f64>) -> Fit {
     let mut parameters = prior.mean;
     let mut weights = vec![1.0; rows.len()];
     let mut deviation = scale.unwrap_or(1.0);
@@ -110,7 +110,11 @@ const WORST_SIGMA_S: f64 = 0.05;
 /// Estimates the clock offset at which the sensor best explains the camera's motion. `rows` returns
 /// the observation equations at an offset; `independent` is the fraction of them with independent
 /// noise.
-pub fn time_offset(rows: impl Fn(f64) -> Vec<Row>, prior: &Prior, independent: f64) -> TimeOffset {
+pub fn time_offset(
+    rows: impl Fn(f64) -> Vec<ObservationRow>,
+    prior: &ParameterPrior,
+    independent: f64,
+) -> TimeOffset {
     let unknown = TimeOffset { offset_s: 0.0, sigma_s: f64::INFINITY };
     let steps = (MOST_OFFSET_S / COARSE_S).round() as i32;
     let looks: Vec<(f64, usize, Fit)> = (-steps..=steps)

@@ -36,9 +36,9 @@ use crate::geometry::{GroundPose, PlaneTransform, Se2, Sim2, propagated};
 use crate::trajectory::FrameEstimate;
 use bridge::{Bridge, rates_around};
 use calibration::{MOST_CONTRADICTIONS, Sighted};
-use camera_motion::{Node, Step};
+use camera_motion::{MeasuredFrame, Step};
 use estimator::{Consistency, Corrected, Estimate};
-use reckoning::{Believed, Gap};
+use reckoning::{Believed, TrackingGap};
 use report::{gyro_report, sighted_report, wheel_report};
 
 /// Records of the available sensors.
@@ -72,7 +72,7 @@ pub struct Fusion {
 pub struct Reckoned(Vec<SmoothedFrame>);
 
 /// Sensors accepted so far.
-struct Comparison<'a> {
+struct AcceptedSensors<'a> {
     believed: Believed<'a>,
     heading: Option<&'a Sighted>,
     range: Option<&'a Sighted>,
@@ -96,7 +96,7 @@ pub fn fuse(frames: &[FrameEstimate], sensors: &Sensors) -> Fusion {
     // A compass or range finder that is inconsistent with the fused estimate is rejected, and the
     // estimate is repeated without it.
     for _ in 0..3 {
-        let comparison = Comparison {
+        let comparison = AcceptedSensors {
             believed: Believed {
                 gyro: believed(&sensors.gyro, &gyro),
                 heading: believed(&sensors.heading, &heading),
@@ -221,13 +221,13 @@ fn contradicts(consistency: &Consistency) -> Option<Reason> {
         .then_some(Reason::Contradicts { seconds: contradictions, of: readings })
 }
 
-impl Comparison<'_> {
+impl AcceptedSensors<'_> {
     /// The fused estimate and the dead reckoning through the gaps. `None` without an accepted
     /// sensor or a measured frame.
     fn estimate(
         &self,
         frames: &[FrameEstimate],
-        nodes: &[Node],
+        nodes: &[MeasuredFrame],
         steps: &[Step],
     ) -> Option<(Estimate, Vec<Bridge>)> {
         let Believed { gyro, wheel, .. } = self.believed;
@@ -249,7 +249,7 @@ impl Comparison<'_> {
             let to_s = after.map_or_else(|| frames[frames.len() - 1].time_s, |after| nodes[after].time_s);
             let times_s: Vec<f64> = lost.iter().map(|&i| frames[i].time_s.clamp(node.time_s, to_s)).collect();
             let rates = rates_around(steps, before, after);
-            let gap = Gap { from_s: node.time_s, to_s, before: rates[0], after: rates[1] };
+            let gap = TrackingGap { from_s: node.time_s, to_s, before: rates[0], after: rates[1] };
             let Some(reckoned) = self.believed.reckon(&gap, &times_s) else { continue };
             // After the last measured frame there is nothing to interpolate to: without speed and
             // turn rate, dead reckoning would be a guess.
@@ -278,7 +278,7 @@ impl Comparison<'_> {
 /// Applies the corrections of the nodes to the frames, and fills in the dead-reckoned frames.
 fn corrected(
     frames: &[FrameEstimate],
-    nodes: &[Node],
+    nodes: &[MeasuredFrame],
     corrections: &[Corrected],
     bridges: &[Bridge],
     reports: Vec<SensorReport>,

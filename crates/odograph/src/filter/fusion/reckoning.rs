@@ -20,7 +20,7 @@ pub type BodyRates = Vector3<f64>;
 
 /// A tracking gap: its times, and the camera's velocity before and after it.
 #[derive(Debug, Clone, Copy)]
-pub struct Gap {
+pub struct TrackingGap {
     pub from_s: f64,
     pub to_s: f64,
     pub before: BodyRates,
@@ -53,7 +53,7 @@ impl Believed<'_> {
     /// Velocities that no sensor measures are interpolated between those before and after the gap.
     /// Their uncertainty allows a stop or twice the speed in between, or 0.2 m/s and 0.2 rad/s from
     /// rest (two standard deviations).
-    pub fn reckon(&self, gap: &Gap, times_s: &[f64]) -> Option<Vec<Reckoned>> {
+    pub fn reckon(&self, gap: &TrackingGap, times_s: &[f64]) -> Option<Vec<Reckoned>> {
         let (from_s, to_s) = (gap.from_s, gap.to_s);
         if to_s - from_s > LONGEST_S {
             return None;

@@ -107,11 +107,11 @@ const EXPECTED: [(&str, usize); 7] = [
     ("OPENCV_FISHEYE", 8),
 ];
 
-type Pair = (f64, f64);
+type NamedValue = (f64, f64);
 
 /// Focal lengths, principal point and distortion of a model of COLMAP's `sensor/models.h`; `None`
 /// for an unknown model or a wrong number of parameters.
-fn lens(model: &str, parameters: &[f64]) -> Option<(Pair, Pair, Distortion)> {
+fn lens(model: &str, parameters: &[f64]) -> Option<(NamedValue, NamedValue, Distortion)> {
     let brown = |k: &[f64]| Distortion::from_opencv(k);
     Some(match (model, parameters) {
         ("SIMPLE_PINHOLE", &[f, cx, cy]) => ((f, f), (cx, cy), Distortion::None),

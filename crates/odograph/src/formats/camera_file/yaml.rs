@@ -105,10 +105,10 @@ fn readout_s(map: &Value, prefix: &str, rows: usize) -> Result<Option<f64>> {
     }
 }
 
-type Pair = (f64, f64);
+type KeyValue = (f64, f64);
 
 /// Location of the intrinsics in the file (for error messages), focal lengths and principal point.
-fn intrinsics(map: &Value, prefix: &str) -> Result<(String, Pair, Pair)> {
+fn intrinsics(map: &Value, prefix: &str) -> Result<(String, KeyValue, KeyValue)> {
     if let Some(list) = map.get("intrinsics") {
         let place = format!("{prefix}intrinsics");
         return match list.numbers(&place)?.as_slice() {
@@ -168,7 +168,7 @@ fn kalibrs_double_sphere(map: &Value, prefix: &str) -> Result<Option<Distortion>
     }
 }
 
-fn from_matrix(place: String, matrix: [f64; 9]) -> Result<(String, Pair, Pair)> {
+fn from_matrix(place: String, matrix: [f64; 9]) -> Result<(String, KeyValue, KeyValue)> {
     let [fx, skew, cx, zero, fy, cy, bottom @ ..] = matrix;
     if skew != 0.0 {
         return Err(Error::input(format!(

@@ -139,8 +139,8 @@ impl<'a> Sampler<'a> {
     #[inline]
     #[target_feature(enable = "avx2")]
     fn twice_eight<const ROWS: usize>(&self, left: (__m256, __m256), right: (__m256, __m256)) -> [__m256; 2] {
-        let left = Eight::new(left, self);
-        let right = Eight::new(right, self);
+        let left = EightPositions::new(left, self);
+        let right = EightPositions::new(right, self);
         // From here the left eight are in the lower half of a register, 16 bits each, and the right
         // eight in the upper half.
         let columns = as_words(left.columns, right.columns);
@@ -163,7 +163,7 @@ impl<'a> Sampler<'a> {
             lower = _mm256_blendv_epi8(lower, row(3), beyond_second);
         }
         let (upper, lower) = (LeftAndStep::new(upper), LeftAndStep::new(lower));
-        let between = |eight: &Eight, upper: (__m256, __m256), lower: (__m256, __m256)| {
+        let between = |eight: &EightPositions, upper: (__m256, __m256), lower: (__m256, __m256)| {
             let upper = _mm256_add_ps(upper.0, _mm256_mul_ps(eight.fx, upper.1));
             let lower = _mm256_add_ps(lower.0, _mm256_mul_ps(eight.fx, lower.1));
             _mm256_add_ps(upper, _mm256_mul_ps(eight.fy, _mm256_sub_ps(lower, upper)))
@@ -208,7 +208,7 @@ impl<'a> Sampler<'a> {
 
 /// Eight positions relative to `at`, the start of the first chunk of bytes that contains all of
 /// them.
-struct Eight {
+struct EightPositions {
     columns: __m256i,
     lines: __m256i,
     fx: __m256,
@@ -216,7 +216,7 @@ struct Eight {
     at: usize,
 }
 
-impl Eight {
+impl EightPositions {
     #[inline]
     #[target_feature(enable = "avx2")]
     fn new((x, y): (__m256, __m256), sampler: &Sampler<'_>) -> Self {

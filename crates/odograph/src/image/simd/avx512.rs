@@ -33,7 +33,7 @@ pub fn rows(image: &GrayImage, grid: &Grid) -> Option<usize> {
 /// See [`super::sample_patch`]; `rows` is the result of [`rows`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
 pub fn sample_patch(image: &GrayImage, grid: &Grid, rows: usize, samples: &mut Patch) {
-    let sampler = Sampler::new(image, grid);
+    let sampler = Sampler512::new(image, grid);
     for (j, row) in samples.as_chunks_mut::<PATCH_SIDE>().0.iter_mut().enumerate() {
         let start = row_start(grid, j);
         let values =
@@ -51,7 +51,7 @@ pub fn sample_and_multiply(
     appearance: &Appearance,
     samples: &mut Patch,
 ) -> [f64; 3] {
-    let sampler = Sampler::new(image, grid);
+    let sampler = Sampler512::new(image, grid);
     if rows == FEW_ROWS {
         sampler.multiply::<FEW_ROWS>(grid, appearance, samples)
     } else {
@@ -68,7 +68,7 @@ pub fn multiply_shifted(
     samples: &mut Patch,
 ) -> [f64; 3] {
     let (fx, fy) = (_mm512_set1_ps(shift.fx), _mm512_set1_ps(shift.fy));
-    let mut products = Products::new(appearance);
+    let mut products = ColumnProducts512::new(appearance);
     let mut upper = between_columns(&image.row(shift.top)[shift.left..], fx);
     for (j, row) in samples.as_chunks_mut::<PATCH_SIDE>().0.iter_mut().enumerate() {
         let lower = between_columns(&image.row(shift.top + j + 1)[shift.left..], fx);
@@ -90,14 +90,14 @@ fn between_columns(row: &[u8], fx: __m512) -> __m512 {
 }
 
 /// Partial sums of the products of samples with a template, one per column.
-struct Products<'a> {
+struct ColumnProducts512<'a> {
     contrast: &'a [[f32; PATCH_SIDE]],
     gradient_x: &'a [[f32; PATCH_SIDE]],
     gradient_y: &'a [[f32; PATCH_SIDE]],
     sums: [__m512; 3],
 }
 
-impl<'a> Products<'a> {
+impl<'a> ColumnProducts512<'a> {
     #[inline]
     #[target_feature(enable = "avx512f")]
     fn new(appearance: &'a Appearance) -> Self {
@@ -133,7 +133,7 @@ impl<'a> Products<'a> {
 }
 
 /// Sampler of an image along rows of one direction.
-struct Sampler<'a> {
+struct Sampler512<'a> {
     samples: &'a [u8],
     width: usize,
     /// Offsets of a row's samples from its first, along x and y, and of its last one.
@@ -141,7 +141,7 @@ struct Sampler<'a> {
     last: [f32; 2],
 }
 
-impl<'a> Sampler<'a> {
+impl<'a> Sampler512<'a> {
     #[inline]
     #[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
     fn new(image: &'a GrayImage, grid: &Grid) -> Self {
@@ -164,7 +164,7 @@ impl<'a> Sampler<'a> {
         appearance: &Appearance,
         samples: &mut Patch,
     ) -> [f64; 3] {
-        let mut products = Products::new(appearance);
+        let mut products = ColumnProducts512::new(appearance);
         for (j, row) in samples.as_chunks_mut::<PATCH_SIDE>().0.iter_mut().enumerate() {
             let values = self.row::<ROWS>(row_start(grid, j));
             store(values, row);

@@ -19,12 +19,12 @@ const ROWS: [usize; 3] = [3, 4, 5];
 const ANY: usize = 0;
 
 /// A row of a patch.
-type Row = [float32x4_t; 4];
+type PatchRow = [float32x4_t; 4];
 
 /// See [`super::sample_patch`]; for images whose offsets fit 32 bits.
 #[target_feature(enable = "neon")]
 pub fn sample_patch(image: &GrayImage, grid: &Grid, samples: &mut Patch) {
-    let sampler = Sampler::new(image, grid);
+    let sampler = SamplerNeon::new(image, grid);
     match rows_about_neighbours(image, grid, LANES, CHUNK, &ROWS) {
         Some(3) => sampler.sample::<3>(grid, samples),
         Some(4) => sampler.sample::<4>(grid, samples),
@@ -41,7 +41,7 @@ pub fn sample_and_multiply(
     appearance: &Appearance,
     samples: &mut Patch,
 ) -> [f64; 3] {
-    let sampler = Sampler::new(image, grid);
+    let sampler = SamplerNeon::new(image, grid);
     match rows_about_neighbours(image, grid, LANES, CHUNK, &ROWS) {
         Some(3) => sampler.multiply::<3>(grid, appearance, samples),
         Some(4) => sampler.multiply::<4>(grid, appearance, samples),
@@ -88,12 +88,12 @@ fn signed(words: uint16x8_t) -> [float32x4_t; 2] {
 }
 
 /// Partial sums of the products of samples with a template, one per column.
-struct Products<'a> {
+struct ColumnProductsNeon<'a> {
     factors: [&'a [[f32; PATCH_SIDE]]; 3],
-    sums: [Row; 3],
+    sums: [PatchRow; 3],
 }
 
-impl<'a> Products<'a> {
+impl<'a> ColumnProductsNeon<'a> {
     #[inline]
     #[target_feature(enable = "neon")]
     fn new(appearance: &'a Appearance) -> Self {
@@ -107,7 +107,7 @@ impl<'a> Products<'a> {
     /// Adds row `j`.
     #[inline]
     #[target_feature(enable = "neon")]
-    fn add(&mut self, j: usize, values: Row) {
+    fn add(&mut self, j: usize, values: PatchRow) {
         for (sums, factors) in self.sums.iter_mut().zip(self.factors) {
             let factors = load(&factors[j]);
             for i in 0..4 {
@@ -129,11 +129,11 @@ impl<'a> Products<'a> {
 /// Eight neighbouring samples of a grid that is not strongly rotated lie on few image rows and
 /// within few columns: those are loaded as a whole and the samples looked up in them. Otherwise,
 /// and near the end of the image, samples are loaded one by one.
-struct Sampler<'a> {
+struct SamplerNeon<'a> {
     samples: &'a [u8],
     width: usize,
     /// Offsets of the samples of a row from its first, along x and y.
-    steps: [Row; 2],
+    steps: [PatchRow; 2],
     /// Offsets of the first column and first row of the image used by the left eight and by the
     /// right eight samples.
     first: [[f32; 2]; 2],
@@ -141,7 +141,7 @@ struct Sampler<'a> {
     last: uint32x4_t,
 }
 
-impl<'a> Sampler<'a> {
+impl<'a> SamplerNeon<'a> {
     #[inline]
     #[target_feature(enable = "neon")]
     fn new(image: &'a GrayImage, grid: &Grid) -> Self {
@@ -176,7 +176,7 @@ impl<'a> Sampler<'a> {
         appearance: &Appearance,
         samples: &mut Patch,
     ) -> [f64; 3] {
-        let mut products = Products::new(appearance);
+        let mut products = ColumnProductsNeon::new(appearance);
         for (j, row) in samples.as_chunks_mut::<PATCH_SIDE>().0.iter_mut().enumerate() {
             let values = self.row::<ROWS>(row_start(grid, j));
             store(values, row);
@@ -188,7 +188,7 @@ impl<'a> Sampler<'a> {
     /// The samples of a row that begins at `start`.
     #[inline]
     #[target_feature(enable = "neon")]
-    fn row<const ROWS: usize>(&self, start: (f32, f32)) -> Row {
+    fn row<const ROWS: usize>(&self, start: (f32, f32)) -> PatchRow {
         let ([a, b], [c, d]) = (self.eight::<ROWS>(start, 0), self.eight::<ROWS>(start, 1));
         [a, b, c, d]
     }
@@ -320,7 +320,7 @@ pub fn mean_and_energy(samples: &Patch) -> (f64, f64) {
 /// Total of the partial sums; see [`total`].
 #[inline]
 #[target_feature(enable = "neon")]
-fn total_of(sums: Row) -> f64 {
+fn total_of(sums: PatchRow) -> f64 {
     let mut lanes = [0.0; PATCH_SIDE];
     store(sums, &mut lanes);
     total(lanes)
@@ -399,14 +399,14 @@ fn load_chunk(from: &[u8]) -> uint8x16_t {
 
 #[inline]
 #[target_feature(enable = "neon")]
-fn load(from: &[f32; PATCH_SIDE]) -> Row {
+fn load(from: &[f32; PATCH_SIDE]) -> PatchRow {
     // SAFETY: reads four samples from each multiple of four on, within 16.
     std::array::from_fn(|i| unsafe { vld1q_f32(from.as_ptr().add(4 * i)) })
 }
 
 #[inline]
 #[target_feature(enable = "neon")]
-fn store(values: Row, to: &mut [f32; PATCH_SIDE]) {
+fn store(values: PatchRow, to: &mut [f32; PATCH_SIDE]) {
     for (i, four) in values.into_iter().enumerate() {
         // SAFETY: writes four samples from each multiple of four on, within 16.
         unsafe { vst1q_f32(to.as_mut_ptr().add(4 * i), four) };

@@ -6,8 +6,8 @@
 //! in the gains themselves). Vignetting is equal in all keyframes: it shows where two of them see
 //! the same ground at different distances from the image centre, and is corrected first.
 
-use super::super::footprint::View;
-use super::Laid;
+use super::super::footprint::GroundCamera;
+use super::PlacedKeyframe;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::geometry::Pixel;
@@ -81,7 +81,11 @@ struct Thumbnail(Vec<[f32; 3]>);
 
 impl Gains {
     /// Settles the gains of all keyframes. Loads every image once.
-    pub fn settle(camera: &Camera, keyframes: &[Laid], images: &mut dyn KeyframeImages) -> Result<Self> {
+    pub fn settle(
+        camera: &Camera,
+        keyframes: &[PlacedKeyframe],
+        images: &mut dyn KeyframeImages,
+    ) -> Result<Self> {
         let mut thumbnails = Vec::with_capacity(keyframes.len());
         for laid in keyframes {
             thumbnails.push(Thumbnail::of(&images.load(laid.id)?));
@@ -183,14 +187,15 @@ fn centre_of(camera: &Camera, cell: usize) -> Pixel {
 }
 
 /// The pairs of keyframes that may show the same ground.
-fn pairs(keyframes: &[Laid]) -> Vec<(usize, usize)> {
+fn pairs(keyframes: &[PlacedKeyframe]) -> Vec<(usize, usize)> {
     let centre = |k: usize| {
         let [left, bottom, right, top] = keyframes[k].bounds;
         (0.5 * (left + right), 0.5 * (bottom + top))
     };
     // Squares as large as the largest footprint: overlapping ones are in the same or in
     // neighbouring squares.
-    let reach = |laid: &Laid| (laid.bounds[2] - laid.bounds[0]).max(laid.bounds[3] - laid.bounds[1]);
+    let reach =
+        |laid: &PlacedKeyframe| (laid.bounds[2] - laid.bounds[0]).max(laid.bounds[3] - laid.bounds[1]);
     let side = keyframes.iter().map(reach).fold(f64::MIN_POSITIVE, f64::max);
     let square = |k: usize| ((centre(k).0 / side).floor() as i64, (centre(k).1 / side).floor() as i64);
     let mut squares: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
@@ -211,7 +216,7 @@ fn pairs(keyframes: &[Laid]) -> Vec<(usize, usize)> {
 
 /// A spot of ground that two keyframes show: where each has it in its image, and the logarithms of
 /// the ratios of their brightness by channel.
-struct Shared {
+struct CommonGround {
     pixels: [[f32; 2]; 2],
     log_ratio: [f64; 3],
 }
@@ -219,10 +224,10 @@ struct Shared {
 /// The spots that two keyframes share, one for each cell of the first.
 fn shared(
     camera: &Camera,
-    (one, other): (&Laid, &Laid),
+    (one, other): (&PlacedKeyframe, &PlacedKeyframe),
     thumbnails: (&Thumbnail, &Thumbnail),
-) -> Vec<Shared> {
-    let Some(view) = View::new(camera, &other.pose) else { return Vec::new() };
+) -> Vec<CommonGround> {
+    let Some(view) = GroundCamera::new(camera, &other.pose) else { return Vec::new() };
     let (width, height) = (camera.width() as f64, camera.height() as f64);
     let spot = |(k, own): (usize, &[f32; 3])| {
         let pixel = centre_of(camera, k);
@@ -230,7 +235,7 @@ fn shared(
         let seen = thumbnails.1.at((look.x + 0.5) / width, (look.y + 0.5) / height)?;
         let known =
             (0..3).all(|c| f64::from(own[c]).min(seen[c]) > 8.0 && f64::from(own[c]).max(seen[c]) < 247.0);
-        known.then(|| Shared {
+        known.then(|| CommonGround {
             pixels: [[pixel.x as f32, pixel.y as f32], [look.x as f32, look.y as f32]],
             log_ratio: [0, 1, 2].map(|c| (f64::from(own[c]) / seen[c]).ln()),
         })
@@ -239,7 +244,7 @@ fn shared(
 }
 
 /// The median logarithm of each channel's ratio; `None` where too little is shared.
-fn log_exposure(shared: &[Shared]) -> Option<[f64; 3]> {
+fn log_exposure(shared: &[CommonGround]) -> Option<[f64; 3]> {
     let of_channel = |channel: usize| {
         let mut ratios: Vec<f64> = shared.iter().map(|spot| spot.log_ratio[channel]).collect();
         median(&mut ratios).filter(|_| ratios.len() >= LEAST_CELLS)
@@ -252,7 +257,7 @@ fn log_exposure(shared: &[Shared]) -> Option<[f64; 3]> {
 /// is its exposure and is subtracted.
 fn log_at_corner(
     camera: &Camera,
-    keyframes: &[Laid],
+    keyframes: &[PlacedKeyframe],
     thumbnails: &[Thumbnail],
     pairs: &[(usize, usize)],
     lens: Darkening,
@@ -262,7 +267,7 @@ fn log_at_corner(
         let spots =
             shared(camera, (&keyframes[one], &keyframes[other]), (&thumbnails[one], &thumbnails[other]));
         let Some(exposure) = log_exposure(&spots) else { continue };
-        let apart = |spot: &Shared| {
+        let apart = |spot: &CommonGround| {
             f64::from(
                 lens.square(spot.pixels[0][0], spot.pixels[0][1])
                     - lens.square(spot.pixels[1][0], spot.pixels[1][1]),

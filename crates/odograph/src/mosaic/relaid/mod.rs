@@ -12,7 +12,7 @@ mod exposure;
 mod images;
 mod patch;
 
-use super::footprint::{Footprint, View};
+use super::footprint::{Footprint, GroundCamera};
 use super::tiles::TILE;
 use crate::camera::Camera;
 use crate::error::Result;
@@ -22,7 +22,7 @@ use crate::keyframe::KeyframeId;
 use crate::numerics::median;
 use exposure::Gains;
 use images::Images;
-use patch::Patch;
+use patch::MosaicPatch;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -48,7 +48,7 @@ pub struct MosaicTile {
 
 /// A keyframe that looks at the ground.
 #[derive(Debug, Clone)]
-struct Laid {
+struct PlacedKeyframe {
     id: KeyframeId,
     pose: GroundPose,
     /// Side of the ground that a pixel in the middle of its image sees, metres.
@@ -62,13 +62,13 @@ struct Laid {
 pub struct MapMosaic {
     camera: Camera,
     resolution_m: f64,
-    keyframes: Vec<Laid>,
+    keyframes: Vec<PlacedKeyframe>,
     gains: Gains,
     /// The remaining patches with the keyframes that may show them, in reverse order.
     patches: Vec<((i64, i64), Vec<usize>)>,
     tiles: (Range<i64>, Range<i64>),
     images: Images,
-    patch: Patch,
+    patch: MosaicPatch,
 }
 
 impl MapMosaic {
@@ -84,13 +84,13 @@ impl MapMosaic {
         ground_resolution_m: Option<f64>,
     ) -> Result<Option<Self>> {
         let mut footprint = None;
-        let mut keyframes: Vec<Laid> = map
+        let mut keyframes: Vec<PlacedKeyframe> = map
             .keyframes
             .iter()
             .filter_map(|keyframe| {
-                let view = View::new(&map.camera, &keyframe.pose)?;
+                let view = GroundCamera::new(&map.camera, &keyframe.pose)?;
                 let (low, high) = Footprint::of(&mut footprint, &map.camera).bounds(&view)?;
-                Some(Laid {
+                Some(PlacedKeyframe {
                     id: keyframe.id,
                     pose: keyframe.pose,
                     sample_m: view.centre_resolution_m(),
@@ -121,7 +121,7 @@ impl MapMosaic {
             patches,
             tiles,
             images: Images::default(),
-            patch: Patch::default(),
+            patch: MosaicPatch::default(),
         }))
     }
 
@@ -149,7 +149,7 @@ impl MapMosaic {
         self.patch.begin(column * PATCH, row * PATCH, self.resolution_m);
         for &index in &keyframes {
             let laid = &self.keyframes[index];
-            let Some(view) = View::new(&self.camera, &laid.pose) else { continue };
+            let Some(view) = GroundCamera::new(&self.camera, &laid.pose) else { continue };
             let image = self.images.get(laid.id, images)?;
             self.patch.lay(image, &view, laid.bounds, self.gains.of(index), self.gains.darkening());
         }
@@ -158,7 +158,7 @@ impl MapMosaic {
 }
 
 /// The resolution asked for, or that of the median keyframe, within bounds.
-fn resolution_m(keyframes: &[Laid], asked: Option<f64>) -> Option<f64> {
+fn resolution_m(keyframes: &[PlacedKeyframe], asked: Option<f64>) -> Option<f64> {
     let mut samples: Vec<f64> = keyframes.iter().map(|laid| laid.sample_m).collect();
     let median = median(&mut samples)?;
     let asked = asked.filter(|asked| asked.is_finite() && *asked > 0.0);
@@ -178,7 +178,7 @@ fn touched(from_m: f64, to_m: f64, side_m: f64) -> Range<i64> {
 
 /// The patches that footprints overlap, row by row in alternating direction, so that neighbours
 /// share their images; reversed.
-fn patches(keyframes: &[Laid], resolution_m: f64) -> Vec<((i64, i64), Vec<usize>)> {
+fn patches(keyframes: &[PlacedKeyframe], resolution_m: f64) -> Vec<((i64, i64), Vec<usize>)> {
     let side_m = (PATCH * TILE) as f64 * resolution_m;
     let mut found: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
     for (index, laid) in keyframes.iter().enumerate() {
@@ -195,9 +195,9 @@ fn patches(keyframes: &[Laid], resolution_m: f64) -> Vec<((i64, i64), Vec<usize>
     patches
 }
 
-fn tiles(keyframes: &[Laid], resolution_m: f64) -> Option<(Range<i64>, Range<i64>)> {
+fn tiles(keyframes: &[PlacedKeyframe], resolution_m: f64) -> Option<(Range<i64>, Range<i64>)> {
     let side_m = TILE as f64 * resolution_m;
-    let one = |laid: &Laid| {
+    let one = |laid: &PlacedKeyframe| {
         let [left, bottom, right, top] = laid.bounds;
         (touched(left, right, side_m), touched(-top, -bottom, side_m))
     };

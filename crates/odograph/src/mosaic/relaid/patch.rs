@@ -6,15 +6,15 @@
 //! overlap. High frequencies come almost only from the best view, so that a pattern displaced by a
 //! pixel is neither doubled nor blurred.
 
-use super::super::footprint::View;
-use super::super::sampling::Samples;
+use super::super::footprint::GroundCamera;
+use super::super::sampling::FrameSamples;
 use super::super::tiles::TILE;
 use super::super::{BLOCK, MosaicSource};
 use super::exposure::Darkening;
 use super::{MosaicTile, PATCH};
 use crate::geometry::GroundPoint;
 use crate::ground_map::KeyframeImage;
-use crate::mosaic::laying::Corner;
+use crate::mosaic::laying::BlockCorner;
 
 /// Side of the patch, ground pixels.
 const SIDE: usize = (PATCH * TILE) as usize;
@@ -26,7 +26,7 @@ const SHARPNESS: i32 = 8;
 
 /// What is known of a ground pixel: weighted sums, and the weights.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sums {
+struct PixelSums {
     coarse: [f32; 3],
     coarse_weight: f32,
     fine: [f32; 3],
@@ -35,23 +35,23 @@ struct Sums {
 
 /// The patch.
 #[derive(Debug, Default)]
-pub(super) struct Patch {
+pub(super) struct MosaicPatch {
     /// First tile column and row.
     first: (i64, i64),
     resolution_m: f64,
-    sums: Vec<Sums>,
-    samples: Samples,
-    coarse: Samples,
-    corners: Vec<Option<Corner>>,
+    sums: Vec<PixelSums>,
+    samples: FrameSamples,
+    coarse: FrameSamples,
+    corners: Vec<Option<BlockCorner>>,
 }
 
-impl Patch {
+impl MosaicPatch {
     /// Begins an empty patch whose first tile is this one.
     pub fn begin(&mut self, column: i64, row: i64, resolution_m: f64) {
         self.first = (column, row);
         self.resolution_m = resolution_m;
         self.sums.clear();
-        self.sums.resize(SIDE * SIDE, Sums::default());
+        self.sums.resize(SIDE * SIDE, PixelSums::default());
     }
 
     /// Adds an image that shows the ground within `bounds` (least x and y, greatest x and y,
@@ -59,7 +59,7 @@ impl Patch {
     pub fn lay(
         &mut self,
         image: &KeyframeImage,
-        view: &View<'_>,
+        view: &GroundCamera<'_>,
         bounds: [f64; 4],
         gains: [f32; 3],
         darkening: Darkening,
@@ -100,19 +100,19 @@ impl Patch {
         GroundPoint::new(x * self.resolution_m, -y * self.resolution_m)
     }
 
-    fn find_corners(&mut self, view: &View<'_>, &[left, right, top, bottom]: &[usize; 4]) {
+    fn find_corners(&mut self, view: &GroundCamera<'_>, &[left, right, top, bottom]: &[usize; 4]) {
         self.corners.clear();
         for row in top..=bottom {
             for column in left..=right {
                 let point = self.ground((column * BLOCK as usize) as f64, (row * BLOCK as usize) as f64);
-                self.corners.push(view.look(point).map(Corner::from));
+                self.corners.push(view.look(point).map(BlockCorner::from));
             }
         }
     }
 
     fn lay_channels<const N: usize>(
         &mut self,
-        view: &View<'_>,
+        view: &GroundCamera<'_>,
         blocks: &[usize; 4],
         gains: [f32; 3],
         darkening: Darkening,
@@ -136,7 +136,7 @@ impl Patch {
                 let (x, y) = (column * BLOCK as usize, row * BLOCK as usize);
                 for j in 0..BLOCK as usize {
                     let whole = match corners {
-                        [Some(a), Some(b), Some(c), Some(d)] => Some(Corner::row(a, b, c, d, j)),
+                        [Some(a), Some(b), Some(c), Some(d)] => Some(BlockCorner::row(a, b, c, d, j)),
                         _ => None,
                     };
                     for i in 0..BLOCK as usize {
@@ -145,7 +145,7 @@ impl Patch {
                             None => {
                                 let point = self.ground((x + i) as f64 + 0.5, (y + j) as f64 + 0.5);
                                 let Some(look) = view.look(point) else { continue };
-                                Corner::from(look)
+                                BlockCorner::from(look)
                             }
                         };
                         let Some(weight) = border.weight(seen) else { continue };
@@ -196,7 +196,7 @@ struct Border {
 impl Border {
     /// Whether a block is outside the image on one side altogether, or has no corner that is seen
     /// well.
-    fn outside(&self, corners: &[Option<Corner>; 4]) -> bool {
+    fn outside(&self, corners: &[Option<BlockCorner>; 4]) -> bool {
         let known = || corners.iter().flatten();
         known().all(|c| c.x < 0.0)
             || known().all(|c| c.y < 0.0)
@@ -207,14 +207,14 @@ impl Border {
     /// How much a view counts: 1 in the middle of the image, almost nothing at its border, less
     /// where the ground is seen at a slant. `None` outside.
     #[inline]
-    fn weight(&self, seen: Corner) -> Option<f32> {
+    fn weight(&self, seen: BlockCorner) -> Option<f32> {
         let from_border = seen.x.min(self.right - seen.x).min(seen.y.min(self.bottom - seen.y));
         let share = ((from_border + 0.5) / (0.5 * self.right.min(self.bottom) + 0.5)).min(1.0);
         (from_border >= 0.0).then_some((share * share * seen.quality).max(1e-4))
     }
 }
 
-impl Sums {
+impl PixelSums {
     #[inline]
     fn add<const N: usize>(&mut self, sample: [f32; N], coarse: [f32; N], weight: f32, gains: &[f32; 3]) {
         let sharp = weight.powi(SHARPNESS).max(1e-30);

@@ -26,7 +26,7 @@ use crate::fixed_pattern::ImageMask;
 use crate::geometry::GroundPose;
 use crate::image::Pyramid;
 use correlation::{Correlator, Peak, Spectrum, overlap_weights};
-use refinement::Placement;
+use refinement::ViewPlacement;
 use view::ViewGeometry;
 
 /// Unknowns between two views.
@@ -197,8 +197,8 @@ fn refine(
 ) -> Vec<Hypothesis> {
     let noise = correlation::noise(peaks);
     peaks.sort_by(|a, b| b.value.total_cmp(&a.value));
-    let mut starts: Vec<(f64, Placement)> = Vec::new();
-    for start in peaks.iter().map(Placement::of) {
+    let mut starts: Vec<(f64, ViewPlacement)> = Vec::new();
+    for start in peaks.iter().map(ViewPlacement::of) {
         if starts.len() >= MAX_PEAKS_COMPARED {
             break;
         }
@@ -209,7 +209,7 @@ fn refine(
     }
     starts.sort_by(|a, b| b.0.total_cmp(&a.0));
     starts.truncate(PEAKS_PER_HYPOTHESIS * options.hypotheses);
-    let mut found: Vec<(Placement, Hypothesis)> = Vec::new();
+    let mut found: Vec<(ViewPlacement, Hypothesis)> = Vec::new();
     for (_, start) in starts {
         let improve = |from, effort| refinement::improve(keyframe, now, from, options.scale_free, effort);
         let improved = improve(start, COARSE_STEPS).and_then(|(coarsely, _)| improve(coarsely, FINE_STEPS));

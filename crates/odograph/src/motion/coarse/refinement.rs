@@ -8,7 +8,7 @@ use crate::geometry::wrap_angle;
 /// Rotation, scale and shift of a frame's view on a keyframe's. Shifts are in samples of the
 /// keyframe's view, right and down.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Placement {
+pub(super) struct ViewPlacement {
     heading_rad: f64,
     /// Scale: samples of the keyframe's view per sample of the frame's, for the same ground.
     zoom: f64,
@@ -27,7 +27,7 @@ pub(super) struct OverlapCorrelation {
 /// Minimum overlap, samples. Not derived; chosen.
 const MIN_SAMPLES: usize = 300;
 
-impl Placement {
+impl ViewPlacement {
     pub fn of(peak: &Peak) -> Self {
         Self { heading_rad: peak.heading_rad, zoom: peak.zoom, shift: peak.shift }
     }
@@ -83,10 +83,10 @@ const RADIUS: f64 = 35.0;
 pub(super) fn improve(
     keyframe: &GroundView,
     now: &GroundView,
-    start: Placement,
+    start: ViewPlacement,
     scale_free: bool,
     (steps, stride): (&[f64], usize),
-) -> Option<(Placement, OverlapCorrelation)> {
+) -> Option<(ViewPlacement, OverlapCorrelation)> {
     let mut best = (start, compare(keyframe, now, &start, stride)?);
     let axes = if scale_free { 4 } else { 3 };
     for &step in steps {
@@ -124,7 +124,7 @@ impl OverlapCorrelation {
 pub(super) fn compare(
     keyframe: &GroundView,
     now: &GroundView,
-    placement: &Placement,
+    placement: &ViewPlacement,
     stride: usize,
 ) -> Option<OverlapCorrelation> {
     let (sin, cos) = placement.heading_rad.sin_cos();

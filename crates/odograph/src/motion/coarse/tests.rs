@@ -49,14 +49,14 @@ fn degraded(image: GrayImage, gain: f64, noise: f64, smear: usize, random: &mut 
 }
 
 /// A camera and the ground below it, shared by many cases because making the ground is slow.
-struct World {
+struct CoarseWorld {
     name: &'static str,
     camera: Camera,
     renderer: Renderer,
     ground: Ground,
 }
 
-impl World {
+impl CoarseWorld {
     fn new(name: &'static str) -> Self {
         let camera = camera();
         let renderer = Renderer::new(&camera);
@@ -67,7 +67,7 @@ impl World {
 }
 
 struct Case {
-    world: Arc<World>,
+    world: Arc<CoarseWorld>,
     overlaps: (f64, f64),
     rig: Rig,
     height: f64,
@@ -78,7 +78,7 @@ struct Case {
 /// Whether the best hypothesis is right, whether any is (within 12 pixels, 1.5°, 2 % of scale), and
 /// the best score.
 fn found(case: &Case) -> (bool, bool, f64) {
-    let World { camera, renderer, ground, .. } = &*case.world;
+    let CoarseWorld { camera, renderer, ground, .. } = &*case.world;
     let mut random = Random::new(case.number);
     let offset = |random: &mut Random| 0.5 * uniform(random);
     let keyframe = GroundPose {
@@ -123,8 +123,8 @@ fn found(case: &Case) -> (bool, bool, f64) {
 }
 
 fn cases(textures: &[&'static str], overlaps: (f64, f64), each: u64) -> Vec<Case> {
-    let worlds = textures.iter().map(|&name| Arc::new(World::new(name)));
-    let make = |world: Arc<World>| {
+    let worlds = textures.iter().map(|&name| Arc::new(CoarseWorld::new(name)));
+    let make = |world: Arc<CoarseWorld>| {
         (0..each).map(move |number| Case {
             world: world.clone(),
             overlaps,

@@ -26,7 +26,7 @@ use super::{
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
 use nalgebra::{Matrix2, Matrix3};
-use plane::Plane;
+use plane::DensePlane;
 use tile::{
     AREA, CONTRAST_NOISE_SAMPLES, GRADIENT_NOISE_SAMPLES, PLANE_NOISE_SAMPLES, SIDE, Tile, TileMatch,
 };
@@ -67,7 +67,7 @@ impl DenseReference {
     pub fn new(camera: &Camera, image: &DenseImage, pose: &GroundPose, finest: usize) -> Self {
         let from = GroundFromRay::new(pose);
         let levels = image.planes.iter().enumerate().skip(finest);
-        let level = |(number, plane): (usize, &Plane)| {
+        let level = |(number, plane): (usize, &DensePlane)| {
             let step = if number < FIRST_OVERLAPPING_LEVEL { SIDE } else { SIDE / 2 };
             let along = |size: usize| (1..size.saturating_sub(SIDE)).step_by(step);
             let places = along(plane.height).flat_map(|top| along(plane.width).map(move |left| (left, top)));
@@ -143,7 +143,7 @@ const MAX_VARIANCE_RATIO: f64 = 1.5;
 const MIN_COARSE_SCORE: f64 = 3.0;
 
 /// Whether much of a tile around a pixel is masked.
-fn is_masked(image: &DenseImage, centre: Pixel, plane: &Plane) -> bool {
+fn is_masked(image: &DenseImage, centre: Pixel, plane: &DensePlane) -> bool {
     // Of 5×5 points. The mask is wider than what it covers, so a few do not matter.
     const MAX_MASKED: usize = 2;
     let Some(mask) = &image.mask else { return false };
@@ -161,7 +161,7 @@ struct DenseLevel<'a> {
     tiles: &'a [Tile],
     keyframe_pose: &'a GroundPose,
     image: &'a DenseImage,
-    plane: &'a Plane,
+    plane: &'a DensePlane,
     halvings: usize,
     prior: &'a RigPrior,
     config: &'a MotionConfig,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 /// One level of the pyramid.
 #[derive(Debug, Clone)]
-pub(super) struct Plane {
+pub(super) struct DensePlane {
     pub width: usize,
     pub height: usize,
     pub samples: Vec<f32>,
@@ -20,7 +20,7 @@ pub(super) struct Plane {
 #[derive(Debug, Clone)]
 pub struct DenseImage {
     /// The full image first.
-    pub(super) planes: Vec<Plane>,
+    pub(super) planes: Vec<DensePlane>,
     /// Pixels that are not ground.
     pub(super) mask: Option<Arc<ImageMask>>,
 }
@@ -36,9 +36,12 @@ impl DenseImage {
     /// The pyramid of an image.
     pub fn new(image: &GrayImage) -> Self {
         let samples = image.samples().iter().map(|&sample| f32::from(sample)).collect();
-        let base = Plane { width: image.width(), height: image.height(), samples, pixels_per_sample: 1.0 };
+        let base =
+            DensePlane { width: image.width(), height: image.height(), samples, pixels_per_sample: 1.0 };
         let mut planes = vec![base];
-        while let Some(half) = planes.last().filter(|_| planes.len() < MOST_LEVELS).and_then(Plane::halved) {
+        while let Some(half) =
+            planes.last().filter(|_| planes.len() < MOST_LEVELS).and_then(DensePlane::halved)
+        {
             planes.push(half);
         }
         Self { planes, mask: None }
@@ -51,7 +54,7 @@ impl DenseImage {
     }
 }
 
-impl Plane {
+impl DensePlane {
     /// The next coarser level; `None` where it would be too small.
     fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);

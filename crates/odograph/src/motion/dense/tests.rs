@@ -8,13 +8,13 @@ use nalgebra::{Matrix3, Vector3};
 const HEIGHT_M: f64 = 0.75;
 
 /// A camera over ground, and images with a given noise.
-struct World {
+struct DenseWorld {
     camera: Camera,
     renderer: Renderer,
     ground: Ground,
 }
 
-impl World {
+impl DenseWorld {
     fn new(texture: &str, seed: u64) -> Self {
         let distortion = Distortion::from_opencv(&[-0.12, 0.03, 0.0005, -0.0003]).unwrap();
         let camera = Camera::new((320, 240), (250.0, 250.0), (160.7, 119.2), distortion).unwrap();
@@ -88,7 +88,7 @@ const PIXEL_M: f64 = HEIGHT_M / 250.0;
 #[test]
 fn subpixel_shifts_have_no_interpolation_bias() {
     for texture in ["asphalt", "carpet"] {
-        let world = World::new(texture, 7);
+        let world = DenseWorld::new(texture, 7);
         let from = GroundPose::level(HEIGHT_M);
         let reference = world.image(&from, 0.0, &mut Random::new(0));
         for fraction in [0.15, 0.3, 0.5, 0.75] {
@@ -112,7 +112,7 @@ fn the_error_is_near_the_cramer_rao_bound_and_the_covariance() {
     // Grass has most of its texture at periods of one or two pixels, which smoothing removes with
     // the noise.
     for (texture, within) in [("asphalt", 1.5), ("grass", 2.0)] {
-        let world = World::new(texture, 3);
+        let world = DenseWorld::new(texture, 3);
         let bound = world.bound(&from, &truth, noise);
         let (mut squares, mut normalised) = (Vector3::zeros(), 0.0);
         for seed in 0..pairs {
@@ -136,7 +136,7 @@ fn the_error_is_near_the_cramer_rao_bound_and_the_covariance() {
 
 #[test]
 fn unrelated_ground_has_a_low_score() {
-    let world = World::new("asphalt", 5);
+    let world = DenseWorld::new("asphalt", 5);
     let from = GroundPose::level(HEIGHT_M);
     let reference = world.image(&from, 2.0, &mut Random::new(1));
     let elsewhere = GroundPose { x_m: 7.0, y_m: 3.0, ..from };
@@ -156,7 +156,7 @@ fn noise_does_not_shorten_the_steps() {
     for (texture, noise) in [("asphalt", 12.0), ("concrete", 4.0)] {
         let (mut recovered, mut normalised, pairs) = (0.0, 0.0, 24);
         for seed in 0..pairs {
-            let world = World::new(texture, 3 + seed);
+            let world = DenseWorld::new(texture, 3 + seed);
             let mut random = Random::new(seed);
             let mut dense = |pose: &GroundPose| DenseImage::new(&world.image(pose, noise, &mut random));
             let (reference, image) = (dense(&from), dense(&truth));

@@ -6,7 +6,7 @@
 //! Catmull–Rom interpolation, whose phase error is of third order in the frequency (P. Thévenaz, T.
 //! Blu and M. Unser, "Interpolation revisited", 2000).
 
-use super::plane::Plane;
+use super::plane::DensePlane;
 use crate::camera::Camera;
 use crate::geometry::Pixel;
 use crate::motion::{GroundFromRay, GroundPatch, PatchWarp, ViewingPose};
@@ -63,7 +63,7 @@ impl Tile {
     /// The tile with its first sample at (`left`, `top`), from samples up to one beyond it; `None`
     /// where it does not lie on ground.
     pub fn new(
-        plane: &Plane,
+        plane: &DensePlane,
         (left, top): (usize, usize),
         camera: &Camera,
         from: &GroundFromRay<'_>,
@@ -98,14 +98,14 @@ impl Tile {
     }
 
     /// Centre of the tile with its first sample at (`left`, `top`).
-    pub fn centre(plane: &Plane, (left, top): (usize, usize)) -> Pixel {
+    pub fn centre(plane: &DensePlane, (left, top): (usize, usize)) -> Pixel {
         let at = |first: usize| plane.pixel_of_sample(first as f64 + TO_CENTRE);
         Pixel::new(at(left), at(top))
     }
 
     /// Compares the tile with the image of a camera at `pose`; `None` unless it lies entirely in
     /// the image.
-    pub fn compare(&self, camera: &Camera, pose: &ViewingPose, plane: &Plane) -> Option<TileMatch> {
+    pub fn compare(&self, camera: &Camera, pose: &ViewingPose, plane: &DensePlane) -> Option<TileMatch> {
         let warp = self.patch.warp(camera, pose)?;
         let mut samples = [0.0; AREA];
         sample(plane, &warp, &mut samples).map(|noise| {
@@ -145,7 +145,7 @@ fn remove_plane(samples: &mut Samples) {
 
 /// Samples a pyramid level under a warp and returns the noise ratio ([`TileMatch::noise`]); `None`
 /// unless all it reads lies in the image.
-fn sample(plane: &Plane, expected: &PatchWarp, samples: &mut Samples) -> Option<f64> {
+fn sample(plane: &DensePlane, expected: &PatchWarp, samples: &mut Samples) -> Option<f64> {
     let linear = &expected.warp.linear;
     let position = expected.warp.position;
     let centre = Vector2::new(plane.sample_of_pixel(position.x), plane.sample_of_pixel(position.y));
@@ -192,7 +192,7 @@ fn noise_ratio(place: f32) -> f32 {
 
 /// Cubic B-spline of the 4×4 samples from `first` on.
 #[inline]
-fn spline(plane: &Plane, first: usize, x: f32, y: f32) -> f32 {
+fn spline(plane: &DensePlane, first: usize, x: f32, y: f32) -> f32 {
     let (across, down) = (weights(x), weights(y));
     let mut sums = [0.0f32; 4];
     for (j, weight) in down.iter().enumerate() {

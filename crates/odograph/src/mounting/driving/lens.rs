@@ -6,7 +6,7 @@
 //! So are the principal point and the decentering, by where the bending is centred, and the ratio of the focal lengths, by turns. The focal length itself is not:
 //! over level ground it is the height.
 
-use super::bundle::{self, HELD, Lens, Solved};
+use super::bundle::{self, HELD, LensUnknowns, Solved};
 use super::{DrivenTilt, TiltMeasurement};
 use crate::camera::uncertainty::parameter;
 use crate::camera::{Camera, Distortion, Rig};
@@ -81,7 +81,7 @@ impl LensMeasurement {
 
     /// The lens whose leading coefficients were changed by `bent`, known as well as `combined` says.
     fn new<const N: usize>(told: &Camera, bent: &[f64], combined: &Combined<N>) -> Option<Self> {
-        let mut lens = Lens::new(told, N - HELD)?;
+        let mut lens = LensUnknowns::new(told, N - HELD)?;
         lens.bend(bent)?;
         let covariance = combined.covariance.view((HELD, HELD), (bent.len(), bent.len())).clone_owned();
         let scatter = DMatrix::from_diagonal(&combined.scatter.rows(HELD, bent.len()).clone_owned());

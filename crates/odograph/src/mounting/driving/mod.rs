@@ -71,7 +71,7 @@ pub struct DrivenTilt {
     assumed_readout_s: f64,
     /// Pairs that wait for the rates of their frames.
     pending: VecDeque<Pending>,
-    path: Path,
+    path: DrivenPath,
 }
 
 /// The pairs of one keyframe, whose errors are not independent.
@@ -85,14 +85,14 @@ pub(in crate::mounting) struct Group {
 struct Pair {
     tracks: Vec<(Pixel, Pixel, bool)>,
     /// How the two images were exposed, where that is known.
-    exposure: Option<Exposure>,
+    exposure: Option<PairExposure>,
 }
 
 /// Rates of the pose in the two views of a pair, in the axes of the first view and in units of its
 /// height, per second, and how far the camera was then from the first view (heights): the rates of
 /// the position are wrong in the same proportion as that.
 #[derive(Debug, Clone, Copy)]
-struct Exposure {
+struct PairExposure {
     rates: [PoseRates; 2],
     /// The same of their derivatives.
     accelerations: [PoseRates; 2],
@@ -108,7 +108,7 @@ struct Pending {
     frame: u64,
 }
 
-impl Exposure {
+impl PairExposure {
     fn new(first: &Moving, second: &Moving) -> Self {
         let (height_m, (sin, cos)) = (first.pose[3], first.pose[2].sin_cos());
         let local = |r: PoseRates| {
@@ -126,7 +126,7 @@ impl Exposure {
 
 /// The way of the camera over the ground, at the height that the odometry assumed.
 #[derive(Debug, Clone, Default)]
-struct Path {
+struct DrivenPath {
     last: Option<GroundPose>,
     /// The last corner of the line that is measured, and how long that is up to there.
     corner: Option<GroundPose>,
@@ -221,7 +221,7 @@ impl DrivenTilt {
             relief: MeanSquare::default(),
             assumed_readout_s: camera.readout_s().unwrap_or(0.0),
             pending: VecDeque::new(),
-            path: Path::default(),
+            path: DrivenPath::default(),
         }
     }
 
@@ -282,7 +282,7 @@ impl DrivenTilt {
             self.pending.pop_front();
             let views = self.rates.of_keyframe(keyframe).zip(self.rates.of_frame(frame));
             if let Some(pair) = self.groups.get_mut(group).and_then(|group| group.pairs.get_mut(pair)) {
-                pair.exposure = views.map(|(first, second)| Exposure::new(&first, &second));
+                pair.exposure = views.map(|(first, second)| PairExposure::new(&first, &second));
             }
         }
     }
@@ -397,7 +397,7 @@ impl DrivenTilt {
     }
 }
 
-impl Path {
+impl DrivenPath {
     /// Steps are as long as a twentieth of the height: short enough for any curve, long enough that noise does not lengthen them.
     const STEP: f64 = 0.05;
 

@@ -96,7 +96,7 @@ fn the_readout_time_is_told_apart_from_a_tilt() {
                 let (pose, rates) = at(x_m);
                 Moving { pose: pose.to_vector(), rates, accelerations: PoseRates::zeros() }
             };
-            pairs.push(Pair { tracks, exposure: Some(Exposure::new(&moving(from), &moving(to))) });
+            pairs.push(Pair { tracks, exposure: Some(PairExposure::new(&moving(from), &moving(to))) });
         }
         driven.groups.push(Group { pairs });
     }

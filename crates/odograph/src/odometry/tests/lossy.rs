@@ -7,12 +7,12 @@ const BLOCK: usize = 16;
 const PART: usize = 4;
 
 /// An encoder with its decoder: motion by quarters of a pixel, one vector a block, and a Hadamard transform of what is left, in coarse steps.
-struct Codec {
+struct TestCodec {
     step: i32,
     last: Option<(GrayImage, GroundPose)>,
 }
 
-impl Codec {
+impl TestCodec {
     /// The image of a camera at `pose` as it comes out.
     fn pass(&mut self, world: &World, image: GrayImage, pose: GroundPose) -> GrayImage {
         let mut decoded = image.clone();
@@ -97,7 +97,7 @@ fn follow(sway: impl Fn(f64) -> f64) -> Vec<(FrameEstimate, GroundPose)> {
     let world = World::new("asphalt");
     let mut odometry = world.odometry();
     // Tracks are off by a fifth of a pixel, as between H.264's crf 28 and 38.
-    let mut codec = Codec { step: 200, last: None };
+    let mut codec = TestCodec { step: 200, last: None };
     let frame = |number: u32| {
         let time_s = f64::from(number) * FRAME_S;
         let s = 0.4 * time_s;

@@ -11,7 +11,7 @@ const ECCENTRICITY_SQUARED: f64 = FLATTENING * (2.0 - FLATTENING);
 
 /// Latitude and longitude, radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct EarthPosition {
     pub latitude_rad: f64,
     pub longitude_rad: f64,
 }
@@ -20,9 +20,9 @@ pub struct Place {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum AnchorArgument {
     /// The map's origin, and the compass heading of its x, radians.
-    Start(Place, f64),
+    Start(EarthPosition, f64),
     /// A point of the map, metres, and where it is.
-    Point([f64; 2], Place),
+    Point([f64; 2], EarthPosition),
 }
 
 impl FromStr for AnchorArgument {
@@ -40,7 +40,7 @@ impl FromStr for AnchorArgument {
                     "latitude {latitude}, longitude {longitude} is no place that a map can be at; give degrees, latitude first"
                 ));
             }
-            Ok(Place { latitude_rad: latitude.to_radians(), longitude_rad: longitude.to_radians() })
+            Ok(EarthPosition { latitude_rad: latitude.to_radians(), longitude_rad: longitude.to_radians() })
         };
         let parts = match text.split_once('=') {
             Some((point, at)) => (numbers(point), numbers(at)),
@@ -66,7 +66,7 @@ impl FromStr for AnchorArgument {
 /// above the ground, and distances in it are exact to a hundredth of a millimetre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Anchor {
-    reference: Place,
+    reference: EarthPosition,
     /// East and north of the map's origin, metres.
     origin_m: [f64; 2],
     /// East and north of one metre along the map's x; along its y it is this turned to the left.
@@ -77,7 +77,7 @@ pub struct Anchor {
 impl Anchor {
     /// The anchor that the arguments give; `None` if there are none.
     pub fn of(arguments: &[AnchorArgument]) -> Result<Option<Self>> {
-        let zone = |place: &Place| {
+        let zone = |place: &EarthPosition| {
             (((place.longitude_rad.to_degrees() + 180.0) / 6.0).floor() as i64).rem_euclid(60) as u16 + 1
         };
         match *arguments {
@@ -110,7 +110,7 @@ impl Anchor {
     }
 
     /// Where a point of the map is.
-    pub fn place(&self, x_m: f64, y_m: f64) -> Place {
+    pub fn place(&self, x_m: f64, y_m: f64) -> EarthPosition {
         let [along, across] = self.along;
         self.reference.of_tangent_plane([
             self.origin_m[0] + x_m * along - y_m * across,
@@ -133,7 +133,7 @@ impl Anchor {
     }
 }
 
-impl Place {
+impl EarthPosition {
     /// The point in Earth's frame, metres: x towards longitude 0, z towards the pole.
     fn geocentric(&self) -> [f64; 3] {
         let (sin, cos) = self.latitude_rad.sin_cos();

@@ -1,7 +1,7 @@
 //! The paths and keyframes of a map in longitude and latitude: GeoJSON (RFC 7946), KML 2.2, GPX
 //! 1.1.
 
-use super::anchor::{Anchor, Place};
+use super::anchor::{Anchor, EarthPosition};
 use crate::files;
 use odograph::error::{Error, Result};
 use odograph_map::{MapFile, PathFrame};
@@ -17,21 +17,21 @@ pub enum GeographicForm {
 }
 
 /// A part of the path without a gap.
-struct Line {
+struct GeographicLine {
     session: u32,
     source: String,
     segment: usize,
     start_s: f64,
     end_s: f64,
-    places: Vec<Place>,
+    places: Vec<EarthPosition>,
 }
 
 /// A keyframe on Earth.
-struct Point {
+struct GeographicPoint {
     id: u64,
     session: u32,
     time_s: f64,
-    place: Place,
+    place: EarthPosition,
 }
 
 /// Writes all sessions and says what was written.
@@ -41,7 +41,7 @@ pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor)
         let frames = file.path_of(session.id)?;
         for stretch in frames.chunk_by(|a, b| a.segment == b.segment).filter(|stretch| stretch.len() > 1) {
             let place = |frame: &PathFrame| anchor.place(frame.pose.x_m, frame.pose.y_m);
-            lines.push(Line {
+            lines.push(GeographicLine {
                 session: session.id,
                 source: session.source.clone(),
                 segment: stretch[0].segment,
@@ -55,9 +55,9 @@ pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor)
     if lines.is_empty() && keyframes.is_empty() {
         return Err(Error::input(format!("{} has no path and no keyframe to write", file.path().display())));
     }
-    let points: Vec<Point> = keyframes
+    let points: Vec<GeographicPoint> = keyframes
         .iter()
-        .map(|keyframe| Point {
+        .map(|keyframe| GeographicPoint {
             id: keyframe.id.0,
             session: keyframe.session,
             time_s: keyframe.time_s,
@@ -74,12 +74,12 @@ pub fn write(file: &MapFile, path: &Path, form: GeographicForm, anchor: &Anchor)
 }
 
 /// Longitude and latitude in degrees, to a tenth of a millimetre.
-fn degrees(place: &Place) -> (String, String) {
+fn degrees(place: &EarthPosition) -> (String, String) {
     (format!("{:.9}", place.longitude_rad.to_degrees()), format!("{:.9}", place.latitude_rad.to_degrees()))
 }
 
-fn geojson(lines: &[Line], points: &[Point]) -> Result<String> {
-    let position = |place: &Place| {
+fn geojson(lines: &[GeographicLine], points: &[GeographicPoint]) -> Result<String> {
+    let position = |place: &EarthPosition| {
         let (longitude, latitude) = degrees(place);
         format!("[{longitude},{latitude}]")
     };
@@ -111,7 +111,7 @@ fn geojson(lines: &[Line], points: &[Point]) -> Result<String> {
     Ok(format!("{{\"type\":\"FeatureCollection\",\"features\":[\n{}\n]}}\n", features.join(",\n")))
 }
 
-fn kml(lines: &[Line]) -> String {
+fn kml(lines: &[GeographicLine]) -> String {
     let mut text = String::from(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\">\n<Document>\n",
     );
@@ -131,7 +131,7 @@ fn kml(lines: &[Line]) -> String {
     text + "</Document>\n</kml>\n"
 }
 
-fn gpx(lines: &[Line]) -> String {
+fn gpx(lines: &[GeographicLine]) -> String {
     let mut text = String::from(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<gpx version=\"1.1\" creator=\"odograph\" \
          xmlns=\"http://www.topografix.com/GPX/1/1\">\n",

@@ -5,7 +5,7 @@ use super::{LANES, Laid, OUTWEIGHED, Places};
 use std::arch::aarch64::*;
 
 /// Eight floating-point values.
-type Eight = [float32x4_t; 2];
+type EightFloats = [float32x4_t; 2];
 
 /// See [`super::lay_eight`].
 #[target_feature(enable = "neon")]
@@ -18,7 +18,7 @@ pub fn lay_eight<const N: usize>(
     let weight = weights(frame, x, y, load(&places.quality));
     let seen = vmaxvq_s32(vmaxq_s32(weight[0], weight[1])) > 0;
     let (scale, offset) = (vdupq_n_f32(frame.scale), vdupq_n_f32(0.5 * frame.scale - 0.5));
-    let place = |place: Eight| place.map(|place| vaddq_f32(vmulq_f32(place, scale), offset));
+    let place = |place: EightFloats| place.map(|place| vaddq_f32(vmulq_f32(place, scale), offset));
     let (x, y) = (place(x), place(y));
     let pixels = pixels.as_flattened_mut();
     // SAFETY: reads the 32 bytes of eight pixels of four bytes.
@@ -34,7 +34,7 @@ pub fn lay_eight<const N: usize>(
     if vmaxv_u8(wanted) == 0 {
         return seen;
     }
-    let share: Eight = std::array::from_fn(|i| {
+    let share: EightFloats = std::array::from_fn(|i| {
         let (old, new) = (vcvtq_f32_s32(before[i]), vcvtq_f32_s32(weight[i]));
         vdivq_f32(new, vaddq_f32(old, new))
     });
@@ -65,7 +65,12 @@ pub fn lay_eight<const N: usize>(
 /// [`super::Feather::weight`] of eight positions.
 #[inline]
 #[target_feature(enable = "neon")]
-fn weights<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight, quality: Eight) -> [int32x4_t; 2] {
+fn weights<const N: usize>(
+    frame: &Laid<'_, N>,
+    x: EightFloats,
+    y: EightFloats,
+    quality: EightFloats,
+) -> [int32x4_t; 2] {
     let feather = &frame.feather;
     let nearest = |place, last: f32| vminnmq_f32(place, vsubq_f32(vdupq_n_f32(last), place));
     std::array::from_fn(|i| {
@@ -88,14 +93,14 @@ fn within(place: float32x4_t, last: f32) -> uint32x4_t {
 /// Bilinear samples of each channel at eight positions; unspecified outside the frame.
 #[inline]
 #[target_feature(enable = "neon")]
-fn sample<const N: usize>(frame: &Laid<'_, N>, x: Eight, y: Eight) -> [Eight; N] {
+fn sample<const N: usize>(frame: &Laid<'_, N>, x: EightFloats, y: EightFloats) -> [EightFloats; N] {
     // NaN and negative values become 0.
-    let whole = |place: Eight, last: f32| {
+    let whole = |place: EightFloats, last: f32| {
         let last = vdupq_n_u32(last as u32 - 1);
         place.map(|place| vminq_u32(vcvtq_u32_f32(place), last))
     };
     let (left, top) = (whole(x, frame.right), whole(y, frame.bottom));
-    let beyond = |place: Eight, whole: [uint32x4_t; 2]| -> Eight {
+    let beyond = |place: EightFloats, whole: [uint32x4_t; 2]| -> EightFloats {
         std::array::from_fn(|i| vsubq_f32(place[i], vcvtq_f32_u32(whole[i])))
     };
     let (dx, dy) = (beyond(x, left), beyond(y, top));
@@ -170,7 +175,7 @@ fn narrow([first, last]: [uint32x4_t; 2]) -> uint8x8_t {
 
 #[inline]
 #[target_feature(enable = "neon")]
-fn load(from: &[f32; LANES]) -> Eight {
+fn load(from: &[f32; LANES]) -> EightFloats {
     // SAFETY: reads four values each from the first and from the fifth of eight.
     [0, 4].map(|first| unsafe { vld1q_f32(from.as_ptr().add(first)) })
 }

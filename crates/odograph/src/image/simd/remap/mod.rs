@@ -26,13 +26,13 @@ pub struct Block {
     steps: [u8; BLOCK],
     /// Index of the corner sample, or of the block's first entry in [`Remap::loose`].
     corner: u32,
-    reach: Reach,
+    reach: BlockSpread,
 }
 
 /// Spread of the upper left samples of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u32)]
-enum Reach {
+enum BlockSpread {
     /// At most two rows.
     Near,
     /// Three rows.
@@ -51,7 +51,7 @@ const MOST_COLUMNS: usize = 14;
 
 /// The source position of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Place {
+pub struct SourcePosition {
     /// Column of the upper left of the four samples.
     pub column: usize,
     /// Row of the upper left of the four samples.
@@ -71,7 +71,7 @@ pub struct Remap {
     size: (usize, usize),
     /// Blocks in row order; the last block of a row is padded with pixels without a source.
     blocks: Vec<Block>,
-    /// Indices of the upper left samples of the blocks that are [`Reach::Loose`].
+    /// Indices of the upper left samples of the blocks that are [`BlockSpread::Loose`].
     loose: Vec<u32>,
 }
 
@@ -86,7 +86,7 @@ impl Remap {
     pub fn new(
         source: (usize, usize),
         size: (usize, usize),
-        mut place: impl FnMut(usize, usize) -> Option<Place>,
+        mut place: impl FnMut(usize, usize) -> Option<SourcePosition>,
     ) -> Self {
         assert!(u32::try_from(source.0 * source.1).is_ok(), "a source of at most 2^32 samples");
         let mut remap = Self { source, size, blocks: Vec::new(), loose: Vec::new() };
@@ -94,7 +94,7 @@ impl Remap {
             for first in (0..size.0).step_by(BLOCK) {
                 let places = std::array::from_fn(|at| {
                     let place = if first + at < size.0 { place(first + at, row) } else { None };
-                    if let Some(Place { column, row, right, down }) = place {
+                    if let Some(SourcePosition { column, row, right, down }) = place {
                         let last = (source.0.saturating_sub(2), source.1.saturating_sub(2));
                         assert!(column <= last.0 && row <= last.1 && right <= ONE && down <= ONE);
                     }
@@ -106,19 +106,19 @@ impl Remap {
         remap
     }
 
-    fn push(&mut self, places: &[Option<Place>; BLOCK]) {
+    fn push(&mut self, places: &[Option<SourcePosition>; BLOCK]) {
         let there = || places.iter().flatten();
-        let least = |of: fn(&Place) -> usize| there().map(of).min().unwrap_or(0);
-        let most = |of: fn(&Place) -> usize| there().map(of).max().unwrap_or(0);
+        let least = |of: fn(&SourcePosition) -> usize| there().map(of).min().unwrap_or(0);
+        let most = |of: fn(&SourcePosition) -> usize| there().map(of).max().unwrap_or(0);
         let (column, row) = (least(|place| place.column), least(|place| place.row));
         let reach = match (most(|place| place.column) - column, most(|place| place.row) - row) {
-            (0..=MOST_COLUMNS, 0..=1) => Reach::Near,
-            (0..=MOST_COLUMNS, 2) => Reach::Far,
-            _ => Reach::Loose,
+            (0..=MOST_COLUMNS, 0..=1) => BlockSpread::Near,
+            (0..=MOST_COLUMNS, 2) => BlockSpread::Far,
+            _ => BlockSpread::Loose,
         };
         let index = |column: usize, row: usize| (row * self.source.0 + column) as u32;
         let corner = match reach {
-            Reach::Loose => self.loose.len() as u32,
+            BlockSpread::Loose => self.loose.len() as u32,
             _ => index(column, row),
         };
         let mut block =
@@ -128,11 +128,11 @@ impl Remap {
             block.right[at] = place.right;
             block.down[at] = place.down;
             block.steps[at] = match reach {
-                Reach::Loose => 0,
+                BlockSpread::Loose => 0,
                 _ => (place.column - column) as u8 | [0, ONE_ROW, TWO_ROWS][place.row - row],
             };
         }
-        if reach == Reach::Loose {
+        if reach == BlockSpread::Loose {
             let indices = places.map(|place| place.map_or(0, |place| index(place.column, place.row)));
             self.loose.extend(indices);
         }
@@ -196,7 +196,7 @@ impl Remap {
     fn indices(&self, block: &Block) -> [usize; BLOCK] {
         let corner = block.corner as usize;
         std::array::from_fn(|at| match block.reach {
-            Reach::Loose => self.loose[corner + at] as usize,
+            BlockSpread::Loose => self.loose[corner + at] as usize,
             _ => {
                 let step = block.steps[at];
                 let rows = usize::from(step >> 6 & 1) + usize::from(step >> 5 & 1);
@@ -275,7 +275,7 @@ mod tests {
                     (0.0..=(size as f64 - 1.0)).contains(&at).then_some((first, fraction as u16))
                 };
                 let ((column, right), (row, down)) = (split(at[0], source.0)?, split(at[1], source.1)?);
-                Some(Place { column, row, right, down })
+                Some(SourcePosition { column, row, right, down })
             });
             fn both<const CHANNELS: usize>(remap: &Remap, seed: u32) -> (Vec<u8>, Vec<u8>) {
                 let image = samples(CHANNELS * remap.source.0 * remap.source.1, seed);
@@ -302,7 +302,7 @@ mod tests {
             let remap = Remap::new(source, size, |x, y| {
                 let (at_x, at_y) = (stride * x as f64, slope * x as f64 + y as f64);
                 let fraction = |at: f64| (at.fract() * f64::from(ONE)).round() as u16;
-                Some(Place {
+                Some(SourcePosition {
                     column: at_x as usize,
                     row: at_y as usize,
                     right: fraction(at_x),
@@ -320,7 +320,7 @@ mod tests {
             remap.apply::<3>(&image, &mut found);
             assert_eq!(expected, found);
             assert_eq!(remap.without_source(), 0);
-            let loose = remap.blocks.iter().filter(|block| block.reach == Reach::Loose).count();
+            let loose = remap.blocks.iter().filter(|block| block.reach == BlockSpread::Loose).count();
             assert_eq!(loose == 0, slope < 0.5 && stride < 2.0);
         }
     }

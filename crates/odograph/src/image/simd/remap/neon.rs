@@ -3,7 +3,7 @@
 //! The samples of a block lie in few rows and within 16 columns. One load per row therefore covers
 //! all of them, and table look-ups over the rows select both neighbours of every pixel.
 
-use super::{BLOCK, Block, DROPPED_BITS, FRACTION_BITS, LAST_BITS, ONE_ROW, ROUNDING, Reach, Remap};
+use super::{BLOCK, Block, BlockSpread, DROPPED_BITS, FRACTION_BITS, LAST_BITS, ONE_ROW, ROUNDING, Remap};
 use std::arch::aarch64::*;
 
 /// Samples of a row that a block may use.
@@ -13,7 +13,7 @@ const WINDOW: usize = 16;
 const NEXT_ROW: u8 = WINDOW as u8;
 
 /// Rows of samples from the corner of a block on; the last is used only for blocks that are
-/// [`Reach::Far`].
+/// [`BlockSpread::Far`].
 type Rows = [uint8x16_t; 4];
 
 /// Gray images.
@@ -78,7 +78,7 @@ pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
 fn near<'a>(block: &Block, source: &'a [u8], stride: usize, channels: usize) -> Option<&'a [u8]> {
     let (corner, count) = (block.corner as usize, 3 * stride + WINDOW);
     let near = source.get(channels * corner..channels * (corner + count));
-    near.filter(|_| block.reach != Reach::Loose)
+    near.filter(|_| block.reach != BlockSpread::Loose)
 }
 
 /// Table indices and interpolation weights of a block's pixels.
@@ -111,7 +111,7 @@ impl Weights {
             neighbours: vcombine_u8(left, vadd_u8(left, vdup_n_u8(1))),
             right: vreinterpretq_s16_u16(right),
             down: vreinterpretq_s16_u16(down),
-            far: block.reach == Reach::Far,
+            far: block.reach == BlockSpread::Far,
         }
     }
 

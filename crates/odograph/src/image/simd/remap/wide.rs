@@ -3,7 +3,7 @@
 //! The samples of a block lie in few rows and within 16 columns. One load per row therefore covers
 //! all of them, and a byte shuffle brings the two neighbours of each pixel together.
 
-use super::{BLOCK, Block, DROPPED_BITS, LAST_BITS, ONE, ROUNDING, Reach, Remap};
+use super::{BLOCK, Block, BlockSpread, DROPPED_BITS, LAST_BITS, ONE, ROUNDING, Remap};
 use std::arch::x86_64::*;
 
 /// Samples of a row that a block may use.
@@ -22,7 +22,7 @@ pub fn gray(remap: &Remap, source: &[u8], result: &mut [u8]) {
         }
         for (block, pixels) in blocks.iter().zip(whole) {
             let last = block.corner as usize + 3 * stride + WINDOW;
-            if block.reach == Reach::Loose || last > source.len() {
+            if block.reach == BlockSpread::Loose || last > source.len() {
                 remap.sample_block::<1>(block, source, pixels);
                 continue;
             }
@@ -66,7 +66,7 @@ fn neighbours(block: &Block, source: &[u8], stride: usize) -> (__m256i, __m256i)
     let (first, second, third) = (row(0), row(1), row(2));
     let mut upper = _mm_blendv_epi8(first, second, one_row);
     let mut lower = _mm_blendv_epi8(second, third, one_row);
-    if block.reach == Reach::Far {
+    if block.reach == BlockSpread::Far {
         let two_rows = _mm_slli_epi16::<2>(doubled);
         upper = _mm_blendv_epi8(upper, third, two_rows);
         lower = _mm_blendv_epi8(lower, row(3), two_rows);
@@ -117,7 +117,7 @@ pub fn rgb(remap: &Remap, source: &[u8], result: &mut [u8]) {
             // Reads 16 bytes from each pixel on, six of which are its own and its right
             // neighbour's.
             let last = 3 * (block.corner as usize + 3 * stride + WINDOW + 4);
-            if block.reach == Reach::Loose || last > source.len() {
+            if block.reach == BlockSpread::Loose || last > source.len() {
                 remap.sample_block::<3>(block, source, pixels);
                 continue;
             }

@@ -8,7 +8,7 @@ use crate::numerics::Part;
 use nalgebra::Vector2;
 
 /// The lens while it is looked for: some of its radial coefficients, the strongest first.
-pub struct Lens {
+pub struct LensUnknowns {
     camera: Camera,
     names: &'static [&'static str],
     /// By how much each was changed so far.
@@ -27,7 +27,7 @@ const CARELESS: f64 = 0.1;
 /// The most parameters that are looked for.
 pub const MOST: usize = 7;
 
-impl Lens {
+impl LensUnknowns {
     /// `None` where no camera is left. A lens that has fewer parameters leaves the others at zero, and no pair says anything of them.
     pub fn new(camera: &Camera, count: usize) -> Option<Self> {
         // A pinhole that is none has a lens after all.

@@ -9,11 +9,11 @@ use super::Group;
 use crate::camera::{Camera, Rig};
 use crate::geometry::GroundPose;
 use crate::numerics::{Part, inverse};
-pub use lens::Lens;
+pub use lens::LensUnknowns;
 use nalgebra::{SVector, Vector2};
-use pair::Work;
+use pair::SolvedPair;
 use std::ops::AddAssign;
-use sway::{Sway, Wobble};
+use sway::{KeyframeVariation, PairVariation};
 use system::System;
 
 /// The solution, and what each keyframe says about it: the tilt where `N` is 2, with the readout
@@ -57,7 +57,7 @@ pub fn solve<'a, const N: usize>(
     groups: impl ExactSizeIterator<Item = &'a Group>,
     start: &Rig,
 ) -> Option<Solved<N>> {
-    let mut bundle = Bundle::<N>::begin(camera, groups, start)?;
+    let mut bundle = PairBundle::<N>::begin(camera, groups, start)?;
     for round in 0..ROUNDS {
         let step = bundle.step(round)?;
         if round > ROBUST_ROUNDS && step.norm() < SETTLED {
@@ -68,38 +68,48 @@ pub fn solve<'a, const N: usize>(
 }
 
 /// Everything that is solved for.
-struct Bundle<'a, const N: usize> {
+struct PairBundle<'a, const N: usize> {
     tilt: Vector2<f64>,
     readout: Readout,
-    lens: Lens,
-    pairs: Vec<Work<'a>>,
-    sway: Sway,
+    lens: LensUnknowns,
+    pairs: Vec<SolvedPair<'a>>,
+    sway: PairVariation,
     /// By how much each keyframe is tilted against the mount.
     tilted: Vec<Vector2<f64>>,
-    wobble: Wobble,
+    wobble: KeyframeVariation,
 }
 
-impl<'a, const N: usize> Bundle<'a, N> {
+impl<'a, const N: usize> PairBundle<'a, N> {
     fn begin(camera: &Camera, groups: impl ExactSizeIterator<Item = &'a Group>, start: &Rig) -> Option<Self> {
         let tilt = Vector2::new(start.roll_rad, start.pitch_rad);
-        let lens = Lens::new(camera, N.saturating_sub(HELD))?;
+        let lens = LensUnknowns::new(camera, N.saturating_sub(HELD))?;
         let readout = Readout::new(camera);
         let tilted = vec![Vector2::zeros(); groups.len()];
         let pairs = groups
             .enumerate()
             .flat_map(|(group, pairs)| pairs.pairs.iter().map(move |pair| (group, pair)))
-            .filter_map(|(group, pair)| Work::begin(&lens, readout.value_s, group, pair, &first_pose(&tilt)))
+            .filter_map(|(group, pair)| {
+                SolvedPair::begin(&lens, readout.value_s, group, pair, &first_pose(&tilt))
+            })
             .collect();
-        Some(Self { tilt, readout, lens, pairs, sway: Sway::default(), tilted, wobble: Wobble::default() })
+        Some(Self {
+            tilt,
+            readout,
+            lens,
+            pairs,
+            sway: PairVariation::default(),
+            tilted,
+            wobble: KeyframeVariation::default(),
+        })
     }
 
     /// The pose of the first view of a pair.
-    fn first_pose(&self, pair: &Work<'_>) -> GroundPose {
+    fn first_pose(&self, pair: &SolvedPair<'_>) -> GroundPose {
         first_pose(&(self.tilt + self.tilted[pair.group]))
     }
 
     fn systems(&self) -> Vec<System<N>> {
-        let system = |pair: &Work<'_>| {
+        let system = |pair: &SolvedPair<'_>| {
             System::new(&self.lens, self.readout.value_s, pair, &self.first_pose(pair), &self.sway)
         };
         self.pairs.iter().map(system).collect()

@@ -1,6 +1,6 @@
 //! A pair of views while it is solved for.
 
-use super::lens::{self, Lens};
+use super::lens::{self, LensUnknowns};
 use super::{FEWEST_TRACKS, ROBUST_ROUNDS};
 use crate::camera::Camera;
 use crate::camera::PosedCamera;
@@ -16,7 +16,7 @@ pub type Movement = Vector6<f64>;
 const SMALLEST_NOISE_PX: f64 = 0.01;
 
 /// The ray of a corner, and how each coefficient of the lens moves it.
-pub struct Corner {
+pub struct CornerRay {
     pub ray: Ray,
     pub by_lens: [Vector2<f64>; lens::MOST],
 }
@@ -92,21 +92,21 @@ impl<'a> Views<'a> {
 const LEAST_DISTANCE: f64 = 0.05;
 
 /// A pair that is being solved.
-pub struct Work<'a> {
+pub struct SolvedPair<'a> {
     pub pair: &'a Pair,
     /// The tracks' corners in the first view.
-    pub corners: Vec<Option<Corner>>,
+    pub corners: Vec<Option<CornerRay>>,
     pub group: usize,
     pub movement: Movement,
     pub weights: Vec<f64>,
     pub variance_px2: f64,
 }
 
-impl<'a> Work<'a> {
+impl<'a> SolvedPair<'a> {
     /// The planar movement that brings the ground points of the tracks best together (Umeyama, "Least-squares estimation of transformation
     /// parameters", 1991, without scale), from those with which the odometry agreed.
     pub fn begin(
-        lens: &Lens,
+        lens: &LensUnknowns,
         readout_s: f64,
         group: usize,
         pair: &'a Pair,
@@ -152,12 +152,12 @@ impl<'a> Work<'a> {
     }
 }
 
-impl Work<'_> {
+impl SolvedPair<'_> {
     /// Takes the rays of the corners as the lens has them now.
-    pub fn look_through(&mut self, lens: &Lens) {
+    pub fn look_through(&mut self, lens: &LensUnknowns) {
         let corner = |pixel| {
             let ray = lens.camera().ray_from_pixel(pixel)?;
-            Some(Corner { ray, by_lens: lens.gives_way(ray)? })
+            Some(CornerRay { ray, by_lens: lens.gives_way(ray)? })
         };
         self.corners = self.pair.tracks.iter().map(|(pixel, _, _)| corner(*pixel)).collect();
     }

@@ -1,14 +1,14 @@
 //! How much a mount that is not steady moves: the second view of a pair against the first, and a keyframe against the mount.
 
 use super::TILT;
-use super::pair::Work;
+use super::pair::SolvedPair;
 use super::system::System;
 use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix2, SVector, Vector2};
 
 /// By how much the second view of a pair may be higher and tilted against the first: a Gaussian whose variances the recording itself
 /// tells (empirical Bayes, as [`crate::motion::RigPriorEstimator`] does for the odometry). On a steady mount nothing is left of them.
-pub struct Sway {
+pub struct PairVariation {
     pub variance: [f64; 3],
 }
 
@@ -18,15 +18,15 @@ const FIRST_SWAY: [f64; 3] = [0.01, 0.01, 0.01];
 /// Below this nothing changes that could be measured.
 const LEAST_SWAY: f64 = 1e-6;
 
-impl Default for Sway {
+impl Default for PairVariation {
     fn default() -> Self {
         Self { variance: FIRST_SWAY.map(|sigma| sigma * sigma) }
     }
 }
 
-impl Sway {
+impl PairVariation {
     /// One step of expectation-maximisation (A. Dempster, N. Laird, D. Rubin, 1977).
-    pub fn learn<const N: usize>(&mut self, work: &[Work<'_>], systems: &[System<N>]) {
+    pub fn learn<const N: usize>(&mut self, work: &[SolvedPair<'_>], systems: &[System<N>]) {
         let mut squares = [0.0; 3];
         let mut count = 0.0;
         for (pair, system) in work.iter().zip(systems) {
@@ -42,12 +42,12 @@ impl Sway {
     }
 }
 
-/// By how much a keyframe may be tilted against the mount, in roll and pitch: as [`Sway`], from keyframe to keyframe.
-pub struct Wobble {
+/// By how much a keyframe may be tilted against the mount, in roll and pitch: as [`PairVariation`], from keyframe to keyframe.
+pub struct KeyframeVariation {
     variance: [f64; TILT],
 }
 
-impl Default for Wobble {
+impl Default for KeyframeVariation {
     fn default() -> Self {
         Self { variance: [FIRST_WOBBLE * FIRST_WOBBLE; TILT] }
     }
@@ -66,7 +66,7 @@ pub struct Freed<const N: usize> {
     slope: Vector2<f64>,
 }
 
-impl Wobble {
+impl KeyframeVariation {
     /// Frees the tilt of a keyframe; `part` is what its pairs say where it is tilted by `tilted`. To its pairs it is the same as the tilt of the mount.
     pub fn freed<const N: usize>(&self, part: &Part<N>, tilted: &Vector2<f64>) -> Option<Freed<N>> {
         let known = Vector2::from(self.variance.map(f64::recip));

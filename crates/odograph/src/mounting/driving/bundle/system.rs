@@ -1,8 +1,8 @@
 //! The normal equations of one pair.
 
-use super::lens::Lens;
-use super::pair::{Movement, Work};
-use super::sway::Sway;
+use super::lens::LensUnknowns;
+use super::pair::{Movement, SolvedPair};
+use super::sway::PairVariation;
 use super::{HELD, READOUT, TILT};
 use crate::geometry::GroundPose;
 use crate::numerics::{Part, inverse};
@@ -18,7 +18,13 @@ pub struct System<const N: usize> {
 }
 
 impl<const N: usize> System<N> {
-    pub fn new(lens: &Lens, readout_s: f64, work: &Work<'_>, rig: &GroundPose, sway: &Sway) -> Self {
+    pub fn new(
+        lens: &LensUnknowns,
+        readout_s: f64,
+        work: &SolvedPair<'_>,
+        rig: &GroundPose,
+        sway: &PairVariation,
+    ) -> Self {
         let views = work.views(lens.camera(), readout_s, rig);
         let mut system = Self {
             common: SMatrix::zeros(),
