@@ -2,8 +2,8 @@
 //!
 //! A recording is read sequentially ([`recording::MessageReader`]); its image topic becomes a
 //! source of frames, its other topics the camera and the sensors beside it. Formats are detected by
-//! the first bytes: a bag of JPEG images looks like a Motion JPEG stream, with the images of all its cameras
-//! interleaved and without times.
+//! the first bytes: a bag of JPEG images looks like a Motion JPEG stream, with the images of all
+//! its cameras interleaved and without times.
 
 mod camera;
 mod compression;
