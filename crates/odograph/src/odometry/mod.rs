@@ -433,9 +433,6 @@ impl Odometry {
             self.change_keyframe(pyramid, time_s, &estimate, (moved, covariance), by_readout, by_mount_tilt);
         } else {
             self.spare = Some(pyramid);
-            if let Some(keyframe) = &mut self.keyframe {
-                keyframe.drop_moving(&found, &estimate);
-            }
         }
         FrameEstimate {
             frame: self.frames,

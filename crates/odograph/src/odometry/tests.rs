@@ -8,7 +8,6 @@ use crate::simulation::{
 };
 
 mod lossy;
-mod moving;
 mod relief;
 mod rolling;
 
