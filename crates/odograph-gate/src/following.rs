@@ -8,7 +8,7 @@ use odograph::error::Result;
 use odograph::ground_map::MemoryImages;
 use odograph::loop_closure::LoopClosureConfig;
 use odograph::motion::MotionModel;
-use odograph::mounting::{Found, OnlineCalibration, Untold};
+use odograph::mounting::{CalibrationMonitor, Found, OnlineCalibration};
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph::slam::{Mapper, map_frames};
 use odograph::trajectory::FrameEstimate;
@@ -37,7 +37,7 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Tracked
     config.motion.model = model;
     let watched = follow != Follow::Live && model == MotionModel::Auto;
     let (mut camera, mut rig) = (clip.camera.clone(), clip.rig);
-    let mut watch = watched.then(|| Untold::new(&camera, &rig));
+    let mut watch = watched.then(|| CalibrationMonitor::new(&camera, &rig));
     let mut restarts = 0;
     loop {
         match pass(clip, follow, &config, &camera, rig, watch)? {
@@ -47,7 +47,7 @@ pub fn follow(clip: &Clip, follow: Follow, model: MotionModel) -> Result<Tracked
             Pass::Again(found) => {
                 rig = found.rig(&rig);
                 camera = found.camera(&camera);
-                watch = Some(Untold::found(&camera, &rig, &found));
+                watch = Some(CalibrationMonitor::found(&camera, &rig, &found));
                 restarts += 1;
             }
         }
@@ -60,7 +60,7 @@ fn pass(
     config: &OdometryConfig,
     camera: &Camera,
     rig: Rig,
-    mut watch: Option<Untold>,
+    mut watch: Option<CalibrationMonitor>,
 ) -> Result<Pass> {
     let mut odometry = Odometry::new(camera.clone(), rig, *config)?;
     let mut mapper = (follow == Follow::Mapped).then(|| {
@@ -93,7 +93,7 @@ fn pass(
             }
         }
     }
-    if let Some(found) = watch.as_ref().and_then(Untold::at_end) {
+    if let Some(found) = watch.as_ref().and_then(CalibrationMonitor::at_end) {
         return Ok(Pass::Again(Box::new(found)));
     }
     if let Some((mapper, _)) = &mut mapper {

@@ -59,7 +59,7 @@ const ORTHOGONAL: f64 = 1e-4;
 pub fn isometry(rows: &[f64]) -> Option<Isometry3<f64>> {
     let block = Matrix3::from_fn(|row, column| rows[4 * row + column]);
     let off = (block * block.transpose() - Matrix3::identity()).amax();
-    // The largest of numbers that are none is none, or any.
+    // The maximum of values with NaN among them may be NaN or a number.
     let is_finite = rows.iter().all(|number| number.is_finite());
     let is_rigid =
         is_finite && off < ORTHOGONAL && block.determinant() > 0.0 && rows[12..] == [0.0, 0.0, 0.0, 1.0];

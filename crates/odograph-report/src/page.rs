@@ -48,7 +48,7 @@ fn lead(figures: &RunFigures) -> String {
         return "No frame could be tracked. The reasons are listed below.".into();
     }
     let way = format!(
-        "The camera travelled <b>{}</b> in {}.",
+        "<b>{}</b> travelled in {}.",
         distance_text(figures.distance_m),
         duration_text(figures.duration_s)
     );
@@ -162,9 +162,9 @@ fn ground(input: &ReportInput<'_>, page: &mut String) {
         let _ = writeln!(
             page,
             "<h2>The path over the ground</h2>\n<figure><figcaption><span>The frames, orthorectified at their poses, and the \
-             path of the camera: <span class=\"key green\">start</span><span class=\"key red\">end</span>A pixel of {} is {} wide; its \
+             path: <span class=\"key green\">start</span><span class=\"key red\">end</span>A pixel of {} is {} wide; its \
              world file has its position.</span></figcaption>\n<div class=\"over\">\
-             <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground with the path of the camera\" src=\"{}\">{}</div></figure>",
+             <img width=\"{}\" height=\"{}\" alt=\"Mosaic of the ground with the path\" src=\"{}\">{}</div></figure>",
             escape(mosaic.file_name),
             length_text(mosaic.placement.metres_per_pixel),
             mosaic.width_px,

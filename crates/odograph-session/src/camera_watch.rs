@@ -7,7 +7,7 @@ use crate::plan::RunPlan;
 use odograph::camera::{Camera, Rig};
 use odograph::error::Result;
 use odograph::motion::MotionModel;
-use odograph::mounting::{Found, Untold};
+use odograph::mounting::{CalibrationMonitor, Found};
 use odograph_map::MapFile;
 
 /// Watches for a different mount or lens during a recording, which is then tracked again with the
@@ -38,11 +38,11 @@ impl CameraWatch {
     }
 
     /// The self-calibration for the next pass.
-    pub fn watch(&self, plan: &RunPlan) -> Option<Untold> {
+    pub fn watch(&self, plan: &RunPlan) -> Option<CalibrationMonitor> {
         self.again.then(|| {
             let watch = match &self.found {
-                Some(found) => Untold::found(&plan.camera, &plan.rig, found),
-                None => Untold::new(&plan.camera, &plan.rig),
+                Some(found) => CalibrationMonitor::found(&plan.camera, &plan.rig, found),
+                None => CalibrationMonitor::new(&plan.camera, &plan.rig),
             };
             if self.lens_is_known { watch.with_lens_known() } else { watch }
         })
@@ -74,8 +74,8 @@ impl CameraWatch {
             return Ok(());
         }
         self.lens_is_known = true;
-        while let Some(untold) = self.watch(plan) {
-            match look(plan, untold, observer)? {
+        while let Some(monitor) = self.watch(plan) {
+            match look(plan, monitor, observer)? {
                 Some(found) => self.take(found, plan),
                 None => self.again = false,
             }
@@ -85,13 +85,13 @@ impl CameraWatch {
 }
 
 /// Differences of the camera from the plan at the beginning of the recording.
-fn look(plan: &RunPlan, mut untold: Untold, observer: &dyn Observer) -> Result<Option<Found>> {
+fn look(plan: &RunPlan, mut monitor: CalibrationMonitor, observer: &dyn Observer) -> Result<Option<Found>> {
     let mut source = plan.source.open()?;
     let mut odometry = plan.odometry()?;
     while let Some(frame) = source.next_frame()? {
         let estimate = odometry.process(frame.gray, frame.time_s)?;
-        let found = untold.watch(&estimate, &odometry);
-        if found.is_some() || untold.pairs() >= LOOKED_AT || observer.is_stop_asked() {
+        let found = monitor.watch(&estimate, &odometry);
+        if found.is_some() || monitor.pairs() >= LOOKED_AT || observer.is_stop_asked() {
             return Ok(found);
         }
     }

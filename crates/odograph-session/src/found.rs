@@ -75,7 +75,7 @@ impl FoundMount {
     /// A warning for people.
     pub fn sentence(&self) -> String {
         format!(
-            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as was told; this was \
+            "the camera is mounted at a roll of {:+.2}° and a pitch of {:+.2}°, not at {:+.2}° and {:+.2}° as given; this was \
              found in the recording and used",
             self.roll_deg, self.pitch_deg, self.told_roll_deg, self.told_pitch_deg
         )

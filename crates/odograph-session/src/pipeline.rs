@@ -13,7 +13,7 @@ use crate::timings::Timings;
 use crate::views::{MosaicFrames, Posed};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
-use odograph::mounting::{Found, Untold};
+use odograph::mounting::{CalibrationMonitor, Found};
 use odograph::odometry::{KeyframeEvent, Odometry};
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
@@ -89,7 +89,7 @@ pub fn track(
     source: Source,
     folder: &mut OutputFolder,
     output: &Output,
-    self_calibration: Option<Untold>,
+    self_calibration: Option<CalibrationMonitor>,
     observer: &dyn Observer,
 ) -> Result<Ended> {
     let mut odometry = plan.odometry()?;
@@ -118,7 +118,8 @@ pub fn track(
     };
     observer.tracking_ends();
     let to_the_end = outcome.is_ok() && tracking.found.is_none() && !observer.is_stop_asked();
-    let at_end = tracking.self_calibration.as_ref().filter(|_| to_the_end).and_then(Untold::at_end);
+    let at_end =
+        tracking.self_calibration.as_ref().filter(|_| to_the_end).and_then(CalibrationMonitor::at_end);
     if let Some(found) = tracking.found.or(at_end) {
         ground.mapping.discard()?;
         return Ok(Ended::IsAnother(Box::new(found)));
@@ -246,7 +247,7 @@ struct Tracking<'a> {
     frames: KeptFrames,
     times: Timings,
     calibration_times: Timings,
-    self_calibration: Option<Untold>,
+    self_calibration: Option<CalibrationMonitor>,
     /// Its result: the pass ends there.
     found: Option<Found>,
     observer: &'a dyn Observer,

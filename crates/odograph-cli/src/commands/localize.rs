@@ -37,7 +37,7 @@ pub struct LocalizeArguments {
     /// Rig file (TOML), if the camera is mounted differently from when the map was created.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Whose place is told. [default: the robot's where the map's rig has x_m, y_m, z_m]
+    /// Frame whose place is printed. [default: the robot's if the map's rig has x_m, y_m, z_m]
     #[arg(help_heading = "Results", long, value_name = "FRAME")]
     pub frame: Option<Frame>,
     /// What may change between frames.

@@ -7,10 +7,10 @@
 
 use std::collections::VecDeque;
 
-/// So many arrivals determine the period: several bursts of a network.
+/// Arrivals that determine the period: several bursts of a network.
 const WINDOW: usize = 120;
-/// The period is known once the window spans so many frames and seconds; until then it is taken to
-/// be no shorter than [`SHORTEST_PERIOD_S`].
+/// Frames and seconds that the window must span for the period to be known; until then it is taken
+/// to be no shorter than [`SHORTEST_PERIOD_S`].
 const LEAST_FRAMES: usize = 12;
 const LEAST_SPAN_S: f64 = 1.0;
 const SHORTEST_PERIOD_S: f64 = 1.0 / 60.0;
@@ -18,7 +18,7 @@ const SHORTEST_PERIOD_S: f64 = 1.0 / 60.0;
 /// frames between them are missing.
 const LONGEST_DELAY_S: f64 = 0.7;
 const LONGEST_DELAY_PERIODS: f64 = 4.0;
-/// The least delay is looked for in the last so many frames, and corrected by this share a frame.
+/// Frames over which the least delay is taken, and the share of it that is corrected per frame.
 const ENVELOPE: usize = 30;
 const CORRECTED: f64 = 0.1;
 /// The same where a frame would have been taken after its arrival.

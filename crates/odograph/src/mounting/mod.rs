@@ -10,6 +10,6 @@
 mod driving;
 
 pub use driving::{
-    DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement, OnlineCalibration,
-    ReadoutMeasurement, Revealed, SelfCalibration, TiltMeasurement, Untold,
+    CalibrationMonitor, DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement,
+    OnlineCalibration, ReadoutMeasurement, Revealed, SelfCalibration, TiltMeasurement,
 };

@@ -367,8 +367,8 @@ impl Keyframe {
         self.lay_again(camera);
     }
 
-    /// Lays its corners on the ground again as a better calibration has it: the camera has the height
-    /// and tilt of `mount`, where given, and its images this readout time.
+    /// Projects its corners onto the ground again with a better calibration: height and tilt of
+    /// `mount`, if given, and this readout time.
     pub fn recalibrate(&mut self, camera: &Camera, mount: Option<&GroundPose>, readout_s: Option<f64>) {
         if let Some(mount) = mount {
             self.pose = self.pose.with_mount_of(mount);
@@ -654,7 +654,7 @@ impl KeyframeMemory {
         self.take(best.1, camera)
     }
 
-    /// The camera had the height and tilt of `mount` all the while, where given.
+    /// Sets height and tilt of all records to those of `mount`, if given.
     pub fn recalibrate(&mut self, mount: Option<&GroundPose>) {
         for record in &mut self.records {
             record.view = None;

@@ -73,8 +73,8 @@ impl Learned {
         Self { shutter, ..Self::new(first) }
     }
 
-    /// Takes over what is known of a better calibration, with the mount or without. How the camera moves
-    /// and what of the image is found is still known.
+    /// Replaces what depends on the calibration by `fresh`, the rig prior only `with_mount`. The
+    /// motion of the camera and the inlier ratio are kept.
     pub fn recalibrate(&mut self, fresh: Self, with_mount: bool) {
         let before = std::mem::replace(self, fresh);
         if !with_mount {
@@ -209,8 +209,8 @@ impl Learned {
         by_readout * by_readout.transpose() * self.readout_errors_s2()
     }
 
-    /// What the uncertainty of the mount's roll and pitch adds to the covariance of a pose that changes
-    /// with them by `by_mount_tilt`.
+    /// Covariance of a pose from the mean squared errors of the mount's roll and pitch;
+    /// `by_mount_tilt` is its derivative by them.
     pub fn mount_covariance(&self, by_mount_tilt: &Matrix6x2<f64>) -> Matrix6<f64> {
         by_mount_tilt * self.rig_prior.mount_tilt_errors() * by_mount_tilt.transpose()
     }

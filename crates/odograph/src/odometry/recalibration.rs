@@ -11,12 +11,13 @@ use crate::motion::PoseRates;
 use nalgebra::{Matrix2, Matrix6x2, Vector2};
 
 impl Odometry {
-    /// Goes on with a better calibration of the same camera. What was measured before stays; the
-    /// present keyframe lies on the ground as the new calibration has it.
+    /// Continues with a better calibration of the same camera. Earlier poses stay; the corners of
+    /// the present keyframe are projected onto the ground again.
     ///
-    /// To be called right after a frame that became a keyframe ([`crate::trajectory::FrameEstimate`]):
-    /// then the pose is continuous. With `rig`, height and tilt of the camera are that rig's from here on;
-    /// without, they stay as they were measured.
+    /// The pose is continuous if this is called right after a frame that became a keyframe
+    /// ([`crate::trajectory::FrameEstimate::keyframe`]). With `rig`, height and tilt of the camera
+    /// are the rig's from here on, and the matrix is the covariance of (roll, pitch), radians²;
+    /// without, they stay as measured.
     ///
     /// # Errors
     ///
@@ -56,8 +57,8 @@ impl Odometry {
         Ok(())
     }
 
-    /// Adds to the covariance of the present keyframe what the calibration before has done to its place
-    /// and heading: the path stays as it was measured.
+    /// Adds the effect of the previous calibration on x, y and heading of the present keyframe to
+    /// its covariance; the path itself stays.
     fn charge_errors(&mut self, (mount, readout_s): ([f64; 3], f64), with_mount: bool) {
         let [_, roll_rad, pitch_rad] = self.learned.rig_prior.mount();
         let off_rad = Vector2::new(roll_rad - mount[1], pitch_rad - mount[2]);

@@ -47,7 +47,7 @@ pub fn tell(outcome: &RunOutcome, quiet: bool, json: bool) -> Result<()> {
     Ok(())
 }
 
-/// Number of losses that are told one by one.
+/// Number of losses that are listed one by one.
 const MOST_LOSSES: usize = 5;
 
 /// Tells when and why tracking was lost.

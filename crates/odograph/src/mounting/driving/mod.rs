@@ -18,13 +18,13 @@ mod lens;
 mod online;
 mod rates;
 mod readout;
-mod untold;
+mod monitor;
 
 use bundle::{READOUT, Solved, TILT};
 pub use lens::{LensCoefficient, LensMeasurement, SelfCalibration};
+pub use monitor::{CalibrationMonitor, Found};
 pub use online::OnlineCalibration;
 pub use readout::ReadoutMeasurement;
-pub use untold::{Found, Untold};
 
 use crate::camera::{Camera, CameraUncertainty, Rig};
 use crate::error::{Error, Result};

@@ -1,23 +1,23 @@
 //! Self-calibration of a camera that is followed live, where nothing can be read again.
 
-use super::{Found, Untold};
+use super::{CalibrationMonitor, Found};
 use crate::camera::{Camera, Rig};
 use crate::error::Result;
 use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
-use std::thread::JoinHandle;
+use std::thread::{self, JoinHandle};
 
-/// Watches a live recording as [`Untold`] does, and recalibrates the odometry with what it finds: from
-/// the next keyframe on, so that the pose is continuous. A recording that can be read again is tracked
+/// Monitors a live recording as [`CalibrationMonitor`] does, and recalibrates the odometry from the
+/// next keyframe on, so that the pose is continuous. A recording that can be read again is tracked
 /// again instead.
 ///
-/// The bundle is solved on a thread of its own. Its result is used a fixed number of frames later, so
-/// that the trajectory does not depend on how fast it was.
+/// The bundle is solved on a thread of its own. Its result is used a fixed number of frames later,
+/// so that the trajectory does not depend on the speed of the machine.
 #[derive(Debug)]
 pub struct OnlineCalibration {
     camera: Camera,
     rig: Rig,
-    watch: Untold,
+    watch: CalibrationMonitor,
     solving: Option<Solving>,
     found: Option<Found>,
 }
@@ -30,19 +30,19 @@ struct Solving {
     result: JoinHandle<Option<Found>>,
 }
 
-/// Pairs of views that are solved within the time of one frame: a pair takes two to four milliseconds.
+/// Pairs of views that are solved within the time of one frame: a pair takes 2 to 4 ms.
 const PAIRS_PER_FRAME: usize = 4;
 
 impl OnlineCalibration {
-    /// Nothing seen yet of a camera that is given as `camera` and `rig`; the lens is that of the camera
-    /// where `lens_is_known`.
+    /// Starts with the given calibration; the lens is kept if `lens_is_known`.
     pub fn new(camera: &Camera, rig: &Rig, lens_is_known: bool) -> Self {
-        let watch = Untold::new(camera, rig);
+        let watch = CalibrationMonitor::new(camera, rig);
         let watch = if lens_is_known { watch.with_lens_known() } else { watch };
         Self { camera: camera.clone(), rig: *rig, watch, solving: None, found: None }
     }
 
-    /// Takes the next frame: what [`Odometry::process`] gave. Whether the odometry was recalibrated.
+    /// Takes the next frame, the result of [`Odometry::process`]. Returns whether the odometry was
+    /// recalibrated.
     ///
     /// # Errors
     ///
@@ -51,7 +51,8 @@ impl OnlineCalibration {
         self.watch.collect(frame, odometry);
         match &mut self.solving {
             Some(solving) => solving.frames = solving.frames.saturating_sub(1),
-            None => self.solving = self.watch.is_due().then(|| self.begin()),
+            None if self.watch.is_due() => self.solving = self.begin(),
+            None => {}
         }
         let Some(solving) = self.solving.take_if(|solving| solving.frames == 0 && frame.keyframe) else {
             return Ok(false);
@@ -67,14 +68,16 @@ impl OnlineCalibration {
         Ok(true)
     }
 
-    fn begin(&mut self) -> Solving {
+    /// `None` if the system has no thread to spare; the next look is tried again.
+    fn begin(&mut self) -> Option<Solving> {
         self.watch.put_off();
         let watch = self.watch.clone();
         let frames = watch.pairs().div_ceil(PAIRS_PER_FRAME);
-        Solving { frames, result: std::thread::spawn(move || watch.look()) }
+        let result = thread::Builder::new().spawn(move || watch.look()).ok()?;
+        Some(Solving { frames, result })
     }
 
-    /// What was found and is in use.
+    /// The estimated calibration that is in use; `None` while the given one is.
     pub fn found(&self) -> Option<&Found> {
         self.found.as_ref()
     }

@@ -234,15 +234,15 @@ fn a_shaking_mount_gives_its_mean_tilt_and_a_wider_deviation() {
     assert!(off(&found).norm() < 3.5 * deviation && deviation < 0.2f64.to_radians(), "{found:?}");
 }
 
-/// What [`Untold`] finds in a drive whose camera was told to sit like `told`, and after which frame.
-fn noticed(simulation: &Simulation, told: Rig, mut untold: Untold) -> Option<(Found, u64)> {
+/// What [`CalibrationMonitor`] finds in a drive whose camera was told to sit like `told`, and after which frame.
+fn noticed(simulation: &Simulation, told: Rig, mut monitor: CalibrationMonitor) -> Option<(Found, u64)> {
     let camera = simulation.config().camera.clone();
     let mut odometry = Odometry::new(camera, told, OdometryConfig::default()).unwrap();
     let on_the_way = simulation.frames().find_map(|frame| {
         let estimate = odometry.process(frame.image, frame.time_s).unwrap();
-        Some((untold.watch(&estimate, &odometry)?, estimate.frame))
+        Some((monitor.watch(&estimate, &odometry)?, estimate.frame))
     });
-    on_the_way.or_else(|| Some((untold.at_end()?, simulation.times_s().len() as u64)))
+    on_the_way.or_else(|| Some((monitor.at_end()?, simulation.times_s().len() as u64)))
 }
 
 #[test]
@@ -250,7 +250,7 @@ fn a_tilt_that_was_not_told_is_noticed_early_and_known_better_later() {
     let simulation = drive(RIG, Effects::default(), EIGHT);
     let camera = &simulation.config().camera;
     let level = Rig { roll_rad: 0.0, pitch_rad: 0.0, ..RIG };
-    let (first, at) = noticed(&simulation, level, Untold::new(camera, &level)).unwrap();
+    let (first, at) = noticed(&simulation, level, CalibrationMonitor::new(camera, &level)).unwrap();
     // A third of the way at the latest; it cannot be known better than it says. The lens is as it was told.
     assert!(3 * at < simulation.times_s().len() as u64, "{at}");
     assert_eq!(first.lens, None);
@@ -265,7 +265,8 @@ fn a_tilt_that_was_not_told_is_noticed_early_and_known_better_later() {
     };
     let earlier = Found { tilt: Some(poor.clone()), ..first.clone() };
     let taken = earlier.rig(&level);
-    let (second, later) = noticed(&simulation, taken, Untold::found(camera, &taken, &earlier)).unwrap();
+    let (second, later) =
+        noticed(&simulation, taken, CalibrationMonitor::found(camera, &taken, &earlier)).unwrap();
     let tilt = second.tilt.unwrap();
     assert!(later > at && off(&tilt).norm() < 0.05f64.to_radians(), "{tilt:?}");
     assert!(second.pairs >= 2 * first.pairs && tilt.covariance.trace() < poor.covariance.trace());
@@ -276,10 +277,10 @@ fn through_lens(camera: &Camera, told: &Camera, rig: Rig, effects: Effects) -> O
     let config = SimulationConfig { camera: camera.clone(), ..drive(RIG, effects, EIGHT).config().clone() };
     let simulation = Simulation::new(config).unwrap();
     let mut odometry = Odometry::new(told.clone(), rig, OdometryConfig::default()).unwrap();
-    let mut untold = Untold::new(told, &rig);
+    let mut monitor = CalibrationMonitor::new(told, &rig);
     simulation.frames().find_map(|frame| {
         let estimate = odometry.process(frame.image, frame.time_s).unwrap();
-        untold.watch(&estimate, &odometry)
+        monitor.watch(&estimate, &odometry)
     })
 }
 
@@ -339,11 +340,11 @@ fn a_lens_that_was_told_is_left_alone_even_while_the_camera_sways() {
 fn a_tilt_that_was_told_or_changes_is_left_alone() {
     let steady = drive(RIG, Effects::default(), EIGHT);
     let camera = &steady.config().camera;
-    assert_eq!(noticed(&steady, RIG, Untold::new(camera, &RIG)), None);
+    assert_eq!(noticed(&steady, RIG, CalibrationMonitor::new(camera, &RIG)), None);
     let swaying =
         Effects { tilt_change: Some(Wander { amplitude: 0.05, period_s: 2.0 }), ..Effects::default() };
     let swaying = drive(RIG, swaying, EIGHT);
-    assert_eq!(noticed(&swaying, RIG, Untold::new(camera, &RIG)), None);
+    assert_eq!(noticed(&swaying, RIG, CalibrationMonitor::new(camera, &RIG)), None);
 }
 
 #[test]

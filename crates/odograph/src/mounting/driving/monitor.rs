@@ -16,7 +16,7 @@ use nalgebra::Vector2;
 
 /// Watches a recording while [`crate::odometry::Odometry`] follows it with the motion model that chooses by evidence.
 #[derive(Debug, Clone)]
-pub struct Untold {
+pub struct CalibrationMonitor {
     driven: DrivenTilt,
     told: Rig,
     /// Whether the lens is looked at, too.
@@ -103,7 +103,7 @@ const SIGNIFICANT: f64 = 5.0;
 /// A tilt is that of the mount, and not of a hand or of a spring, where it scatters from keyframe to keyframe by less than this part of itself.
 const STEADY: f64 = 1.0 / 3.0;
 
-impl Untold {
+impl CalibrationMonitor {
     /// Nothing seen yet of a camera that was told to be `camera` and to sit like `told`.
     pub fn new(camera: &Camera, told: &Rig) -> Self {
         let config =
@@ -139,7 +139,7 @@ impl Untold {
         self.look()
     }
 
-    /// Takes the next frame, as [`Untold::watch`] does, without a look.
+    /// Takes the next frame, as [`CalibrationMonitor::watch`] does, without solving.
     pub(super) fn collect(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
         if self.next_look <= LAST_LOOK {
             self.driven.watch(frame, odometry);
