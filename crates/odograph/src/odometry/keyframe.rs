@@ -55,6 +55,8 @@ pub struct Keyframe {
     pub mask: Option<Arc<ImageMask>>,
     /// How many corners it began with.
     pub corners_at_first: usize,
+    /// Ground that moves by itself.
+    pub moving: MovingGround,
     /// Where the corners are, enough to prepare the keyframe again; [`Keyframe::find`] gives them.
     places: Vec<(usize, usize)>,
     /// What looks for them, where only a part of the image has been looked at.
@@ -69,6 +71,22 @@ pub struct Keyframe {
     texture: OnceLock<Texture>,
     /// The whole image, to be compared with others; made when it is first needed.
     dense: OnceLock<DenseReference>,
+}
+
+/// Points of the ground that move by themselves, and others that do not.
+#[derive(Debug, Clone, Default)]
+pub struct MovingGround {
+    moving: Vec<GroundPoint>,
+    still: Vec<GroundPoint>,
+}
+
+impl MovingGround {
+    /// Whether most of the known points within reach, metres, move.
+    fn contains(&self, point: &GroundPoint, reach_m: f64) -> bool {
+        let near =
+            |points: &[GroundPoint]| points.iter().filter(|other| point.distance(**other) < reach_m).count();
+        self.moving.len() >= MIN_MOVING && near(&self.moving) > near(&self.still)
+    }
 }
 
 /// Where the patches of an image lie on the ground.
@@ -141,9 +159,30 @@ pub struct KeyCorner {
     seen_before: Option<MeasuredElevation>,
     confirmations: usize,
     is_on_kerb: bool,
+    /// Frames in which it was found, and those of them in which neither the motion nor an elevation
+    /// explained where.
+    found: u32,
+    strays: u32,
     /// How it was last found.
     pub seen: Warp,
 }
+
+/// A corner moves by itself where it strayed in this many frames and in more than half of all.
+const STRAYS: u32 = 3;
+
+/// Fewer points that move by themselves are tracking errors.
+const MIN_MOVING: usize = 10;
+
+/// A smaller fraction of the corners that moves does no harm, and may be tracking errors.
+const MIN_MOVING_SHARE: f64 = 0.1;
+
+/// Root mean square motion of the inliers in the image, pixels, below which they may be fixed to the
+/// camera. Three times the 2 px within which a corner counts as standing still.
+const MIN_FLOW_PX: f64 = 6.0;
+
+/// Ground moves as the majority of the known points within this distance does, a fraction of the
+/// height: a tuft of grass. Chosen on one rendering, seen again on three other seeds.
+const TUFT: f64 = 0.12;
 
 /// A corner is on a kerb where an elevation was confirmed this many times, each time by this many
 /// times the information of the time before: a parallax that is half as long again.
@@ -299,6 +338,7 @@ impl Keyframe {
             surface,
             mask,
             places,
+            moving: MovingGround::default(),
             sought: None,
             prepared: 0,
             in_halves: false,
@@ -340,10 +380,14 @@ impl Keyframe {
             return;
         }
         let ground = GroundOf::new(camera, &self.pose, &self.shutter, (self.level_m, self.surface.as_ref()));
+        let reach_m = TUFT * self.pose.height_m;
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&self.pyramid, place)?;
             let centre = template.centre();
             let (patch, elevation) = ground.patch(centre)?;
+            if self.moving.contains(&patch.ground, reach_m) {
+                return None;
+            }
             Some(KeyCorner {
                 patch,
                 elevation,
@@ -351,6 +395,8 @@ impl Keyframe {
                 seen_before: None,
                 confirmations: 0,
                 is_on_kerb: false,
+                found: 0,
+                strays: 0,
                 seen: Warp::translation(centre),
                 template,
             })
@@ -359,6 +405,47 @@ impl Keyframe {
         self.corners.extend(self.places[first..until].iter().filter_map(corner));
         self.prepared = until;
         self.corners_at_first = self.corners.len();
+    }
+
+    /// Drops corners that move by themselves, as leaves do, once a frame has been measured. Of what
+    /// moves, neither motion nor elevation explains where it is found. While the inliers stand
+    /// still in the image, they may be fixed to the camera and the ground be what strays.
+    pub fn drop_moving(&mut self, found: &[Found], frame: &MotionEstimate) {
+        let moved_px =
+            |found: &Found| found.warp.position.distance(self.corners[found.corner].template.centre());
+        let inliers = || found.iter().zip(&frame.inliers).filter(|(_, inlier)| **inlier);
+        let sum_px2: f64 = inliers().map(|(found, _)| moved_px(found).powi(2)).sum();
+        if sum_px2 < MIN_FLOW_PX.powi(2) * inliers().count() as f64 {
+            return;
+        }
+        for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
+            let corner = &mut self.corners[found.corner];
+            corner.found += 1;
+            corner.strays += u32::from(!agrees && !seen.is_plausible);
+        }
+        let moves = |corner: &KeyCorner| corner.strays >= STRAYS && 2 * corner.strays > corner.found;
+        let count = self.corners.iter().filter(|corner| moves(corner)).count();
+        if self.moving.moving.is_empty() && (count as f64) < MIN_MOVING_SHARE * self.corners.len() as f64 {
+            return;
+        }
+        let moving = self.corners.iter().filter(|corner| moves(corner)).map(|corner| corner.patch.ground);
+        self.moving.moving.extend(moving);
+        self.corners.retain(|corner| !moves(corner));
+        self.corners_at_first -= count;
+    }
+
+    /// What is known of ground that moves by itself, for the next keyframe.
+    pub fn moving_ground(&self) -> MovingGround {
+        let MovingGround { moving, .. } = &self.moving;
+        if moving.len() < MIN_MOVING {
+            return MovingGround::default();
+        }
+        let near = |point: &&GroundPoint| {
+            (point.x_m - self.pose.x_m).hypot(point.y_m - self.pose.y_m) < 3.0 * self.pose.height_m
+        };
+        let moving = moving.iter().filter(near).copied().collect();
+        let still = self.corners.iter().filter(|corner| corner.strays == 0 && corner.found > 0);
+        MovingGround { moving, still: still.map(|corner| corner.patch.ground).collect() }
     }
 
     /// Sets right how its image was exposed, and with it where its corners lie.

@@ -433,6 +433,12 @@ impl Odometry {
             self.change_keyframe(pyramid, time_s, &estimate, (moved, covariance), by_readout, by_mount_tilt);
         } else {
             self.spare = Some(pyramid);
+            // The mean follows its corners from frame to frame, under numbers of their own.
+            if let (true, Some(keyframe)) =
+                (self.config.motion.model != MotionModel::Mean, &mut self.keyframe)
+            {
+                keyframe.drop_moving(&found, &estimate);
+            }
         }
         FrameEstimate {
             frame: self.frames,

@@ -58,6 +58,7 @@ impl Odometry {
         });
         next.in_halves = self.frames - self.serves_since >= LEISURE_FRAMES;
         next.by_readout = by_readout;
+        next.moving = self.keyframe.as_ref().map(Keyframe::moving_ground).unwrap_or_default();
         next.by_mount_tilt = by_mount_tilt;
         let relief_m2 = self.learned.relief_m2();
         next.set_surface(self.keyframe.as_ref().and_then(|before| before.surface_now(relief_m2)));

@@ -8,6 +8,7 @@ use crate::simulation::{
 };
 
 mod lossy;
+mod moving;
 mod relief;
 mod rolling;
 
