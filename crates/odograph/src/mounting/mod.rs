@@ -10,6 +10,6 @@
 mod driving;
 
 pub use driving::{
-    CalibrationMonitor, DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement,
-    OnlineCalibration, ReadoutMeasurement, Revealed, SelfCalibration, TiltMeasurement,
+    CalibrationMonitor, DrivenTilt, DrivingConfig, Found, LensCoefficient, LensMeasurement, Observability,
+    OnlineCalibration, ReadoutMeasurement, SelfCalibration, TiltMeasurement,
 };

@@ -10,7 +10,7 @@ use odograph::camera::{CameraUncertainty, MeasuredRig, RigDeviations};
 use odograph::error::{Error, Result};
 use odograph::geometry::GroundPose;
 use odograph::image::RgbImage;
-use odograph::mounting::{DrivenTilt, DrivingConfig, LensMeasurement, Revealed, TiltMeasurement};
+use odograph::mounting::{DrivenTilt, DrivingConfig, LensMeasurement, Observability, TiltMeasurement};
 use odograph::odometry::{Odometry, OdometryConfig};
 use odograph_session::read_rig;
 
@@ -85,7 +85,7 @@ pub fn measure(arguments: &GroundArguments) -> Result<RigMeasurement> {
         pass = follow(arguments, path, &camera, uncertainty.as_ref(), rig, number + 2)?;
     }
     let found = &pass.found;
-    if let Revealed::NotAll { worst, deviation_rad } = found.revealed {
+    if let Observability::Partial { worst, deviation_rad } = found.observability {
         return Err(Error::input(not_revealed(path, worst, deviation_rad)));
     }
     let (height_m, height_deviation_m) = match arguments.distance {

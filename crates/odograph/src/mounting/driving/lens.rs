@@ -6,7 +6,7 @@
 //! So are the principal point and the decentering, by where the bending is centred, and the ratio of the focal lengths, by turns. The focal length itself is not:
 //! over level ground it is the height.
 
-use super::bundle::{self, HELD, LensUnknowns, Solved};
+use super::bundle::{self, LENS_START, LensUnknowns, Solved};
 use super::{DrivenTilt, TiltMeasurement};
 use crate::camera::uncertainty::parameter;
 use crate::camera::{Camera, Distortion, Rig};
@@ -46,24 +46,24 @@ pub struct LensCoefficient {
 /// A calibration is off where it is by so many standard deviations, because what the pairs do not model is
 /// taken for a lens as well: a lamp on the vehicle, rolling shutters and relief made up to 10 in rendered
 /// drives, a lens that is off by a tenth of a pixel and more over 20 …
-const SIGNIFICANT: f64 = 12.0;
+const MIN_SIGMAS: f64 = 12.0;
 
 /// … and by more than this at the edge of the image, pixels: less than that bends no path.
-const LEAST_PX: f64 = 0.03;
+const MIN_OFF_PX: f64 = 0.03;
 
 /// A lens known worse than this at the edge of the image is not a measurement: that is what a poor calibration has, pixels.
-const USEFUL_PX: f64 = 0.5;
+const MAX_SIGMA_PX: f64 = 0.5;
 
 /// What differs from keyframe to keyframe by more than this part of itself is not the lens.
-const STEADY: f64 = 1.0 / 3.0;
+const MAX_SCATTER: f64 = 1.0 / 3.0;
 
 impl LensMeasurement {
     /// Whether the lens surely bends otherwise than it was calibrated to.
-    pub fn is_another(&self) -> bool {
-        self.significance >= SIGNIFICANT
-            && self.off_px >= LEAST_PX
-            && self.scatter_px < STEADY * self.off_px
-            && self.deviation_px < USEFUL_PX.min(STEADY * self.off_px)
+    pub fn is_significant(&self) -> bool {
+        self.significance >= MIN_SIGMAS
+            && self.off_px >= MIN_OFF_PX
+            && self.scatter_px < MAX_SCATTER * self.off_px
+            && self.deviation_px < MAX_SIGMA_PX.min(MAX_SCATTER * self.off_px)
     }
 
     /// The same coefficients as another camera has them; zero where it has none.
@@ -80,21 +80,24 @@ impl LensMeasurement {
     }
 
     /// The lens whose leading coefficients were changed by `bent`, known as well as `combined` says.
-    fn new<const N: usize>(told: &Camera, bent: &[f64], combined: &Combined<N>) -> Option<Self> {
-        let mut lens = LensUnknowns::new(told, N - HELD)?;
-        lens.bend(bent)?;
-        let covariance = combined.covariance.view((HELD, HELD), (bent.len(), bent.len())).clone_owned();
-        let scatter = DMatrix::from_diagonal(&combined.scatter.rows(HELD, bent.len()).clone_owned());
-        let off = DVector::from_column_slice(bent);
+    fn new<const N: usize>(given: &Camera, change: &[f64], combined: &Combined<N>) -> Option<Self> {
+        let mut lens = LensUnknowns::new(given, N - LENS_START)?;
+        lens.add_change(change)?;
+        let covariance =
+            combined.covariance.view((LENS_START, LENS_START), (change.len(), change.len())).clone_owned();
+        let scatter = DMatrix::from_diagonal(&combined.scatter.rows(LENS_START, change.len()).clone_owned());
+        let off = DVector::from_column_slice(change);
         let significance = off.dot(&(covariance.clone().try_inverse()? * &off)).sqrt();
         let mut largest = [0.0f64; 3];
-        for pixel in edge(told) {
+        for pixel in edge(given) {
             // A lens may have no ray for its farthest corner.
-            let Some(ray) = told.ray_from_pixel(pixel) else { continue };
+            let Some(ray) = given.ray_from_pixel(pixel) else { continue };
             let moved = lens.camera().pixel_from_ray(ray)?;
-            let slides = lens.slides(ray)?;
-            let slides = DMatrix::from_fn(2, bent.len(), |row, k| slides[k][row]);
-            let spread = |variance: &DMatrix<f64>| (&slides * variance * slides.transpose()).trace().sqrt();
+            let pixel_by_lens = lens.pixel_by_lens(ray)?;
+            let pixel_by_lens = DMatrix::from_fn(2, change.len(), |row, k| pixel_by_lens[k][row]);
+            let spread = |variance: &DMatrix<f64>| {
+                (&pixel_by_lens * variance * pixel_by_lens.transpose()).trace().sqrt()
+            };
             let there = [moved.distance(pixel), spread(&covariance), spread(&scatter)];
             largest = std::array::from_fn(|k| largest[k].max(there[k]));
         }
@@ -133,9 +136,9 @@ impl DrivenTilt {
     ///
     /// Fails where there are too few pairs to solve at all.
     pub fn self_calibration(&self, start: &Rig, parameters: usize) -> Result<SelfCalibration> {
-        let groups = self.groups.iter().step_by(self.pairs.div_ceil(ENOUGH).max(1));
-        let solved = bundle::solve::<MOST>(&self.camera, groups, start);
-        match solved.and_then(|solved| self.explained(&solved, parameters)) {
+        let groups = self.groups.iter().step_by(self.pairs.div_ceil(MAX_PAIRS).max(1));
+        let solved = bundle::solve::<ALL_UNKNOWNS>(&self.camera, groups, start);
+        match solved.and_then(|solved| self.select_model(&solved, parameters)) {
             Some(found) => Ok(found),
             None => Ok(SelfCalibration { tilt: self.solve(start, None)?, lens: None }),
         }
@@ -143,58 +146,68 @@ impl DrivenTilt {
 
     /// What pairs that were solved for everything say about the tilt alone, and about a lens with no more parameters than are surely others, or were taken for that
     /// before.
-    fn explained(&self, solved: &Solved<MOST>, parameters: usize) -> Option<SelfCalibration> {
+    fn select_model(&self, solved: &Solved<ALL_UNKNOWNS>, parameters: usize) -> Option<SelfCalibration> {
         // A principal point that is off looks much like decentering: where one is another, so may be the other, if the lens has any.
         let whole = match self.camera.distortion() {
-            Distortion::KannalaBrandt { .. } => self.another(&solved.as_told::<8>(), 5, parameters),
-            _ => self.another(solved, 5, parameters),
+            Distortion::KannalaBrandt { .. } => {
+                self.with_parameters(&solved.restricted::<8>(), 5, parameters)
+            }
+            _ => self.with_parameters(solved, 5, parameters),
         };
         let lens = whole
-            .or_else(|| self.another(&solved.as_told::<5>(), 4, parameters))
-            .or_else(|| self.bent(&solved.as_told::<4>()));
-        Some(SelfCalibration { tilt: self.held(solved)?, lens })
+            .or_else(|| self.with_parameters(&solved.restricted::<5>(), 4, parameters))
+            .or_else(|| self.with_lens(&solved.restricted::<4>()));
+        Some(SelfCalibration { tilt: self.tilt_only(solved)?, lens })
     }
 
     /// A lens whose parameters from `first` on are surely others than told, or were taken for that before.
-    fn another<const N: usize>(
+    fn with_parameters<const N: usize>(
         &self,
         solved: &Solved<N>,
         first: usize,
         parameters: usize,
     ) -> Option<(LensMeasurement, TiltMeasurement)> {
-        let as_before = parameters > first - HELD;
-        let found = self.bent(solved).filter(|_| as_before || last_are_others(solved, first))?;
-        (as_before || found.0.is_another()).then_some(found)
+        let as_before = parameters > first - LENS_START;
+        let found = self.with_lens(solved).filter(|_| as_before || last_are_significant(solved, first))?;
+        (as_before || found.0.is_significant()).then_some(found)
     }
 
     /// The tilt with the lens as it was told.
-    fn held<const N: usize>(&self, solved: &Solved<N>) -> Option<TiltMeasurement> {
-        let held = solved.as_told::<HELD>();
-        self.tilt(&held, &combine(&held.parts)?).ok()
+    fn tilt_only<const N: usize>(&self, solved: &Solved<N>) -> Option<TiltMeasurement> {
+        let tilt_only = solved.restricted::<LENS_START>();
+        self.tilt(&tilt_only, &combine(&tilt_only.parts)?).ok()
     }
 
-    fn bent<const N: usize>(&self, solved: &Solved<N>) -> Option<(LensMeasurement, TiltMeasurement)> {
+    fn with_lens<const N: usize>(&self, solved: &Solved<N>) -> Option<(LensMeasurement, TiltMeasurement)> {
         let combined = combine(&solved.parts)?;
-        let bent: Vec<f64> =
-            solved.bent.iter().zip(combined.offset.iter().skip(HELD)).map(|(a, b)| a + b).collect();
-        let lens = LensMeasurement::new(&self.camera, &bent, &combined)?;
+        let change: Vec<f64> = solved
+            .lens_change
+            .iter()
+            .zip(combined.offset.iter().skip(LENS_START))
+            .map(|(a, b)| a + b)
+            .collect();
+        let lens = LensMeasurement::new(&self.camera, &change, &combined)?;
         Some((lens, self.tilt(solved, &combined).ok()?))
     }
 }
 
 /// Further parameters are others where they are by so many standard deviations.
-const OTHERS: f64 = 5.0;
+const PARAMETER_SIGMAS: f64 = 5.0;
 
 /// Whether the parameters from `first` on are together surely others than was told.
-fn last_are_others<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
+fn last_are_significant<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
     let Some(combined) = combine(&solved.parts) else { return false };
-    let off = DVector::from_fn(N - first, |k, _| solved.bent[first + k - HELD] + combined.offset[first + k]);
+    let off = DVector::from_fn(N - first, |k, _| {
+        solved.lens_change[first + k - LENS_START] + combined.offset[first + k]
+    });
     let covariance = combined.covariance.view((first, first), (N - first, N - first)).clone_owned();
-    covariance.try_inverse().is_some_and(|inverse| off.dot(&(inverse * &off)) > OTHERS * OTHERS)
+    covariance
+        .try_inverse()
+        .is_some_and(|inverse| off.dot(&(inverse * &off)) > PARAMETER_SIGMAS * PARAMETER_SIGMAS)
 }
 
 /// So many pairs of views are enough for the lens; of more, keyframes are left out evenly.
-const ENOUGH: usize = 256;
+const MAX_PAIRS: usize = 256;
 
 /// Roll, pitch, readout time, two radial coefficients, the principal point, the second focal length and the decentering.
-const MOST: usize = HELD + 7;
+const ALL_UNKNOWNS: usize = LENS_START + 7;

@@ -43,14 +43,14 @@ pub struct DrivingConfig {
     /// A pair is taken each time the tracks have moved by so much of the shorter side of the image since the last one.
     pub step: f64,
     /// So many tracks of a pair are kept, evenly chosen.
-    pub most_tracks: usize,
+    pub max_tracks: usize,
     /// So many pairs are kept; what comes after them is not used.
-    pub most_pairs: usize,
+    pub max_pairs: usize,
 }
 
 impl Default for DrivingConfig {
     fn default() -> Self {
-        Self { step: 0.1, most_tracks: 200, most_pairs: 4000 }
+        Self { step: 0.1, max_tracks: 200, max_pairs: 4000 }
     }
 }
 
@@ -149,7 +149,7 @@ pub struct TiltMeasurement {
     /// The readout time that goes with it; `None` where it was not looked for.
     pub readout: Option<ReadoutMeasurement>,
     /// Whether the movement determined both.
-    pub revealed: Revealed,
+    pub observability: Observability,
     /// Standard deviation of (roll, pitch) from keyframe to keyframe beyond the noise of the tracks: a mount that shakes, an uneven floor.
     pub scatter_rad: [f64; 2],
     /// Keyframes that said something.
@@ -162,11 +162,11 @@ pub struct TiltMeasurement {
 
 /// Whether the movement determined the tilt.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Revealed {
+pub enum Observability {
     /// Roll and pitch are both known well enough to be used.
-    Both,
+    Full,
     /// Some combination of them is not: the measurement must not be used for it.
-    NotAll {
+    Partial {
         /// The part of roll in the combination that is known worst, and the part of pitch; a unit vector.
         worst: [f64; 2],
         /// One standard deviation of it, radians.
@@ -175,15 +175,15 @@ pub enum Revealed {
 }
 
 /// The only pair of a keyframe may be so much of a step.
-const SHORTEST: f64 = 0.25;
+const MIN_STEP_FRACTION: f64 = 0.25;
 
 /// A tilt known worse than this is not a measurement: the level mount that people take without one is about as good, degrees.
-const USEFUL_DEG: f64 = 0.25;
+const MAX_SIGMA_DEG: f64 = 0.25;
 
 /// A plane explains tracks as well as elevations do if it leaves less than this multiple of what those
 /// leave. Over flat ground with an unknown lens it left 0.1 to 0.5 times as much, over rendered relief
 /// of all kinds 1.5 to 14 times.
-const AS_WELL: f64 = 1.3;
+const MAX_RELIEF_RATIO: f64 = 1.3;
 
 /// A mean of squares.
 #[derive(Debug, Clone, Copy, Default)]
@@ -205,7 +205,7 @@ impl MeanSquare {
 }
 
 /// Fewer keyframes than this cannot tell how much they scatter.
-const FEWEST_KEYFRAMES: usize = 4;
+const MIN_KEYFRAMES: usize = 4;
 
 impl DrivenTilt {
     /// Nothing seen yet.
@@ -226,7 +226,7 @@ impl DrivenTilt {
     }
 
     /// Tells with which readout time the odometry works, seconds, where that of the camera is looked for.
-    fn assume_readout_s(&mut self, readout_s: f64) {
+    fn set_assumed_readout_s(&mut self, readout_s: f64) {
         self.assumed_readout_s = readout_s;
     }
 
@@ -234,11 +234,11 @@ impl DrivenTilt {
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
         let reference = odometry.reference().map(|reference| reference.keyframe);
         self.relief_seen = odometry.sees_relief();
-        self.take(frame, odometry.tracks(), reference);
+        self.add_frame(frame, odometry.tracks(), reference);
     }
 
-    fn take(&mut self, frame: &FrameEstimate, tracks: &[TrackView], reference: Option<KeyframeId>) {
-        self.path.go_on(frame);
+    fn add_frame(&mut self, frame: &FrameEstimate, tracks: &[TrackView], reference: Option<KeyframeId>) {
+        self.path.add_frame(frame);
         let count = self.rates.push(frame, reference);
         self.expose_pairs();
         if frame.estimate.is_none() || tracks.is_empty() {
@@ -250,10 +250,10 @@ impl DrivenTilt {
         let far = (moved_px - self.moved_px).abs() >= step_px;
         // A keyframe that is left says what it can; under a tilt that is far off none lasts a whole step.
         let none_yet = self.groups.last().is_none_or(|group| group.pairs.is_empty());
-        let least_px = if none_yet { SHORTEST * step_px } else { step_px };
+        let least_px = if none_yet { MIN_STEP_FRACTION * step_px } else { step_px };
         let far = far || (frame.keyframe && moved_px >= least_px);
-        if far && self.pairs < self.config.most_pairs {
-            let every = tracks.len().div_ceil(self.config.most_tracks.max(1));
+        if far && self.pairs < self.config.max_pairs {
+            let every = tracks.len().div_ceil(self.config.max_tracks.max(1));
             let kept = tracks.iter().step_by(every);
             let tracks = kept.map(|track| (track.corner, track.pixel, track.inlier)).collect();
             let index = self.groups.len() - 1;
@@ -302,7 +302,7 @@ impl DrivenTilt {
     /// Whether a plane explains the tracks, with what was found, as well as elevations do where the ground
     /// looked uneven.
     pub(super) fn explains(&self, found: &TiltMeasurement) -> bool {
-        self.relief.root().is_none_or(|relief_px| found.rms_px < AS_WELL * relief_px)
+        self.relief.root().is_none_or(|relief_px| found.rms_px < MAX_RELIEF_RATIO * relief_px)
     }
 
     /// How many pairs of views there are so far.
@@ -332,7 +332,7 @@ impl DrivenTilt {
     /// amount of driving averages it out.
     ///
     /// Fails where there are too few pairs to solve at all; a movement that does not determine the tilt is told by
-    /// [`TiltMeasurement::revealed`].
+    /// [`TiltMeasurement::observability`].
     pub fn solve(&self, start: &Rig, uncertainty: Option<&CameraUncertainty>) -> Result<TiltMeasurement> {
         let solved = bundle::solve::<TILT>(&self.camera, self.groups.iter(), start).ok_or_else(too_few)?;
         let mut combined = combine(&solved.parts).ok_or_else(too_few)?;
@@ -340,7 +340,7 @@ impl DrivenTilt {
             let [roll, pitch] = combined.offset.into();
             let found =
                 Rig { roll_rad: solved.roll_rad + roll, pitch_rad: solved.pitch_rad + pitch, ..*start };
-            combined.covariance += self.carried(&found, uncertainty).ok_or_else(|| {
+            combined.covariance += self.camera_covariance(&found, uncertainty).ok_or_else(|| {
                 Error::input(
                     "the camera's own uncertainty is so large that driving says nothing; calibrate the camera again",
                 )
@@ -351,25 +351,25 @@ impl DrivenTilt {
 
     /// The tilt of what the pairs have in common.
     fn tilt<const N: usize>(&self, solved: &Solved<N>, combined: &Combined<N>) -> Result<TiltMeasurement> {
-        if solved.parts.len() < FEWEST_KEYFRAMES {
+        if solved.parts.len() < MIN_KEYFRAMES {
             return Err(too_few());
         }
         let covariance: Matrix2<f64> = combined.covariance.fixed_view::<TILT, TILT>(0, 0).into_owned();
         let eigen = covariance.symmetric_eigen();
         let worst = usize::from(eigen.eigenvalues[1] > eigen.eigenvalues[0]);
         let deviation_rad = eigen.eigenvalues[worst].max(0.0).sqrt();
-        let revealed = if deviation_rad <= USEFUL_DEG.to_radians() {
-            Revealed::Both
+        let observability = if deviation_rad <= MAX_SIGMA_DEG.to_radians() {
+            Observability::Full
         } else {
             let direction = eigen.eigenvectors.column(worst);
-            Revealed::NotAll { worst: [direction[0], direction[1]], deviation_rad }
+            Observability::Partial { worst: [direction[0], direction[1]], deviation_rad }
         };
         Ok(TiltMeasurement {
             roll_rad: solved.roll_rad + combined.offset[0],
             pitch_rad: solved.pitch_rad + combined.offset[1],
             covariance,
             readout: (N > READOUT).then(|| ReadoutMeasurement::new(solved, combined, self.assumed_readout_s)),
-            revealed,
+            observability,
             scatter_rad: [0, 1].map(|k| combined.scatter[k].sqrt()),
             keyframes: solved.parts.len(),
             pairs: solved.pairs,
@@ -386,9 +386,9 @@ fn too_few() -> Error {
 
 impl DrivenTilt {
     /// The covariance that the camera's gives to the tilt. Some keyframes are enough to see how the tilt follows the camera.
-    fn carried(&self, found: &Rig, uncertainty: &CameraUncertainty) -> Option<Matrix2<f64>> {
-        const ENOUGH: usize = 40;
-        let every = self.groups.len().div_ceil(ENOUGH).max(1);
+    fn camera_covariance(&self, found: &Rig, uncertainty: &CameraUncertainty) -> Option<Matrix2<f64>> {
+        const MAX_KEYFRAMES: usize = 40;
+        let every = self.groups.len().div_ceil(MAX_KEYFRAMES).max(1);
         uncertainty.carried(&self.camera, |camera| {
             let solved = bundle::solve::<TILT>(camera, self.groups.iter().step_by(every), found)?;
             let Combined { offset, .. } = combine(&solved.parts)?;
@@ -401,7 +401,7 @@ impl DrivenPath {
     /// Steps are as long as a twentieth of the height: short enough for any curve, long enough that noise does not lengthen them.
     const STEP: f64 = 0.05;
 
-    fn go_on(&mut self, frame: &FrameEstimate) {
+    fn add_frame(&mut self, frame: &FrameEstimate) {
         let Some(estimate) = &frame.estimate else {
             self.lost += 1;
             return;

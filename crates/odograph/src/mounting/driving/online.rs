@@ -70,10 +70,10 @@ impl OnlineCalibration {
 
     /// `None` if the system has no thread to spare; the next look is tried again.
     fn begin(&mut self) -> Option<Solving> {
-        self.watch.put_off();
+        self.watch.schedule_next();
         let watch = self.watch.clone();
         let frames = watch.pairs().div_ceil(PAIRS_PER_FRAME);
-        let result = thread::Builder::new().spawn(move || watch.look()).ok()?;
+        let result = thread::Builder::new().spawn(move || watch.check()).ok()?;
         Some(Solving { frames, result })
     }
 

@@ -67,7 +67,7 @@ impl RateHistory {
         if self.poses.len() == POSES {
             let first = self.moving.back().is_none_or(|(last, _)| *last + 1 < self.poses[POSES / 2].0);
             for index in if first { 0 } else { POSES / 2 }..=POSES / 2 {
-                self.learn(index);
+                self.differentiate(index);
             }
             self.poses.pop_front();
         }
@@ -97,7 +97,7 @@ impl RateHistory {
         self.keyframes.get(&keyframe).copied()
     }
 
-    fn learn(&mut self, index: usize) {
+    fn differentiate(&mut self, index: usize) {
         let nodes = if index + POSES_AT_ENDS / 2 < POSES / 2 { POSES_AT_ENDS } else { POSES };
         let from = index.saturating_sub(nodes / 2).min(POSES - nodes);
         let times: Vec<f64> = self.poses.range(from..from + nodes).map(|(_, time_s, _)| *time_s).collect();

@@ -18,7 +18,7 @@ pub struct ReadoutMeasurement {
 impl ReadoutMeasurement {
     pub(super) fn new<const N: usize>(solved: &Solved<N>, combined: &Combined<N>, assumed_s: f64) -> Self {
         let readout_s = solved.readout_s + combined.offset[READOUT];
-        let of_rates_s = RATES * (readout_s - assumed_s).abs();
+        let of_rates_s = RATES_ERROR * (readout_s - assumed_s).abs();
         Self {
             readout_s,
             deviation_s: combined.covariance[(READOUT, READOUT)].sqrt().hypot(of_rates_s),
@@ -30,38 +30,38 @@ impl ReadoutMeasurement {
 /// Rates of poses that were measured with another readout time are wrong by this part of what they
 /// are corrected by, so that the found readout time is wrong by this part of its difference from
 /// the assumed one.
-const RATES: f64 = 0.01;
+const RATES_ERROR: f64 = 0.01;
 
 /// A readout time known worse than this part of itself is not a measurement yet.
-const USEFUL: f64 = 0.15;
+const MAX_RELATIVE_SIGMA: f64 = 0.15;
 
 /// Standard deviations by which a readout time must differ from the given one to replace it …
-const SIGNIFICANT: f64 = 5.0;
+const MIN_SIGMAS: f64 = 5.0;
 
 /// … and the least difference, seconds: 0.3 ms at 1 m/s and 0.75 m is 0.2 px.
-const LEAST_S: f64 = 3e-4;
+const MIN_DIFFERENCE_S: f64 = 3e-4;
 
 /// Largest scatter between keyframes, as a fraction of the difference: above it, the cause is not
 /// the shutter.
-const STEADY: f64 = 1.0 / 3.0;
+const MAX_SCATTER: f64 = 1.0 / 3.0;
 
 impl ReadoutMeasurement {
     /// Whether the readout time differs significantly from `given_s`; zero if none was given.
-    pub fn is_another(&self, given_s: f64) -> bool {
+    pub fn differs_from(&self, given_s: f64) -> bool {
         let off_s = (self.readout_s - given_s).abs();
-        off_s > LEAST_S.max(SIGNIFICANT * self.deviation_s)
-            && self.scatter_s < STEADY * off_s
-            && self.deviation_s < USEFUL * self.readout_s.abs()
+        off_s > MIN_DIFFERENCE_S.max(MIN_SIGMAS * self.deviation_s)
+            && self.scatter_s < MAX_SCATTER * off_s
+            && self.deviation_s < MAX_RELATIVE_SIGMA * self.readout_s.abs()
     }
 
     /// Whether it is clearly more precise than an earlier estimate, and different from it.
     pub fn is_better_than(&self, before: &Self) -> bool {
-        (self.readout_s - before.readout_s).abs() > LEAST_BETTER_S
-            && self.deviation_s < BETTER * before.deviation_s
+        (self.readout_s - before.readout_s).abs() > MIN_CHANGE_S
+            && self.deviation_s < MAX_SIGMA_RATIO * before.deviation_s
     }
 }
 
 /// A better estimate is used if it differs by this much, seconds, and its standard deviation is
 /// smaller by this factor.
-const LEAST_BETTER_S: f64 = 2e-5;
-const BETTER: f64 = 0.8;
+const MIN_CHANGE_S: f64 = 2e-5;
+const MAX_SIGMA_RATIO: f64 = 0.8;

@@ -103,7 +103,7 @@ fn the_readout_time_is_told_apart_from_a_tilt() {
     let found = driven.self_calibration(&Rig::level(1.0), 0).unwrap().tilt;
     let readout = found.readout.unwrap();
     assert!((readout.readout_s - readout_s).abs() < 4.0 * readout.deviation_s, "{readout:?}");
-    assert!(readout.is_another(0.0) && readout.deviation_s < 0.001, "{readout:?}");
+    assert!(readout.differs_from(0.0) && readout.deviation_s < 0.001, "{readout:?}");
     assert!(off(&found).norm() < 2e-3, "{found:?}");
 }
 
@@ -119,7 +119,7 @@ fn exact_tracks_give_the_exact_tilt_from_far_off() {
         let found = driven.solve(&Rig { roll_rad, pitch_rad, ..Rig::level(1.0) }, None).unwrap();
         // The wrong tracks are told apart only down to the smallest noise that is believed.
         assert!(off(&found).norm() < 1e-4, "{found:?}");
-        assert_eq!(found.revealed, Revealed::Both);
+        assert_eq!(found.observability, Observability::Full);
     }
 }
 
@@ -161,7 +161,7 @@ fn what_a_movement_does_not_reveal_is_said() {
     let still = collected(12, 0.1, &mut random, |_, _| [0.0, 0.0, 0.0], 0.0).solve(&Rig::level(1.0), None);
     match still {
         Err(error) => assert!(error.to_string().contains("enough movement"), "{error}"),
-        Ok(found) => assert!(matches!(found.revealed, Revealed::NotAll { .. }), "{found:?}"),
+        Ok(found) => assert!(matches!(found.observability, Observability::Partial { .. }), "{found:?}"),
     }
     // Short shifts tell little, long ones much; so does a turn on the spot of half a radian.
     let deviation = |movement: [f64; 3], random: &mut Random| {
@@ -218,7 +218,7 @@ fn a_rendered_drive_gives_the_tilt_from_five_degrees_off() {
     let start = Rig { roll_rad: RIG.roll_rad - 0.062, pitch_rad: RIG.pitch_rad + 0.062, ..RIG };
     let (found, length_m) = measured(&simulation, start, 2);
     assert!(off(&found).norm() < 0.05f64.to_radians(), "{found:?}");
-    assert_eq!(found.revealed, Revealed::Both);
+    assert_eq!(found.observability, Observability::Full);
     // The height is given right, so the length is: to the per mille that is asked of the height.
     let seen: Vec<GroundPose> = simulation.times_s().iter().map(|&time_s| simulation.truth(time_s)).collect();
     let truth_m: f64 = seen.windows(2).map(|two| distance_m(&two[0], &two[1])).sum();
@@ -235,9 +235,9 @@ fn a_shaking_mount_gives_its_mean_tilt_and_a_wider_deviation() {
 }
 
 /// What [`CalibrationMonitor`] finds in a drive whose camera was told to sit like `told`, and after which frame.
-fn noticed(simulation: &Simulation, told: Rig, mut monitor: CalibrationMonitor) -> Option<(Found, u64)> {
+fn noticed(simulation: &Simulation, given: Rig, mut monitor: CalibrationMonitor) -> Option<(Found, u64)> {
     let camera = simulation.config().camera.clone();
-    let mut odometry = Odometry::new(camera, told, OdometryConfig::default()).unwrap();
+    let mut odometry = Odometry::new(camera, given, OdometryConfig::default()).unwrap();
     let on_the_way = simulation.frames().find_map(|frame| {
         let estimate = odometry.process(frame.image, frame.time_s).unwrap();
         Some((monitor.watch(&estimate, &odometry)?, estimate.frame))
@@ -273,11 +273,11 @@ fn a_tilt_that_was_not_told_is_noticed_early_and_known_better_later() {
 }
 
 /// What is found where the same drive through the lens of one camera is taken for that of another.
-fn through_lens(camera: &Camera, told: &Camera, rig: Rig, effects: Effects) -> Option<Found> {
+fn through_lens(camera: &Camera, given: &Camera, rig: Rig, effects: Effects) -> Option<Found> {
     let config = SimulationConfig { camera: camera.clone(), ..drive(RIG, effects, EIGHT).config().clone() };
     let simulation = Simulation::new(config).unwrap();
-    let mut odometry = Odometry::new(told.clone(), rig, OdometryConfig::default()).unwrap();
-    let mut monitor = CalibrationMonitor::new(told, &rig);
+    let mut odometry = Odometry::new(given.clone(), rig, OdometryConfig::default()).unwrap();
+    let mut monitor = CalibrationMonitor::new(given, &rig);
     simulation.frames().find_map(|frame| {
         let estimate = odometry.process(frame.image, frame.time_s).unwrap();
         monitor.watch(&estimate, &odometry)
@@ -295,17 +295,17 @@ const LENS: [f64; 4] = [-0.12, 0.02, 0.0, 0.0];
 fn a_lens_that_was_not_told_is_found_beside_the_tilt_even_while_the_camera_sways() {
     let level = Rig { roll_rad: 0.0, pitch_rad: 0.0, ..RIG };
     let sway = Effects { tilt_change: Some(Wander { amplitude: 0.03, period_s: 2.0 }), ..Effects::default() };
-    for (told, rig, effects) in [
+    for (given, rig, effects) in [
         (vec![], RIG, Effects::default()),
         (vec![-0.1, 0.02, 0.0, 0.0], level, Effects::default()),
         (vec![-0.08, 0.0, 0.0, 0.0], RIG, sway),
     ] {
-        let found = through_lens(&barrel(&LENS), &barrel(&told), rig, effects).unwrap();
+        let found = through_lens(&barrel(&LENS), &barrel(&given), rig, effects).unwrap();
         let lens = found.lens.unwrap();
         // At the edge of the image, where nothing is followed; it was off by 2 to 10 pixels there.
         let off_px = lens.off_from_px(&barrel(&LENS));
         assert!(off_px < f64::min(0.5, 5.0 * lens.deviation_px + 0.05), "{off_px} {lens:?}");
-        assert!(lens.off_px > 1.0 && lens.is_another());
+        assert!(lens.off_px > 1.0 && lens.is_significant());
         if let Some(tilt) = found.tilt {
             assert!(off(&tilt).norm() < 0.1f64.to_radians(), "{tilt:?}");
         }

@@ -1,6 +1,6 @@
 //! A lens that bends otherwise than its calibration says.
 
-use super::HELD;
+use super::LENS_START;
 use crate::camera::uncertainty::{parameter, varied};
 use crate::camera::{Camera, Distortion};
 use crate::geometry::Ray;
@@ -12,9 +12,9 @@ pub struct LensUnknowns {
     camera: Camera,
     names: &'static [&'static str],
     /// By how much each was changed so far.
-    bent: Vec<f64>,
+    change: Vec<f64>,
     /// The camera with [`STEP`] more and less of each.
-    around: Vec<[Camera; 2]>,
+    perturbed: Vec<[Camera; 2]>,
 }
 
 /// Half the width of a central difference by a coefficient.
@@ -22,10 +22,10 @@ const STEP: f64 = 1e-5;
 
 /// One standard deviation of what a calibration may be off by, of a coefficient, and of lengths in parts of the focal length: three times what a careless one
 /// is. It only keeps a lens in its place of which the movement says nothing.
-const CARELESS: f64 = 0.1;
+const CALIBRATION_SIGMA: f64 = 0.1;
 
 /// The most parameters that are looked for.
-pub const MOST: usize = 7;
+pub const MAX_PARAMETERS: usize = 7;
 
 impl LensUnknowns {
     /// `None` where no camera is left. A lens that has fewer parameters leaves the others at zero, and no pair says anything of them.
@@ -43,9 +43,13 @@ impl LensUnknowns {
         };
         let size = (camera.width(), camera.height());
         let camera = Camera::new(size, camera.focal_px(), camera.principal_px(), distortion).ok()?;
-        let mut lens =
-            Self { camera, names: &all[..count.min(all.len())], bent: vec![0.0; count], around: Vec::new() };
-        lens.look_around()?;
+        let mut lens = Self {
+            camera,
+            names: &all[..count.min(all.len())],
+            change: vec![0.0; count],
+            perturbed: Vec::new(),
+        };
+        lens.perturb()?;
         Some(lens)
     }
 
@@ -55,8 +59,8 @@ impl LensUnknowns {
     }
 
     /// By how much each coefficient was changed.
-    pub fn bent(&self) -> &[f64] {
-        &self.bent
+    pub fn change(&self) -> &[f64] {
+        &self.change
     }
 
     /// The names of the coefficients, and what they are now.
@@ -66,53 +70,53 @@ impl LensUnknowns {
     }
 
     /// Changes the coefficients. `None` where no camera is left.
-    pub fn bend(&mut self, by: &[f64]) -> Option<()> {
-        for ((name, bent), by) in self.names.iter().zip(&mut self.bent).zip(by) {
+    pub fn add_change(&mut self, by: &[f64]) -> Option<()> {
+        for ((name, change), by) in self.names.iter().zip(&mut self.change).zip(by) {
             self.camera = varied(&self.camera, name, *by)?;
-            *bent += by;
+            *change += by;
         }
-        self.look_around()
+        self.perturb()
     }
 
-    fn look_around(&mut self) -> Option<()> {
+    fn perturb(&mut self) -> Option<()> {
         let both =
             |name: &&str| Some([varied(&self.camera, name, STEP)?, varied(&self.camera, name, -STEP)?]);
-        self.around = self.names.iter().map(both).collect::<Option<_>>()?;
+        self.perturbed = self.names.iter().map(both).collect::<Option<_>>()?;
         Some(())
     }
 
     /// How each coefficient moves the pixel of a ray; zero for those that are not there.
-    pub fn slides(&self, ray: Ray) -> Option<[Vector2<f64>; MOST]> {
-        let mut slides = [Vector2::zeros(); MOST];
-        for (slide, [more, less]) in slides.iter_mut().zip(&self.around) {
+    pub fn pixel_by_lens(&self, ray: Ray) -> Option<[Vector2<f64>; MAX_PARAMETERS]> {
+        let mut pixel_by_lens = [Vector2::zeros(); MAX_PARAMETERS];
+        for (derivative, [more, less]) in pixel_by_lens.iter_mut().zip(&self.perturbed) {
             let (more, less) = (more.pixel_from_ray(ray)?, less.pixel_from_ray(ray)?);
-            *slide = Vector2::new(more.x - less.x, more.y - less.y) / (2.0 * STEP);
+            *derivative = Vector2::new(more.x - less.x, more.y - less.y) / (2.0 * STEP);
         }
-        Some(slides)
+        Some(pixel_by_lens)
     }
 
     /// How each coefficient moves the ray of a pixel, `ray` being what it is now.
-    pub fn gives_way(&self, ray: Ray) -> Option<[Vector2<f64>; MOST]> {
-        if self.around.is_empty() {
-            return Some([Vector2::zeros(); MOST]);
+    pub fn ray_by_lens(&self, ray: Ray) -> Option<[Vector2<f64>; MAX_PARAMETERS]> {
+        if self.perturbed.is_empty() {
+            return Some([Vector2::zeros(); MAX_PARAMETERS]);
         }
         let (_, pixel_by_ray) = self.camera.pixel_and_derivative(ray)?;
         let ray_by_pixel = pixel_by_ray.try_inverse()?;
-        Some(self.slides(ray)?.map(|slide| -(ray_by_pixel * slide)))
+        Some(self.pixel_by_lens(ray)?.map(|derivative| -(ray_by_pixel * derivative)))
     }
 
     /// What is known of the tilt and the lens without any pair.
     pub fn prior<const N: usize>(&self) -> Part<N> {
-        let mut known = Part::default();
-        for (k, bent) in self.bent.iter().enumerate() {
+        let mut prior = Part::default();
+        for (k, change) in self.change.iter().enumerate() {
             let unit = match self.names.get(k) {
                 Some(&("cx" | "cy" | "fy")) => self.camera.focal_px().0,
                 _ => 1.0,
             };
-            let variance = (CARELESS * unit) * (CARELESS * unit);
-            known.information[(HELD + k, HELD + k)] = 1.0 / variance;
-            known.slope[HELD + k] = -bent / variance;
+            let variance = (CALIBRATION_SIGMA * unit) * (CALIBRATION_SIGMA * unit);
+            prior.information[(LENS_START + k, LENS_START + k)] = 1.0 / variance;
+            prior.slope[LENS_START + k] = -change / variance;
         }
-        known
+        prior
     }
 }

@@ -2,7 +2,7 @@
 
 mod lens;
 mod pair;
-mod sway;
+mod variation;
 mod system;
 
 use super::Group;
@@ -13,8 +13,8 @@ pub use lens::LensUnknowns;
 use nalgebra::{SVector, Vector2};
 use pair::SolvedPair;
 use std::ops::AddAssign;
-use sway::{KeyframeVariation, PairVariation};
 use system::System;
+use variation::{KeyframeVariation, PairVariation};
 
 /// The solution, and what each keyframe says about it: the tilt where `N` is 2, with the readout
 /// time where it is 3, and beside them `N` − 3 parameters of the lens.
@@ -23,34 +23,34 @@ pub struct Solved<const N: usize> {
     pub pitch_rad: f64,
     pub readout_s: f64,
     /// By how much each parameter of the lens was changed.
-    pub bent: Vec<f64>,
+    pub lens_change: Vec<f64>,
     pub parts: Vec<Part<N>>,
     pub pairs: usize,
     pub rms_px: f64,
 }
 
 /// Rounds of Gauss–Newton; from ten degrees off it needs six.
-const ROUNDS: usize = 30;
+const MAX_ITERATIONS: usize = 30;
 
 /// A step below this is a thousandth of what can be told: radians, coefficients of a lens.
-const SETTLED: f64 = 1e-8;
+const CONVERGED: f64 = 1e-8;
 
 /// Rounds of those in which wrong tracks still lose their weight; what is left of them after it counts in full, so that the last
 /// rounds are plain least squares.
-const ROBUST_ROUNDS: usize = 15;
+const ROBUST_ITERATIONS: usize = 15;
 
 /// A camera that is tilted further than this sees no ground.
-const STEEPEST_RAD: f64 = 1.4;
+const MAX_TILT_RAD: f64 = 1.4;
 
 /// Fewer agreeing tracks than this are no pair.
-const FEWEST_TRACKS: f64 = 12.0;
+const MIN_INLIERS: f64 = 12.0;
 
 /// Roll and pitch are the first of what the pairs have in common.
 pub const TILT: usize = 2;
 /// Then comes the readout time, seconds.
 pub const READOUT: usize = 2;
 /// How many they are without the lens.
-pub const HELD: usize = 3;
+pub const LENS_START: usize = 3;
 
 pub fn solve<'a, const N: usize>(
     camera: &Camera,
@@ -58,9 +58,9 @@ pub fn solve<'a, const N: usize>(
     start: &Rig,
 ) -> Option<Solved<N>> {
     let mut bundle = PairBundle::<N>::begin(camera, groups, start)?;
-    for round in 0..ROUNDS {
-        let step = bundle.step(round)?;
-        if round > ROBUST_ROUNDS && step.norm() < SETTLED {
+    for iteration in 0..MAX_ITERATIONS {
+        let step = bundle.step(iteration)?;
+        if iteration > ROBUST_ITERATIONS && step.norm() < CONVERGED {
             break;
         }
     }
@@ -73,18 +73,18 @@ struct PairBundle<'a, const N: usize> {
     readout: Readout,
     lens: LensUnknowns,
     pairs: Vec<SolvedPair<'a>>,
-    sway: PairVariation,
+    pair_variation: PairVariation,
     /// By how much each keyframe is tilted against the mount.
-    tilted: Vec<Vector2<f64>>,
-    wobble: KeyframeVariation,
+    keyframe_tilts: Vec<Vector2<f64>>,
+    keyframe_variation: KeyframeVariation,
 }
 
 impl<'a, const N: usize> PairBundle<'a, N> {
     fn begin(camera: &Camera, groups: impl ExactSizeIterator<Item = &'a Group>, start: &Rig) -> Option<Self> {
         let tilt = Vector2::new(start.roll_rad, start.pitch_rad);
-        let lens = LensUnknowns::new(camera, N.saturating_sub(HELD))?;
+        let lens = LensUnknowns::new(camera, N.saturating_sub(LENS_START))?;
         let readout = Readout::new(camera);
-        let tilted = vec![Vector2::zeros(); groups.len()];
+        let keyframe_tilts = vec![Vector2::zeros(); groups.len()];
         let pairs = groups
             .enumerate()
             .flat_map(|(group, pairs)| pairs.pairs.iter().map(move |pair| (group, pair)))
@@ -97,27 +97,27 @@ impl<'a, const N: usize> PairBundle<'a, N> {
             readout,
             lens,
             pairs,
-            sway: PairVariation::default(),
-            tilted,
-            wobble: KeyframeVariation::default(),
+            pair_variation: PairVariation::default(),
+            keyframe_tilts,
+            keyframe_variation: KeyframeVariation::default(),
         })
     }
 
     /// The pose of the first view of a pair.
     fn first_pose(&self, pair: &SolvedPair<'_>) -> GroundPose {
-        first_pose(&(self.tilt + self.tilted[pair.group]))
+        first_pose(&(self.tilt + self.keyframe_tilts[pair.group]))
     }
 
     fn systems(&self) -> Vec<System<N>> {
         let system = |pair: &SolvedPair<'_>| {
-            System::new(&self.lens, self.readout.value_s, pair, &self.first_pose(pair), &self.sway)
+            System::new(&self.lens, self.readout.value_s, pair, &self.first_pose(pair), &self.pair_variation)
         };
         self.pairs.iter().map(system).collect()
     }
 
     /// What the pairs of each keyframe say where it and the mount are now.
     fn parts(&self, systems: &[System<N>]) -> Vec<Part<N>> {
-        let mut parts = vec![Part::default(); self.tilted.len()];
+        let mut parts = vec![Part::default(); self.keyframe_tilts.len()];
         for (pair, system) in self.pairs.iter().zip(systems) {
             if let Some(reduced) = system.reduced() {
                 parts[pair.group] += reduced;
@@ -127,60 +127,60 @@ impl<'a, const N: usize> PairBundle<'a, N> {
     }
 
     /// One step of Gauss–Newton; `None` where it leads nowhere.
-    fn step(&mut self, round: usize) -> Option<SVector<f64, N>> {
+    fn step(&mut self, iteration: usize) -> Option<SVector<f64, N>> {
         let systems = self.systems();
         let parts = self.parts(&systems);
         let mut all = self.lens.prior();
         self.readout.add_prior(&mut all);
-        for (part, tilted) in parts.iter().zip(&self.tilted) {
-            all += self.wobble.freed(part, tilted)?.left;
+        for (part, keyframe_tilt) in parts.iter().zip(&self.keyframe_tilts) {
+            all += self.keyframe_variation.marginalised(part, keyframe_tilt)?.reduced;
         }
         let step = inverse(&all.information)? * all.slope;
         self.tilt += step.fixed_rows::<TILT>(0);
-        if self.tilt.iter().any(|angle| angle.is_nan() || angle.abs() >= STEEPEST_RAD) {
+        if self.tilt.iter().any(|angle| angle.is_nan() || angle.abs() >= MAX_TILT_RAD) {
             return None;
         }
         if N > READOUT {
             self.readout.value_s += step[READOUT];
-            self.lens.bend(&step.as_slice()[HELD..])?;
+            self.lens.add_change(&step.as_slice()[LENS_START..])?;
         }
         let mut steps = Vec::with_capacity(parts.len());
         let mut variances = Vec::with_capacity(parts.len());
-        for (part, tilted) in parts.iter().zip(&mut self.tilted) {
-            let freed = self.wobble.freed(part, tilted)?;
-            let own = freed.step(part, &step);
-            *tilted += own;
+        for (part, keyframe_tilt) in parts.iter().zip(&mut self.keyframe_tilts) {
+            let marginal = self.keyframe_variation.marginalised(part, keyframe_tilt)?;
+            let own = marginal.step(part, &step);
+            *keyframe_tilt += own;
             let mut together = step;
             together.fixed_rows_mut::<TILT>(0).add_assign(&own);
             steps.push(together);
-            variances.push(freed.covariance.diagonal());
+            variances.push(marginal.covariance.diagonal());
         }
         let poses: Vec<GroundPose> = self.pairs.iter().map(|pair| self.first_pose(pair)).collect();
         for ((pair, system), pose) in self.pairs.iter_mut().zip(&systems).zip(&poses) {
             if let Some(step) = system.movement_step(&steps[pair.group]) {
                 pair.movement += step;
             }
-            if N > HELD {
-                pair.look_through(&self.lens);
+            if N > LENS_START {
+                pair.update_rays(&self.lens);
             }
-            pair.judge(self.lens.camera(), self.readout.value_s, pose, round);
+            pair.reweight(self.lens.camera(), self.readout.value_s, pose, iteration);
         }
         // The first steps are long: what they leave is not the mount's.
-        if round >= 2 {
-            self.sway.learn(&self.pairs, &systems);
-            self.wobble.learn(&self.tilted, &variances);
+        if iteration >= 2 {
+            self.pair_variation.update(&self.pairs, &systems);
+            self.keyframe_variation.update(&self.keyframe_tilts, &variances);
         }
         Some(step)
     }
 
     fn solved(self) -> Solved<N> {
-        let mut parts = vec![Part::default(); self.tilted.len()];
+        let mut parts = vec![Part::default(); self.keyframe_tilts.len()];
         let (mut squares, mut kept, mut pairs) = (0.0, 0.0, 0);
         for (pair, system) in self.pairs.iter().zip(&self.systems()) {
             let weight: f64 = pair.weights.iter().sum();
-            let Some(reduced) = system.reduced().filter(|_| weight >= FEWEST_TRACKS) else { continue };
+            let Some(reduced) = system.reduced().filter(|_| weight >= MIN_INLIERS) else { continue };
             // Where the keyframe is tilted is what its pairs say of the mount.
-            parts[pair.group] += reduced.about(&-self.tilted[pair.group]);
+            parts[pair.group] += reduced.about(&-self.keyframe_tilts[pair.group]);
             squares += 2.0 * weight * pair.variance_px2;
             kept += weight;
             pairs += 1;
@@ -190,7 +190,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
             roll_rad: self.tilt[0],
             pitch_rad: self.tilt[1],
             readout_s: self.readout.value_s,
-            bent: self.lens.bent().to_vec(),
+            lens_change: self.lens.change().to_vec(),
             parts,
             pairs,
             rms_px: (squares / f64::max(kept, 1.0)).sqrt(),
@@ -234,14 +234,14 @@ impl<const N: usize> Part<N> {
 
 impl<const N: usize> Solved<N> {
     /// The same where all but the first `M` of what the pairs have in common are as they were told.
-    pub fn as_told<const M: usize>(&self) -> Solved<M> {
-        let told = SVector::from_fn(|k, _| k.checked_sub(HELD).map_or(0.0, |k| -self.bent[k]));
+    pub fn restricted<const M: usize>(&self) -> Solved<M> {
+        let given = SVector::from_fn(|k, _| k.checked_sub(LENS_START).map_or(0.0, |k| -self.lens_change[k]));
         Solved {
             roll_rad: self.roll_rad,
             pitch_rad: self.pitch_rad,
             readout_s: self.readout_s,
-            bent: self.bent[..M - HELD].to_vec(),
-            parts: self.parts.iter().map(|part| part.with_known::<M>(&told)).collect(),
+            lens_change: self.lens_change[..M - LENS_START].to_vec(),
+            parts: self.parts.iter().map(|part| part.with_known::<M>(&given)).collect(),
             pairs: self.pairs,
             rms_px: self.rms_px,
         }

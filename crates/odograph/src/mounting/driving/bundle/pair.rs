@@ -1,7 +1,7 @@
 //! A pair of views while it is solved for.
 
 use super::lens::{self, LensUnknowns};
-use super::{FEWEST_TRACKS, ROBUST_ROUNDS};
+use super::{MIN_INLIERS, ROBUST_ITERATIONS};
 use crate::camera::Camera;
 use crate::camera::PosedCamera;
 use crate::geometry::{GroundPoint, GroundPose, Ray};
@@ -13,12 +13,12 @@ use nalgebra::{Vector2, Vector6};
 pub type Movement = Vector6<f64>;
 
 /// Neighbouring tracks share errors of about this, pixels: a smaller noise is not believed.
-const SMALLEST_NOISE_PX: f64 = 0.01;
+const MIN_NOISE_PX: f64 = 0.01;
 
 /// The ray of a corner, and how each coefficient of the lens moves it.
 pub struct CornerRay {
     pub ray: Ray,
-    pub by_lens: [Vector2<f64>; lens::MOST],
+    pub by_lens: [Vector2<f64>; lens::MAX_PARAMETERS],
 }
 
 /// The two views of a pair, exposed row by row: the pose of a row is that of the middle row and what
@@ -89,7 +89,7 @@ impl<'a> Views<'a> {
 }
 
 /// Over a shorter distance, heights, its proportion to the odometry's is noise.
-const LEAST_DISTANCE: f64 = 0.05;
+const MIN_DISTANCE: f64 = 0.05;
 
 /// A pair that is being solved.
 pub struct SolvedPair<'a> {
@@ -120,7 +120,7 @@ impl<'a> SolvedPair<'a> {
             .filter(|(_, _, agrees)| *agrees)
             .filter_map(|(first, second, _)| Some((on_ground(*first)?, on_ground(*second)?)))
             .collect();
-        if (agreeing.len() as f64) < FEWEST_TRACKS {
+        if (agreeing.len() as f64) < MIN_INLIERS {
             return None;
         }
         let n = agreeing.len() as f64;
@@ -145,19 +145,19 @@ impl<'a> SolvedPair<'a> {
             0.0,
         );
         let weights = vec![1.0; pair.tracks.len()];
-        let mut work = Self { pair, corners: Vec::new(), group, movement, weights, variance_px2: 1.0 };
-        work.look_through(lens);
-        work.judge(lens.camera(), readout_s, rig, 0);
-        Some(work)
+        let mut solved = Self { pair, corners: Vec::new(), group, movement, weights, variance_px2: 1.0 };
+        solved.update_rays(lens);
+        solved.reweight(lens.camera(), readout_s, rig, 0);
+        Some(solved)
     }
 }
 
 impl SolvedPair<'_> {
     /// Takes the rays of the corners as the lens has them now.
-    pub fn look_through(&mut self, lens: &LensUnknowns) {
+    pub fn update_rays(&mut self, lens: &LensUnknowns) {
         let corner = |pixel| {
             let ray = lens.camera().ray_from_pixel(pixel)?;
-            Some(CornerRay { ray, by_lens: lens.gives_way(ray)? })
+            Some(CornerRay { ray, by_lens: lens.ray_by_lens(ray)? })
         };
         self.corners = self.pair.tracks.iter().map(|(pixel, _, _)| corner(*pixel)).collect();
     }
@@ -180,7 +180,7 @@ impl SolvedPair<'_> {
         let still = [Vector6::zeros(); 2];
         let (rates, accelerations) = self.pair.exposure.map_or((still, still), |exposure| {
             let moved = self.movement[0].hypot(self.movement[1]);
-            let scale = if exposure.distance > LEAST_DISTANCE { moved / exposure.distance } else { 1.0 };
+            let scale = if exposure.distance > MIN_DISTANCE { moved / exposure.distance } else { 1.0 };
             let scaled = |r: Vector6<f64>| Vector6::new(scale * r[0], scale * r[1], r[2], r[3], r[4], r[5]);
             (exposure.rates.map(scaled), exposure.accelerations.map(scaled))
         });
@@ -189,7 +189,7 @@ impl SolvedPair<'_> {
     }
 
     /// Weights and noise from how well the tracks are explained now.
-    pub fn judge(&mut self, camera: &Camera, readout_s: f64, rig: &GroundPose, round: usize) {
+    pub fn reweight(&mut self, camera: &Camera, readout_s: f64, rig: &GroundPose, iteration: usize) {
         let views = self.views(camera, readout_s, rig);
         let errors: Vec<f64> = self
             .pair
@@ -204,27 +204,26 @@ impl SolvedPair<'_> {
                     .map_or(f64::INFINITY, |pixel| pixel.distance(*seen))
             })
             .collect();
-        if round > ROBUST_ROUNDS {
+        if iteration > ROBUST_ITERATIONS {
             let squares: f64 =
                 errors.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0).map(|(e, _)| e * e).sum();
             let kept: f64 = self.weights.iter().sum();
-            self.variance_px2 =
-                (squares / (2.0 * kept - 3.0).max(1.0)).max(SMALLEST_NOISE_PX * SMALLEST_NOISE_PX);
+            self.variance_px2 = (squares / (2.0 * kept - 3.0).max(1.0)).max(MIN_NOISE_PX * MIN_NOISE_PX);
             return;
         }
         let mut sorted = errors.clone();
         let middle = sorted.len() / 2;
         let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
         // Of a Rayleigh distribution the median is 1.1774 deviations of a coordinate. Tukey's c for 95 % efficiency is 4.685.
-        let scale_px = (median / 1.1774).max(SMALLEST_NOISE_PX);
+        let scale_px = (median / 1.1774).max(MIN_NOISE_PX);
         if !scale_px.is_finite() {
             self.weights.fill(0.0);
             return;
         }
-        let reach_px = scale_px * if round < ROBUST_ROUNDS { 4.685 } else { KEPT_DEVIATIONS };
+        let reach_px = scale_px * if iteration < ROBUST_ITERATIONS { 4.685 } else { CUTOFF_SIGMAS };
         let biweight = |ratio: f64| if ratio < 1.0 { (1.0 - ratio * ratio).powi(2) } else { 0.0 };
-        let weight = |error: f64| match round {
-            ROBUST_ROUNDS => f64::from(u8::from(error < reach_px)),
+        let weight = |error: f64| match iteration {
+            ROBUST_ITERATIONS => f64::from(u8::from(error < reach_px)),
             _ => biweight(error / reach_px),
         };
         self.weights = errors.iter().map(|&error| weight(error)).collect();
@@ -233,4 +232,4 @@ impl SolvedPair<'_> {
 }
 
 /// Tracks that are further off than this, in deviations of a coordinate, are wrong: 2 in 1000 of the others are.
-const KEPT_DEVIATIONS: f64 = 3.5;
+const CUTOFF_SIGMAS: f64 = 3.5;

@@ -2,8 +2,8 @@
 
 use super::lens::LensUnknowns;
 use super::pair::{Movement, SolvedPair};
-use super::sway::PairVariation;
-use super::{HELD, READOUT, TILT};
+use super::variation::PairVariation;
+use super::{LENS_START, READOUT, TILT};
 use crate::geometry::GroundPose;
 use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
@@ -11,7 +11,7 @@ use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
 /// Normal equations of one pair in units of its noise: what it has in common with the others first, its movement second.
 pub struct System<const N: usize> {
     common: SMatrix<f64, N, N>,
-    mixed: SMatrix<f64, N, 6>,
+    cross: SMatrix<f64, N, 6>,
     pub movement: Matrix6<f64>,
     common_slope: SVector<f64, N>,
     movement_slope: Movement,
@@ -21,26 +21,26 @@ impl<const N: usize> System<N> {
     pub fn new(
         lens: &LensUnknowns,
         readout_s: f64,
-        work: &SolvedPair<'_>,
+        solved: &SolvedPair<'_>,
         rig: &GroundPose,
-        sway: &PairVariation,
+        pair_variation: &PairVariation,
     ) -> Self {
-        let views = work.views(lens.camera(), readout_s, rig);
+        let views = solved.views(lens.camera(), readout_s, rig);
         let mut system = Self {
             common: SMatrix::zeros(),
-            mixed: SMatrix::zeros(),
+            cross: SMatrix::zeros(),
             movement: Matrix6::zeros(),
             common_slope: SVector::zeros(),
             movement_slope: Movement::zeros(),
         };
-        let tracks = work.pair.tracks.iter().zip(&work.corners).zip(&work.weights);
+        let tracks = solved.pair.tracks.iter().zip(&solved.corners).zip(&solved.weights);
         for (((corner_at, seen_at, _), corner), &weight) in tracks {
             let Some(corner) = corner.as_ref().filter(|_| weight > 0.0) else { continue };
             let (first, second) = (views.first(corner_at.y), views.second(seen_at.y));
             let Some(met) = first.ground(corner.ray) else { continue };
             let Some(seen) = second.see(met.point) else { continue };
-            let Some(slides) = lens.slides(seen.ray) else { continue };
-            let weight = weight / work.variance_px2;
+            let Some(pixel_by_lens) = lens.pixel_by_lens(seen.ray) else { continue };
+            let weight = weight / solved.variance_px2;
             let error = Vector2::new(seen_at.x - seen.pixel.x, seen_at.y - seen.pixel.y);
             let by_movement = seen.by_pose;
             let by_tilt =
@@ -52,20 +52,20 @@ impl<const N: usize> System<N> {
                 by_common
                     .set_column(READOUT, &(by_first + seen.by_pose * views.second_by_readout(seen_at.y)));
             }
-            for k in HELD..N {
-                let gives_way = corner.by_lens[k - HELD];
-                let by_lens = slides[k - HELD] + seen.by_ground * (met.by_ray * gives_way);
+            for k in LENS_START..N {
+                let ray_by_lens = corner.by_lens[k - LENS_START];
+                let by_lens = pixel_by_lens[k - LENS_START] + seen.by_ground * (met.by_ray * ray_by_lens);
                 by_common.set_column(k, &by_lens);
             }
             system.common += weight * by_common.transpose() * by_common;
-            system.mixed += weight * by_common.transpose() * by_movement;
+            system.cross += weight * by_common.transpose() * by_movement;
             system.movement += weight * by_movement.transpose() * by_movement;
             system.common_slope += weight * by_common.transpose() * error;
             system.movement_slope += weight * by_movement.transpose() * error;
         }
-        for (k, variance) in sway.variance.iter().enumerate() {
+        for (k, variance) in pair_variation.variance.iter().enumerate() {
             system.movement[(3 + k, 3 + k)] += 1.0 / variance;
-            system.movement_slope[3 + k] -= work.movement[3 + k] / variance;
+            system.movement_slope[3 + k] -= solved.movement[3 + k] / variance;
         }
         system
     }
@@ -74,13 +74,13 @@ impl<const N: usize> System<N> {
     pub fn reduced(&self) -> Option<Part<N>> {
         let movement = inverse(&self.movement)?;
         Some(Part {
-            information: self.common - self.mixed * movement * self.mixed.transpose(),
-            slope: self.common_slope - self.mixed * movement * self.movement_slope,
+            information: self.common - self.cross * movement * self.cross.transpose(),
+            slope: self.common_slope - self.cross * movement * self.movement_slope,
         })
     }
 
     /// The step of the movement that goes with one of what the pairs have in common.
     pub fn movement_step(&self, step: &SVector<f64, N>) -> Option<Movement> {
-        Some(inverse(&self.movement)? * (self.movement_slope - self.mixed.transpose() * step))
+        Some(inverse(&self.movement)? * (self.movement_slope - self.cross.transpose() * step))
     }
 }

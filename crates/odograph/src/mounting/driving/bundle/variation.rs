@@ -13,23 +13,23 @@ pub struct PairVariation {
 }
 
 /// Standard deviations to begin with: a part of the height, radians.
-const FIRST_SWAY: [f64; 3] = [0.01, 0.01, 0.01];
+const INITIAL_PAIR_SIGMAS: [f64; 3] = [0.01, 0.01, 0.01];
 
 /// Below this nothing changes that could be measured.
-const LEAST_SWAY: f64 = 1e-6;
+const MIN_SIGMA: f64 = 1e-6;
 
 impl Default for PairVariation {
     fn default() -> Self {
-        Self { variance: FIRST_SWAY.map(|sigma| sigma * sigma) }
+        Self { variance: INITIAL_PAIR_SIGMAS.map(|sigma| sigma * sigma) }
     }
 }
 
 impl PairVariation {
     /// One step of expectation-maximisation (A. Dempster, N. Laird, D. Rubin, 1977).
-    pub fn learn<const N: usize>(&mut self, work: &[SolvedPair<'_>], systems: &[System<N>]) {
+    pub fn update<const N: usize>(&mut self, pairs: &[SolvedPair<'_>], systems: &[System<N>]) {
         let mut squares = [0.0; 3];
         let mut count = 0.0;
-        for (pair, system) in work.iter().zip(systems) {
+        for (pair, system) in pairs.iter().zip(systems) {
             let Some(covariance) = inverse(&system.movement) else { continue };
             for k in 0..3 {
                 squares[k] += pair.movement[3 + k] * pair.movement[3 + k] + covariance[(3 + k, 3 + k)];
@@ -37,7 +37,7 @@ impl PairVariation {
             count += 1.0;
         }
         if count > 0.0 {
-            self.variance = squares.map(|sum| (sum / count).max(LEAST_SWAY * LEAST_SWAY));
+            self.variance = squares.map(|sum| (sum / count).max(MIN_SIGMA * MIN_SIGMA));
         }
     }
 }
@@ -49,17 +49,17 @@ pub struct KeyframeVariation {
 
 impl Default for KeyframeVariation {
     fn default() -> Self {
-        Self { variance: [FIRST_WOBBLE * FIRST_WOBBLE; TILT] }
+        Self { variance: [INITIAL_KEYFRAME_SIGMA_RAD * INITIAL_KEYFRAME_SIGMA_RAD; TILT] }
     }
 }
 
 /// Standard deviation to begin with, radians.
-const FIRST_WOBBLE: f64 = 0.01;
+const INITIAL_KEYFRAME_SIGMA_RAD: f64 = 0.01;
 
 /// A keyframe whose own tilt is free.
-pub struct Freed<const N: usize> {
+pub struct Marginal<const N: usize> {
     /// What its pairs say about the rest then.
-    pub left: Part<N>,
+    pub reduced: Part<N>,
     /// How well its tilt is known where the rest is.
     pub covariance: Matrix2<f64>,
     /// That times the way to where it would be.
@@ -68,30 +68,34 @@ pub struct Freed<const N: usize> {
 
 impl KeyframeVariation {
     /// Frees the tilt of a keyframe; `part` is what its pairs say where it is tilted by `tilted`. To its pairs it is the same as the tilt of the mount.
-    pub fn freed<const N: usize>(&self, part: &Part<N>, tilted: &Vector2<f64>) -> Option<Freed<N>> {
-        let known = Vector2::from(self.variance.map(f64::recip));
-        let own = part.information.fixed_view::<TILT, TILT>(0, 0) + Matrix2::from_diagonal(&known);
+    pub fn marginalised<const N: usize>(
+        &self,
+        part: &Part<N>,
+        keyframe_tilt: &Vector2<f64>,
+    ) -> Option<Marginal<N>> {
+        let prior = Vector2::from(self.variance.map(f64::recip));
+        let own = part.information.fixed_view::<TILT, TILT>(0, 0) + Matrix2::from_diagonal(&prior);
         let covariance = inverse(&own)?;
-        let slope = part.slope.fixed_rows::<TILT>(0) - known.component_mul(tilted);
-        let mixed = part.information.fixed_columns::<TILT>(0);
-        let left = Part {
-            information: part.information - mixed * covariance * mixed.transpose(),
-            slope: part.slope - mixed * covariance * slope,
+        let slope = part.slope.fixed_rows::<TILT>(0) - prior.component_mul(keyframe_tilt);
+        let cross = part.information.fixed_columns::<TILT>(0);
+        let reduced = Part {
+            information: part.information - cross * covariance * cross.transpose(),
+            slope: part.slope - cross * covariance * slope,
         };
-        Some(Freed { left, covariance, slope })
+        Some(Marginal { reduced, covariance, slope })
     }
 
     /// One step of expectation-maximisation, over the keyframes that say something.
-    pub fn learn(&mut self, tilted: &[Vector2<f64>], covariances: &[Vector2<f64>]) {
+    pub fn update(&mut self, keyframe_tilts: &[Vector2<f64>], covariances: &[Vector2<f64>]) {
         for k in 0..TILT {
             let squares: f64 =
-                tilted.iter().zip(covariances).map(|(own, unsure)| own[k] * own[k] + unsure[k]).sum();
-            self.variance[k] = (squares / tilted.len().max(1) as f64).max(LEAST_SWAY * LEAST_SWAY);
+                keyframe_tilts.iter().zip(covariances).map(|(own, unsure)| own[k] * own[k] + unsure[k]).sum();
+            self.variance[k] = (squares / keyframe_tilts.len().max(1) as f64).max(MIN_SIGMA * MIN_SIGMA);
         }
     }
 }
 
-impl<const N: usize> Freed<N> {
+impl<const N: usize> Marginal<N> {
     /// The step of the keyframe's tilt that goes with one of the rest.
     pub fn step(&self, part: &Part<N>, rest: &SVector<f64, N>) -> Vector2<f64> {
         self.covariance * (self.slope - part.information.fixed_rows::<TILT>(0) * rest)
