@@ -1,10 +1,12 @@
-//! How the lens bends, as a recording of driving tells it.
+//! Self-calibration of the lens while driving.
 //!
-//! Straight ground that moves through a lens whose bending is not quite known moves a little faster or slower towards the edge of the image. Over a shift by d
-//! heights, an error ε of k1 looks like a tilt by 2 ε d towards the shift, with a curvature that no tilt has. Both are there in every pair of views, in
-//! the same sense, whatever the mount does; so ε is told from half a metre of driving as well as by a board, even from a camera that shakes and sways.
-//! So are the principal point and the decentering, by where the bending is centred, and the ratio of the focal lengths, by turns. The focal length itself is not:
-//! over level ground it is the height.
+//! Flat ground moves slightly faster or slower towards the edge of the image if the distortion is
+//! not exactly known. Over a shift by d heights, an error ε of k₁ looks like a tilt of 2 ε d
+//! towards the shift, plus a curvature that no tilt has. Both have the same sign in every pair of
+//! views, however the mount moves; half a metre of driving therefore determines ε as well as a
+//! calibration board does, even for a swaying camera. The centre of the distortion determines the
+//! principal point and the decentering; turns determine the ratio of the focal lengths. The focal
+//! length itself is not observable: over level ground it is equivalent to the height.
 
 use super::bundle::{self, LENS_START, LensUnknowns, Solved};
 use super::{DrivenTilt, TiltMeasurement};
@@ -15,50 +17,54 @@ use crate::geometry::Pixel;
 use crate::numerics::{Combined, combine};
 use nalgebra::{DMatrix, DVector};
 
-/// The lens as a recording of driving tells it.
+/// The lens as estimated while driving.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensMeasurement {
-    /// The camera with that lens; all else is as it was calibrated.
+    /// The camera with the estimated lens; everything else is as calibrated.
     pub camera: Camera,
-    /// The coefficients that were looked for.
+    /// The estimated parameters.
     pub coefficients: Vec<LensCoefficient>,
-    /// By how much the calibration is off, and one standard deviation of that: at the edge of the image where each is largest, pixels.
+    /// Largest difference from the calibration at the edge of the image, and one standard deviation
+    /// of it, pixels.
     pub off_px: f64,
     /// See [`LensMeasurement::off_px`].
     pub deviation_px: f64,
-    /// By how much the lens seems to differ from keyframe to keyframe beyond the noise of the tracks, pixels at the edge: what is no lens does so.
+    /// Standard deviation between keyframes beyond the noise of the tracks, pixels at the edge of
+    /// the image. A large one shows that the cause is not the lens.
     pub scatter_px: f64,
-    /// By how many standard deviations the calibration is off, in all coefficients together.
+    /// Mahalanobis distance from the calibration, over all parameters.
     pub significance: f64,
 }
 
-/// A coefficient of the lens.
+/// A distortion parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensCoefficient {
-    /// Its name, as `k1`.
+    /// Its name, such as `k1`.
     pub name: &'static str,
-    /// As it was found.
+    /// Estimate.
     pub value: f64,
     /// One standard deviation.
     pub deviation: f64,
 }
 
-/// A calibration is off where it is by so many standard deviations, because what the pairs do not model is
-/// taken for a lens as well: a lamp on the vehicle, rolling shutters and relief made up to 10 in rendered
-/// drives, a lens that is off by a tenth of a pixel and more over 20 …
+/// Standard deviations by which an estimate must differ from the calibration to replace it.
+/// Unmodelled effects are absorbed by the lens as well: a lamp on the vehicle, rolling shutters and
+/// relief reached 10 in rendered drives, lenses wrong by a tenth of a pixel or more exceed 20 …
 const MIN_SIGMAS: f64 = 12.0;
 
-/// … and by more than this at the edge of the image, pixels: less than that bends no path.
+/// … and the least difference at the edge of the image, pixels: less does not bend a path.
 const MIN_OFF_PX: f64 = 0.03;
 
-/// A lens known worse than this at the edge of the image is not a measurement: that is what a poor calibration has, pixels.
+/// Largest standard deviation of a usable estimate at the edge of the image, pixels: the error of a
+/// poor calibration.
 const MAX_SIGMA_PX: f64 = 0.5;
 
-/// What differs from keyframe to keyframe by more than this part of itself is not the lens.
+/// Largest scatter between keyframes, as a fraction of the difference: above it, the cause is not
+/// the lens.
 const MAX_SCATTER: f64 = 1.0 / 3.0;
 
 impl LensMeasurement {
-    /// Whether the lens surely bends otherwise than it was calibrated to.
+    /// Whether the lens differs significantly from the calibration.
     pub fn is_significant(&self) -> bool {
         self.significance >= MIN_SIGMAS
             && self.off_px >= MIN_OFF_PX
@@ -66,20 +72,20 @@ impl LensMeasurement {
             && self.deviation_px < MAX_SIGMA_PX.min(MAX_SCATTER * self.off_px)
     }
 
-    /// The same coefficients as another camera has them; zero where it has none.
+    /// The same parameters of another camera; zero where its model lacks them.
     pub fn coefficients_of(&self, camera: &Camera) -> Vec<f64> {
         let value = |known: &LensCoefficient| parameter(camera, known.name).unwrap_or(0.0);
         self.coefficients.iter().map(value).collect()
     }
 
-    /// By how much another camera is off, at the edge of its image where that is most, pixels.
+    /// Largest difference of another camera at the edge of its image, pixels.
     pub fn off_from_px(&self, camera: &Camera) -> f64 {
         let off =
             |pixel: Pixel| Some(self.camera.pixel_from_ray(camera.ray_from_pixel(pixel)?)?.distance(pixel));
         edge(camera).filter_map(off).fold(0.0, f64::max)
     }
 
-    /// The lens whose leading coefficients were changed by `bent`, known as well as `combined` says.
+    /// The lens with its leading parameters changed by `change`; `combined` has their covariance.
     fn new<const N: usize>(given: &Camera, change: &[f64], combined: &Combined<N>) -> Option<Self> {
         let mut lens = LensUnknowns::new(given, N - LENS_START)?;
         lens.add_change(change)?;
@@ -90,7 +96,7 @@ impl LensMeasurement {
         let significance = off.dot(&(covariance.clone().try_inverse()? * &off)).sqrt();
         let mut largest = [0.0f64; 3];
         for pixel in edge(given) {
-            // A lens may have no ray for its farthest corner.
+            // A lens model may have no ray for its farthest corner.
             let Some(ray) = given.ray_from_pixel(pixel) else { continue };
             let moved = lens.camera().pixel_from_ray(ray)?;
             let pixel_by_lens = lens.pixel_by_lens(ray)?;
@@ -120,21 +126,25 @@ fn edge(camera: &Camera) -> impl Iterator<Item = Pixel> {
     parts.into_iter().map(move |(x, y)| Pixel::new(x * right, y * bottom))
 }
 
-/// A calibration of the camera on the ground over which it drives.
+/// Tilt and lens estimated while driving.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SelfCalibration {
-    /// How the camera sits if its lens is as it was calibrated.
+    /// The tilt if the lens is as calibrated.
     pub tilt: TiltMeasurement,
-    /// How the lens bends, and how the camera sits then. `None` where the movement does not tell.
+    /// The lens and the tilt estimated with it; `None` if the motion does not determine it.
     pub lens: Option<(LensMeasurement, TiltMeasurement)>,
 }
 
 impl DrivenTilt {
-    /// Tilt and lens together: as [`DrivenTilt::solve`], with parameters of the lens as further unknowns that all pairs have in common. The first radial coefficient
-    /// always; the second where it is surely another than it was calibrated to be; with it the principal point, the second focal length and the decentering
-    /// where those surely are. At least so many `parameters` as are given, for a lens that was found with so many before.
+    /// Estimates tilt and lens together: as [`DrivenTilt::solve`], with distortion parameters as
+    /// further common unknowns. The first radial parameter is always estimated; the second only if
+    /// it differs significantly from the calibration; principal point, second focal length and
+    /// decentering only if those differ significantly as well. At least `parameters` are estimated,
+    /// for a lens found with that many before.
     ///
-    /// Fails where there are too few pairs to solve at all.
+    /// # Errors
+    ///
+    /// If there are too few pairs to solve at all.
     pub fn self_calibration(&self, start: &Rig, parameters: usize) -> Result<SelfCalibration> {
         let groups = self.groups.iter().step_by(self.pairs.div_ceil(MAX_PAIRS).max(1));
         let solved = bundle::solve::<ALL_UNKNOWNS>(&self.camera, groups, start);
@@ -144,10 +154,11 @@ impl DrivenTilt {
         }
     }
 
-    /// What pairs that were solved for everything say about the tilt alone, and about a lens with no more parameters than are surely others, or were taken for that
-    /// before.
+    /// Reduces pairs solved for all unknowns to the tilt alone, and to the lens with as few
+    /// parameters as are significant or were used before.
     fn select_model(&self, solved: &Solved<ALL_UNKNOWNS>, parameters: usize) -> Option<SelfCalibration> {
-        // A principal point that is off looks much like decentering: where one is another, so may be the other, if the lens has any.
+        // An error of the principal point looks much like decentering, so both are freed together
+        // if the model has decentering.
         let whole = match self.camera.distortion() {
             Distortion::KannalaBrandt { .. } => {
                 self.with_parameters(&solved.restricted::<8>(), 5, parameters)
@@ -160,7 +171,7 @@ impl DrivenTilt {
         Some(SelfCalibration { tilt: self.tilt_only(solved)?, lens })
     }
 
-    /// A lens whose parameters from `first` on are surely others than told, or were taken for that before.
+    /// The lens if its parameters from `first` on are significant or were used before.
     fn with_parameters<const N: usize>(
         &self,
         solved: &Solved<N>,
@@ -172,7 +183,7 @@ impl DrivenTilt {
         (as_before || found.0.is_significant()).then_some(found)
     }
 
-    /// The tilt with the lens as it was told.
+    /// The tilt with the given lens.
     fn tilt_only<const N: usize>(&self, solved: &Solved<N>) -> Option<TiltMeasurement> {
         let tilt_only = solved.restricted::<LENS_START>();
         self.tilt(&tilt_only, &combine(&tilt_only.parts)?).ok()
@@ -191,10 +202,10 @@ impl DrivenTilt {
     }
 }
 
-/// Further parameters are others where they are by so many standard deviations.
+/// Standard deviations by which further parameters must differ to be significant.
 const PARAMETER_SIGMAS: f64 = 5.0;
 
-/// Whether the parameters from `first` on are together surely others than was told.
+/// Whether the parameters from `first` on differ significantly, taken together.
 fn last_are_significant<const N: usize>(solved: &Solved<N>, first: usize) -> bool {
     let Some(combined) = combine(&solved.parts) else { return false };
     let off = DVector::from_fn(N - first, |k, _| {
@@ -206,8 +217,9 @@ fn last_are_significant<const N: usize>(solved: &Solved<N>, first: usize) -> boo
         .is_some_and(|inverse| off.dot(&(inverse * &off)) > PARAMETER_SIGMAS * PARAMETER_SIGMAS)
 }
 
-/// So many pairs of views are enough for the lens; of more, keyframes are left out evenly.
+/// Largest number of pairs for the lens; of more, keyframes are left out evenly.
 const MAX_PAIRS: usize = 256;
 
-/// Roll, pitch, readout time, two radial coefficients, the principal point, the second focal length and the decentering.
+/// Roll, pitch, readout time, two radial parameters, the principal point, the second focal length
+/// and the decentering.
 const ALL_UNKNOWNS: usize = LENS_START + 7;

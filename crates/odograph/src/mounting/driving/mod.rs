@@ -1,17 +1,21 @@
-//! Roll and pitch from driving about on a flat floor, without a board.
+//! Self-calibration of roll and pitch while driving over a flat floor, without a board.
 //!
-//! Two views of a flat floor from a camera at a fixed height and tilt are related by the tilt and a planar movement, two numbers and three.
-//! Under a wrong tilt no planar movement explains how the floor moves through the image; the tilt under which all pairs of a recording are
-//! explained best is that of the camera. What each movement says, from the plane's homography expanded in a small tilt:
+//! Two views of a flat floor from a camera at fixed height and tilt are related by the tilt (two
+//! parameters) and a planar motion (three). Under a wrong tilt no planar motion explains the
+//! optical flow; the estimate is the tilt that explains all pairs of a recording best. The plane's
+//! homography, expanded for a small tilt, shows what is observable:
 //!
-//! * A shift says both angles, by how much faster near ground moves through the image than far ground. What it says grows with the
-//!   shift and with the distance from the middle of the image.
-//! * A turn says both too, because its axis is the plumb line; but where that axis meets the ground is not known, so what it says
-//!   grows with the angle and with the square of the distance from the middle: it needs a wide lens.
-//! * Standing still says nothing. Height is never said: a floor twice as far below a carrier twice as fast looks the same.
+//! * A translation determines both angles, because near ground moves faster through the image than
+//!   far ground. Its information grows with the translation and with the distance from the image
+//!   centre.
+//! * A rotation determines both as well, because its axis is the vertical; the point where that
+//!   axis meets the ground is unknown, however, so that its information grows with the angle and
+//!   with the square of the distance from the centre: it needs a wide lens.
+//! * Standing still determines nothing. The height is never observable: a floor twice as far below
+//!   a vehicle twice as fast looks the same.
 //!
-//! Which of the two a recording determines, and how well, is read from the information matrix of all its pairs. Turns and shifts to several
-//! sides do more than that: errors of the lens that look like a tilt in one direction do not in another.
+//! The information matrix of all pairs shows what a recording determines, and how well. Turns and
+//! translations in several directions also decorrelate the tilt from errors of the lens.
 
 mod bundle;
 mod lens;
@@ -37,14 +41,14 @@ use nalgebra::Matrix2;
 use rates::{Moving, PoseRates, RateHistory};
 use std::collections::VecDeque;
 
-/// How pairs of views are chosen from a recording.
+/// Selection of pairs of views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DrivingConfig {
-    /// A pair is taken each time the tracks have moved by so much of the shorter side of the image since the last one.
+    /// Motion of the tracks from one pair to the next, as a fraction of the shorter image side.
     pub step: f64,
-    /// So many tracks of a pair are kept, evenly chosen.
+    /// Largest number of tracks of a pair, evenly chosen.
     pub max_tracks: usize,
-    /// So many pairs are kept; what comes after them is not used.
+    /// Largest number of pairs; later ones are not used.
     pub max_pairs: usize,
 }
 
@@ -54,53 +58,54 @@ impl Default for DrivingConfig {
     }
 }
 
-/// Collects pairs of views from a recording while [`crate::odometry::Odometry`] follows it, then solves for the tilt.
+/// Collects pairs of views while [`crate::odometry::Odometry`] tracks a recording, then solves for
+/// the tilt.
 #[derive(Debug, Clone)]
 pub struct DrivenTilt {
     camera: Camera,
     config: DrivingConfig,
     groups: Vec<Group>,
     pairs: usize,
-    /// How far the tracks had moved at the last pair of the present keyframe, pixels.
+    /// Motion of the tracks at the last pair of the present keyframe, pixels.
     moved_px: f64,
     rates: RateHistory,
-    /// Whether the ground looks uneven, and what elevations leave of the tracks where it does.
+    /// Whether the ground looks uneven, and the mean squared residual of a fit with elevations if
+    /// so.
     relief_seen: bool,
     relief: MeanSquare,
-    /// The readout time with which the odometry works, seconds.
+    /// The readout time that the odometry assumes, seconds.
     assumed_readout_s: f64,
-    /// Pairs that wait for the rates of their frames.
+    /// Pairs whose frames' rates are not known yet.
     pending: VecDeque<Pending>,
     path: DrivenPath,
 }
 
-/// The pairs of one keyframe, whose errors are not independent.
+/// The pairs of one keyframe, whose errors are correlated.
 #[derive(Debug, Clone, Default)]
 pub(in crate::mounting) struct Group {
     pairs: Vec<Pair>,
 }
 
-/// Tracks from a keyframe to a later frame: where they are in both, and whether the odometry agreed with them.
+/// Tracks from a keyframe to a later frame: their pixels in both, and whether they were inliers.
 #[derive(Debug, Clone)]
 struct Pair {
     tracks: Vec<(Pixel, Pixel, bool)>,
-    /// How the two images were exposed, where that is known.
+    /// Rates of both views, where known.
     exposure: Option<PairExposure>,
 }
 
-/// Rates of the pose in the two views of a pair, in the axes of the first view and in units of its
-/// height, per second, and how far the camera was then from the first view (heights): the rates of
-/// the position are wrong in the same proportion as that.
+/// Rates of the pose in both views of a pair, in the axes of the first view and in units of its
+/// height, per second, and the distance from the first view at that time (heights): the rates of
+/// the position are wrong in the same proportion as that distance.
 #[derive(Debug, Clone, Copy)]
 struct PairExposure {
     rates: [PoseRates; 2],
-    /// The same of their derivatives.
+    /// The accelerations.
     accelerations: [PoseRates; 2],
     distance: f64,
 }
 
-/// A pair whose exposure is not known yet: its group and its place there, its keyframe, and the count of
-/// its frame.
+/// A pair without rates: its group and its index there, its keyframe, and the number of its frame.
 #[derive(Debug, Clone, Copy)]
 struct Pending {
     pair: (usize, usize),
@@ -124,11 +129,11 @@ impl PairExposure {
     }
 }
 
-/// The way of the camera over the ground, at the height that the odometry assumed.
+/// Path of the camera over the ground, at the height that the odometry assumed.
 #[derive(Debug, Clone, Default)]
 struct DrivenPath {
     last: Option<GroundPose>,
-    /// The last corner of the line that is measured, and how long that is up to there.
+    /// Last vertex of the polyline that is measured, and its length up to there.
     corner: Option<GroundPose>,
     length_m: f64,
     deviation_m: f64,
@@ -137,7 +142,7 @@ struct DrivenPath {
     lost: usize,
 }
 
-/// The tilt as a recording of driving tells it.
+/// The tilt as estimated while driving.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TiltMeasurement {
     /// Roll, radians.
@@ -146,43 +151,45 @@ pub struct TiltMeasurement {
     pub pitch_rad: f64,
     /// Covariance of (roll, pitch), radians².
     pub covariance: Matrix2<f64>,
-    /// The readout time that goes with it; `None` where it was not looked for.
+    /// The readout time estimated with it; `None` if it was not estimated.
     pub readout: Option<ReadoutMeasurement>,
-    /// Whether the movement determined both.
+    /// Whether the motion determined both angles.
     pub observability: Observability,
-    /// Standard deviation of (roll, pitch) from keyframe to keyframe beyond the noise of the tracks: a mount that shakes, an uneven floor.
+    /// Standard deviation of (roll, pitch) between keyframes beyond the noise of the tracks,
+    /// radians: a mount that shakes, an uneven floor.
     pub scatter_rad: [f64; 2],
-    /// Keyframes that said something.
+    /// Number of keyframes with information.
     pub keyframes: usize,
-    /// Pairs of views used.
+    /// Number of pairs used.
     pub pairs: usize,
-    /// Root mean square misfit of the tracks that agree, pixels.
+    /// Root mean square residual of the inliers, pixels.
     pub rms_px: f64,
 }
 
-/// Whether the movement determined the tilt.
+/// Observability of the tilt.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Observability {
-    /// Roll and pitch are both known well enough to be used.
+    /// Roll and pitch are both determined.
     Full,
-    /// Some combination of them is not: the measurement must not be used for it.
+    /// Some combination of them is not; it must not be used.
     Partial {
-        /// The part of roll in the combination that is known worst, and the part of pitch; a unit vector.
+        /// Components of roll and pitch in the least certain combination, a unit vector.
         worst: [f64; 2],
-        /// One standard deviation of it, radians.
+        /// One standard deviation of that combination, radians.
         deviation_rad: f64,
     },
 }
 
-/// The only pair of a keyframe may be so much of a step.
+/// Least motion of the only pair of a keyframe, as a fraction of a step.
 const MIN_STEP_FRACTION: f64 = 0.25;
 
-/// A tilt known worse than this is not a measurement: the level mount that people take without one is about as good, degrees.
+/// Largest standard deviation of a usable estimate, degrees: a mount that is simply assumed to be
+/// level is about as good.
 const MAX_SIGMA_DEG: f64 = 0.25;
 
-/// A plane explains tracks as well as elevations do if it leaves less than this multiple of what those
-/// leave. Over flat ground with an unknown lens it left 0.1 to 0.5 times as much, over rendered relief
-/// of all kinds 1.5 to 14 times.
+/// A plane explains the tracks as well as elevations do if its residual is below this multiple of
+/// theirs. Over flat ground with an unknown lens the ratio was 0.1 to 0.5, over rendered relief of
+/// all kinds 1.5 to 14.
 const MAX_RELIEF_RATIO: f64 = 1.3;
 
 /// A mean of squares.
@@ -204,11 +211,11 @@ impl MeanSquare {
     }
 }
 
-/// Fewer keyframes than this cannot tell how much they scatter.
+/// Fewer keyframes do not determine their scatter.
 const MIN_KEYFRAMES: usize = 4;
 
 impl DrivenTilt {
-    /// Nothing seen yet.
+    /// Starts empty.
     pub fn new(camera: &Camera, config: DrivingConfig) -> Self {
         Self {
             camera: camera.clone(),
@@ -225,12 +232,13 @@ impl DrivenTilt {
         }
     }
 
-    /// Tells with which readout time the odometry works, seconds, where that of the camera is looked for.
+    /// Sets the readout time that the odometry assumes, seconds, if the readout time is to be
+    /// estimated.
     fn set_assumed_readout_s(&mut self, readout_s: f64) {
         self.assumed_readout_s = readout_s;
     }
 
-    /// Takes the next frame: what [`Odometry::process`] gave, and its tracks.
+    /// Takes the next frame, the result of [`Odometry::process`], and its tracks.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) {
         let reference = odometry.reference().map(|reference| reference.keyframe);
         self.relief_seen = odometry.sees_relief();
@@ -248,7 +256,8 @@ impl DrivenTilt {
         let moved_px = (squares / tracks.len() as f64).sqrt();
         let step_px = self.config.step * self.camera.width().min(self.camera.height()) as f64;
         let far = (moved_px - self.moved_px).abs() >= step_px;
-        // A keyframe that is left says what it can; under a tilt that is far off none lasts a whole step.
+        // The last frame of a keyframe makes a pair too: under a very wrong tilt no keyframe lasts
+        // a whole step.
         let none_yet = self.groups.last().is_none_or(|group| group.pairs.is_empty());
         let least_px = if none_yet { MIN_STEP_FRACTION * step_px } else { step_px };
         let far = far || (frame.keyframe && moved_px >= least_px);
@@ -294,45 +303,48 @@ impl DrivenTilt {
         }
     }
 
-    /// Whether an image can be read out in this time: before the next one begins.
+    /// Whether this can be a readout time: it must not exceed the time between frames.
     pub(super) fn is_possible(&self, found: &ReadoutMeasurement) -> bool {
         found.readout_s.abs() <= self.rates.step_s()
     }
 
-    /// Whether a plane explains the tracks, with what was found, as well as elevations do where the ground
-    /// looked uneven.
+    /// Whether a plane explains the tracks, with the estimate, as well as elevations do where the
+    /// ground looked uneven.
     pub(super) fn explains(&self, found: &TiltMeasurement) -> bool {
         self.relief.root().is_none_or(|relief_px| found.rms_px < MAX_RELIEF_RATIO * relief_px)
     }
 
-    /// How many pairs of views there are so far.
+    /// Number of pairs of views so far.
     pub fn pairs(&self) -> usize {
         self.pairs
     }
 
-    /// How far the camera went over the ground by the odometry, and one standard deviation, both in metres at the height that it assumed.
-    /// `None` where the path is broken by a loss.
+    /// Length of the path by the odometry and one standard deviation, metres at the assumed height.
+    /// `None` if tracking was lost.
     pub fn path_length_m(&self) -> Option<(f64, f64)> {
         (self.path.segment == 0 && self.path.frames > 0)
             .then_some((self.path.length_m, self.path.deviation_m))
     }
 
-    /// The part of the frames that could not be measured.
+    /// Fraction of the frames without a pose.
     pub fn lost_fraction(&self) -> f64 {
         self.path.lost as f64 / (self.path.lost + self.path.frames).max(1) as f64
     }
 
-    /// The tilt that explains all pairs best; `start` is where the search begins, ten degrees off do no harm.
+    /// Estimates the tilt from all pairs, starting at `start`, which may be off by ten degrees.
     ///
-    /// Gauss–Newton on the re-projection misfit of all pairs over roll, pitch and one planar movement a pair (eliminated by their Schur
-    /// complements), with Tukey's biweight at the scale of each pair. The keyframes are then brought together as measurements that
-    /// scatter beyond their own noise, so that the covariance also holds for a mount that shakes.
+    /// Gauss–Newton on the re-projection error of all pairs over roll, pitch and one planar motion
+    /// per pair (eliminated by Schur complements), with Tukey's biweight at the scale of each pair.
+    /// The keyframes are then combined as measurements with a random effect, so that the covariance
+    /// holds for a shaking mount as well.
     ///
-    /// `uncertainty` is that of the camera's parameters, where it is known: an error of the principal point is one of the tilt, and no
-    /// amount of driving averages it out.
+    /// `uncertainty` is that of the camera's parameters, if known: an error of the principal point
+    /// is an error of the tilt that does not average out.
     ///
-    /// Fails where there are too few pairs to solve at all; a movement that does not determine the tilt is told by
-    /// [`TiltMeasurement::observability`].
+    /// # Errors
+    ///
+    /// If there are too few pairs to solve at all; a motion that does not determine the tilt is no
+    /// error but stated in [`TiltMeasurement::observability`].
     pub fn solve(&self, start: &Rig, uncertainty: Option<&CameraUncertainty>) -> Result<TiltMeasurement> {
         let solved = bundle::solve::<TILT>(&self.camera, self.groups.iter(), start).ok_or_else(too_few)?;
         let mut combined = combine(&solved.parts).ok_or_else(too_few)?;
@@ -349,7 +361,7 @@ impl DrivenTilt {
         self.tilt(&solved, &combined)
     }
 
-    /// The tilt of what the pairs have in common.
+    /// The tilt among the common unknowns.
     fn tilt<const N: usize>(&self, solved: &Solved<N>, combined: &Combined<N>) -> Result<TiltMeasurement> {
         if solved.parts.len() < MIN_KEYFRAMES {
             return Err(too_few());
@@ -385,7 +397,7 @@ fn too_few() -> Error {
 }
 
 impl DrivenTilt {
-    /// The covariance that the camera's gives to the tilt. Some keyframes are enough to see how the tilt follows the camera.
+    /// Covariance of the tilt due to the camera's. Some keyframes are enough for the derivative.
     fn camera_covariance(&self, found: &Rig, uncertainty: &CameraUncertainty) -> Option<Matrix2<f64>> {
         const MAX_KEYFRAMES: usize = 40;
         let every = self.groups.len().div_ceil(MAX_KEYFRAMES).max(1);
@@ -398,7 +410,8 @@ impl DrivenTilt {
 }
 
 impl DrivenPath {
-    /// Steps are as long as a twentieth of the height: short enough for any curve, long enough that noise does not lengthen them.
+    /// Vertices are a twentieth of the height apart: short enough for curves, long enough that
+    /// noise does not lengthen the path.
     const STEP: f64 = 0.05;
 
     fn add_frame(&mut self, frame: &FrameEstimate) {

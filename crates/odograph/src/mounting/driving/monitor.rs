@@ -1,10 +1,11 @@
-//! A mount and a lens that are not as they were told, noticed while a recording is followed.
+//! Detects while tracking that mount, lens or readout time differ from the given calibration.
 //!
-//! Ground that is laid out under a wrong tilt slopes: a camera that keeps its height over the floor seems to climb, by one part in sixty for
-//! each degree, and the path is stretched with it. A lens that bends otherwise than its calibration says looks like a tilt towards wherever the camera goes. The
-//! floor's own movement through the image tells both long before they matter much: a metre and a half of driving, to a few thousandths of a degree and to a
-//! hundredth of a pixel on well-textured ground. So whoever reads a recording begins again with what was found, and the path is that of a camera
-//! which had been told right.
+//! Ground reconstructed with a wrong tilt slopes: a camera at constant height seems to climb by one
+//! part in sixty per degree, and the path is stretched. A wrong distortion looks like a tilt
+//! towards the direction of travel. The motion of the ground through the image determines both
+//! before they matter much: a metre and a half of driving, to a few thousandths of a degree and a
+//! hundredth of a pixel on well-textured ground. A recording is then tracked again with what was
+//! found.
 
 use super::{DrivenTilt, DrivingConfig, LensMeasurement, Observability, ReadoutMeasurement, TiltMeasurement};
 use crate::camera::{Camera, Rig};
@@ -14,42 +15,42 @@ use crate::odometry::Odometry;
 use crate::trajectory::FrameEstimate;
 use nalgebra::Vector2;
 
-/// Watches a recording while [`crate::odometry::Odometry`] follows it with the motion model that chooses by evidence.
+/// Monitors a recording that [`crate::odometry::Odometry`] tracks with the automatic motion model.
 #[derive(Debug, Clone)]
 pub struct CalibrationMonitor {
     driven: DrivenTilt,
     given: Rig,
-    /// Whether the lens is looked at, too.
+    /// Whether the lens is estimated, too.
     lens: bool,
     readout_is_given: bool,
-    /// What the told tilt and lens were found by, where they were.
+    /// The earlier estimate on which the given tilt and lens are based, if any.
     before: Found,
-    /// Whether the odometry has found that the camera is not as it was told.
+    /// Whether the odometry itself deviates from the given height or tilt.
     deviates: bool,
-    /// At so many pairs of views it is looked at next.
+    /// Number of pairs at which the next check is due.
     next_check: usize,
 }
 
-/// What a recording says of its camera that is not as it was told.
+/// What differs from the given calibration.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Found {
-    /// How it sits.
+    /// The tilt.
     pub tilt: Option<TiltMeasurement>,
-    /// How long its images take to be read out.
+    /// The readout time.
     pub readout: Option<ReadoutMeasurement>,
-    /// How its lens bends.
+    /// The lens.
     pub lens: Option<LensMeasurement>,
-    /// Pairs of views from which it was found.
+    /// Number of pairs of views behind it.
     pub pairs: usize,
 }
 
 impl Found {
-    /// Nothing is another than it was told.
+    /// Whether nothing differs.
     fn is_nothing(&self) -> bool {
         self.tilt.is_none() && self.readout.is_none() && self.lens.is_none()
     }
 
-    /// A rig with the tilt that was found.
+    /// A rig with the estimated tilt.
     pub fn rig(&self, given: &Rig) -> Rig {
         match &self.tilt {
             Some(tilt) => Rig { roll_rad: tilt.roll_rad, pitch_rad: tilt.pitch_rad, ..*given },
@@ -57,7 +58,7 @@ impl Found {
         }
     }
 
-    /// The camera with the lens and the readout time that were found.
+    /// The camera with the estimated lens and readout time.
     pub fn camera(&self, given: &Camera) -> Camera {
         let camera = self.lens.as_ref().map_or_else(|| given.clone(), |lens| lens.camera.clone());
         let (readout_s, deviation_s) = match self.readout {
@@ -71,40 +72,42 @@ impl Found {
     }
 }
 
-/// Pairs of views after which the tilt is looked at the first time, twice as many each time after that, and the last time. A pair is a movement by a tenth
-/// of the image.
+/// Number of pairs at the first check, which doubles from check to check, and at the last one. A
+/// pair is a motion by a tenth of the image.
 const FIRST_CHECK: usize = 8;
 const LAST_CHECK: usize = 256;
 
-/// A tilt that was measured is looked at again after so many times the pairs that it was measured from: it is known twice as well then, and to begin once more
-/// costs a quarter of the way at most.
+/// An estimate is checked again after this many times the pairs behind it: its standard deviation
+/// has then halved, and tracking once more repeats at most a quarter of the recording.
 const RECHECK_FACTOR: usize = 4;
 
-/// Tracks of a pair: of four hundred, these have most of what all say.
+/// Tracks kept of a pair: 80 of 400 carry most of their information.
 const MAX_TRACKS: usize = 80;
 
-/// At the end of the recording twice the pairs are enough.
+/// At the end of the recording, twice the pairs are enough for another check.
 const END_FACTOR: usize = 2;
 
-/// What the odometry itself leaves as it was told while it is within this: parts of the height, radians. (On a mount that is as told it is a
-/// hundredth of this.)
+/// Deviation of the odometry below which the calibration is taken as right: fraction of the height,
+/// radians. With a right calibration it is a hundredth of this.
 const MIN_DEVIATION: f64 = 2e-4;
 
-/// A smaller tilt than this does not bend a path by more than the pixels do, radians.
+/// A smaller tilt, radians, bends a path by less than the pixel noise does.
 const MIN_TILT_RAD: f64 = 0.02 * std::f64::consts::PI / 180.0;
 
-/// Who tells a tilt that is not straight down has measured it: what differs from it by less than this may as well be an error of the camera's calibration,
-/// which looks like a tilt too, radians.
+/// A given tilt that is not straight down was measured; a difference below this, radians, may be an
+/// error of the camera's calibration, which looks like a tilt.
 const MIN_FROM_MEASURED_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
-/// A tilt is told apart from none where it is so many of its standard deviations off (once in some hundred thousand looks by chance, in two dimensions).
+/// Standard deviations by which a tilt must differ to be significant; by chance, one check in some
+/// hundred thousand (two dimensions).
 const MIN_SIGMAS: f64 = 5.0;
 
-/// A tilt is that of the mount, and not of a hand or of a spring, where it scatters from keyframe to keyframe by less than this part of itself.
+/// Largest scatter between keyframes as a fraction of the difference: above it, the camera is not
+/// rigidly mounted.
 const MAX_SCATTER: f64 = 1.0 / 3.0;
 
 impl CalibrationMonitor {
-    /// Nothing seen yet of a camera that was told to be `camera` and to sit like `told`.
+    /// Starts with the given camera and rig.
     pub fn new(camera: &Camera, given: &Rig) -> Self {
         let config =
             DrivingConfig { max_tracks: MAX_TRACKS, max_pairs: LAST_CHECK, ..DrivingConfig::default() };
@@ -114,7 +117,7 @@ impl CalibrationMonitor {
         Self { driven, given: *given, lens: true, readout_is_given, before, deviates: false, next_check }
     }
 
-    /// The same where `camera` and `told` are what was found in an earlier part of the recording.
+    /// Starts with a camera and rig that an earlier part of the recording determined.
     pub fn found(camera: &Camera, given: &Rig, before: &Found) -> Self {
         let next_check = RECHECK_FACTOR * before.pairs;
         let unknown = camera.clone().with_readout_s(None).ok().filter(|_| before.readout.is_some());
@@ -123,13 +126,14 @@ impl CalibrationMonitor {
         Self { before: before.clone(), deviates: true, next_check, ..watch }
     }
 
-    /// The same where the lens is known to be as it was told.
+    /// The lens is known and not estimated.
     pub fn with_lens_known(self) -> Self {
         Self { lens: false, ..self }
     }
 
-    /// Takes the next frame: what [`Odometry::process`] gave, and its tracks. The camera as it is, where by now it is sure that it is not as it
-    /// was told, or known better than what was found before.
+    /// Takes the next frame, the result of [`Odometry::process`], and its tracks. Returns the
+    /// estimated calibration as soon as it differs significantly from the given one, or is clearly
+    /// more precise than the earlier estimate.
     pub fn watch(&mut self, frame: &FrameEstimate, odometry: &Odometry) -> Option<Found> {
         self.collect(frame, odometry);
         if !self.is_due() {
@@ -148,30 +152,31 @@ impl CalibrationMonitor {
         }
     }
 
-    /// Whether there are enough pairs of views for the next look.
+    /// Whether there are enough pairs for the next check.
     pub(super) fn is_due(&self) -> bool {
         self.next_check <= LAST_CHECK && self.driven.pairs() >= self.next_check
     }
 
-    /// Sets when the look after this one is due.
+    /// Schedules the check after this one.
     pub(super) fn schedule_next(&mut self) {
         self.next_check *= if self.before.is_nothing() { 2 } else { RECHECK_FACTOR };
     }
 
-    /// What watches the rest of a recording that goes on with what was found.
+    /// A monitor for the rest of a recording that goes on with what was found.
     pub(super) fn after(&self, camera: &Camera, rig: &Rig, found: &Found) -> Self {
         let watch = Self::found(camera, rig, found);
         Self { lens: self.lens, ..watch }
     }
 
-    /// The same at the end of the recording, where that is not far enough for the next look: with all of it the short way is followed once more.
+    /// The check at the end of a recording that is too short for the next scheduled one: a short
+    /// recording is cheap to track again.
     pub fn at_end(&self) -> Option<Found> {
         let least = if self.before.is_nothing() { FIRST_CHECK } else { END_FACTOR * self.before.pairs };
         let worth = self.next_check <= LAST_CHECK && self.driven.pairs() >= least;
         worth.then(|| self.check()).flatten()
     }
 
-    /// The camera as it is, where it is surely not as it was given.
+    /// The estimated calibration if it differs significantly from the given one.
     pub(super) fn check(&self) -> Option<Found> {
         if !self.deviates {
             return None;
@@ -185,7 +190,7 @@ impl CalibrationMonitor {
         let readout = tilt.readout.filter(|found| self.driven.is_possible(found));
         let replaces_readout = readout.is_some_and(|readout| self.replaces_readout(&readout));
         (replaces_tilt || replaces_lens || replaces_readout).then(|| Found {
-            // What was found before is replaced by what is found now, be it little else.
+            // An earlier estimate is replaced by the new one even where the difference is small.
             tilt: (replaces_tilt || self.before.tilt.is_some()).then_some(tilt),
             readout: readout.filter(|_| replaces_readout || self.before.readout.is_some()),
             lens,
@@ -193,7 +198,8 @@ impl CalibrationMonitor {
         })
     }
 
-    /// The tilt, and the lens where that is another than it was calibrated to be; the tilt is with that lens.
+    /// The tilt, and the lens if it differs significantly; the tilt is the one estimated with that
+    /// lens.
     fn measured(&self) -> Option<(TiltMeasurement, Option<LensMeasurement>)> {
         if !self.lens {
             return Some((self.driven.solve(&self.given, None).ok()?, None));
@@ -206,12 +212,12 @@ impl CalibrationMonitor {
         })
     }
 
-    /// How many pairs of views there are so far.
+    /// Number of pairs of views so far.
     pub fn pairs(&self) -> usize {
         self.driven.pairs()
     }
 
-    /// Whether the odometry has a pose at another height or tilt than was told.
+    /// Whether the odometry deviates from the given height or tilt.
     fn differs(&self, pose: &GroundPose) -> bool {
         (pose.height_m / self.given.height_m - 1.0).abs() > MIN_DEVIATION
             || (pose.roll_rad - self.given.roll_rad).abs() > MIN_DEVIATION
@@ -241,7 +247,7 @@ impl CalibrationMonitor {
         }
     }
 
-    /// Whether a tilt is surely, steadily and usefully another than the one told.
+    /// Whether a tilt differs from the given one significantly, steadily and by enough to matter.
     fn differs_significantly(&self, found: &TiltMeasurement) -> bool {
         let off = Vector2::new(found.roll_rad - self.given.roll_rad, found.pitch_rad - self.given.pitch_rad);
         let [roll, pitch] = found.scatter_rad;
@@ -255,7 +261,7 @@ impl CalibrationMonitor {
             && roll.hypot(pitch) < MAX_SCATTER * off.norm()
     }
 
-    /// Whether a tilt is known clearly better than before, and not the same for that.
+    /// Whether a tilt is clearly more precise than the earlier one, and different from it.
     fn is_better(&self, found: &TiltMeasurement, before: &TiltMeasurement) -> bool {
         let off = (found.roll_rad - self.given.roll_rad).hypot(found.pitch_rad - self.given.pitch_rad);
         let worst = |tilt: &TiltMeasurement| tilt.covariance.symmetric_eigenvalues().max();
@@ -263,13 +269,13 @@ impl CalibrationMonitor {
     }
 }
 
-/// What is known better is begun again with where it is another by this much, radians and pixels at the edge of the image, and its deviation is so many times as
-/// large.
+/// A better estimate is used if it differs by this much, radians and pixels at the edge of the
+/// image, and its standard deviation is smaller by this factor.
 const MIN_CHANGE_RAD: f64 = 5e-5;
 const MIN_CHANGE_PX: f64 = 0.03;
 const MAX_SIGMA_RATIO: f64 = 0.8;
 
-/// A readout time this many standard deviations from zero is worth a look.
+/// Standard deviations from zero from which a readout time is worth a check.
 const ROLLING_SIGMAS: f64 = 1.5;
 
 fn seems_rolling(readout: Readout) -> bool {

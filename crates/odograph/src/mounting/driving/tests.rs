@@ -18,7 +18,8 @@ fn camera() -> Camera {
 
 const RIG: Rig = Rig { height_m: 0.75, roll_rad: 0.06, pitch_rad: -0.05, yaw_rad: 0.0, lever_arm: None };
 
-/// Keyframes with one pair each, of exact tracks with noise, which move and turn by what `movement` says.
+/// Keyframes with one pair each, of exact tracks with noise, which move and turn as `movement`
+/// says.
 fn collected(
     keyframes: usize,
     noise_px: f64,
@@ -59,7 +60,7 @@ fn turning(index: usize, random: &mut Random) -> [f64; 3] {
 }
 
 #[test]
-fn the_readout_time_is_told_apart_from_a_tilt() {
+fn the_readout_time_is_not_taken_for_a_tilt() {
     // From standstill to driving straight ahead: within one pair skew looks like a tilt.
     let (camera, readout_s, mut random) = (camera(), 0.020, Random::new(9));
     let mut driven = DrivenTilt::new(&camera, DrivingConfig::default());
@@ -117,7 +118,7 @@ fn exact_tracks_give_the_exact_tilt_from_far_off() {
     let driven = collected(10, 0.0, &mut random, turning, 0.0);
     for (roll_rad, pitch_rad) in [(0.0, 0.0), (-0.12, 0.12), (0.2, -0.2)] {
         let found = driven.solve(&Rig { roll_rad, pitch_rad, ..Rig::level(1.0) }, None).unwrap();
-        // The wrong tracks are told apart only down to the smallest noise that is believed.
+        // Outliers are separated only down to the lower bound of the noise.
         assert!(off(&found).norm() < 1e-4, "{found:?}");
         assert_eq!(found.observability, Observability::Full);
     }
@@ -135,7 +136,8 @@ fn the_stated_covariance_is_true_also_on_a_mount_that_shakes() {
             let off = off(&found);
             nees += off.dot(&(found.covariance.try_inverse().unwrap() * off)) / f64::from(trials);
         }
-        // 80 squares: 1.43 to 2.67 in 95 of 100 cases; robust weights and an estimated scatter widen that.
+        // 80 squares: 1.43 to 2.67 in 95 of 100 cases; robust weights and an estimated scatter
+        // widen that.
         assert!((1.2..3.0).contains(&nees), "shaking by {shake_rad}: {nees}");
     }
 }
@@ -149,7 +151,7 @@ fn an_error_of_the_principal_point_is_one_of_the_tilt() {
     let without = driven.solve(&Rig::level(1.0), None).unwrap();
     let with = driven.solve(&Rig::level(1.0), Some(&uncertainty)).unwrap();
     assert_eq!((with.roll_rad, with.pitch_rad), (without.roll_rad, without.pitch_rad));
-    // Five pixels of 500 are 0.57°; how much of that a recording takes over depends on its movements.
+    // Five pixels of 500 are 0.57°; how much of that enters the tilt depends on the motion.
     let deviation = with.covariance.trace().sqrt().to_degrees();
     assert!((0.05..2.0).contains(&deviation), "{with:?}");
 }
@@ -163,7 +165,8 @@ fn what_a_movement_does_not_reveal_is_said() {
         Err(error) => assert!(error.to_string().contains("enough movement"), "{error}"),
         Ok(found) => assert!(matches!(found.observability, Observability::Partial { .. }), "{found:?}"),
     }
-    // Short shifts tell little, long ones much; so does a turn on the spot of half a radian.
+    // Short translations have little information, long ones much; so has a turn on the spot by half
+    // a radian.
     let deviation = |movement: [f64; 3], random: &mut Random| {
         let found = collected(12, 0.1, random, |_, _| movement, 0.0).solve(&Rig::level(1.0), None).unwrap();
         found.covariance.trace().sqrt()
@@ -191,7 +194,7 @@ fn drive(rig: Rig, effects: Effects, path: PathKind) -> Simulation {
     .unwrap()
 }
 
-/// Follows a drive so many times: from `start`, and from what that found.
+/// Tracks a drive repeatedly: from `start`, and from the estimate before.
 fn measured(simulation: &Simulation, start: Rig, passes: usize) -> (TiltMeasurement, f64) {
     let camera = &simulation.config().camera;
     let mut rig = start;
@@ -219,7 +222,7 @@ fn a_rendered_drive_gives_the_tilt_from_five_degrees_off() {
     let (found, length_m) = measured(&simulation, start, 2);
     assert!(off(&found).norm() < 0.05f64.to_radians(), "{found:?}");
     assert_eq!(found.observability, Observability::Full);
-    // The height is given right, so the length is: to the per mille that is asked of the height.
+    // The given height is right, so the length is, to the per mille asked of the height.
     let seen: Vec<GroundPose> = simulation.times_s().iter().map(|&time_s| simulation.truth(time_s)).collect();
     let truth_m: f64 = seen.windows(2).map(|two| distance_m(&two[0], &two[1])).sum();
     assert!((length_m / truth_m - 1.0).abs() < 2e-3, "{length_m} {truth_m}");
@@ -234,7 +237,7 @@ fn a_shaking_mount_gives_its_mean_tilt_and_a_wider_deviation() {
     assert!(off(&found).norm() < 3.5 * deviation && deviation < 0.2f64.to_radians(), "{found:?}");
 }
 
-/// What [`CalibrationMonitor`] finds in a drive whose camera was told to sit like `told`, and after which frame.
+/// What [`CalibrationMonitor`] finds in a drive if the rig `told` is given, and after which frame.
 fn noticed(simulation: &Simulation, given: Rig, mut monitor: CalibrationMonitor) -> Option<(Found, u64)> {
     let camera = simulation.config().camera.clone();
     let mut odometry = Odometry::new(camera, given, OdometryConfig::default()).unwrap();
@@ -246,18 +249,18 @@ fn noticed(simulation: &Simulation, given: Rig, mut monitor: CalibrationMonitor)
 }
 
 #[test]
-fn a_tilt_that_was_not_told_is_noticed_early_and_known_better_later() {
+fn an_unknown_tilt_is_detected_early_and_refined_later() {
     let simulation = drive(RIG, Effects::default(), EIGHT);
     let camera = &simulation.config().camera;
     let level = Rig { roll_rad: 0.0, pitch_rad: 0.0, ..RIG };
     let (first, at) = noticed(&simulation, level, CalibrationMonitor::new(camera, &level)).unwrap();
-    // A third of the way at the latest; it cannot be known better than it says. The lens is as it was told.
+    // Within a third of the drive; the standard deviation is as stated. The lens is as given.
     assert!(3 * at < simulation.times_s().len() as u64, "{at}");
     assert_eq!(first.lens, None);
     let tilt = first.tilt.clone().unwrap();
     let deviation = tilt.covariance.trace().sqrt();
     assert!(deviation < 0.05f64.to_radians() && off(&tilt).norm() < 4.0 * deviation, "{first:?}");
-    // One that was measured as badly as it says, a fifth of a degree off, is replaced by what the whole drive tells.
+    // A tilt with a stated deviation of a fifth of a degree is replaced by that of the whole drive.
     let poor = TiltMeasurement {
         roll_rad: tilt.roll_rad + 0.003,
         covariance: Matrix2::identity() * 0.003f64.powi(2),
@@ -272,7 +275,7 @@ fn a_tilt_that_was_not_told_is_noticed_early_and_known_better_later() {
     assert!(second.pairs >= 2 * first.pairs && tilt.covariance.trace() < poor.covariance.trace());
 }
 
-/// What is found where the same drive through the lens of one camera is taken for that of another.
+/// What is found if the drive is rendered with one camera and tracked with another.
 fn through_lens(camera: &Camera, given: &Camera, rig: Rig, effects: Effects) -> Option<Found> {
     let config = SimulationConfig { camera: camera.clone(), ..drive(RIG, effects, EIGHT).config().clone() };
     let simulation = Simulation::new(config).unwrap();
@@ -292,7 +295,7 @@ fn barrel(coefficients: &[f64]) -> Camera {
 const LENS: [f64; 4] = [-0.12, 0.02, 0.0, 0.0];
 
 #[test]
-fn a_lens_that_was_not_told_is_found_beside_the_tilt_even_while_the_camera_sways() {
+fn a_wrong_lens_is_found_beside_the_tilt_even_while_the_camera_sways() {
     let level = Rig { roll_rad: 0.0, pitch_rad: 0.0, ..RIG };
     let sway = Effects { tilt_change: Some(Wander { amplitude: 0.03, period_s: 2.0 }), ..Effects::default() };
     for (given, rig, effects) in [
@@ -302,7 +305,8 @@ fn a_lens_that_was_not_told_is_found_beside_the_tilt_even_while_the_camera_sways
     ] {
         let found = through_lens(&barrel(&LENS), &barrel(&given), rig, effects).unwrap();
         let lens = found.lens.unwrap();
-        // At the edge of the image, where nothing is followed; it was off by 2 to 10 pixels there.
+        // At the edge of the image, where nothing is tracked; the given lens was off by 2 to 10
+        // pixels.
         let off_px = lens.off_from_px(&barrel(&LENS));
         assert!(off_px < f64::min(0.5, 5.0 * lens.deviation_px + 0.05), "{off_px} {lens:?}");
         assert!(lens.off_px > 1.0 && lens.is_significant());
@@ -322,7 +326,8 @@ fn the_principal_point_of_a_wide_lens_is_found_with_its_bending() {
     let found = through_lens(&truth, &fisheye((159.0, 120.0), 0.02), RIG, Effects::default()).unwrap();
     let lens = found.lens.unwrap();
     assert_eq!(lens.coefficients.len(), 5);
-    // At the corner, where a first look has seen little; it was off by 10 pixels there. The principal point by 2.
+    // At the corner, of which the first check has seen little; the given lens was off by 10 pixels.
+    // The principal point by 2.
     let off_px = lens.off_from_px(&truth);
     assert!(lens.off_px > 5.0 && off_px < 1.0, "{off_px} {lens:?}");
     let ((x, y), (true_x, true_y)) = (lens.camera.principal_px(), truth.principal_px());
@@ -330,14 +335,14 @@ fn the_principal_point_of_a_wide_lens_is_found_with_its_bending() {
 }
 
 #[test]
-fn a_lens_that_was_told_is_left_alone_even_while_the_camera_sways() {
+fn a_right_lens_is_kept_even_while_the_camera_sways() {
     let sway = Effects { tilt_change: Some(Wander { amplitude: 0.05, period_s: 2.0 }), ..Effects::default() };
     assert_eq!(through_lens(&barrel(&LENS), &barrel(&LENS), RIG, sway), None);
     assert_eq!(through_lens(&barrel(&LENS), &barrel(&LENS), RIG, Effects::default()), None);
 }
 
 #[test]
-fn a_tilt_that_was_told_or_changes_is_left_alone() {
+fn a_right_or_changing_tilt_is_kept() {
     let steady = drive(RIG, Effects::default(), EIGHT);
     let camera = &steady.config().camera;
     assert_eq!(noticed(&steady, RIG, CalibrationMonitor::new(camera, &RIG)), None);

@@ -1,4 +1,4 @@
-//! A lens that bends otherwise than its calibration says.
+//! Distortion parameters as unknowns of the bundle adjustment.
 
 use super::LENS_START;
 use crate::camera::uncertainty::{parameter, varied};
@@ -7,30 +7,32 @@ use crate::geometry::Ray;
 use crate::numerics::Part;
 use nalgebra::Vector2;
 
-/// The lens while it is looked for: some of its radial coefficients, the strongest first.
+/// The distortion parameters that are estimated: the leading ones of the camera's model.
 pub struct LensUnknowns {
     camera: Camera,
     names: &'static [&'static str],
-    /// By how much each was changed so far.
+    /// The change of each parameter so far.
     change: Vec<f64>,
-    /// The camera with [`STEP`] more and less of each.
+    /// The camera with each parameter increased and decreased by [`STEP`].
     perturbed: Vec<[Camera; 2]>,
 }
 
 /// Half the width of a central difference by a coefficient.
 const STEP: f64 = 1e-5;
 
-/// One standard deviation of what a calibration may be off by, of a coefficient, and of lengths in parts of the focal length: three times what a careless one
-/// is. It only keeps a lens in its place of which the movement says nothing.
+/// Prior standard deviation of a parameter, of lengths as a fraction of the focal length: three
+/// times the error of a careless calibration. It only holds parameters that the motion does not
+/// determine.
 const CALIBRATION_SIGMA: f64 = 0.1;
 
-/// The most parameters that are looked for.
+/// Largest number of parameters.
 pub const MAX_PARAMETERS: usize = 7;
 
 impl LensUnknowns {
-    /// `None` where no camera is left. A lens that has fewer parameters leaves the others at zero, and no pair says anything of them.
+    /// `None` if the changed parameters are no valid camera. Parameters that the lens model lacks
+    /// stay zero, with zero derivatives.
     pub fn new(camera: &Camera, count: usize) -> Option<Self> {
-        // A pinhole that is none has a lens after all.
+        // A pinhole without distortion is given a radial model.
         let distortion = match *camera.distortion() {
             Distortion::None if count > 0 => Distortion::from_opencv(&[0.0; 4])?,
             known => known,
@@ -53,23 +55,23 @@ impl LensUnknowns {
         Some(lens)
     }
 
-    /// The camera with the lens as it is thought to be.
+    /// The camera with the present parameters.
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
 
-    /// By how much each coefficient was changed.
+    /// The change of each parameter.
     pub fn change(&self) -> &[f64] {
         &self.change
     }
 
-    /// The names of the coefficients, and what they are now.
+    /// Names and present values of the parameters.
     pub fn coefficients(&self) -> impl Iterator<Item = (&'static str, f64)> {
         let value = |name: &&'static str| Some((*name, parameter(&self.camera, name)?));
         self.names.iter().filter_map(value)
     }
 
-    /// Changes the coefficients. `None` where no camera is left.
+    /// Adds to the parameters. `None` if the result is no valid camera.
     pub fn add_change(&mut self, by: &[f64]) -> Option<()> {
         for ((name, change), by) in self.names.iter().zip(&mut self.change).zip(by) {
             self.camera = varied(&self.camera, name, *by)?;
@@ -85,7 +87,7 @@ impl LensUnknowns {
         Some(())
     }
 
-    /// How each coefficient moves the pixel of a ray; zero for those that are not there.
+    /// ∂pixel/∂parameter for a fixed ray; zero for parameters that the model lacks.
     pub fn pixel_by_lens(&self, ray: Ray) -> Option<[Vector2<f64>; MAX_PARAMETERS]> {
         let mut pixel_by_lens = [Vector2::zeros(); MAX_PARAMETERS];
         for (derivative, [more, less]) in pixel_by_lens.iter_mut().zip(&self.perturbed) {
@@ -95,7 +97,7 @@ impl LensUnknowns {
         Some(pixel_by_lens)
     }
 
-    /// How each coefficient moves the ray of a pixel, `ray` being what it is now.
+    /// ∂ray/∂parameter for a fixed pixel; `ray` is its present ray.
     pub fn ray_by_lens(&self, ray: Ray) -> Option<[Vector2<f64>; MAX_PARAMETERS]> {
         if self.perturbed.is_empty() {
             return Some([Vector2::zeros(); MAX_PARAMETERS]);
@@ -105,7 +107,7 @@ impl LensUnknowns {
         Some(self.pixel_by_lens(ray)?.map(|derivative| -(ray_by_pixel * derivative)))
     }
 
-    /// What is known of the tilt and the lens without any pair.
+    /// Prior of tilt and lens, without any pair.
     pub fn prior<const N: usize>(&self) -> Part<N> {
         let mut prior = Part::default();
         for (k, change) in self.change.iter().enumerate() {

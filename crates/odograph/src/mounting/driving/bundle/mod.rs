@@ -1,4 +1,5 @@
-//! What many pairs of views have in common, each with a planar movement of its own: the tilt of the camera, and how its lens bends.
+//! Bundle adjustment of pairs of views: common unknowns are the tilt, the readout time and the
+//! lens; each pair has a planar motion of its own.
 
 mod lens;
 mod pair;
@@ -16,40 +17,41 @@ use std::ops::AddAssign;
 use system::System;
 use variation::{KeyframeVariation, PairVariation};
 
-/// The solution, and what each keyframe says about it: the tilt where `N` is 2, with the readout
-/// time where it is 3, and beside them `N` − 3 parameters of the lens.
+/// The solution and the normal equations of each keyframe: the tilt if `N` is 2, with the readout
+/// time if it is 3, and `N` − 3 distortion parameters.
 pub struct Solved<const N: usize> {
     pub roll_rad: f64,
     pub pitch_rad: f64,
     pub readout_s: f64,
-    /// By how much each parameter of the lens was changed.
+    /// The change of each distortion parameter.
     pub lens_change: Vec<f64>,
     pub parts: Vec<Part<N>>,
     pub pairs: usize,
     pub rms_px: f64,
 }
 
-/// Rounds of Gauss–Newton; from ten degrees off it needs six.
+/// Largest number of Gauss–Newton iterations; from 10° off, six are needed.
 const MAX_ITERATIONS: usize = 30;
 
-/// A step below this is a thousandth of what can be told: radians, coefficients of a lens.
+/// Convergence threshold of a step, radians or distortion parameters: a thousandth of the standard
+/// deviation.
 const CONVERGED: f64 = 1e-8;
 
-/// Rounds of those in which wrong tracks still lose their weight; what is left of them after it counts in full, so that the last
-/// rounds are plain least squares.
+/// Iterations with robust weights; after them the remaining inliers have weight 1, so that the last
+/// iterations are plain least squares.
 const ROBUST_ITERATIONS: usize = 15;
 
-/// A camera that is tilted further than this sees no ground.
+/// A camera tilted further than this sees no ground.
 const MAX_TILT_RAD: f64 = 1.4;
 
-/// Fewer agreeing tracks than this are no pair.
+/// A pair with fewer inliers is not used.
 const MIN_INLIERS: f64 = 12.0;
 
-/// Roll and pitch are the first of what the pairs have in common.
+/// Roll and pitch are the first common unknowns.
 pub const TILT: usize = 2;
-/// Then comes the readout time, seconds.
+/// The readout time follows, seconds.
 pub const READOUT: usize = 2;
-/// How many they are without the lens.
+/// Number of common unknowns without the lens.
 pub const LENS_START: usize = 3;
 
 pub fn solve<'a, const N: usize>(
@@ -67,14 +69,14 @@ pub fn solve<'a, const N: usize>(
     Some(bundle.solved())
 }
 
-/// Everything that is solved for.
+/// All unknowns.
 struct PairBundle<'a, const N: usize> {
     tilt: Vector2<f64>,
     readout: Readout,
     lens: LensUnknowns,
     pairs: Vec<SolvedPair<'a>>,
     pair_variation: PairVariation,
-    /// By how much each keyframe is tilted against the mount.
+    /// Tilt of each keyframe against the mount.
     keyframe_tilts: Vec<Vector2<f64>>,
     keyframe_variation: KeyframeVariation,
 }
@@ -115,7 +117,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
         self.pairs.iter().map(system).collect()
     }
 
-    /// What the pairs of each keyframe say where it and the mount are now.
+    /// Normal equations of each keyframe at the present estimate.
     fn parts(&self, systems: &[System<N>]) -> Vec<Part<N>> {
         let mut parts = vec![Part::default(); self.keyframe_tilts.len()];
         for (pair, system) in self.pairs.iter().zip(systems) {
@@ -126,7 +128,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
         parts
     }
 
-    /// One step of Gauss–Newton; `None` where it leads nowhere.
+    /// One Gauss–Newton step; `None` if it has no valid result.
     fn step(&mut self, iteration: usize) -> Option<SVector<f64, N>> {
         let systems = self.systems();
         let parts = self.parts(&systems);
@@ -165,7 +167,7 @@ impl<'a, const N: usize> PairBundle<'a, N> {
             }
             pair.reweight(self.lens.camera(), self.readout.value_s, pose, iteration);
         }
-        // The first steps are long: what they leave is not the mount's.
+        // The first steps are long; their residuals say nothing about the mount's variation.
         if iteration >= 2 {
             self.pair_variation.update(&self.pairs, &systems);
             self.keyframe_variation.update(&self.keyframe_tilts, &variances);
@@ -179,7 +181,8 @@ impl<'a, const N: usize> PairBundle<'a, N> {
         for (pair, system) in self.pairs.iter().zip(&self.systems()) {
             let weight: f64 = pair.weights.iter().sum();
             let Some(reduced) = system.reduced().filter(|_| weight >= MIN_INLIERS) else { continue };
-            // Where the keyframe is tilted is what its pairs say of the mount.
+            // The equations are about the tilt of the keyframe, which differs from that of the
+            // mount.
             parts[pair.group] += reduced.about(&-self.keyframe_tilts[pair.group]);
             squares += 2.0 * weight * pair.variance_px2;
             kept += weight;
@@ -198,14 +201,14 @@ impl<'a, const N: usize> PairBundle<'a, N> {
     }
 }
 
-/// The readout time while it is looked for.
+/// The readout time as an unknown.
 struct Readout {
     value_s: f64,
-    /// What is known of it without any pair: mean and standard deviation, seconds.
+    /// Prior mean and standard deviation, seconds.
     prior: (f64, f64),
 }
 
-/// Standard deviations of a readout time that was given and of one that was not, seconds.
+/// Prior standard deviations of a given readout time and of an unknown one, seconds.
 const GIVEN_READOUT_S: f64 = 1e-8;
 const UNKNOWN_READOUT_S: f64 = 0.015;
 
@@ -225,7 +228,7 @@ impl Readout {
 }
 
 impl<const N: usize> Part<N> {
-    /// The same about a point whose tilt is further by so much.
+    /// The same equations about a point with another tilt, shifted by this much.
     fn about(self, further: &Vector2<f64>) -> Self {
         let slope = self.slope - self.information.fixed_columns::<TILT>(0) * further;
         Self { slope, ..self }
@@ -233,7 +236,7 @@ impl<const N: usize> Part<N> {
 }
 
 impl<const N: usize> Solved<N> {
-    /// The same where all but the first `M` of what the pairs have in common are as they were told.
+    /// The same equations with all but the first `M` common unknowns held at their given values.
     pub fn restricted<const M: usize>(&self) -> Solved<M> {
         let given = SVector::from_fn(|k, _| k.checked_sub(LENS_START).map_or(0.0, |k| -self.lens_change[k]));
         Solved {
@@ -248,7 +251,7 @@ impl<const N: usize> Solved<N> {
     }
 }
 
-/// The pose of a first view: the height is the unit of length.
+/// Pose of a first view; its height is the unit of length.
 fn first_pose(tilt: &Vector2<f64>) -> GroundPose {
     GroundPose { roll_rad: tilt[0], pitch_rad: tilt[1], ..GroundPose::level(1.0) }
 }

@@ -1,4 +1,4 @@
-//! A pair of views while it is solved for.
+//! One pair of views in the bundle adjustment.
 
 use super::lens::{self, LensUnknowns};
 use super::{MIN_INLIERS, ROBUST_ITERATIONS};
@@ -8,21 +8,21 @@ use crate::geometry::{GroundPoint, GroundPose, Ray};
 use crate::mounting::driving::Pair;
 use nalgebra::{Vector2, Vector6};
 
-/// The movement of the camera between two views: x, y (heights), turn (radians); then by how much the second is higher than the first
-/// (heights) and tilted against it in roll and pitch, which a steady mount leaves at zero.
+/// Motion of the camera between two views: x, y (heights), turn (radians), change of height
+/// (heights), change of roll and pitch (radians). A rigid mount leaves the last three at zero.
 pub type Movement = Vector6<f64>;
 
-/// Neighbouring tracks share errors of about this, pixels: a smaller noise is not believed.
+/// Lower bound of the noise, pixels: neighbouring tracks share errors of about this size.
 const MIN_NOISE_PX: f64 = 0.01;
 
-/// The ray of a corner, and how each coefficient of the lens moves it.
+/// The ray of a corner and its derivative by each distortion parameter.
 pub struct CornerRay {
     pub ray: Ray,
     pub by_lens: [Vector2<f64>; lens::MAX_PARAMETERS],
 }
 
-/// The two views of a pair, exposed row by row: the pose of a row is that of the middle row and what
-/// the rates add to it.
+/// The two views of a pair under a rolling shutter: the pose of a row is that of the middle row
+/// plus the rates times the row's time.
 pub struct Views<'a> {
     camera: &'a Camera,
     poses: [Vector6<f64>; 2],
@@ -30,7 +30,7 @@ pub struct Views<'a> {
     accelerations: [Vector6<f64>; 2],
     readout_s: f64,
     rows: f64,
-    /// Those of the middle rows.
+    /// Poses of the middle rows.
     global: [PosedCamera<'a>; 2],
 }
 
@@ -88,10 +88,10 @@ impl<'a> Views<'a> {
     }
 }
 
-/// Over a shorter distance, heights, its proportion to the odometry's is noise.
+/// Over shorter distances, heights, the ratio to the odometry's distance is mostly noise.
 const MIN_DISTANCE: f64 = 0.05;
 
-/// A pair that is being solved.
+/// A pair and its present estimate.
 pub struct SolvedPair<'a> {
     pub pair: &'a Pair,
     /// The tracks' corners in the first view.
@@ -103,8 +103,8 @@ pub struct SolvedPair<'a> {
 }
 
 impl<'a> SolvedPair<'a> {
-    /// The planar movement that brings the ground points of the tracks best together (Umeyama, "Least-squares estimation of transformation
-    /// parameters", 1991, without scale), from those with which the odometry agreed.
+    /// The planar motion that best aligns the ground points of the inliers of the odometry
+    /// (Umeyama, "Least-squares estimation of transformation parameters", 1991, without scale).
     pub fn begin(
         lens: &LensUnknowns,
         readout_s: f64,
@@ -133,7 +133,7 @@ impl<'a> SolvedPair<'a> {
             along += ax * bx + ay * by;
             across += ay * bx - ax * by;
         }
-        // The world seems to turn against the camera.
+        // The ground turns in the opposite sense to the camera.
         let turn_rad = across.atan2(along);
         let (sin, cos) = turn_rad.sin_cos();
         let movement = Vector6::new(
@@ -153,7 +153,7 @@ impl<'a> SolvedPair<'a> {
 }
 
 impl SolvedPair<'_> {
-    /// Takes the rays of the corners as the lens has them now.
+    /// Updates the corners' rays with the present lens.
     pub fn update_rays(&mut self, lens: &LensUnknowns) {
         let corner = |pixel| {
             let ray = lens.camera().ray_from_pixel(pixel)?;
@@ -174,7 +174,7 @@ impl SolvedPair<'_> {
         }
     }
 
-    /// The two views, exposed row by row.
+    /// The two views with their rolling shutter.
     pub fn views<'b>(&self, camera: &'b Camera, readout_s: f64, rig: &GroundPose) -> Views<'b> {
         let poses = [rig.to_vector(), self.second_pose(rig).to_vector()];
         let still = [Vector6::zeros(); 2];
@@ -188,7 +188,7 @@ impl SolvedPair<'_> {
         Views { camera, poses, rates, accelerations, readout_s, rows: camera.height() as f64, global }
     }
 
-    /// Weights and noise from how well the tracks are explained now.
+    /// Updates the robust weights and the noise from the present residuals.
     pub fn reweight(&mut self, camera: &Camera, readout_s: f64, rig: &GroundPose, iteration: usize) {
         let views = self.views(camera, readout_s, rig);
         let errors: Vec<f64> = self
@@ -214,7 +214,8 @@ impl SolvedPair<'_> {
         let mut sorted = errors.clone();
         let middle = sorted.len() / 2;
         let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
-        // Of a Rayleigh distribution the median is 1.1774 deviations of a coordinate. Tukey's c for 95 % efficiency is 4.685.
+        // The median of a Rayleigh distribution is 1.1774 σ of a coordinate. Tukey's constant for
+        // 95 % efficiency is 4.685.
         let scale_px = (median / 1.1774).max(MIN_NOISE_PX);
         if !scale_px.is_finite() {
             self.weights.fill(0.0);
@@ -231,5 +232,5 @@ impl SolvedPair<'_> {
     }
 }
 
-/// Tracks that are further off than this, in deviations of a coordinate, are wrong: 2 in 1000 of the others are.
+/// Residual above which a track is an outlier, in σ of a coordinate; 2 in 1000 inliers exceed it.
 const CUTOFF_SIGMAS: f64 = 3.5;

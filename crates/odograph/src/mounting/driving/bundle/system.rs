@@ -8,7 +8,8 @@ use crate::geometry::GroundPose;
 use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector2};
 
-/// Normal equations of one pair in units of its noise: what it has in common with the others first, its movement second.
+/// Normal equations of one pair, divided by its noise variance: common unknowns first, then its
+/// motion.
 pub struct System<const N: usize> {
     common: SMatrix<f64, N, N>,
     cross: SMatrix<f64, N, 6>,
@@ -70,7 +71,7 @@ impl<const N: usize> System<N> {
         system
     }
 
-    /// What is left for what the pairs have in common once the movement is free.
+    /// Schur complement: equations of the common unknowns with the motion marginalised.
     pub fn reduced(&self) -> Option<Part<N>> {
         let movement = inverse(&self.movement)?;
         Some(Part {
@@ -79,7 +80,7 @@ impl<const N: usize> System<N> {
         })
     }
 
-    /// The step of the movement that goes with one of what the pairs have in common.
+    /// Back substitution: the step of the motion for a step of the common unknowns.
     pub fn movement_step(&self, step: &SVector<f64, N>) -> Option<Movement> {
         Some(inverse(&self.movement)? * (self.movement_slope - self.cross.transpose() * step))
     }

@@ -1,4 +1,5 @@
-//! How much a mount that is not steady moves: the second view of a pair against the first, and a keyframe against the mount.
+//! Random variation of height and tilt of a mount that is not rigid: between the views of a pair,
+//! and of a keyframe against the mount.
 
 use super::TILT;
 use super::pair::SolvedPair;
@@ -6,16 +7,17 @@ use super::system::System;
 use crate::numerics::{Part, inverse};
 use nalgebra::{Matrix2, SVector, Vector2};
 
-/// By how much the second view of a pair may be higher and tilted against the first: a Gaussian whose variances the recording itself
-/// tells (empirical Bayes, as [`crate::motion::RigPriorEstimator`] does for the odometry). On a steady mount nothing is left of them.
+/// Zero-mean Gaussian prior of the change of height and tilt between the views of a pair. Its
+/// variances are estimated from the recording (empirical Bayes, as
+/// [`crate::motion::RigPriorEstimator`] does for the odometry) and vanish on a rigid mount.
 pub struct PairVariation {
     pub variance: [f64; 3],
 }
 
-/// Standard deviations to begin with: a part of the height, radians.
+/// Initial standard deviations: fraction of the height, radians.
 const INITIAL_PAIR_SIGMAS: [f64; 3] = [0.01, 0.01, 0.01];
 
-/// Below this nothing changes that could be measured.
+/// Lower bound of the standard deviations, without measurable effect.
 const MIN_SIGMA: f64 = 1e-6;
 
 impl Default for PairVariation {
@@ -42,7 +44,8 @@ impl PairVariation {
     }
 }
 
-/// By how much a keyframe may be tilted against the mount, in roll and pitch: as [`PairVariation`], from keyframe to keyframe.
+/// Zero-mean Gaussian prior of the roll and pitch of a keyframe against the mount, estimated as in
+/// [`PairVariation`].
 pub struct KeyframeVariation {
     variance: [f64; TILT],
 }
@@ -53,21 +56,22 @@ impl Default for KeyframeVariation {
     }
 }
 
-/// Standard deviation to begin with, radians.
+/// Initial standard deviation, radians.
 const INITIAL_KEYFRAME_SIGMA_RAD: f64 = 0.01;
 
-/// A keyframe whose own tilt is free.
+/// A keyframe with its tilt marginalised.
 pub struct Marginal<const N: usize> {
-    /// What its pairs say about the rest then.
+    /// Equations of the remaining unknowns.
     pub reduced: Part<N>,
-    /// How well its tilt is known where the rest is.
+    /// Covariance of its tilt given the remaining unknowns.
     pub covariance: Matrix2<f64>,
-    /// That times the way to where it would be.
+    /// That covariance times the gradient: its step at zero change of the others.
     slope: Vector2<f64>,
 }
 
 impl KeyframeVariation {
-    /// Frees the tilt of a keyframe; `part` is what its pairs say where it is tilted by `tilted`. To its pairs it is the same as the tilt of the mount.
+    /// Marginalises the tilt of a keyframe. `part` holds the equations of its pairs about a tilt of
+    /// `tilted` against the mount. Its pairs cannot distinguish it from the tilt of the mount.
     pub fn marginalised<const N: usize>(
         &self,
         part: &Part<N>,
@@ -85,7 +89,7 @@ impl KeyframeVariation {
         Some(Marginal { reduced, covariance, slope })
     }
 
-    /// One step of expectation-maximisation, over the keyframes that say something.
+    /// One step of expectation maximisation over the keyframes with equations.
     pub fn update(&mut self, keyframe_tilts: &[Vector2<f64>], covariances: &[Vector2<f64>]) {
         for k in 0..TILT {
             let squares: f64 =
@@ -96,7 +100,7 @@ impl KeyframeVariation {
 }
 
 impl<const N: usize> Marginal<N> {
-    /// The step of the keyframe's tilt that goes with one of the rest.
+    /// Back substitution: the step of the keyframe's tilt for a step of the remaining unknowns.
     pub fn step(&self, part: &Part<N>, rest: &SVector<f64, N>) -> Vector2<f64> {
         self.covariance * (self.slope - part.information.fixed_rows::<TILT>(0) * rest)
     }
