@@ -11,13 +11,14 @@ use crate::image::Pyramid;
 use crate::motion::Random;
 use std::sync::Arc;
 
-/// So many frames in a row must agree with a candidate before it is believed: a hand passes, the floor stays.
+/// Consecutive frames that must agree with a candidate before it is accepted: a hand passes, the
+/// floor stays.
 pub const CONFIRMATIONS: usize = 3;
 
 /// After so many it is believed even though not every remembered keyframe has been looked for.
 pub const MOST_CONFIRMATIONS: usize = 8;
 
-/// A keyframe made of a frame that could not be measured, and how often later frames were measured against it.
+/// A keyframe made from an unmeasured frame, and the number of later frames that agreed with it.
 #[derive(Debug)]
 pub struct Candidate {
     pub keyframe: Keyframe,
@@ -28,7 +29,8 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// A candidate made of an unmeasured frame, taken where `last` has the camera. `None` where the frame shows too little.
+    /// A candidate from an unmeasured frame at the pose of `last`. `None` if the frame has too
+    /// little texture.
     pub fn new(
         pyramid: Pyramid,
         frame: u64,
@@ -44,7 +46,7 @@ impl Candidate {
         enough.then_some(Self { keyframe, last, made, confirmations: 0 })
     }
 
-    /// The next frame measured against the candidate, which it confirms; `None` where it does not agree.
+    /// Measures the next frame against the candidate; `None` if it does not agree.
     pub fn confirm(
         &mut self,
         pyramid: &Pyramid,
@@ -74,7 +76,8 @@ impl Candidate {
         self.confirmations >= needed
     }
 
-    /// A fast camera leaves the candidate's ground before it is believed: the next frame is measured against this one, where it shows enough.
+    /// A fast camera leaves the candidate's ground before it is accepted: the next frame is
+    /// measured against this one, if it has enough texture.
     pub fn move_on(&mut self, pyramid: Pyramid, frame: u64, camera: &Camera, config: &OdometryConfig) {
         let (pose, covariance, mask) = (self.last.pose, self.last.covariance, self.keyframe.mask.as_ref());
         let mut next = Keyframe::new(pyramid, pose, covariance, mask, camera, &config.detection);

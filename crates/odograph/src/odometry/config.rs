@@ -27,9 +27,10 @@ pub struct OdometryConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeyframeConfig {
-    /// A new keyframe is made when less than this part of the keyframe's corners still supports the movement.
+    /// A new keyframe is made when less than this fraction of the keyframe's corners are inliers.
     pub support: f64,
-    /// An older keyframe of which at least this part of the corners is in view again is taken up instead of making a new one.
+    /// An older keyframe is reused, instead of making a new one, if at least this fraction of its
+    /// corners is in view.
     pub revisit: f64,
     /// So many older keyframes are remembered.
     pub remembered: usize,
@@ -42,7 +43,7 @@ impl Default for KeyframeConfig {
 }
 
 impl OdometryConfig {
-    /// With what depends on the size of the image: blur, rolling shutters and what stands a little above the ground grow with it.
+    /// Scales what depends on the image size: blur, rolling shutter and relief grow with it.
     pub(crate) fn for_camera(mut self, camera: &Camera) -> Self {
         self.motion.inlier_px *= (camera.width() as f64 / 640.0).max(1.0);
         self

@@ -1,4 +1,5 @@
-//! What may not be the ground: measurements that are doubted, and looked for again anywhere over known ground.
+//! Ambiguous measurements, which may not be of the ground: they are searched for again over all
+//! known ground.
 
 use super::Odometry;
 use super::follow::{self, Measurement};
@@ -8,24 +9,27 @@ use crate::image::Pyramid;
 use crate::motion::{MotionModel, Random};
 use crate::trajectory::LossReason;
 
-/// Where a smaller part of the corners in view agrees with a pose, it may be that of something else.
+/// A pose with a smaller inlier ratio among the corners in view may be that of something else.
 const DOUBTFUL_PRESENCE: f64 = 0.55;
 
 /// Where a smaller part of the corners in view agrees, what agrees does so by chance.
 pub const CHANCE_PRESENCE: f64 = 0.25;
 
-/// A measurement further than this from where it was expected is a surprise, pixels: a joint of the floor may have been taken for its neighbour.
+/// Distance from the prediction, pixels, above which a joint of the floor may have been taken for
+/// its neighbour.
 const SURPRISE_PX: f64 = 12.0;
 
 /// Where a smaller part of the corners in view agrees with a surprise, it may be something else.
 const SURPRISING_PRESENCE: f64 = 0.7;
 
-/// For so many frames after a loss, what stands still in the image is not taken for a camera that came to rest exactly where its keyframe was made.
+/// Number of frames after a loss in which a standing image is not taken for a camera that came to
+/// rest exactly at its keyframe.
 const MOST_SHADOWED: usize = 15;
 
 impl Odometry {
-    /// Whether a measurement may have followed something beside the ground, as a shadow that moves along, or another part of the ground that
-    /// looks alike: few of the corners in view agree with it, or not most of them although it is not where it was expected.
+    /// Whether a measurement may have tracked something beside the ground, such as a moving shadow,
+    /// or another part of the ground that looks alike: few corners in view are inliers, or less
+    /// than most although the pose is far from the prediction.
     pub(super) fn is_doubtful(&self, measurement: &Measurement) -> bool {
         let (found, expected) = (&measurement.estimate.pose, &measurement.prediction);
         let off_m = (found.x_m - expected.x_m).hypot(found.y_m - expected.y_m);

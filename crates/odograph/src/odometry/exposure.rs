@@ -1,9 +1,9 @@
 //! How a keyframe was exposed: the rates of its pose, a state that every frame measured against it
 //! refines.
 //!
-//! Rows tell the skew of a frame only against that of its keyframe; the motion from frame to frame tells
-//! it by itself, but roughly. The difference of the two, frame after frame, is the error of the
-//! keyframe's skew (a scalar Kalman filter for each of the rates).
+//! Rows tell the skew of a frame only against that of its keyframe; the motion from frame to frame
+//! tells it by itself, but roughly. The difference of the two, frame after frame, is the error of
+//! the keyframe's skew (a scalar Kalman filter for each of the rates).
 
 use super::Odometry;
 use super::keyframe::Keyframe;
@@ -11,8 +11,8 @@ use crate::camera::Camera;
 use crate::geometry::GroundPose;
 use crate::motion::{MotionEstimate, PoseRates, RollingShutter};
 
-/// Rates within the first keyframe may be anything up to this: parts of the height, and radians, per
-/// second.
+/// Rates within the first keyframe may be anything up to this: parts of the height, and radians,
+/// per second.
 const FIRST_RATE: f64 = 1.0;
 
 /// What a keyframe's corners may be off by, pixels, before they are laid on the ground again.
@@ -83,7 +83,8 @@ impl Odometry {
         }
     }
 
-    /// The first keyframe moved as the camera did until the first frame after it, give or take as much.
+    /// The first keyframe moved as the camera did until the first frame after it, give or take as
+    /// much.
     fn expose_by_first_step(&mut self, rates: PoseRates) {
         let Some(keyframe) = &mut self.keyframe else { return };
         keyframe.expose(&self.camera, RollingShutter { rates, ..keyframe.shutter });

@@ -29,8 +29,8 @@ pub struct Measurement {
     pub found: Buffer<Found>,
     /// The part of the keyframe's corners that supports the movement, 0 to 1.
     pub support: f64,
-    /// Whether some of the corners were found first and agreed on a pose from which the others were looked for: what was not found from
-    /// there is not to be found.
+    /// Whether a subset of the corners agreed on a pose from which the rest was searched for: what
+    /// was not found from there is not visible.
     pub settled: bool,
     /// Where the whole image was compared: the part of what is in view that agrees.
     pub agreement: Option<f64>,
@@ -86,8 +86,8 @@ fn observations(
     whitened(&sightings, SHARED_PX2).map_or_else(Buffer::new, |(observations, _)| observations)
 }
 
-/// What a track is off even without noise (interpolation, what the shape of its warp leaves), pixels²: 0.02 px. More exact than that no track is
-/// taken to be, so that where all are good all count alike.
+/// Lower bound of a track's variance, pixels²: 0.02 px of interpolation and warp error. Where all
+/// tracks are good, all have equal weight.
 const SHARED_PX2: f64 = 4e-4;
 
 stored!(Found);
@@ -117,7 +117,8 @@ pub fn measure(
 /// A pose that was found from few corners is still right to about this much in the image, pixels.
 const FOUND_WITHIN_PX: f64 = 2.0;
 
-/// Measures the pose of a frame against a keyframe where the prediction is off by no more than `off_px` in the image.
+/// Measures the pose of a frame against a keyframe if the prediction is off by at most `off_px` in
+/// the image.
 pub fn measure_near(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -129,8 +130,8 @@ pub fn measure_near(
     random: &mut Random,
 ) -> Result<Measurement, LossReason> {
     if config.motion.model != MotionModel::Mean && keyframe.texture() == Texture::Faint {
-        // An image of which a part is dark or blurred looks faint, too, but has corners. What a rolling
-        // shutter skews only corners tell.
+        // A partly dark or blurred image looks faint, too, but has corners. Only corners determine
+        // the skew of a rolling shutter.
         let whole = || measure_whole(keyframe, pyramid, camera, prediction, config, learned);
         let by_corners = |random: &mut Random| {
             if keyframe.corners.len() < 2 * config.motion.minimum_inliers {
@@ -158,7 +159,7 @@ pub fn measure_near(
 /// On an image that looks faint this part of the corners in view must agree with a pose.
 const LEAST_ON_FAINT: f64 = 0.5;
 
-/// Measures the pose of a frame against all of a keyframe: on faint ground no single corner can be believed.
+/// Registers a frame to a whole keyframe: on faint ground no single corner is reliable.
 fn measure_whole(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -184,8 +185,8 @@ fn measure_whole(
     })
 }
 
-/// Measures the pose of a frame against all of a keyframe whose corners are drowned in noise, near one of two predictions. Nothing where they are not, or where
-/// the ground is not found: then its corners may be.
+/// Registers a frame to a whole keyframe whose corners do not exceed the noise, near one of two
+/// predictions. `None` if they do exceed it, or if the ground is not found.
 pub fn measure_drowned(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -203,8 +204,8 @@ pub fn measure_drowned(
         .find_map(|prediction| measure_whole(keyframe, pyramid, camera, prediction, config, learned).ok())
 }
 
-/// Drops what does not come back to its corner when it is followed backward, and measures again: done where others will be built on
-/// this frame.
+/// Drops tracks that fail the forward-backward check and measures again: used where later frames
+/// depend on this one.
 pub fn confirm(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -227,8 +228,8 @@ pub fn confirm(
     judge(keyframe, followed, camera, &measurement.prediction, config, learned, random).unwrap_or(measurement)
 }
 
-/// The part of a keyframe's corners which a camera at the measured pose should see that agrees with it, 0 to 1: low where only something
-/// beside the ground was followed.
+/// Inlier ratio among the keyframe's corners that a camera at the measured pose should see, 0 to 1:
+/// low if only something beside the ground was tracked.
 pub fn presence(keyframe: &Keyframe, camera: &Camera, measurement: &Measurement) -> f64 {
     let estimate = &measurement.estimate;
     measurement.agreement.unwrap_or_else(|| {
@@ -237,15 +238,16 @@ pub fn presence(keyframe: &Keyframe, camera: &Camera, measurement: &Measurement)
     })
 }
 
-/// Why what was found speaks for no movement: most of what should be in view was found and does not move as one plane, or it was found by chance.
+/// Reason of a loss: most of what should be in view was found but does not move as one plane, or it
+/// was found by chance.
 pub fn why_not(keyframe: &Keyframe, camera: &Camera, found: &[Found], prediction: &GroundPose) -> LossReason {
     const MOST: f64 = 0.5;
     let expected = in_view(keyframe, keyframe.corners.iter(), camera, prediction);
     if found.len() as f64 >= MOST * expected as f64 { LossReason::NotPlanar } else { LossReason::Jump }
 }
 
-/// Whether what agrees with a measurement stands still in the image although the camera should have moved on since its keyframe, as the shadow of the
-/// carrier does.
+/// Whether the inliers stand still in the image although the camera should have moved since the
+/// keyframe, as the shadow of the vehicle does.
 pub fn stands_still(keyframe: &Keyframe, camera: &Camera, measurement: &Measurement) -> bool {
     const STILL_PX: f64 = 1.0;
     const MOVED_PX: f64 = 6.0;
@@ -277,7 +279,7 @@ fn in_view<'a>(
     corners.filter(seen).count()
 }
 
-/// The part of a keyframe that a camera at `pose` would still see: of its corners, those that were found now.
+/// Fraction of the keyframe's tracked corners that a camera at `pose` would still see.
 pub fn still_seen(keyframe: &Keyframe, camera: &Camera, found: &[Found], pose: &GroundPose) -> f64 {
     if found.is_empty() {
         return keyframe.dense(camera).overlap(camera, pose);
@@ -305,14 +307,14 @@ const SCOUTS: usize = 64;
 /// They show where all the others are when this part of those in view agrees.
 const SETTLED: f64 = 0.6;
 
-/// Where a prediction may be off by this much, it is mostly off by less than the full image finds, pixels.
+/// Typical error of the prediction, pixels, within the reach of the full-resolution image.
 const LIKELY_NEAR_PX: f64 = 4.0;
 
 /// From a pose that the scouts agree on, corners are off by less than this, pixels.
 const SETTLED_PX: f64 = 0.75;
 
-/// Searches every corner where and in which shape the predicted pose expects it: some of them first, and the others from the pose that
-/// those speak for. That is off by so little that the full image is enough.
+/// Searches for each corner at its predicted position and shape: a subset first, and the rest from
+/// the pose that the subset gives, which is exact enough for the full-resolution image alone.
 fn follow(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -336,7 +338,8 @@ fn follow(
     }
     let scouts = (0..corners).step_by(every);
     let mut settled = None;
-    // Mostly the prediction is better than it need be, and the full image is enough: the coarser levels are not even made.
+    // Usually the prediction is good and the full-resolution image is enough: the coarser levels
+    // are not even computed.
     let likely_near = off_px > SEARCH_RADIUS_PX && off_px <= LIKELY_NEAR_PX;
     let reaches: &[f64] = if likely_near { &[SEARCH_RADIUS_PX, off_px] } else { &[off_px] };
     for &off_px in reaches {
@@ -423,7 +426,7 @@ fn find(
         Ok(found) if found.dissimilarity <= config.flow.dissimilarity => {
             (Warp { position: found.position, ..warp }, found)
         }
-        // Second judgement: perhaps only the expected shape was wrong. From a pose that others agree on it is not.
+        // The predicted shape alone may have been wrong. From a pose with inliers it is not.
         Ok(Track { position, .. }) if off_px > SETTLED_PX => {
             dissimilarity(&corner.template, pyramid, &Warp { position, ..warp })
                 .filter(|(_, found)| found.dissimilarity <= config.flow.dissimilarity)?
@@ -436,8 +439,8 @@ fn find(
     Some(Found { corner: index, warp: Warp { position, ..warp }, covariance_px2, light, noise })
 }
 
-/// Searches every corner where it was last seen; its shape is what the affine comparison with its first appearance finds. This is the paper's way, without
-/// a model of the camera's rotation.
+/// Searches for each corner where it was last seen; its shape is that of the affine comparison with
+/// its first appearance. This is the paper's method, without a model of the camera's rotation.
 fn follow_by_eye(
     keyframe: &Keyframe,
     pyramid: &Pyramid,
@@ -496,7 +499,8 @@ fn judge(
             estimate(camera, observations, near, prior, &config.motion, random)
         };
         let near = settled.unwrap_or(*prediction);
-        // A keyframe that is off the mount by more than the mount is seen to move still holds its frames.
+        // A keyframe that deviates from the mount by more than its scatter is still valid for its
+        // frames.
         let prior = [prior, prior.reaching(&keyframe.pose)];
         let mut best = |plane: GroundHypothesis| {
             let first = prior.iter().find_map(|prior| Some((measure(&near, prior, plane)?, prior)));

@@ -39,8 +39,8 @@ pub struct Keyframe {
     pub shutter: RollingShutter,
     /// Variances of the rates of the pose meanwhile.
     pub rate_variance: PoseRates,
-    /// How the pose changes with the readout time, metres and radians per second: what a readout time
-    /// that is off has done to it since the start.
+    /// How the pose changes with the readout time, metres and radians per second: what a readout
+    /// time that is off has done to it since the start.
     pub by_readout: PoseRates,
     /// How the pose changes with roll and pitch of the mount.
     pub by_mount_tilt: Matrix6x2<f64>,
@@ -63,7 +63,8 @@ pub struct Keyframe {
     sought: Option<Box<Detection>>,
     /// How many of the places have been prepared.
     prepared: usize,
-    /// Whether the corners are prepared in two halves, the second one frame later: where there is time for it.
+    /// Whether the corners are prepared in two halves, the second one frame later, where there is
+    /// time.
     pub in_halves: bool,
     /// The ground as the keyframe saw it, for coarse registration; made when it is first needed.
     view: Option<GroundView>,
@@ -176,8 +177,8 @@ const MIN_MOVING: usize = 10;
 /// A smaller fraction of the corners that moves does no harm, and may be tracking errors.
 const MIN_MOVING_SHARE: f64 = 0.1;
 
-/// Root mean square motion of the inliers in the image, pixels, below which they may be fixed to the
-/// camera. Three times the 2 px within which a corner counts as standing still.
+/// Root mean square motion of the inliers in the image, pixels, below which they may be fixed to
+/// the camera. Three times the 2 px within which a corner counts as standing still.
 const MIN_FLOW_PX: f64 = 6.0;
 
 /// Ground moves as the majority of the known points within this distance does, a fraction of the
@@ -189,8 +190,8 @@ const TUFT: f64 = 0.12;
 const CONFIRMATIONS: usize = 2;
 const LONGER_PARALLAX: f64 = 2.0;
 
-/// Frames whose tracks are off by more than this, pixels, show no kerb: the shutter rolls, or images
-/// are blurred.
+/// Frames whose tracks are off by more than this, pixels, show no kerb: the shutter rolls, or
+/// images are blurred.
 const KERB_PX: f64 = 0.3;
 
 /// Of fewer confirmed corners a kerb is not remembered: tracks that slip along an edge are off the
@@ -200,8 +201,8 @@ const CORNERS_OF_KERB: usize = 12;
 impl KeyCorner {
     /// Compares its elevation with that of an earlier frame, where the parallax has grown enough
     /// since, and gives the earlier one. Where both say several times that it is off the ground it
-    /// is on a kerb, and its elevation may be anything up to `highest_m`; with `None` the tracks are
-    /// off for another reason.
+    /// is on a kerb, and its elevation may be anything up to `highest_m`; with `None` the tracks
+    /// are off for another reason.
     fn compare(&mut self, seen: &MeasuredElevation, highest_m: Option<f64>) -> Option<MeasuredElevation> {
         let Some(before) = self.seen_before else {
             self.seen_before = Some(*seen);
@@ -259,8 +260,9 @@ impl Keyframe {
         keyframe
     }
 
-    /// The same, but its corners are sought in half of the image only: [`Keyframe::prepare`] must have been called before anything is measured
-    /// against them. The frame that becomes a keyframe is among the slowest anyway; the next one, which needs them, does the rest and takes as long.
+    /// The same with corners detected in half of the image; [`Keyframe::prepare`] must be called
+    /// before measuring against it. The frame that becomes a keyframe is among the slowest; the
+    /// next one does the rest.
     pub fn to_be_prepared(
         pyramid: Pyramid,
         pose: GroundPose,
@@ -348,8 +350,8 @@ impl Keyframe {
         }
     }
 
-    /// More is known about what is not ground: where a corner lies there, all are sought again. [`Keyframe::prepare`] must be called before anything is measured
-    /// against them.
+    /// Sets the mask. If a corner lies in it, all are detected again, and [`Keyframe::prepare`]
+    /// must be called before measuring.
     pub fn set_mask(&mut self, mask: &Arc<ImageMask>, detection: &DetectionConfig) {
         let image = self.pyramid.base();
         let begun = self.sought.is_some();
@@ -370,8 +372,8 @@ impl Keyframe {
         self.mask.as_ref().is_some_and(|mask| mask.covers_pixel(pixel))
     }
 
-    /// Lays the corners on the ground and prepares them for being found again, where that was not done yet. In two halves, each spread over the image, where
-    /// that is wanted: then this does one of them.
+    /// Projects the corners onto the ground and prepares their templates, where not done yet. In
+    /// two halves, each spread over the image, one call does one half.
     pub fn prepare(&mut self, camera: &Camera) {
         let places = self.find().len();
         let first = self.prepared;
@@ -585,7 +587,8 @@ impl Keyframe {
         *self.texture.get_or_init(|| Texture::of(&self.pyramid, self.mask.as_ref()))
     }
 
-    /// The whole image, to be compared with others. Half of its resolution: on faint ground the rest is noise.
+    /// The whole image as a reference for registration, at half resolution: on faint ground the
+    /// rest is noise.
     pub fn dense(&self, camera: &Camera) -> &DenseReference {
         self.dense.get_or_init(|| {
             let image = DenseImage::new(self.pyramid.base()).without(self.mask.clone());
@@ -726,7 +729,8 @@ impl KeyframeMemory {
         }
     }
 
-    /// Takes out the keyframe of which a camera at `pose` sees most, if that is at least `least` of its image.
+    /// Removes and returns the keyframe of which a camera at `pose` sees most, if that is at least
+    /// `least` of its image.
     pub fn take_best(&mut self, camera: &Camera, pose: &GroundPose, least: f64) -> Option<Keyframe> {
         let seen = ViewingPose::new(*pose);
         let rays = grid_rays(camera);
@@ -779,7 +783,7 @@ impl KeyframeMemory {
         self.records.insert(index.min(self.records.len()), keyframe.retire());
     }
 
-    /// A new segment begins: what is remembered is no longer connected with the present by measurement.
+    /// Starts a new segment: remembered keyframes are no longer connected to the present pose.
     pub fn close_segment(&mut self) {
         self.records.iter_mut().for_each(|record| record.reachable = false);
     }
@@ -828,7 +832,7 @@ fn overlap(
     seen_share(&record.pose, rays, camera, pose)
 }
 
-/// The part of a coarse grid over the image of a camera at `at` that a camera at `pose` would have in view.
+/// Fraction of a coarse grid over the image of a camera at `at` that a camera at `pose` sees.
 pub fn seen_share(
     at: &GroundPose,
     rays: &[Option<Ray>; GRID * GRID],

@@ -35,7 +35,8 @@ pub struct NewKeyframe {
     pub pose: GroundPose,
     /// Covariance of the pose against the start of the run, (x, y, heading, height, roll, pitch).
     pub covariance: Matrix6<f64>,
-    /// How it lies to the keyframe it was measured against, or, after a gap, to the last one before; the first of all lies to none.
+    /// Pose relative to the keyframe it was measured against or, after a gap, to the last one;
+    /// `None` for the first.
     pub tie: Option<MapEdge>,
     /// What it shows, as a global shutter would have.
     pub image: GrayImage,
@@ -62,12 +63,13 @@ pub(super) struct Before {
 }
 
 impl Odometry {
-    /// From here on what happens to the keyframes is kept for [`Odometry::take_keyframe_events`], which must then be called after every frame.
+    /// Records keyframe events for [`Odometry::take_keyframe_events`], which must then be called
+    /// after every frame.
     pub fn tell_keyframes(&mut self) {
         self.events.get_or_insert_default();
     }
 
-    /// What happened to the keyframes since this was asked last, in order; nothing without [`Odometry::tell_keyframes`].
+    /// Keyframe events since the last call, in order; none without [`Odometry::tell_keyframes`].
     pub fn take_keyframe_events(&mut self) -> Vec<KeyframeEvent> {
         self.events.as_mut().map(std::mem::take).unwrap_or_default()
     }

@@ -18,8 +18,8 @@ pub struct LastPose {
     accelerations: [f64; 3],
     /// The time from the measured pose before.
     pub step_s: f64,
-    /// How far off the last poses were from where the rates alone would have had them, and from where rates and accelerations would: seen from
-    /// the camera, lengths over the height, and radians.
+    /// Recent extrapolation errors with constant velocity and with constant acceleration, seen from
+    /// the camera: lengths over the height, and radians.
     off_by: [f64; 2],
 }
 
@@ -78,14 +78,14 @@ impl LastPose {
         self.off_by().is_finite() && off_by > JUMP.max(JUMP_OVER_USUAL * self.off_by())
     }
 
-    /// The pose at `time_s` had the camera gone on as it went, with its acceleration where that has foretold the last poses better; height and
-    /// tilt stay.
+    /// The pose extrapolated to `time_s`, with constant acceleration where that predicted the last
+    /// poses better; height and tilt are constant.
     pub fn extrapolated(&self, time_s: f64) -> GroundPose {
         let [steady, accelerated] = self.off_by;
         self.carried_on(time_s, if accelerated < steady { 1.0 } else { 0.0 })
     }
 
-    /// How far off the extrapolations to the last poses were, seen from the camera: lengths over the height, and radians.
+    /// Recent extrapolation error, seen from the camera: lengths over the height, and radians.
     pub fn off_by(&self) -> f64 {
         self.off_by[0].min(self.off_by[1])
     }
@@ -107,14 +107,15 @@ impl LastPose {
         }
     }
 
-    /// Where the camera would be at `time_s` had it gone on as it went all the while, and still went on so.
+    /// The pose at `time_s` after motion at the mean velocity, which continues.
     pub fn carried_over_gap(&self, time_s: f64) -> Self {
         let covariance = self.covariance + self.gap_covariance(time_s);
         Self { time_s, pose: self.extrapolated(time_s), covariance, pose_rates: None, ..self.clone() }
     }
 
-    /// How far off [`LastPose::extrapolated`] may be over a gap: the camera may have stopped or doubled its speed (two standard deviations), and
-    /// may have set off from rest at 0.2 m/s and 0.2 rad/s.
+    /// Covariance of [`LastPose::extrapolated`] over a gap: the camera may have stopped or doubled
+    /// its speed (two standard deviations), and may have started from rest at 0.2 m/s and 0.2
+    /// rad/s.
     fn gap_covariance(&self, time_s: f64) -> Matrix6<f64> {
         let gap_s = (time_s - self.time_s).max(0.0);
         let variance = |rate: f64| ((0.5 * rate.abs() + 0.1) * gap_s).powi(2);
@@ -127,7 +128,8 @@ impl LastPose {
     }
 }
 
-/// How far apart the same ground is seen from two poses, at most and roughly: lengths over the height, and radians.
+/// Approximate upper bound of the distance between images of the same ground seen from two poses:
+/// lengths over the height, and radians.
 pub fn seen_apart(a: &GroundPose, b: &GroundPose) -> f64 {
     let moved_m = (a.x_m - b.x_m).hypot(a.y_m - b.y_m) + (a.height_m - b.height_m).abs();
     let turns = [a.heading_rad - b.heading_rad, a.roll_rad - b.roll_rad, a.pitch_rad - b.pitch_rad];

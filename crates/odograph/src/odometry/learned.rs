@@ -17,7 +17,8 @@ use nalgebra::{Matrix2, Matrix6, Matrix6x2, Vector2};
 pub struct Learned {
     /// How much height and tilt are seen to move.
     pub rig_prior: RigPriorEstimator,
-    /// The part of the corners in view that agreed in the last frames: below 1 where not everything in view is ground, or where corners are noise.
+    /// Recent inlier ratio among the corners in view: below 1 where not everything in view is
+    /// ground, or where corners are noise.
     presence: Option<f64>,
     /// The shutter; `None` where it is taken to be global.
     shutter: Option<ShutterState>,
@@ -40,14 +41,14 @@ const PRESENCE_RATE: f64 = 0.2;
 /// costs nothing: elevations within it are told by their parallax.
 const LEAST_RELIEF: f64 = 0.01;
 
-/// Length of the path over which undulating ground has the same error of the scale, in heights: twice what
-/// is in view.
+/// Length of the path over which undulating ground has the same error of the scale, in heights:
+/// twice what is in view.
 const SAME_SCALE: f64 = 2.0;
 
 /// What is expected before any frame was measured.
 const UNKNOWN_PRESENCE: f64 = 0.5;
 
-/// Where this part of the corners in view agrees, all that can be found are taken to be: a few always miss.
+/// Inlier ratio from which all corners count as found: a few are always missed.
 const ALL_PRESENT: f64 = 0.75;
 
 impl Learned {
@@ -140,9 +141,9 @@ impl Learned {
         self.scale_variance += (relative - self.scale_variance) / self.uneven_frames;
     }
 
-    /// What undulating ground adds to the covariance of a pose: the height of the rig is above the ground on
-    /// which its wheels stand, which is not that in view. Steps are too long or too short by a scale that
-    /// is the same over some length of the path and independent beyond it.
+    /// What undulating ground adds to the covariance of a pose: the height of the rig is above the
+    /// ground on which its wheels stand, which is not that in view. Steps are too long or too short
+    /// by a scale that is the same over some length of the path and independent beyond it.
     pub fn level_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
         let mut covariance = Matrix6::zeros();
         covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(&(self.scale_variance * self.path_m2));
@@ -203,8 +204,8 @@ impl Learned {
         self.shutter.as_ref().map_or(0.0, ShutterState::readout_doubt_s2)
     }
 
-    /// What the uncertainty of the readout time adds to the covariance of a pose that changes with it by
-    /// `by_readout`.
+    /// What the uncertainty of the readout time adds to the covariance of a pose that changes with
+    /// it by `by_readout`.
     pub fn readout_covariance(&self, by_readout: &PoseRates) -> Matrix6<f64> {
         by_readout * by_readout.transpose() * self.readout_errors_s2()
     }
@@ -261,8 +262,9 @@ impl Learned {
         self.presence.unwrap_or(UNKNOWN_PRESENCE)
     }
 
-    /// The part of a keyframe's corners that can be expected to be found again, 0 to 1. On plain tiles in noise most of what looks like a corner is
-    /// noise: a keyframe is not used up, nor a search in vain, because those do not come back.
+    /// Fraction of a keyframe's corners that can be expected to be found again, 0 to 1. On plain
+    /// tiles in noise most apparent corners are noise; their absence neither ends a keyframe nor a
+    /// search.
     pub fn findable(&self) -> f64 {
         self.presence.map_or(1.0, |usual| (usual / ALL_PRESENT).min(1.0))
     }

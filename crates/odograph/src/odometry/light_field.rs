@@ -5,11 +5,12 @@ use crate::buffer::Buffer;
 use crate::geometry::Pixel;
 use nalgebra::{Matrix6, Vector2, Vector6};
 
-/// The logarithm of the light over that in which the same ground was first seen, as a quadratic over the image: vignetting is one, since the ground has moved
-/// in it, and so is, nearly, what a lamp, a window or a soft shadow do.
+/// Logarithm of the illumination relative to that of the keyframe, as a quadratic over the image:
+/// vignetting has that form, since the ground has moved in it, and so have, approximately, a lamp,
+/// a window or a soft shadow.
 #[derive(Debug, Clone)]
 pub struct LightField {
-    /// Of 1, x, y, x x, x y and y y, where x and y are counted from `middle` in units of [`UNIT_PX`].
+    /// Coefficients of 1, x, y, x², x y and y², with x and y from `middle` in units of [`UNIT_PX`].
     coefficients: Vector6<f64>,
     middle: Vector2<f64>,
 }
@@ -89,7 +90,7 @@ mod tests {
     fn vignetting_is_told_from_what_else_is_bright() {
         let mut random = Random::new(5);
         let mut uniform = || random.below(1 << 16) as f64 / 65536.0;
-        // What is 150 px further right now is in less light there than it was: 30 % less in the corners.
+        // Ground that was 150 px further left is now in less light: 30 % less in the corners.
         let vignetted = |x: f64, y: f64| (1.0 - 0.3 * (x * x + y * y) / 160_000.0).ln();
         let mut found = Vec::new();
         for corner in 0..300 {
@@ -111,7 +112,7 @@ mod tests {
                 vignetted(from_x + dx, from_y + dy) - vignetted(from_x + dx - 150.0, from_y + dy)
             };
             let truth = Vector2::new(at(0.5, 0.0) - at(-0.5, 0.0), at(0.0, 0.5) - at(0.0, -0.5));
-            // The quadratic leaves a part of the logarithm: a fifth of what is there, in the corners.
+            // The quadratic leaves a fifth of the slope in the corners.
             let off = (field.slope(Pixel::new(x, y)) - truth).norm();
             assert!(off < 2.5e-4, "at {x}, {y}: {off} of {}", truth.norm());
         }

@@ -6,10 +6,12 @@ use std::fmt::Display;
 use std::ops::RangeInclusive;
 
 impl OdometryConfig {
-    /// The same parameters, when each lies where it makes sense.
+    /// Checks that each parameter is within its range.
     ///
-    /// Fails, naming the parameter, its value and what it may be, where one is not a number or outside its range: the upper ends
-    /// are far beyond use, and keep memory and time within what a machine has.
+    /// # Errors
+    ///
+    /// Names the parameter, its value and its range if it is not a number or out of range. Upper
+    /// limits are far beyond use and bound memory and time.
     pub fn validated(self) -> Result<Self> {
         let Self { detection, flow, motion, keyframe, filter } = &self;
         check("detection.corners", detection.corners, 1..=100_000)?;

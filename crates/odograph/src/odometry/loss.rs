@@ -89,7 +89,7 @@ impl Odometry {
         self.candidate.as_mut()?.confirm(pyramid, time_s, camera, config, learned, &mut random)
     }
 
-    /// Whether enough frames agreed with the candidate. To come back to known ground is better than to begin anew.
+    /// Whether enough frames agreed with the candidate. Known ground is preferred to a new segment.
     pub(super) fn candidate_is_believed(&self) -> bool {
         let needed =
             if self.recovery.is_exhausted(&self.memory) { CONFIRMATIONS } else { MOST_CONFIRMATIONS };
@@ -122,7 +122,8 @@ impl Odometry {
     /// How the first keyframe after a gap lies to the last one before.
     pub(super) fn across_the_gap(&self, last: &LastPose, next: &Keyframe) -> Option<Before> {
         let before = self.keyframe.as_ref()?;
-        // Where the camera is became less sure by the gap; how high and how tilted it is was measured anew, and may be known better than before.
+        // The gap made the position less certain; height and tilt were measured anew and may be
+        // more certain than before.
         let mut covariance = next.covariance - self.carried_covariance(&last.pose);
         for k in 3..6 {
             covariance.row_mut(k).fill(0.0);

@@ -1,8 +1,9 @@
-//! One frame on one screen: from an image to a pose, a step per line.
+//! Visual odometry: from an image to a pose, one frame on one screen, one step per line.
 //!
-//! The ground is held by a *keyframe*: an image whose corners lie on the ground as metric points. Every later frame is measured against
-//! the keyframe, not against the frame before it, until too little of it is left in view; then that frame becomes the next keyframe. So
-//! errors add up once per keyframe, not thirty times a second.
+//! The ground is represented by a *keyframe*: an image whose corners lie on the ground as metric
+//! points. Every later frame is measured against the keyframe, not against the previous frame,
+//! until too little of it is in view; then that frame becomes the next keyframe. Errors thus
+//! accumulate per keyframe, not per frame.
 
 mod candidate;
 mod config;
@@ -97,14 +98,15 @@ pub struct Odometry {
     reference: Option<FrameReference>,
 }
 
-/// Where this part of the corners in view that usually agree is found and agrees, what is missing lies out of view: to search again would find nothing.
+/// Fraction of the expected inliers from which the rest is taken to be out of view, so that a
+/// second search would find nothing.
 const NEARLY_ALL: f64 = 0.95;
 
 /// Of a mask that covers more than this, no ground is left to follow.
 const MOST_MASKED: f64 = 0.95;
 
-/// Over so many steps the time between frames is taken, and a readout may take this part of it: times
-/// are rounded.
+/// Over so many steps the time between frames is taken, and a readout may take this part of it:
+/// times are rounded.
 const STEPS_BEFORE_JUDGING: u64 = 10;
 /// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
 /// measured to have.
@@ -150,8 +152,12 @@ impl Odometry {
         })
     }
 
-    /// The same pipeline, told what of the image is not ground: what is darker than middle gray in a picture of the size of the frames. What is found
-    /// on the way comes to that. Fails where the picture has another size.
+    /// Adds a mask: pixels darker than middle gray, in a picture of the size of the frames, are not
+    /// ground. What is detected while tracking is added.
+    ///
+    /// # Errors
+    ///
+    /// If the picture has another size.
     pub fn with_mask(mut self, picture: &GrayImage) -> Result<Self> {
         let size = (self.camera.width(), self.camera.height());
         if (picture.width(), picture.height()) != size {
@@ -179,7 +185,11 @@ impl Odometry {
         &self.fixed
     }
 
-    /// Takes the next frame. Fails where the image has not the size the camera is calibrated for, or its time is not a number.
+    /// Processes the next frame.
+    ///
+    /// # Errors
+    ///
+    /// If the image has another size than the calibration, or the time is not a number.
     pub fn process(&mut self, image: GrayImage, time_s: f64) -> Result<FrameEstimate> {
         self.check_input(&image, time_s)?;
         self.check_readout(time_s)?;
@@ -220,8 +230,8 @@ impl Odometry {
         &self.tracks
     }
 
-    /// Whether the tracks of the last frame look like those of ground that is not flat. A tilt, a lens or
-    /// a shutter that is another than it was given may look so, too.
+    /// Whether the tracks of the last frame look like those of ground that is not flat. A tilt, a
+    /// lens or a shutter that is another than it was given may look so, too.
     pub fn sees_relief(&self) -> bool {
         let has_relief = self.keyframe.as_ref().is_some_and(|keyframe| keyframe.surface.is_some());
         has_relief || self.learned.relief_m2() > 0.0
@@ -279,7 +289,7 @@ impl Odometry {
         Ok(())
     }
 
-    /// The pose of a frame against what is known of the ground: near where it is expected, otherwise anywhere.
+    /// The pose of a frame against known ground: near the prediction, otherwise anywhere.
     fn measure(&mut self, pyramid: &Pyramid, time_s: f64) -> std::result::Result<Measurement, LossReason> {
         let near = self.measure_near(pyramid, time_s);
         let measured = match near {
@@ -296,7 +306,8 @@ impl Odometry {
         };
         let mut random = Random::new(self.frames);
         let mut outcome = Err(LossReason::Jump);
-        // The mean vector is measured from the last frame; poses are measured from where the camera is thought to be.
+        // The mean vector is measured from the last frame; other models start from the predicted
+        // pose.
         let extrapolated = match self.config.motion.model {
             MotionModel::Mean => last.pose,
             _ => self.beside_keyframe(&last.extrapolated(time_s)),
@@ -345,8 +356,8 @@ impl Odometry {
         GroundPose::from_vector(&(pose.to_vector() - self.keyframe_off))
     }
 
-    /// How far off the extrapolated pose may be in the image; nothing where that is so much that the search is a full one anyway, or is
-    /// not known.
+    /// Expected error of the extrapolated pose in the image; `None` if unknown or so large that the
+    /// search covers everything anyway.
     fn prediction_off_px(&self, last: &LastPose, time_s: f64) -> Option<f64> {
         const FULL_SEARCH_PX: f64 = 4.0;
         let usual_step = time_s - last.time_s <= 1.5 * last.step_s;
@@ -453,8 +464,8 @@ impl Odometry {
         }
     }
 
-    /// What the skew of the keyframe adds to the covariance of a frame, and how the frame's pose changes
-    /// with the readout time.
+    /// What the skew of the keyframe adds to the covariance of a frame, and how the frame's pose
+    /// changes with the readout time.
     fn shutter_errors(&mut self, estimate: &MotionEstimate) -> (Matrix6<f64>, PoseRates) {
         let Some(keyframe) = &self.keyframe else { return Default::default() };
         let of_keyframe = estimate.by_keyframe * keyframe.by_readout;
@@ -548,8 +559,8 @@ impl Odometry {
         PoseEstimate { pose, velocity: filtered.velocity, covariance: estimate.covariance, measured: plane }
     }
 
-    /// What the keyframe's own uncertainty does to a pose measured against it: the ground it laid out is shifted, turned about it, and scaled with
-    /// its height.
+    /// Propagates the keyframe's covariance to a pose measured against it: its ground is shifted,
+    /// turned and scaled with its height.
     fn carried_covariance(&self, pose: &GroundPose) -> Matrix6<f64> {
         let Some(keyframe) = &self.keyframe else {
             return Matrix6::zeros();
@@ -563,7 +574,8 @@ impl Odometry {
         carry * keyframe.covariance * carry.transpose()
     }
 
-    /// For the mean vector, which is measured from frame to frame: only what was just seen can be seen again, and the covariance adds up.
+    /// For the mean vector, measured from frame to frame: only the corners just seen are kept, and
+    /// covariances add up.
     fn keep_only(&mut self, found: &[follow::Found], covariance: Matrix6<f64>) {
         if let Some(keyframe) = &mut self.keyframe {
             keyframe.keep_only(found.iter().map(|f| (f.corner, f.warp)));

@@ -1,8 +1,9 @@
-//! The way back: when the predictions have failed, the whole image is compared with the keyframes.
+//! Relocalization: when predictions fail, the whole image is compared with the keyframes.
 //!
-//! What the comparison gives are predictions, no more: a pose is measured only where the fine tracker finds the keyframe's corners from
-//! there. Where a floor repeats, several predictions may be confirmed; the one that most corners speak for is taken, and where that does not
-//! decide, the one clearly nearest to where the camera should be. Where nothing decides, the frame stays lost.
+//! The comparison gives predictions only: a pose is accepted if the tracker finds the keyframe's
+//! corners from there. On repetitive floors several predictions may be confirmed; the one with most
+//! inliers is taken or, if that is ambiguous, the one clearly nearest to the expected pose. If that
+//! is ambiguous too, the frame stays lost.
 
 use super::follow::{self, Measurement};
 use super::keyframe::{Keyframe, KeyframeMemory};
@@ -20,18 +21,21 @@ const REMEMBERED_PER_FRAME: usize = 2;
 /// Hypotheses that stand out less than this are not worth following.
 const LEAST_SCORE: f64 = 4.5;
 
-/// A hypothesis that stands out so many times as far as the next, and is confirmed by this part of the corners, is the truth.
+/// A hypothesis is accepted if its score exceeds the next by this factor and this fraction of the
+/// corners is found.
 const OUTSTANDING: f64 = 1.4;
 const CLEAR_PRESENCE: f64 = 0.6;
 
-/// The part of the corners in view which must be found again; less will do where no other hypothesis comes near.
+/// Least inlier ratio among the corners in view; less is accepted if no other hypothesis comes
+/// near.
 const LEAST_PRESENCE: f64 = 0.5;
 const LEAST_CLEAR_PRESENCE: f64 = 0.3;
 
 /// A rival with at least this part of the best one's inliers leaves the choice to the prediction.
 const RIVAL: f64 = 0.75;
 
-/// How far a frame's heading may be off the expected one where only such headings are tried, radians: a sixth of the effort of trying all.
+/// Range of headings about the expected one, radians, that is searched first: a sixth of the cost
+/// of all headings.
 const NEAR_HEADING_RAD: f64 = 0.4;
 
 /// Finds frames again whose movement was too large, or that come after a loss.
@@ -75,8 +79,8 @@ impl Recovery {
         self.tried >= memory.reachable()
     }
 
-    /// Measures a lost frame against the present keyframe and some of the remembered ones. Nothing where none is found, or
-    /// where it cannot be told which.
+    /// Measures a lost frame against the present keyframe and some remembered ones. `None` if none
+    /// is found, or if the result is ambiguous.
     pub fn find(
         &mut self,
         lost: Lost<'_>,
@@ -114,7 +118,8 @@ impl Recovery {
     }
 }
 
-/// The remembered keyframes to try: after a jump the nearest to where the camera should be, after a loss one after the other.
+/// The remembered keyframes to try: after a jump the nearest to the expected pose, after a loss one
+/// after the other.
 fn choose(
     memory: &KeyframeMemory,
     expected: &GroundPose,
@@ -149,7 +154,7 @@ struct Confirmed {
 }
 
 impl Search<'_> {
-    /// Looks for the frame in a keyframe: turned about as expected, which most are, and otherwise turned anyhow.
+    /// Searches for the frame in a keyframe: near the expected heading first, then at any.
     fn look(&self, keyframe: &mut Keyframe, random: &mut Random) -> Confirmed {
         keyframe.prepare_view(self.registration);
         let turned_rad = wrap_angle(self.lost.expected.heading_rad - keyframe.pose.heading_rad);
@@ -157,7 +162,8 @@ impl Search<'_> {
         if as_expected.decided { as_expected } else { self.look_at(keyframe, (0.0, PI), random) }
     }
 
-    /// Looks for the frame in a keyframe at headings about the first, and off it by no more than the second, radians.
+    /// Searches for the frame in a keyframe at headings about the first value within the second,
+    /// radians.
     fn look_at(&self, keyframe: &Keyframe, heading_rad: (f64, f64), random: &mut Random) -> Confirmed {
         let model = self.config.motion.model;
         let options = CoarseOptions {
@@ -188,7 +194,7 @@ impl Search<'_> {
         Confirmed { measurements, decided: false }
     }
 
-    /// The measurement from where a hypothesis puts the camera, and the part of the corners in view that agrees.
+    /// Measures from a hypothesis, and returns the inlier ratio among the corners in view as well.
     fn confirm(
         &self,
         keyframe: &Keyframe,
@@ -208,7 +214,8 @@ impl Search<'_> {
     }
 }
 
-/// The measurement that most corners speak for; where another place has nearly as many, the one clearly nearer to the expected place.
+/// The measurement with most inliers; if another place has nearly as many, the one clearly nearer
+/// to the expected pose.
 fn decide(mut confirmed: Vec<Found>, expected: &GroundPose) -> Option<Found> {
     let inliers = |found: &Found| found.measurement.estimate.inlier_count();
     confirmed.sort_by_key(|found| std::cmp::Reverse(inliers(found)));

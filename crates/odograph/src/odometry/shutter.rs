@@ -1,5 +1,5 @@
-//! The shutter of the camera: its readout time, and how well the rates of the pose within an image can
-//! be foretold from the poses before it.
+//! The shutter of the camera: its readout time, and how well the rates of the pose within an image
+//! can be foretold from the poses before it.
 
 use super::last_pose::LastPose;
 use crate::camera::Camera;
@@ -24,7 +24,8 @@ pub struct ShutterState {
     serving: [SkewRegression; 3],
     /// Of those before.
     past: RegressionSums,
-    /// Skew against the keyframe's, its variances, and the displacement from there, of the last frame.
+    /// Skew against the keyframe's, its variances, and the displacement from there, of the last
+    /// frame.
     waiting: Option<(PoseRates, PoseRates, PoseRates)>,
 }
 
@@ -46,8 +47,8 @@ enum ShutterDecision {
 const SIGNIFICANT: f64 = 3.5;
 const LEAST_ROLLING_S: f64 = 3e-4;
 
-/// After so many heights of movement a shutter that was not seen to roll is taken to be global: a freer
-/// model that has not proved itself by then only loses.
+/// After so many heights of movement a shutter that was not seen to roll is taken to be global: a
+/// freer model that has not proved itself by then only loses.
 const UNDECIDED_HEIGHTS: f64 = 0.6;
 
 /// While the shutter is assumed global, one frame in this many is tested for a skew.
@@ -67,7 +68,8 @@ const UNKNOWN_READOUT_S: f64 = 0.015;
 /// radians, per second. A third of what a hand does.
 const FIRST_RATE_ERROR: f64 = 0.1;
 
-/// Rates are never taken to be foretold better than this: parts of the height, and radians, per second.
+/// Lower bound of the prediction error of the rates: fractions of the height, and radians, per
+/// second.
 const LEAST_RATE_ERROR: f64 = 1e-4;
 
 /// Weights of the newest frame in the mean squared errors where it raises and where it lowers them.
@@ -80,7 +82,8 @@ const SURE: f64 = 0.03;
 /// A readout time is known no better than this, seconds: a thousandth of the image at usual speeds.
 const LEAST_READOUT_S: f64 = 2e-5;
 
-/// A shutter is global where its readout time is known to this, seconds, and is zero within three times that.
+/// The shutter is global if the readout time is known to this, seconds, and is zero within three
+/// times that.
 const GLOBAL_WITHIN_S: f64 = 1e-4;
 
 impl ShutterState {
@@ -147,7 +150,7 @@ impl ShutterState {
                 && self.readout.variance_s2 < (0.3 * self.readout.mean_s).powi(2))
     }
 
-    /// Whether the skew of an image is known so well that what is left of the residuals is not skew.
+    /// Whether the skew of an image is known so well that the remaining residuals are not skew.
     pub fn is_sure(&self) -> bool {
         match self.phase {
             ShutterDecision::Settled | ShutterDecision::TakenGlobal | ShutterDecision::Undecided => true,
@@ -193,9 +196,9 @@ impl ShutterState {
         })
     }
 
-    /// The second derivative of the parabola through the last two poses and that of an image `step_s`
-    /// later, as a linear function of the latter; less where the rates are badly foretold (Wiener): there
-    /// the camera shakes faster than images are taken.
+    /// The second derivative of the parabola through the last two poses and that of an image
+    /// `step_s` later, as a linear function of the latter; less where the rates are badly foretold
+    /// (Wiener): there the camera shakes faster than images are taken.
     fn accelerations(&self, last: &LastPose, step_s: f64) -> (PoseRates, PoseRates) {
         let steps = self.history.front().zip(self.history.get(1));
         let (Some(rates), Some((now, before))) = (last.pose_rates, steps) else { return Default::default() };
@@ -211,8 +214,8 @@ impl ShutterState {
         (by_pose, offset)
     }
 
-    /// Learns from the mean rates since the last pose how well they can be foretold; `None` where there
-    /// was no last pose.
+    /// Learns from the mean rates since the last pose how well they can be foretold; `None` where
+    /// there was no last pose.
     pub fn saw_step(&mut self, step: Option<PoseRates>, moved: f64, height_m: f64) {
         self.steps_seen += 1;
         self.moved += moved / height_m;
@@ -228,7 +231,8 @@ impl ShutterState {
             self.learn(&(0.5 * (step + *last)));
         }
         if let (Some(last), Some(before)) = (self.history.front(), self.history.get(1)) {
-            // The foretold rate at the last pose less the slope there of the parabola through this one.
+            // The foretold rate at the last pose less the slope there of the parabola through this
+            // one.
             let off = 0.5 * (step - 2.0 * *last + *before);
             for i in 0..6 {
                 let (variance, square) = (&mut self.rate_variance[i], off[i] * off[i]);
@@ -315,13 +319,13 @@ impl ShutterState {
     }
 }
 
-/// A weighted line through (rates, skew), with an instrument: frames against one keyframe share what
-/// its own skew is off by, so that each keyframe has a line of its own with the same slope.
+/// A weighted line through (rates, skew), with an instrument: frames against one keyframe share
+/// what its own skew is off by, so that each keyframe has a line of its own with the same slope.
 ///
-/// Foretold rates have errors, which would flatten the slope; an instrumental variable that follows the
-/// rates but not their errors does not (P. Wright, 1928; J. Sargan, 1958). An unknown tilt, a wrong lens
-/// and ground that slopes or bends look like a skew that grows with the displacement from the keyframe:
-/// where that explains the skews better than the rates do, no shutter rolls.
+/// Foretold rates have errors, which would flatten the slope; an instrumental variable that follows
+/// the rates but not their errors does not (P. Wright, 1928; J. Sargan, 1958). An unknown tilt, a
+/// wrong lens and ground that slopes or bends look like a skew that grows with the displacement
+/// from the keyframe: where that explains the skews better than the rates do, no shutter rolls.
 #[derive(Debug, Clone, Copy, Default)]
 struct SkewRegression {
     weight: f64,
@@ -416,7 +420,8 @@ impl RegressionSums {
     }
 }
 
-/// Frames against one keyframe share the errors of its patches: so many of them tell what one alone would.
+/// Frames against one keyframe share the errors of its patches: this many have the information of
+/// one.
 const SHARED: f64 = 5.0;
 
 /// Over so many steps rates are averaged for the instrument: a vibration passes, a turn does not.

@@ -20,7 +20,8 @@ pub struct Standing {
     frames_left: usize,
 }
 
-/// Less than this is standing still, pixels: cells of four pixels that have changed beyond recognition have moved further.
+/// Motion below which the image stands still, pixels: cells of four pixels that are no longer
+/// recognized have moved further.
 const STILL_PX: f64 = 1.5;
 
 /// After so many frames without new evidence a camera may stand.
@@ -43,7 +44,7 @@ impl Standing {
 }
 
 impl Odometry {
-    /// Learns from the next image what does not move with the ground, and keeps the keyframes from it.
+    /// Detects in the next image what does not move with the ground, and masks it in the keyframes.
     pub(super) fn look_for_what_is_fixed(&mut self, image: &GrayImage) -> SinceLast {
         let before = self.fixed.mask().cloned();
         let since_last = self.fixed.look(image);

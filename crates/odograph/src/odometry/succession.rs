@@ -1,4 +1,4 @@
-//! Which keyframe is the reference next: an older one where the camera has come back to it, otherwise a new one.
+//! Choice of the next keyframe: an older one if the camera has returned to it, otherwise a new one.
 
 use super::keyframe::Keyframe;
 use super::keyframe_event::Before;
@@ -9,7 +9,8 @@ use crate::keyframe::{EdgeKind, KeyframeId};
 use crate::motion::{MotionEstimate, MotionModel, PoseRates, Random};
 use nalgebra::{Matrix6, Matrix6x2};
 
-/// A new keyframe is made too when less than this part of the keyframe's corners would be in view in the next frame.
+/// A new keyframe is also made if less than this fraction of the corners is predicted to be in view
+/// in the next frame.
 const FORESEEN_SUPPORT: f64 = 0.3;
 
 /// An older keyframe is accepted no further from its predicted place than this, pixels, beside the
@@ -17,19 +18,21 @@ const FORESEEN_SUPPORT: f64 = 0.3;
 /// What lies further off is left to loop closing, which compares rival places.
 const UNAMBIGUOUS_PX: f64 = 2.0;
 
-/// After a keyframe has served for so many frames there is time to prepare the next one in two of them. A camera that needs a new one all the time needs
-/// all of its corners at once.
+/// Number of frames of a keyframe after which the next one is prepared in two halves. A camera that
+/// needs new keyframes all the time needs all corners at once.
 const LEISURE_FRAMES: u64 = 8;
 
 impl Odometry {
-    /// Whether the next frame will show too little of the keyframe to be measured against it, if the camera goes on as it went.
+    /// Whether too little of the keyframe will be visible in the next frame, by the predicted
+    /// motion.
     pub(super) fn leaves_the_keyframe(&self, found: &[follow::Found], time_s: f64) -> bool {
         let (Some(keyframe), Some(last)) = (&self.keyframe, &self.last) else { return false };
         let next = last.extrapolated(time_s + last.step_s);
         follow::still_seen(keyframe, &self.camera, found, &next) < FORESEEN_SUPPORT * self.learned.findable()
     }
 
-    /// The next reference: an older keyframe where the camera has come back to one, otherwise this frame.
+    /// Changes the keyframe: to an older one if the camera has returned to it, otherwise to this
+    /// frame.
     pub(super) fn change_keyframe(
         &mut self,
         pyramid: Pyramid,
@@ -70,8 +73,8 @@ impl Odometry {
         }
     }
 
-    /// Takes up an older keyframe that is in view again, where what it measures agrees with where we think we are. Gives the image back
-    /// where there is none.
+    /// Reuses an older keyframe in view if the pose measured against it agrees with the present
+    /// one. Returns the image if there is none.
     pub(super) fn revisit(
         &mut self,
         pyramid: Pyramid,
@@ -118,7 +121,8 @@ impl Odometry {
         if let Some(before) = self.keyframe.replace(old) {
             self.memory.remember(before.retire());
         }
-        // The place is known better than the way that led here: position and filter are set right, the velocity stays.
+        // The revisited place is more certain than the path since: position and filter are
+        // corrected, the velocity stays.
         if let Some(last) = &mut self.last {
             last.pose = found;
         }
@@ -128,7 +132,8 @@ impl Odometry {
         Ok(())
     }
 
-    /// Another keyframe is the reference of the frames after this one, whose pose that one has at `pose`.
+    /// Makes another keyframe the reference of the following frames; its own pose of the present
+    /// frame is `pose`.
     pub(super) fn serve_from_here(&mut self, keyframe: Option<KeyframeId>, pose: GroundPose) {
         self.serves_since = self.frames;
         self.keyframe_off = PoseRates::zeros();

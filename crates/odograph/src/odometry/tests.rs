@@ -99,7 +99,8 @@ fn assert_right(frame: &FrameEstimate, truth: &Option<GroundPose>, within_mm: f6
 fn jumps_of_half_the_image_and_sixty_degrees_are_followed() {
     for texture in ["asphalt", "carpet", "concrete", "grass"] {
         let world = World::new(texture);
-        // Across 0.96 m: 42, 60 and 47 per cent; along 0.72 m: 49 per cent; turns of 60° and of 45° with a jump.
+        // Across 0.96 m: 42, 60 and 47 per cent; along 0.72 m: 49 per cent; turns of 60° and of 45°
+        // with a jump.
         let poses = [
             at(0.0, 0.0, 0.0),
             at(0.01, 0.0, 0.0),
@@ -171,7 +172,8 @@ fn what_is_known_better_across_a_gap_has_a_variance_all_the_same() {
     let [mut before, mut after] = [(); 2].map(|()| world.odometry());
     world.run(&mut before, &drive(0.0, 3).collect::<Vec<_>>());
     world.run(&mut after, &drive(5.0, 3).collect::<Vec<_>>());
-    // As after a long way over which height and tilt were less sure than where they are measured anew.
+    // As after a long way over which height and tilt were less sure than where they are measured
+    // anew.
     for (odometry, variance) in [(&mut before, 4e-10), (&mut after, 1e-10)] {
         let known = &mut odometry.keyframe.as_mut().unwrap().covariance;
         (3..6).for_each(|k| known[(k, k)] = variance);
@@ -188,14 +190,16 @@ fn four_fifths_of_the_image_a_frame_are_followed() {
     let poses: Vec<_> = dash(7.4, 25).collect();
     let frames = world.run(&mut world.odometry(), &poses);
     for (frame, truth) in frames.iter().zip(&poses) {
-        // A fifth of the image in common leaves a lever of 0.14 m: 0.02 px a keyframe are 0.2 mm at its other end.
+        // A fifth of the image in common leaves a lever of 0.14 m: 0.02 px a keyframe are 0.2 mm at
+        // its other end.
         assert_right(frame, truth, 3.0);
     }
 }
 
 #[test]
 fn a_fast_camera_begins_anew_after_a_loss() {
-    // A quarter of the image a frame, a cut to other ground: what is seen is gone before three frames could confirm it.
+    // A quarter of the image a frame, a cut to other ground: what is seen is gone before three
+    // frames could confirm it.
     let world = World::new("grass");
     let drive = |from_m: f64, count: usize| (0..count).map(move |i| at(from_m + 0.18 * i as f64, 0.0, 0.0));
     let poses: Vec<_> = drive(0.0, 6).chain(drive(30.0, 20)).collect();
@@ -208,7 +212,8 @@ fn a_fast_camera_begins_anew_after_a_loss() {
 
 #[test]
 fn a_moving_camera_is_expected_where_it_would_be_after_darkness() {
-    // Two seconds of darkness at a steady pace, further than one image: nothing that is seen afterwards was seen before.
+    // Two seconds of darkness at a steady pace, further than one image: nothing that is seen
+    // afterwards was seen before.
     let world = World::new("asphalt");
     let step_m = 0.03;
     let place = |i: usize| at(step_m * i as f64, 0.0, 0.0);
@@ -229,7 +234,8 @@ fn a_moving_camera_is_expected_where_it_would_be_after_darkness() {
 
 #[test]
 fn a_lens_that_is_not_told_costs_exactness_but_no_frame() {
-    // As with a field of view in place of a camera file: tracks at the border are off by more than the inlier distance.
+    // A field of view instead of a camera file: tracks at the border deviate by more than the
+    // inlier distance.
     let world = World::new("asphalt");
     let pinhole = Camera::new((640, 480), (480.0, 500.0), (319.5, 239.5), Distortion::None).unwrap();
     let mut odometry = Odometry::new(pinhole, Rig::level(HEIGHT_M), OdometryConfig::default()).unwrap();
@@ -245,11 +251,13 @@ fn a_steady_tilt_that_is_not_told_is_learned() {
     let tilted = |i: usize| {
         at(0.017 * i as f64, 0.0, 0.0).map(|pose| GroundPose { roll_rad: 0.005, pitch_rad: 0.004, ..pose })
     };
-    // Straight on, which tells less of the tilt across: that is known to a quarter after three keyframes and well after ten.
+    // Straight ahead determines the tilt across less: to a quarter after three keyframes, well
+    // after ten.
     let poses: Vec<_> = (0..260).map(tilted).collect();
     let frames = world.run(&mut world.odometry(), &poses);
     let last = frames.last().unwrap().estimate.as_ref().unwrap().pose;
-    // Taken for level all the way, the camera would seem to climb or sink by 6 mm, and the tilt to stay.
+    // Taken for level all the way, the camera would seem to climb or sink by 6 mm, and the tilt to
+    // stay.
     assert!((last.height_m - HEIGHT_M).abs() < 1e-4, "{last:?}");
     assert!((last.roll_rad - 0.005).abs() < 3e-4, "{last:?}");
     assert!((last.pitch_rad - 0.004).abs() < 3e-4, "{last:?}");
@@ -266,7 +274,7 @@ fn a_slow_sway_is_not_taken_for_the_mount() {
     let poses: Vec<_> = (0..120).map(swaying).collect();
     let frames = world.run(&mut world.odometry(), &poses);
     for (frame, truth) in frames.iter().zip(&poses) {
-        // It is right to 0.2 mm; where the sway of a keyframe is taken for the mount, it ends up 3.5 mm off.
+        // Measured: 0.2 mm; 3.5 mm if the sway of a keyframe is taken for the mount.
         assert_right(frame, truth, 1.0);
     }
 }
@@ -289,8 +297,9 @@ fn corners_drowned_in_noise_are_followed_as_a_whole() {
     }
 }
 
-/// Forward over tiles and about a corner of the image, with noise of about this many gray levels: what is off at the end, millimetres, how many
-/// keyframes were made, and whether every frame was posed rightly to a centimetre.
+/// Forward over tiles and about a corner of the image, with noise of about this many gray levels:
+/// what is off at the end, millimetres, how many keyframes were made, and whether every frame was
+/// posed rightly to a centimetre.
 fn over_tiles(noise: u64) -> (f64, u64, bool) {
     let world = World::new("tiles");
     let mut odometry = world.odometry();
@@ -314,7 +323,8 @@ fn over_tiles(noise: u64) -> (f64, u64, bool) {
 
 #[test]
 fn tiles_are_followed_whatever_the_noise() {
-    // Without noise the crossings of joints alone are strong, and look alike; in noise of 4 gray levels two thirds of the corners are noise.
+    // Without noise the crossings of joints alone are strong, and look alike; in noise of 4 gray
+    // levels two thirds of the corners are noise.
     for noise in [0, 2, 4] {
         let (end_mm, keyframes, right) = over_tiles(noise);
         assert!(right && end_mm < 0.5, "noise {noise}: {end_mm:.3} mm");
@@ -399,7 +409,8 @@ fn a_loss_says_its_cause() {
         })
     };
     assert_eq!(cause(apart), lost(LossReason::NotPlanar));
-    // Three of eight squares stay where they were in the first image, the others show ground never seen.
+    // Three of eight squares stay where they were in the first image, the others show ground never
+    // seen.
     let stuck = |world: &World, i: u64| {
         let first = world.image(at(0.0, 0.0, 0.0), i);
         let other = world.image(at(50.0 + 0.4 * i as f64, 0.0, 0.0), i);
@@ -455,7 +466,8 @@ fn the_mean_vector_is_followed_through_new_keyframes() {
     let poses: Vec<_> = drive(0.0, 25).collect();
     let frames = world.run(&mut odometry, &poses);
     assert!(odometry.keyframes() >= 2, "{} keyframes", odometry.keyframes());
-    // Without turning it is as right as any; its error adds up from frame to frame, a tenth of a pixel (0.15 mm) in each.
+    // Without turning it is as right as any; its error adds up from frame to frame, a tenth of a
+    // pixel (0.15 mm) in each.
     for (frame, truth) in frames.iter().zip(&poses) {
         assert_right(frame, truth, 4.0);
     }

@@ -10,14 +10,16 @@ use std::sync::Arc;
 pub enum Texture {
     /// They can be followed.
     Clear,
-    /// Hardly one stands out of the noise: the whole image is followed, and where that is not found again, its corners.
+    /// Hardly any corner exceeds the noise: the whole image is registered and, if that fails, its
+    /// corners are tracked.
     Drowned,
     /// There are hardly any: the whole image is followed.
     Faint,
 }
 
 impl Texture {
-    /// Judged two pyramid levels up, where the sensor's noise is averaged away, and outside the mask.
+    /// Classifies an image two pyramid levels up, where the sensor's noise is averaged, outside the
+    /// mask.
     pub fn of(pyramid: &Pyramid, mask: Option<&Arc<ImageMask>>) -> Self {
         let coarse = pyramid.level(2);
         let config = DetectionConfig {
@@ -47,17 +49,20 @@ impl Texture {
 const ENOUGH_CORNERS: usize = 20;
 const ENOUGH_OF_A_PATTERN: usize = 4;
 
-/// (Gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves about 0.03 there, half a gray level of texture 0.1.
+/// Corner strength, (gray levels per pixel)², two levels up: sensor noise of 5 gray levels leaves
+/// about 0.03 there, texture of half a gray level 0.1.
 const FAINT_STRENGTH: f64 = 0.25;
 
-/// Corners by which ground can be followed are at least this strong, in units of the variance of noise; those of noise alone are 0.01. (Rendered concrete
-/// stays below from 8 gray levels of noise on, at 320x240 from 4; bricks, grass and carpet stay above at 12, and there the crossings of joints are at 0.5, but at
-/// 320x240 at 0.15: such tiles are taken for drowned.)
+/// Least strength of usable corners, in units of the noise variance; those of noise alone have
+/// 0.01. (Rendered concrete stays below from 8 gray levels of noise on, at 320x240 from 4; bricks,
+/// grass and carpet stay above at 12, where the crossings of joints have 0.5, but at 320x240 0.15,
+/// too little.)
 const OVER_NOISE: f64 = 0.1;
 const WELL_OVER_NOISE: f64 = 0.3;
 
-/// The variance of a sensor's noise, (gray levels)²: what is left of squares of four pixels where one diagonal is subtracted from the other. Some of it
-/// is texture where that is fine: a mean, in whose units the thresholds above are, and not the median of `crate::image::noise_variance`.
+/// Noise variance of the sensor, (gray levels)²: that of the differences of diagonals in squares of
+/// 2x2 pixels. Fine texture adds to it. The thresholds above are in units of this mean, not of the
+/// median of `crate::image::noise_variance`.
 fn noise_variance(image: &GrayImage) -> f64 {
     const EVERY: usize = 8;
     let (mut squares, mut count) = (0u64, 0usize);
@@ -72,10 +77,12 @@ fn noise_variance(image: &GrayImage) -> f64 {
     squares as f64 / count.max(1) as f64
 }
 
-/// Whether an image shows nothing but noise and soft light: darkness, a hand over the lens, a floor without any texture.
+/// Whether an image shows only noise and smooth illumination: darkness, a hand over the lens, a
+/// floor without texture.
 ///
-/// Of squares of 4x4 pixels the mean of the black and that of the white ones, as on a chessboard, are compared: they have their texture in common and not
-/// their noise, whatever that is. In blocks of 64x64 pixels a plane of light is taken off.
+/// The means of the black and of the white pixels of 4x4 squares, as on a chessboard, are compared:
+/// they share the texture and not the noise. In blocks of 64x64 pixels a plane of illumination is
+/// subtracted.
 pub fn is_bare(image: &GrayImage) -> bool {
     let (columns, rows) = (image.width() / SQUARE, image.height() / SQUARE);
     let (mut common, mut blacks, mut whites, mut count) = (0.0, 0.0, 0.0, 0usize);
@@ -99,8 +106,8 @@ const SQUARE: usize = 4;
 /// Squares along the side of a block.
 const BLOCK: usize = 16;
 
-/// Texture with a smaller standard deviation than this cannot be followed, gray levels over squares of 4x4 pixels. Light that falls off to the corners by
-/// a third leaves 0.1 within a block.
+/// Least standard deviation of usable texture, gray levels over squares of 4x4 pixels. Illumination
+/// that decreases by a third towards the corners leaves 0.1 within a block.
 const LEAST_TEXTURE_GRAY: f64 = 0.13;
 
 /// Common parts below so many standard deviations of chance are chance.
@@ -113,15 +120,16 @@ pub fn is_dark(image: &GrayImage) -> bool {
     sum < DARK_GRAY * image.samples().len() as u64
 }
 
-/// Whether an image is so much less sharp than another that little can be found again: in some direction its fine texture has gone.
+/// Whether an image is so much blurrier than another that little can be found again: in some
+/// direction its fine texture is gone.
 pub fn is_blurred(image: &Pyramid, beside: &Pyramid) -> bool {
     const BLURRED: f64 = 0.3;
     let (now, before) = (fineness(image), fineness(beside));
     now.iter().zip(before).any(|(now, before)| *now < BLURRED * before)
 }
 
-/// The squared differences along x, along y and along both diagonals over the squared mean, so that light does not count. One level up, where there is
-/// less noise.
+/// Mean squared differences along x, along y and along both diagonals, over the squared mean, which
+/// cancels illumination. One level up, where there is less noise.
 fn fineness(pyramid: &Pyramid) -> [f64; 4] {
     let image = pyramid.level(1);
     let samples = (image.width() * image.height()) as f64;
@@ -137,7 +145,8 @@ fn fineness(pyramid: &Pyramid) -> [f64; 4] {
     [(1, 0), (0, 1), (1, 1), (1, -1)].map(|direction| squares(direction) / (samples * mean * mean).max(1e-9))
 }
 
-/// The means of the black and of the white pixels of the squares of a block, less the plane that fits them best.
+/// Means of the black and of the white pixels of the squares of a block, with the best-fitting
+/// plane subtracted.
 fn block(image: &GrayImage, left: usize, top: usize) -> [Vec<f64>; 2] {
     let mut means = [Vec::with_capacity(BLOCK * BLOCK), Vec::with_capacity(BLOCK * BLOCK)];
     for at in 0..BLOCK * BLOCK {

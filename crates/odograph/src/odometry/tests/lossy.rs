@@ -1,4 +1,5 @@
-//! Video as cameras keep it: what a block shows is copied from where it nearly was a frame before, and what is too little to be worth its bits is left out.
+//! Lossy video: blocks are copied from about where they were in the previous frame, and small
+//! residuals are dropped.
 
 use super::*;
 use crate::motion::{GroundFromRay, ViewingPose};
@@ -6,7 +7,8 @@ use crate::motion::{GroundFromRay, ViewingPose};
 const BLOCK: usize = 16;
 const PART: usize = 4;
 
-/// An encoder with its decoder: motion by quarters of a pixel, one vector a block, and a Hadamard transform of what is left, in coarse steps.
+/// An encoder with its decoder: motion by quarters of a pixel, one vector a block, and a Hadamard
+/// transform of what is left, in coarse steps.
 struct TestCodec {
     step: i32,
     last: Option<(GrayImage, GroundPose)>,
@@ -52,7 +54,8 @@ impl TestCodec {
         }
     }
 
-    /// A sample of the last frame from so many quarters of a pixel on; without one, or beyond its border, gray.
+    /// A sample of the previous frame, displaced by quarters of a pixel; gray without one or
+    /// outside it.
     fn predicted(&self, x: usize, y: usize, moved: Option<(i32, i32)>) -> i32 {
         let (Some((last, _)), Some((dx, dy))) = (&self.last, moved) else { return 128 };
         let (x, y) = ((4 * x as i32 + dx).clamp(0, 4 * 638), (4 * y as i32 + dy).clamp(0, 4 * 478));
@@ -63,7 +66,8 @@ impl TestCodec {
     }
 }
 
-/// By how much what a block shows lay further right and down in the last frame, in quarters of a pixel.
+/// Displacement of a block's content in the previous frame, to the right and down, in quarters of a
+/// pixel.
 fn moved(
     world: &World,
     (left, top): (usize, usize),
@@ -92,7 +96,8 @@ fn hadamard(samples: &mut [i32; PART * PART]) {
     }
 }
 
-/// Follows the camera over an arc at 0.4 m/s, two keyframes long, tilted in frame i by what `sway` says.
+/// Follows the camera over an arc at 0.4 m/s, two keyframes long, tilted in frame i by what `sway`
+/// says.
 fn follow(sway: impl Fn(f64) -> f64) -> Vec<(FrameEstimate, GroundPose)> {
     let world = World::new("asphalt");
     let mut odometry = world.odometry();
@@ -119,7 +124,8 @@ fn a_steady_mount_is_taken_for_steady_in_lossy_video() {
     for (frame, truth) in follow(|_| 0.0) {
         let found = frame.estimate.as_ref().unwrap();
         assert!(frame.residual_px < 0.4, "the video is worse than it is meant to be: {}", frame.residual_px);
-        // By themselves the tracks say 0.1 mm and 0.0003 rad, and the way were 0.2 mm off if they were believed.
+        // By themselves the tracks say 0.1 mm and 0.0003 rad, and the way were 0.2 mm off if they
+        // were believed.
         assert!((found.pose.height_m - HEIGHT_M).abs() < 2e-5, "frame {}: {:?}", frame.frame, found.pose);
         assert!(
             found.pose.roll_rad.abs().max(found.pose.pitch_rad.abs()) < 1e-4,
@@ -141,7 +147,8 @@ fn a_steady_mount_is_taken_for_steady_in_lossy_video() {
 fn a_swaying_mount_is_followed_in_lossy_video() {
     let frames = follow(|time_s| 0.01 * (std::f64::consts::TAU * 3.0 * time_s).sin());
     for (frame, truth) in &frames[10..] {
-        // Held for level, the camera would be put 7 mm off. The tracks tell its tilt to 0.0003 rad, that of the keyframe to as much.
+        // Held for level, the camera would be put 7 mm off. The tracks tell its tilt to 0.0003 rad,
+        // that of the keyframe to as much.
         assert_right(frame, &Some(*truth), 1.5);
     }
 }
