@@ -242,7 +242,7 @@ impl Decoding<'_> {
 /// Stage two: tracking.
 struct Tracking<'a> {
     odometry: Odometry,
-    /// Whose poses are written and told.
+    /// The frame whose poses are written and reported.
     of: PoseFrame,
     frames: KeptFrames,
     times: Timings,

@@ -155,7 +155,7 @@ struct PageImage {
 struct Following<'a, 'p> {
     odometry: Odometry,
     calibration: Option<OnlineCalibration>,
-    /// The frame whose poses are written, told and shown.
+    /// The frame whose poses are written, published and shown.
     of: PoseFrame,
     frames: KeptFrames,
     times: StageTimes,

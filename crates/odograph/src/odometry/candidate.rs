@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// floor stays.
 pub const CONFIRMATIONS: usize = 3;
 
-/// After so many it is believed even though not every remembered keyframe has been looked for.
+/// Number after which it is accepted even though not every remembered keyframe has been looked for.
 pub const MOST_CONFIRMATIONS: usize = 8;
 
 /// A keyframe made from an unmeasured frame, and the number of later frames that agreed with it.
@@ -71,7 +71,7 @@ impl Candidate {
         Some(measurement)
     }
 
-    /// Whether so many frames in a row agreed.
+    /// Whether enough consecutive frames agreed.
     pub fn is_confirmed(&self, needed: usize) -> bool {
         self.confirmations >= needed
     }

@@ -153,10 +153,10 @@ pub struct KeyCorner {
     pub patch: GroundPatch,
     /// Its elevation as earlier keyframes have it; `None` on flat ground.
     pub elevation: Option<Elevation>,
-    /// Its elevation as the frame has it that tells it best.
+    /// Its elevation by the frame that determines it best.
     measured: Option<MeasuredElevation>,
-    /// What an earlier frame told of its elevation, and how often later ones confirmed that it is
-    /// off the ground.
+    /// Its elevation by an earlier frame, and how often later ones confirmed that it is off the
+    /// ground.
     seen_before: Option<MeasuredElevation>,
     confirmations: usize,
     is_on_kerb: bool,
@@ -596,7 +596,7 @@ impl Keyframe {
         })
     }
 
-    /// Whether there is enough to follow: so many corners, or on faint ground texture at all.
+    /// Whether there is enough to follow: this many corners or, on faint ground, any texture.
     pub fn can_be_followed(&mut self, corners: usize) -> bool {
         if self.texture() == Texture::Faint {
             return !texture::is_bare(self.pyramid.base());

@@ -38,7 +38,7 @@ pub struct Learned {
 const PRESENCE_RATE: f64 = 0.2;
 
 /// Standard deviation of the elevations of rough ground, at least, a part of the height. A wide one
-/// costs nothing: elevations within it are told by their parallax.
+/// costs nothing: elevations within it are determined by their parallax.
 const LEAST_RELIEF: f64 = 0.01;
 
 /// Length of the path over which undulating ground has the same error of the scale, in heights:

@@ -81,7 +81,7 @@ impl Odometry {
 
     /// The measurement of a lost frame against the candidate, if there is one.
     pub(super) fn confirm_candidate(&mut self, pyramid: &Pyramid, time_s: f64) -> Option<Measurement> {
-        // How the frame is exposed is foretold by the frames that confirmed the candidate.
+        // How the frame is exposed is predicted by the frames that confirmed the candidate.
         let last = self.candidate.as_ref().map(|candidate| &candidate.last);
         self.learned.foretell_shutter(last, time_s);
         let mut random = Random::new(self.frames);

@@ -105,8 +105,8 @@ const NEARLY_ALL: f64 = 0.95;
 /// Of a mask that covers more than this, no ground is left to follow.
 const MOST_MASKED: f64 = 0.95;
 
-/// Over so many steps the time between frames is taken, and a readout may take this part of it:
-/// times are rounded.
+/// Number of steps that determine the time between frames, and the longest readout as a fraction of
+/// it: times are rounded.
 const STEPS_BEFORE_JUDGING: u64 = 10;
 /// Independent elevations in the view of a keyframe, as many as gravel and undulating ground were
 /// measured to have.

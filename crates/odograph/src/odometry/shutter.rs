@@ -1,5 +1,5 @@
 //! The shutter of the camera: its readout time, and how well the rates of the pose within an image
-//! can be foretold from the poses before it.
+//! can be predicted from the poses before it.
 
 use super::last_pose::LastPose;
 use crate::camera::Camera;
@@ -16,7 +16,7 @@ pub struct ShutterState {
     steps_seen: u64,
     /// How far the camera has moved while it was undecided, in heights.
     moved: f64,
-    /// Mean squared errors of the foretold rates.
+    /// Mean squared errors of the predicted rates.
     rate_variance: PoseRates,
     /// Mean rates between the last poses, the newest first.
     history: VecDeque<PoseRates>,
@@ -36,18 +36,18 @@ enum ShutterDecision {
     Settled,
     /// Nothing is known yet: images may be skewed as much as any readout time does it.
     Undecided,
-    /// Nothing has told that it rolls: taken to be global, and watched.
+    /// No evidence of a rolling shutter: taken to be global, and monitored.
     TakenGlobal,
     /// It was seen to roll.
     Rolling,
 }
 
-/// A shutter rolls where its readout time is so many standard deviations from none, and longer than
-/// this, seconds.
+/// A shutter rolls where its readout time is this many standard deviations from zero, and longer
+/// than this, seconds.
 const SIGNIFICANT: f64 = 3.5;
 const LEAST_ROLLING_S: f64 = 3e-4;
 
-/// After so many heights of movement a shutter that was not seen to roll is taken to be global: a
+/// After a path of this many heights a shutter that was not seen to roll is taken to be global: a
 /// freer model that has not proved itself by then only loses.
 const UNDECIDED_HEIGHTS: f64 = 0.6;
 
@@ -64,8 +64,8 @@ const MATTERING_HEIGHTS: f64 = 3.0;
 /// Standard deviation of a readout time of which nothing is known: half of a frame at 30 a second.
 const UNKNOWN_READOUT_S: f64 = 0.015;
 
-/// Rates of position and heading in the first frames are foretold to this: parts of the height, and
-/// radians, per second. A third of what a hand does.
+/// Rates of position and heading in the first frames are predicted to this: parts of the height,
+/// and radians, per second. A third of what a hand does.
 const FIRST_RATE_ERROR: f64 = 0.1;
 
 /// Lower bound of the prediction error of the rates: fractions of the height, and radians, per
@@ -143,7 +143,7 @@ impl ShutterState {
         self.moved > MATTERING_HEIGHTS
     }
 
-    /// Whether the readout time is known to a third, so that rates can be told from rows.
+    /// Whether the readout time is known to a third, so that rows determine rates.
     pub fn is_known(&self) -> bool {
         self.phase == ShutterDecision::Settled
             || (self.phase != ShutterDecision::TakenGlobal
@@ -197,7 +197,7 @@ impl ShutterState {
     }
 
     /// The second derivative of the parabola through the last two poses and that of an image
-    /// `step_s` later, as a linear function of the latter; less where the rates are badly foretold
+    /// `step_s` later, as a linear function of the latter; less where the rates are badly predicted
     /// (Wiener): there the camera shakes faster than images are taken.
     fn accelerations(&self, last: &LastPose, step_s: f64) -> (PoseRates, PoseRates) {
         let steps = self.history.front().zip(self.history.get(1));
@@ -214,7 +214,7 @@ impl ShutterState {
         (by_pose, offset)
     }
 
-    /// Learns from the mean rates since the last pose how well they can be foretold; `None` where
+    /// Learns from the mean rates since the last pose how well they can be predicted; `None` where
     /// there was no last pose.
     pub fn saw_step(&mut self, step: Option<PoseRates>, moved: f64, height_m: f64) {
         self.steps_seen += 1;
@@ -231,7 +231,7 @@ impl ShutterState {
             self.learn(&(0.5 * (step + *last)));
         }
         if let (Some(last), Some(before)) = (self.history.front(), self.history.get(1)) {
-            // The foretold rate at the last pose less the slope there of the parabola through this
+            // The predicted rate at the last pose less the slope there of the parabola through this
             // one.
             let off = 0.5 * (step - 2.0 * *last + *before);
             for i in 0..6 {
@@ -284,8 +284,8 @@ impl ShutterState {
         self.past = serving.iter().fold(self.past, |sum, line| sum.and(&line.sums()));
     }
 
-    /// Mean rates over some steps before the last two, with which the errors of the rates that are
-    /// foretold now have nothing to do.
+    /// Mean rates over some steps before the last two: independent of the errors of the rates that
+    /// are predicted now.
     fn slow_rates(&self) -> Option<PoseRates> {
         let steps = self.history.len().saturating_sub(1);
         (steps >= SLOW_STEPS).then(|| self.history.iter().skip(1).sum::<PoseRates>() / steps as f64)
@@ -424,6 +424,7 @@ impl RegressionSums {
 /// one.
 const SHARED: f64 = 5.0;
 
-/// Over so many steps rates are averaged for the instrument: a vibration passes, a turn does not.
+/// Number of steps over which rates are averaged for the instrument: a vibration passes, a turn
+/// does not.
 const SLOW_STEPS: usize = 4;
 const MOST_STEPS: usize = 8;

@@ -24,7 +24,7 @@ pub struct Standing {
 /// recognized have moved further.
 const STILL_PX: f64 = 1.5;
 
-/// After so many frames without new evidence a camera may stand.
+/// Frames without new evidence after which a camera may stand.
 const SUSPICION_FRAMES: usize = 15;
 
 impl Standing {

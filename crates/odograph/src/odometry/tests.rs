@@ -351,7 +351,7 @@ fn a_jump_over_tiles_is_right_or_said_to_be_lost() {
     assert!(followed >= 3, "{followed}");
 }
 
-/// The cause that is told of the frames from the sixth on, of which the first five were 2 cm apart.
+/// The reported cause of the frames from the sixth on, of which the first five were 2 cm apart.
 fn cause(image: impl Fn(&World, u64) -> GrayImage) -> Vec<TrackStatus> {
     let world = World::new("asphalt");
     let mut odometry = world.odometry();

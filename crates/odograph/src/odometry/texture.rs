@@ -110,7 +110,7 @@ const BLOCK: usize = 16;
 /// that decreases by a third towards the corners leaves 0.1 within a block.
 const LEAST_TEXTURE_GRAY: f64 = 0.13;
 
-/// Common parts below so many standard deviations of chance are chance.
+/// Correlation below this many standard deviations of chance is chance.
 const CERTAIN: f64 = 8.0;
 
 /// Whether an image is bare for want of light.
