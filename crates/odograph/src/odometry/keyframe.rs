@@ -178,7 +178,8 @@ const MIN_MOVING: usize = 10;
 const MIN_MOVING_SHARE: f64 = 0.1;
 
 /// Root mean square motion of the inliers in the image, pixels, below which they may be fixed to
-/// the camera. Three times the 2 px within which a corner counts as standing still.
+/// the camera. Four times the 1.5 px below which an image counts as standing still; chosen, not
+/// derived.
 const MIN_FLOW_PX: f64 = 6.0;
 
 /// Ground moves as the majority of the known points within this distance does, a fraction of the
