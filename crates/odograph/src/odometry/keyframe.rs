@@ -1,6 +1,7 @@
 //! Keyframes: images whose corners lie on the ground as metric points.
 
 use super::follow::Found;
+use super::moving_ground::{MovingGround, StrayCount};
 use super::surface::Surface;
 use super::texture::{self, Texture};
 use crate::camera::Camera;
@@ -74,22 +75,6 @@ pub struct Keyframe {
     dense: OnceLock<DenseReference>,
 }
 
-/// Points of the ground that move by themselves, and others that do not.
-#[derive(Debug, Clone, Default)]
-pub struct MovingGround {
-    moving: Vec<GroundPoint>,
-    still: Vec<GroundPoint>,
-}
-
-impl MovingGround {
-    /// Whether most of the known points within reach, metres, move.
-    fn contains(&self, point: &GroundPoint, reach_m: f64) -> bool {
-        let near =
-            |points: &[GroundPoint]| points.iter().filter(|other| point.distance(**other) < reach_m).count();
-        self.moving.len() >= MIN_MOVING && near(&self.moving) > near(&self.still)
-    }
-}
-
 /// Where the patches of an image lie on the ground.
 struct GroundOf<'a> {
     camera: &'a Camera,
@@ -160,31 +145,15 @@ pub struct KeyCorner {
     seen_before: Option<MeasuredElevation>,
     confirmations: usize,
     is_on_kerb: bool,
-    /// Frames in which it was found, and those of them in which neither the motion nor an elevation
-    /// explained where.
-    found: u32,
-    strays: u32,
+    strays: StrayCount,
     /// How it was last found.
     pub seen: Warp,
 }
-
-/// A corner moves by itself where it strayed in this many frames and in more than half of all.
-const STRAYS: u32 = 3;
-
-/// Fewer points that move by themselves are tracking errors.
-const MIN_MOVING: usize = 10;
-
-/// A smaller fraction of the corners that moves does no harm, and may be tracking errors.
-const MIN_MOVING_SHARE: f64 = 0.1;
 
 /// Root mean square motion of the inliers in the image, pixels, below which they may be fixed to
 /// the camera. Four times the 1.5 px below which an image counts as standing still; chosen, not
 /// derived.
 const MIN_FLOW_PX: f64 = 6.0;
-
-/// Ground moves as the majority of the known points within this distance does, a fraction of the
-/// height: a tuft of grass. Chosen on one rendering, seen again on three other seeds.
-const TUFT: f64 = 0.12;
 
 /// A corner is on a kerb where an elevation was confirmed this many times, each time by this many
 /// times the information of the time before: a parallax that is half as long again.
@@ -383,12 +352,11 @@ impl Keyframe {
             return;
         }
         let ground = GroundOf::new(camera, &self.pose, &self.shutter, (self.level_m, self.surface.as_ref()));
-        let reach_m = TUFT * self.pose.height_m;
         let corner = |&place: &(usize, usize)| {
             let template = Template::of_finest_level(&self.pyramid, place)?;
             let centre = template.centre();
             let (patch, elevation) = ground.patch(centre)?;
-            if self.moving.contains(&patch.ground, reach_m) {
+            if self.moving.contains(&patch.ground, self.pose.height_m) {
                 return None;
             }
             Some(KeyCorner {
@@ -398,8 +366,7 @@ impl Keyframe {
                 seen_before: None,
                 confirmations: 0,
                 is_on_kerb: false,
-                found: 0,
-                strays: 0,
+                strays: StrayCount::default(),
                 seen: Warp::translation(centre),
                 template,
             })
@@ -422,33 +389,22 @@ impl Keyframe {
             return;
         }
         for ((found, seen), agrees) in found.iter().zip(&frame.elevations).zip(&frame.inliers) {
-            let corner = &mut self.corners[found.corner];
-            corner.found += 1;
-            corner.strays += u32::from(!agrees && !seen.is_plausible);
+            self.corners[found.corner].strays.add(!agrees && !seen.is_plausible);
         }
-        let moves = |corner: &KeyCorner| corner.strays >= STRAYS && 2 * corner.strays > corner.found;
-        let count = self.corners.iter().filter(|corner| moves(corner)).count();
-        if self.moving.moving.is_empty() && (count as f64) < MIN_MOVING_SHARE * self.corners.len() as f64 {
-            return;
+        let moving = || self.corners.iter().filter(|corner| corner.strays.moves());
+        let count = moving().count();
+        if self.moving.accepts(count, self.corners.len()) {
+            self.moving.extend(moving().map(|corner| corner.patch.ground));
+            self.corners.retain(|corner| !corner.strays.moves());
+            self.corners_at_first -= count;
         }
-        let moving = self.corners.iter().filter(|corner| moves(corner)).map(|corner| corner.patch.ground);
-        self.moving.moving.extend(moving);
-        self.corners.retain(|corner| !moves(corner));
-        self.corners_at_first -= count;
     }
 
     /// What is known of ground that moves by itself, for the next keyframe.
     pub fn moving_ground(&self) -> MovingGround {
-        let MovingGround { moving, .. } = &self.moving;
-        if moving.len() < MIN_MOVING {
-            return MovingGround::default();
-        }
-        let near = |point: &&GroundPoint| {
-            (point.x_m - self.pose.x_m).hypot(point.y_m - self.pose.y_m) < 3.0 * self.pose.height_m
-        };
-        let moving = moving.iter().filter(near).copied().collect();
-        let still = self.corners.iter().filter(|corner| corner.strays == 0 && corner.found > 0);
-        MovingGround { moving, still: still.map(|corner| corner.patch.ground).collect() }
+        let centre = GroundPoint { x_m: self.pose.x_m, y_m: self.pose.y_m };
+        let still = self.corners.iter().filter(|corner| corner.strays.is_still());
+        self.moving.next(centre, self.pose.height_m, still.map(|corner| corner.patch.ground))
     }
 
     /// Sets right how its image was exposed, and with it where its corners lie.

@@ -17,6 +17,7 @@ pub(crate) mod learned;
 mod light_field;
 mod limits;
 mod loss;
+mod moving_ground;
 mod recalibration;
 mod recovery;
 mod repeated;
