@@ -3,7 +3,6 @@
 
 use super::Observation;
 use super::normal_equations::Unknowns;
-use super::residual::Residual;
 use crate::buffer::Buffer;
 use crate::camera::Camera;
 use crate::geometry::{GroundPose, Pixel};
@@ -50,29 +49,27 @@ impl ResidualCorrelation {
     pub(super) fn of(
         camera: &Camera,
         observations: &[Observation],
-        residuals: &[Residual],
+        errors: &[[f64; 2]],
         weights: &[f64],
     ) -> Self {
         let counted = || {
-            let all = observations.iter().zip(residuals).zip(weights);
+            let all = observations.iter().zip(errors).zip(weights);
             all.filter(|((observation, _), weight)| **weight > 0.0 && !is_on_edge(observation))
         };
         // Robust weights also apply here.
         let mut trend = QuadraticTrend::new(camera);
-        counted().for_each(|((observation, residual), &weight)| {
-            trend.add(observation.pixel, residual.error, weight)
-        });
+        counted().for_each(|((observation, error), &weight)| trend.add(observation.pixel, *error, weight));
         let Some(fit) = trend.fit() else { return Self::default() };
         let columns = (camera.width() as f64 / CELL_PX).ceil() as usize;
         let rows = (camera.height() as f64 / CELL_PX).ceil() as usize;
         // Per cell: sums of the errors along x and y, and number of tracks.
         let [mut x, mut y, mut counts] = [0; 3].map(|_| Buffer::of(0.0, columns * rows));
         let (mut squares, mut count) = (0.0, 0.0);
-        for ((observation, residual), &weight) in counted() {
+        for ((observation, error), &weight) in counted() {
             let along = |pixel: f64, cells: usize| ((pixel / CELL_PX).max(0.0) as usize).min(cells - 1);
             let cell = along(observation.pixel.y, rows) * columns + along(observation.pixel.x, columns);
             let smooth = trend.at(&fit, observation.pixel);
-            let [error_x, error_y] = [0, 1].map(|i| weight * (residual.error[i] - smooth[i]));
+            let [error_x, error_y] = [0, 1].map(|i| weight * (error[i] - smooth[i]));
             x[cell] += error_x;
             y[cell] += error_y;
             counts[cell] += 1.0;
@@ -224,12 +221,10 @@ mod tests {
                 let block = blocks[(pixel.y / 16.0) as usize * 40 + (pixel.x / 16.0) as usize];
                 let error = block.map(|error| of_block * error + independent * (uniform() - 0.5));
                 let ground = GroundPoint { x_m: 0.0, y_m: 0.0 };
-                let mut residual = Residual::NONE;
-                residual.error = error;
-                (observation(ground, pixel, whitening), residual)
+                (observation(ground, pixel, whitening), error)
             });
-            let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
-            neighbours.learn(&ResidualCorrelation::of(&camera, &observations, &residuals, &[1.0; 300]));
+            let (observations, errors): (Vec<_>, Vec<_>) = tracks.unzip();
+            neighbours.learn(&ResidualCorrelation::of(&camera, &observations, &errors, &[1.0; 300]));
         }
         neighbours
     }
@@ -260,12 +255,11 @@ mod tests {
                 // The trend of a camera rolled by 0.001 rad over ground that slopes by 0.01 rad.
                 let smooth = [0.5 + 0.001 * x * x / 500.0 + 0.005 * x, 0.001 * x * y / 500.0];
                 let ground = GroundPoint { x_m: 0.0, y_m: 0.0 };
-                let mut residual = Residual::NONE;
-                residual.error = smooth.map(|error| error + 0.2 * (uniform() - 0.5));
-                (observation(ground, pixel, Matrix2::identity()), residual)
+                let error = smooth.map(|error| error + 0.2 * (uniform() - 0.5));
+                (observation(ground, pixel, Matrix2::identity()), error)
             });
-            let (observations, residuals): (Vec<_>, Vec<_>) = tracks.unzip();
-            neighbours.learn(&ResidualCorrelation::of(&camera, &observations, &residuals, &[1.0; 400]));
+            let (observations, errors): (Vec<_>, Vec<_>) = tracks.unzip();
+            neighbours.learn(&ResidualCorrelation::of(&camera, &observations, &errors, &[1.0; 400]));
         }
         assert_eq!(neighbours.shared_fraction(), 0.0);
     }

@@ -135,6 +135,16 @@ impl<'a> Nuisance<'a> {
         }
     }
 
+    /// Residuals after a step of all unknowns, by their derivatives.
+    pub fn errors_after(&self, step: &Row, residuals: &[Residual], errors: &mut [[f64; 2]]) {
+        for ((observation, residual), errors) in self.observations.seen.iter().zip(residuals).zip(errors) {
+            for (k, error) in errors.iter_mut().enumerate() {
+                let row = self.row(observation, residual, k, self.count);
+                *error = residual.error[k] - row.iter().zip(step).map(|(by, step)| by * step).sum::<f64>();
+            }
+        }
+    }
+
     pub fn advance(&mut self, step: &Row) {
         self.values.iter_mut().zip(&step[POSE..self.count]).for_each(|(value, step)| *value -= step);
     }

@@ -84,6 +84,8 @@ pub fn refine(
     let mut residuals = Buffer::of(Residual::NONE, observations.len());
     let mut errors = Buffer::of(0.0, observations.len());
     let mut sorted = Buffer::new();
+    let mut free_errors = Buffer::of([0.0; 2], observations.len());
+    let (mut free_lengths, mut free_sorted) = (Buffer::of(0.0, observations.len()), Buffer::new());
     // Residuals and derivatives at a pose, and the robust scale of the residuals: one evaluation
     // gives the weights and the next step.
     let mut linearize = |pose: &GroundPose,
@@ -135,10 +137,17 @@ pub fn refine(
             let mut tracks_alone = tracks;
             nuisance.add_priors(&mut tracks_alone, scale_px);
             (POSE..nuisance.count.min(WITH_KEYFRAME)).for_each(|i| tracks_alone.hold(i));
+            let slope = *tracks_alone.slope();
             let tracks_alone = tracks_alone.factor()?;
-            let held_px = well_constrained_scale(camera, &pose, &equations, &weights, scale_px);
-            let shared_px = shared_px(scale_px, prior.shared_fraction * held_px);
-            let evidence = evidence(camera, &tracks_alone, &pose, &rig_prior, scale_px, shared_px);
+            // The noise of the tracks is what remains without the prior: a misfit by a prior that is
+            // too tight would otherwise count as noise and confirm that prior.
+            let step = tracks_alone.solve(&slope);
+            nuisance.errors_after(&step, &residuals, &mut free_errors);
+            free_lengths.iter_mut().zip(&*free_errors).for_each(|(length, [x, y])| *length = x.hypot(*y));
+            let free_px = robust_scale(&free_lengths, config.inlier_px, &mut free_sorted).min(scale_px);
+            let held_px = well_constrained_scale(camera, &pose, &equations, &weights, free_px);
+            let shared_px = shared_px(free_px, prior.shared_fraction * held_px);
+            let evidence = evidence(camera, &tracks_alone, &pose, &rig_prior, free_px, shared_px);
             if widen(&mut prior, &evidence) {
                 continue;
             }
@@ -199,6 +208,9 @@ pub fn refine(
         / degrees_of_freedom as f64;
     let held_px = well_constrained_scale(camera, &pose, &equations, &weights, scale_px);
     let shared_px = shared_px(scale_px, prior.shared_fraction * held_px);
+    if rig_evidence.is_none() {
+        free_errors.iter_mut().zip(&*residuals).for_each(|(free, residual)| *free = residual.error);
+    }
     let rig_evidence = rig_evidence.map(|(evidence, tracks_alone)| {
         let by_keyframe = pose_changes(&tracks_alone, &slopes, &unknowns);
         RigEvidence {
@@ -215,7 +227,7 @@ pub fn refine(
         keyframe_error,
         inliers,
         residual_px: (squares / count as f64).sqrt(),
-        residual_correlation: ResidualCorrelation::of(camera, observations, &residuals, &weights),
+        residual_correlation: ResidualCorrelation::of(camera, observations, &free_errors, &weights),
         rig_evidence,
         elevations,
         needs_relief: false,

@@ -22,7 +22,7 @@ pub struct Residual {
     pub parallax: Parallax,
 }
 
-stored!(Residual);
+stored!(Residual, [f64; 2]);
 
 impl Residual {
     /// Of a point behind the camera: no error and zero derivatives.
