@@ -98,9 +98,6 @@ impl ShutterState {
             readout,
             first: readout,
             phase: match camera.readout_s() {
-                Some(known_s) if camera.readout_deviation_s() > SURE * known_s.abs() => {
-                    ShutterDecision::Rolling
-                }
                 Some(_) => ShutterDecision::Settled,
                 None => ShutterDecision::Undecided,
             },

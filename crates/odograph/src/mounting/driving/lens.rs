@@ -146,12 +146,17 @@ impl DrivenTilt {
     ///
     /// If there are too few pairs to solve at all.
     pub fn self_calibration(&self, start: &Rig, parameters: usize) -> Result<SelfCalibration> {
-        let groups = self.groups.iter().step_by(self.pairs.div_ceil(MAX_PAIRS).max(1));
-        let solved = bundle::solve::<ALL_UNKNOWNS>(&self.camera, groups, start);
-        match solved.and_then(|solved| self.select_model(&solved, parameters)) {
-            Some(found) => Ok(found),
-            None => Ok(SelfCalibration { tilt: self.solve(start, None)?, lens: None }),
+        let groups = || self.groups.iter().step_by(self.pairs.div_ceil(MAX_PAIRS).max(1));
+        let with_lens = bundle::solve::<ALL_UNKNOWNS>(&self.camera, groups(), start)
+            .and_then(|solved| self.select_model(&solved, parameters));
+        if let Some(found) = with_lens {
+            return Ok(found);
         }
+        // Views that do not determine the lens may still determine the readout time.
+        let with_readout = bundle::solve::<LENS_START>(&self.camera, groups(), start)
+            .and_then(|solved| self.tilt_only(&solved));
+        let tilt = with_readout.map_or_else(|| self.solve(start, None), Ok)?;
+        Ok(SelfCalibration { tilt, lens: None })
     }
 
     /// Reduces pairs solved for all unknowns to the tilt alone, and to the lens with as few

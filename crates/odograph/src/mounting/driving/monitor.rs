@@ -178,6 +178,12 @@ impl CalibrationMonitor {
 
     /// The estimated calibration if it differs significantly from the given one.
     pub(super) fn check(&self) -> Option<Found> {
+        if std::env::var_os("DBGCAL").is_some() {
+            let solo = self.driven.solve(&self.given, None);
+            let free = self.driven.self_calibration(&self.given, 0);
+            eprintln!("DBGCAL pairs {} deviates {} solo {:?}", self.driven.pairs(), self.deviates, solo.as_ref().map(|t| (t.roll_rad, t.pitch_rad, t.rms_px, t.scatter_rad)));
+            match free { Ok(f) => eprintln!("   free tilt {:.4} {:.4} +- {:.4} scatter {:?} rms {:.3} readout {:?} lens {:?} explains {}", f.tilt.roll_rad, f.tilt.pitch_rad, f.tilt.covariance.trace().sqrt(), f.tilt.scatter_rad, f.tilt.rms_px, f.tilt.readout, f.lens.as_ref().map(|(l,_)| (l.off_px, l.deviation_px, l.is_significant())), self.driven.explains(&f.tilt)), Err(e) => eprintln!("   free {e}") }
+        }
         if !self.deviates {
             return None;
         }
