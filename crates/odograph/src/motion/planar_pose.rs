@@ -219,9 +219,13 @@ pub fn refine(
             by_keyframe: by_keyframe.fixed_view::<3, 3>(3, 3).into_owned(),
         }
     });
+    let covariance = own + shared_covariance(camera, &pose, &unknowns, shared_px);
+    if (0..2).any(|i| covariance[(i, i)].sqrt() > MAX_RELATIVE_SIGMA * pose.height_m) {
+        return None;
+    }
     Some(MotionEstimate {
         pose,
-        covariance: own + shared_covariance(camera, &pose, &unknowns, shared_px),
+        covariance,
         by_keyframe: pose_changes(&given_keyframe, &slopes, &unknowns),
         by_prior_tilt: by_prior_tilt(&given_keyframe, &rig_prior, &unknowns),
         keyframe_error,
@@ -259,6 +263,10 @@ const CHI_SQUARED_MEDIAN: f64 = 0.455;
 /// Initial noise of a track, before residuals give the scale, as a fraction of the inlier distance.
 /// Not derived; chosen.
 const INITIAL_NOISE: f64 = 0.05;
+
+/// A position that the tracks determine to no better than this part of the height is not measured.
+/// The next keyframe and the velocity would be built on it. Not derived; chosen.
+const MAX_RELATIVE_SIGMA: f64 = 0.1;
 
 /// Most iterations of the robust fit. Not derived; chosen.
 const MAX_ITERATIONS: usize = 12;

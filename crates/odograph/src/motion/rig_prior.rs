@@ -357,6 +357,11 @@ impl RigPriorEstimator {
         self.variations = Default::default();
     }
 
+    /// The next frame does not follow the last one: after a gap the camera may stand otherwise.
+    pub fn interrupt(&mut self) {
+        self.variations.iter_mut().for_each(|variation| (variation.last, variation.change) = (None, None));
+    }
+
     /// Learns from a measured frame, given the pose of its keyframe and the covariance that the
     /// keyframe's uncertainty adds to the frame's.
     pub fn learn(

@@ -108,7 +108,10 @@ impl LastPose {
     fn carried_on(&self, time_s: f64, model: MotionPrediction) -> GroundPose {
         let step_s = (time_s - self.time_s).max(0.0);
         if let (MotionPrediction::Free, Some(rates)) = (model, &self.pose_rates) {
-            return GroundPose::from_vector(&(self.pose.to_vector() + rates * step_s));
+            // Height and tilt do not go on over a gap.
+            let brief_s = step_s.min(self.step_s.max(0.0));
+            let durations = PoseRates::new(step_s, step_s, step_s, brief_s, brief_s, brief_s);
+            return GroundPose::from_vector(&(self.pose.to_vector() + rates.component_mul(&durations)));
         }
         let share = if model == MotionPrediction::Accelerated { 1.0 } else { 0.0 };
         // An acceleration does not last: over a gap it is believed for one more step.

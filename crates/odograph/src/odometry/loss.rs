@@ -21,6 +21,7 @@ impl Odometry {
         }
         self.tracks.clear();
         self.lost_frames += 1;
+        self.learned.rig_prior.interrupt();
         let reason = self.cause(&pyramid, bare, reason);
         if self.standing.is_suspected() {
             // What could be found again would be what stands still, too.
