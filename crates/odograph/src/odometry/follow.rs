@@ -224,9 +224,16 @@ pub fn confirm(
             .is_some_and(|distance| distance <= config.flow.forward_backward_px)
     };
     let found: Buffer<Found> = measurement.found.iter().filter(comes_back).copied().collect();
+    if (found.len() as f64) < MIN_CONFIRMED * measurement.found.len() as f64 {
+        return measurement;
+    }
     let followed = Followed { found, settled: measurement.settled.then_some(measurement.estimate.pose) };
     judge(keyframe, followed, camera, &measurement.prediction, config, learned, random).unwrap_or(measurement)
 }
+
+/// Where fewer tracks than this fraction come back, blur keeps them from it, and the few that do
+/// would give a worse pose. Not derived; chosen.
+const MIN_CONFIRMED: f64 = 0.5;
 
 /// Inlier ratio among the keyframe's corners that a camera at the measured pose should see, 0 to 1:
 /// low if only something beside the ground was tracked.
