@@ -3,7 +3,7 @@
 use odograph::geometry::wrap_angle;
 use odograph::ground_map::MapKeyframe;
 use odograph::keyframe::KeyframeId;
-use odograph::keyframe::relative_pose::laid_from;
+use odograph::keyframe::relative_pose::compose;
 use odograph::place_recognition::{PlaceHypothesis, PlaceIndex, PlacesConfig};
 use odograph::slam::Mapper;
 use serde::Serialize;
@@ -172,7 +172,7 @@ fn places(hypotheses: &[PlaceHypothesis], keyframes: &BTreeMap<KeyframeId, &MapK
     evident.sort_by(|a, b| evidence_of(b).total_cmp(&evidence_of(a)));
     for hypothesis in evident {
         let Some(keyframe) = keyframes.get(&hypothesis.keyframe) else { continue };
-        let pose = laid_from(&keyframe.pose, &hypothesis.motion, 1.0);
+        let pose = compose(&keyframe.pose, &hypothesis.motion, 1.0);
         let place = AlikePlace {
             probability: 1.0,
             x_m: pose.x_m,

@@ -170,7 +170,7 @@ fn line(drive: &LoopDrive) -> Result<String> {
     })?;
     let config = OdometryConfig::default();
     let mut odometry = Odometry::new(camera(drive.size)?, told, config)?;
-    odometry.tell_keyframes();
+    odometry.record_keyframes();
     let mut mapper = Mapper::new(&camera(drive.size)?, told, &config, LoopClosureConfig::default());
     let mut images = MemoryImages::default();
     let (mut frames, mut references, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
@@ -209,8 +209,10 @@ fn line(drive: &LoopDrive) -> Result<String> {
         found.map_or(simulation.truth(0.0), |keyframe| simulation.truth(keyframe.time_s))
     };
     let off_mm = |closure: &odograph::loop_closure::LoopClosure| {
-        let seen =
-            odograph::keyframe::relative_pose::seen_from(&truth(closure.edge.from), &truth(closure.edge.to));
+        let seen = odograph::keyframe::relative_pose::relative_motion(
+            &truth(closure.edge.from),
+            &truth(closure.edge.to),
+        );
         1e3 * (seen[0] - closure.edge.motion[0]).hypot(seen[1] - closure.edge.motion[1])
     };
     let worst_loop_mm = mapper.closures().iter().map(off_mm).fold(0.0, f64::max);

@@ -147,11 +147,11 @@ pub fn rig_from_boards(
             let at = around + combined.offset;
             Some([at[0], at[1], at[2], yaw.map_or(0.0, |yaw| yaw.rad)])
         };
-        let carried = uncertainty.carried(camera, outcome).ok_or_else(|| {
-            Error::input("the camera's own uncertainty is so large that the board says nothing; calibrate the camera again")
+        let propagated = uncertainty.propagated(camera, outcome).ok_or_else(|| {
+            Error::input("the camera's parameters are too uncertain to determine the mount from the board; calibrate the camera again")
         })?;
-        covariance += carried.fixed_view::<3, 3>(0, 0);
-        yaw_variance = yaw_variance.map(|variance| variance + carried[(3, 3)]);
+        covariance += propagated.fixed_view::<3, 3>(0, 0);
+        yaw_variance = yaw_variance.map(|variance| variance + propagated[(3, 3)]);
     }
     let at = around + combined.offset;
     let notes = notes(floor, &used, yaw);

@@ -6,7 +6,7 @@ use odograph::camera::{Camera, Distortion, Rig};
 use odograph::geometry::GroundPose;
 use odograph::ground_map::{KeyframeImage, KeyframeImages, MapKeyframe};
 use odograph::image::Pyramid;
-use odograph::keyframe::relative_pose::{laid_from, seen_from};
+use odograph::keyframe::relative_pose::{compose, relative_motion};
 use odograph::keyframe::{EdgeKind, KeyframeId, MapEdge};
 use odograph::place_recognition::{PlacesConfig, Signature};
 use odograph_map::{MapFile, PathFrame};
@@ -82,9 +82,9 @@ fn map_of(path: &Path, truth: &[GroundPose], known: &[GroundPose], edges: &[MapE
 fn drive(path: &Path, truth: &[GroundPose]) {
     let level = GroundPose::level(HEIGHT_M);
     let known: Vec<_> =
-        truth.iter().map(|pose| laid_from(&level, &seen_from(&truth[0], pose), 1.0)).collect();
+        truth.iter().map(|pose| compose(&level, &relative_motion(&truth[0], pose), 1.0)).collect();
     let edges: Vec<_> = (1..truth.len())
-        .map(|i| tie(i - 1, i, EdgeKind::Odometry, seen_from(&truth[i - 1], &truth[i])))
+        .map(|i| tie(i - 1, i, EdgeKind::Odometry, relative_motion(&truth[i - 1], &truth[i])))
         .collect();
     map_of(path, truth, &known, &edges);
 }
@@ -165,14 +165,15 @@ fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     let truth: Vec<GroundPose> = there.into_iter().chain(back).collect();
     let (mut edges, mut known) = (Vec::new(), vec![truth[0]]);
     for i in 1..truth.len() {
-        let mut motion = seen_from(&truth[i - 1], &truth[i]);
+        let mut motion = relative_motion(&truth[i - 1], &truth[i]);
         motion[2] += 0.01;
         edges.push(tie(i - 1, i, EdgeKind::Odometry, motion));
-        known.push(laid_from(&known[i - 1], &motion, 1.0));
+        known.push(compose(&known[i - 1], &motion, 1.0));
     }
     let exact = |edge: MapEdge| MapEdge { covariance: edge.covariance * 1e-2, ..edge };
-    edges
-        .extend((6..12).map(|i| exact(tie(i, 11 - i, EdgeKind::Loop, seen_from(&truth[i], &truth[11 - i])))));
+    edges.extend(
+        (6..12).map(|i| exact(tie(i, 11 - i, EdgeKind::Loop, relative_motion(&truth[i], &truth[11 - i])))),
+    );
     map_of(&path, &truth, &known, &edges);
     let worst_m = |map: &MapFile| {
         let keyframes = map.map().unwrap().keyframes;

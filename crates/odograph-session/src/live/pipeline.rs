@@ -58,7 +58,7 @@ pub fn follow(
 ) -> Result<RunOutcome> {
     let LiveSinks { poses, log } = sinks;
     let mut odometry = plan.odometry()?;
-    odometry.tell_keyframes();
+    odometry.record_keyframes();
     let mut following = Following {
         odometry,
         calibration,

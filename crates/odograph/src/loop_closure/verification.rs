@@ -23,7 +23,7 @@ pub struct LoopClosure {
     /// Corners of the newer keyframe matched in the older one.
     pub inliers: usize,
     /// Inlier ratio: the matched share of the corners in the overlap, 0 to 1.
-    pub presence: f64,
+    pub inlier_ratio: f64,
     /// Distance between the measured and the predicted position before this loop closure, metres.
     pub correction_m: f64,
 }
@@ -64,7 +64,7 @@ pub fn look(
 }
 
 fn is_clear(found: &Sighting, config: &LoopClosureConfig) -> bool {
-    found.inliers >= LEAST_INLIERS && found.presence >= config.least_presence
+    found.inliers >= LEAST_INLIERS && found.inlier_ratio >= config.least_inlier_ratio
 }
 
 /// Normalised innovation squared of a match.
@@ -95,7 +95,7 @@ fn only_one(
             continue;
         }
         let Some(sighting) = matcher.find(sought, pictured, &guess.motion, GUESS_OFF_PX) else { continue };
-        if sighting.inliers < LEAST_INLIERS || sighting.presence < 0.7 * config.least_presence {
+        if sighting.inliers < LEAST_INLIERS || sighting.inlier_ratio < 0.7 * config.least_inlier_ratio {
             continue;
         }
         match &found {
@@ -141,7 +141,7 @@ fn closure(new: KeyframeId, old: KeyframeId, found: &Sighting, off: Vector4<f64>
     LoopClosure {
         edge: MapEdge { from: new, to: old, kind: EdgeKind::Loop, motion, covariance },
         inliers: found.inliers,
-        presence: found.presence,
+        inlier_ratio: found.inlier_ratio,
         correction_m: off[X].hypot(off[Y]),
     }
 }

@@ -49,7 +49,7 @@ fn collected(
             let seen = Pixel::new(seen.x + noise * normal(random), seen.y + noise * normal(random));
             tracks.push((corner, seen, !wrong));
         }
-        driven.groups.push(Group { pairs: vec![Pair { tracks, exposure: None }] });
+        driven.groups.push(Group { pairs: vec![ViewPair { tracks, exposure: None }] });
     }
     driven
 }
@@ -97,7 +97,7 @@ fn the_readout_time_is_not_taken_for_a_tilt() {
                 let (pose, rates) = at(x_m);
                 Moving { pose: pose.to_vector(), rates, accelerations: PoseRates::zeros() }
             };
-            pairs.push(Pair { tracks, exposure: Some(PairExposure::new(&moving(from), &moving(to))) });
+            pairs.push(ViewPair { tracks, exposure: Some(PairExposure::new(&moving(from), &moving(to))) });
         }
         driven.groups.push(Group { pairs });
     }
@@ -237,8 +237,12 @@ fn a_shaking_mount_gives_its_mean_tilt_and_a_wider_deviation() {
     assert!(off(&found).norm() < 3.5 * deviation && deviation < 0.2f64.to_radians(), "{found:?}");
 }
 
-/// What [`CalibrationMonitor`] finds in a drive if the rig `told` is given, and after which frame.
-fn noticed(simulation: &Simulation, given: Rig, mut monitor: CalibrationMonitor) -> Option<(Found, u64)> {
+/// What [`CalibrationMonitor`] finds in a drive if the rig `given` is used, and after which frame.
+fn noticed(
+    simulation: &Simulation,
+    given: Rig,
+    mut monitor: CalibrationMonitor,
+) -> Option<(CalibrationUpdate, u64)> {
     let camera = simulation.config().camera.clone();
     let mut odometry = Odometry::new(camera, given, OdometryConfig::default()).unwrap();
     let on_the_way = simulation.frames().find_map(|frame| {
@@ -266,7 +270,7 @@ fn an_unknown_tilt_is_detected_early_and_refined_later() {
         covariance: Matrix2::identity() * 0.003f64.powi(2),
         ..tilt
     };
-    let earlier = Found { tilt: Some(poor.clone()), ..first.clone() };
+    let earlier = CalibrationUpdate { tilt: Some(poor.clone()), ..first.clone() };
     let taken = earlier.rig(&level);
     let (second, later) =
         noticed(&simulation, taken, CalibrationMonitor::found(camera, &taken, &earlier)).unwrap();
@@ -276,7 +280,7 @@ fn an_unknown_tilt_is_detected_early_and_refined_later() {
 }
 
 /// What is found if the drive is rendered with one camera and tracked with another.
-fn through_lens(camera: &Camera, given: &Camera, rig: Rig, effects: Effects) -> Option<Found> {
+fn through_lens(camera: &Camera, given: &Camera, rig: Rig, effects: Effects) -> Option<CalibrationUpdate> {
     let config = SimulationConfig { camera: camera.clone(), ..drive(RIG, effects, EIGHT).config().clone() };
     let simulation = Simulation::new(config).unwrap();
     let mut odometry = Odometry::new(given.clone(), rig, OdometryConfig::default()).unwrap();
