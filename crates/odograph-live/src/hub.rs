@@ -1,7 +1,7 @@
 //! The shared state of a live run. The tracking thread writes into it without ever waiting for a
 //! viewer; each viewer reads what is new since its last read.
 
-use crate::ground::Ground;
+use crate::ground::TiledGround;
 use crate::record::{Records, TrackRecord};
 pub use crate::shown::{Introduction, Mark, Phase, Status, View};
 use odograph::mosaic::MosaicSquare;
@@ -19,7 +19,7 @@ const GROUND_INTERVAL: Duration = Duration::from_millis(250);
 /// map.
 pub struct Hub {
     introduction: Introduction,
-    ground: Arc<dyn Ground>,
+    ground: Arc<dyn TiledGround>,
     seen: Mutex<ViewerState>,
     news: Condvar,
     stop_asked: AtomicBool,
@@ -80,7 +80,7 @@ pub struct News {
 
 impl Hub {
     /// Creates a hub that serves `ground` as its map.
-    pub fn new(introduction: Introduction, ground: Arc<dyn Ground>) -> Self {
+    pub fn new(introduction: Introduction, ground: Arc<dyn TiledGround>) -> Self {
         Self {
             introduction,
             ground,
@@ -98,7 +98,7 @@ impl Hub {
     }
 
     /// The ground map below the trajectory.
-    pub fn ground(&self) -> &dyn Ground {
+    pub fn ground(&self) -> &dyn TiledGround {
         &*self.ground
     }
 

@@ -8,15 +8,15 @@ use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::observer::Observer;
 use crate::outcome::{RunEnd, RunOutcome};
-use crate::output::Output;
+use crate::output::RunOutput;
 use crate::pipeline::Tracked;
 use crate::place::PlaceInMap;
 use crate::plan::RunPlan;
 use crate::report::RunReporter;
 use crate::resemblance::Resemblance;
-use crate::ros_bag::RosBag;
+use crate::ros_bag::RosBagWriter;
 use crate::statistics::{
-    BudgetStatistics, LoopStatistics, SensorStatistics, StageTime, Statistics, interruption,
+    BudgetStatistics, LoopStatistics, RunStatistics, SensorStatistics, StageTime, interruption,
     peak_memory_bytes,
 };
 use crate::{files, pictures, reference, tilt};
@@ -37,7 +37,7 @@ pub struct Ending<'a> {
     /// Description of the recording.
     pub description: &'a str,
     pub sensors: &'a Sensors,
-    pub output: &'a Output,
+    pub output: &'a RunOutput,
     pub reporter: Option<&'a dyn RunReporter>,
     pub observer: &'a dyn Observer,
     /// When the run began.
@@ -117,7 +117,7 @@ impl Improved {
 }
 
 /// Fails if there are too few frames for a trajectory.
-fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &Output) -> Result<()> {
+fn enough(plan: &RunPlan, tracked: &mut Tracked, output: &RunOutput) -> Result<()> {
     if tracked.frames.count() >= output.least_frames || tracked.interrupted {
         return Ok(());
     }
@@ -243,7 +243,7 @@ impl Finishing<'_> {
         }
         let mut in_map = in_map.into_iter();
         files::write_with(path, |output| {
-            let mut bag = RosBag::new(path, output, self.of)?;
+            let mut bag = RosBagWriter::new(path, output, self.of)?;
             self.tracked.frames.each(|frame, _| bag.add(frame, in_map.next().flatten().as_ref()))?;
             bag.finish()
         })?;
@@ -404,7 +404,7 @@ fn statistics_of(
     sensors: &[SensorReport],
     loops: LoopStatistics,
     elapsed: Duration,
-) -> Statistics {
+) -> RunStatistics {
     let posed = |i: usize| frames[i].place.is_some();
     let losses = (0..frames.len()).filter(|&i| !posed(i) && (i == 0 || posed(i - 1))).count();
     let duration_s = match (frames.first(), frames.last()) {
@@ -412,7 +412,7 @@ fn statistics_of(
         _ => 0.0,
     };
     let rate = |s: f64| if s > 0.0 { frames.len() as f64 / s } else { 0.0 };
-    Statistics {
+    RunStatistics {
         frames: frames.len() as u64,
         frames_with_pose: frames.iter().filter(|f| f.status == TrackStatus::Tracked).count() as u64,
         duration_s,

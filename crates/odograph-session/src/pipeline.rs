@@ -6,7 +6,7 @@ use crate::found::{FixedInImage, FoundLens, FoundMount, FoundReadout};
 use crate::kept_frames::KeptFrames;
 use crate::mapping::Mapping;
 use crate::observer::Observer;
-use crate::output::Output;
+use crate::output::RunOutput;
 use crate::plan::RunPlan;
 use crate::statistics::LiveStatistics;
 use crate::timings::Timings;
@@ -88,7 +88,7 @@ pub fn track(
     plan: &RunPlan,
     source: Source,
     folder: &mut OutputFolder,
-    output: &Output,
+    output: &RunOutput,
     self_calibration: Option<CalibrationMonitor>,
     observer: &dyn Observer,
 ) -> Result<Ended> {

@@ -1,12 +1,12 @@
 //! `odograph localize`: finds a camera in an existing map.
 
-use super::run::{ConsoleObserver, Frame, Motion};
+use super::run::{ConsoleObserver, Motion, PoseFrameName};
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph_map::MapFile;
 use odograph_report::HtmlReporter;
 use odograph_session::{
-    AlikePlace, MapUse, PlaceInMap, RunBuilder, RunOutcome, SourcePlan, Statistics, Verdict,
+    AlikePlace, MapUse, PlaceInMap, ResemblanceVerdict, RunBuilder, RunOutcome, RunStatistics, SourcePlan,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -39,7 +39,7 @@ pub struct LocalizeArguments {
     pub rig: Option<PathBuf>,
     /// Frame whose place is printed. [default: the robot's if the map's rig has x_m, y_m, z_m]
     #[arg(help_heading = "Results", long, value_name = "FRAME")]
-    pub frame: Option<Frame>,
+    pub frame: Option<PoseFrameName>,
     /// What may change between frames.
     #[arg(help_heading = "Map", long, value_name = "MODEL", default_value = "auto")]
     pub motion: Motion,
@@ -117,7 +117,7 @@ struct LocalizationJson<'a> {
     session_source: Option<String>,
     /// The possible places if none is certain; the most probable first.
     alike: &'a [AlikePlace],
-    statistics: &'a Statistics,
+    statistics: &'a RunStatistics,
 }
 
 fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
@@ -127,7 +127,7 @@ fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
         Some(session.source.clone())
     };
     let alike = report.resemblance.as_ref().map_or(&[][..], |resemblance| &resemblance.places);
-    let verdict = report.resemblance.as_ref().map_or(Verdict::TooFewFeatures, |one| one.verdict);
+    let verdict = report.resemblance.as_ref().map_or(ResemblanceVerdict::TooFewFeatures, |one| one.verdict);
     if arguments.json {
         let told = LocalizationJson {
             recognised: report.place.is_some(),

@@ -11,7 +11,7 @@ use crate::lengths::{self, Height};
 use clap::ValueEnum;
 use odograph::error::Result;
 use odograph_simulation::Simulation;
-use output::Output;
+use output::SimulationOutput;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -359,7 +359,7 @@ pub fn simulate(arguments: SimulateArguments) -> Result<Outcome> {
         true => parameters.with_sensors(&simulation.sensors()?),
         false => parameters,
     };
-    let output = Output::prepared(&arguments, &simulation)?;
+    let output = SimulationOutput::prepared(&arguments, &simulation)?;
     output.write(&simulation, &parameters)?;
     if !arguments.quiet {
         tell(output.folder(), &simulation)?;

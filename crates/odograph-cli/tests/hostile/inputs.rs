@@ -217,7 +217,8 @@ fn lengths_have_units_and_implausible_heights_cause_warnings() {
         let message = String::from_utf8_lossy(&done.stderr).into_owned();
         assert!(done.status.success(), "{message}");
         assert_eq!(
-            message.contains("warning: --height 90 is read as 90 metres; if centimetres are meant, write 90cm"),
+            message
+                .contains("warning: --height 90 is read as 90 metres; if centimetres are meant, write 90cm"),
             doubted
         );
     }

@@ -80,7 +80,10 @@ impl HostileFolder {
 pub fn assert_refused(done: &Output, code: i32, words: &str, what: &str) {
     let message = String::from_utf8(done.stderr.clone()).unwrap();
     assert_eq!(done.status.code(), Some(code), "`{what}` printed: {message}");
-    assert!(!message.contains("panicked") && !message.contains("RUST_BACKTRACE"), "`{what}` printed: {message}");
+    assert!(
+        !message.contains("panicked") && !message.contains("RUST_BACKTRACE"),
+        "`{what}` printed: {message}"
+    );
     assert!(message.contains(words), "`{what}` did not print \"{words}\" but: {message}");
     assert_eq!(message.lines().count(), 1, "`{what}` printed: {message}");
     assert!(done.stdout.is_empty(), "`{what}` printed {:?}", String::from_utf8_lossy(&done.stdout));

@@ -35,7 +35,7 @@ const LARGEST_CHUNK: u64 = 8 << 20;
 
 /// The image of a frame with its tracks.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
+pub struct TrackedImage {
     /// The camera image.
     pub gray: GrayImage,
     /// The tracks in it.
@@ -108,7 +108,12 @@ impl McapFile {
     ///
     /// # Errors
     /// If the file cannot be written. It is unusable from then on.
-    pub fn add(&mut self, frame: &FrameEstimate, latency_ms: f64, picture: Option<&Picture>) -> Result<()> {
+    pub fn add(
+        &mut self,
+        frame: &FrameEstimate,
+        latency_ms: f64,
+        picture: Option<&TrackedImage>,
+    ) -> Result<()> {
         let at = (frame.time_s * 1e9).round() as u64;
         if at.saturating_sub(*self.chunk_began.get_or_insert(at)) >= SECOND {
             self.chunk_began = Some(at);
@@ -139,7 +144,7 @@ impl McapFile {
             self.drawn = Some(at);
             tell(channels.path, messages::path(at, &self.sketch.stretches()));
         }
-        if let Some(Picture { gray, tracks }) = picture
+        if let Some(TrackedImage { gray, tracks }) = picture
             && let Some((jpeg, scale)) = encode(gray)
         {
             tell(channels.picture, messages::compressed_image(at, &jpeg));

@@ -8,7 +8,7 @@ use odograph::geometry::{GroundPose, Sim2};
 use odograph::ground_map::{KeyframeImage, KeyframeImages};
 use odograph::keyframe::KeyframeId;
 use odograph::mosaic::{Mosaic, MosaicSquare};
-use odograph_live::Ground;
+use odograph_live::TiledGround;
 use odograph_live::ground::GroundState;
 use odograph_map::MapFile;
 use std::collections::BTreeSet;
@@ -122,7 +122,7 @@ impl LiveGround {
     }
 }
 
-impl Ground for LiveGround {
+impl TiledGround for LiveGround {
     fn state(&self) -> Option<GroundState> {
         let state = Self::state(self);
         let mosaic = state.mosaic()?;
@@ -174,7 +174,7 @@ mod tests {
 
     /// Gray level of the ground at x on the x axis.
     fn shade(ground: &LiveGround, x_m: f64) -> Option<u8> {
-        let metres_per_pixel = Ground::state(ground)?.metres_per_pixel;
+        let metres_per_pixel = TiledGround::state(ground)?.metres_per_pixel;
         let column = (x_m / metres_per_pixel).floor() as i64;
         let side = Mosaic::TILE_SIDE_PX as i64;
         let rgba = ground.tile_rgba(MosaicSquare { column: column.div_euclid(side), row: 0 })?;
@@ -190,7 +190,7 @@ mod tests {
             ground.lay(posed(0, 50, at(0.0)));
             ground.lay(posed(1, 90, at(30.0)));
             assert!(ground.finish().unwrap().failure.is_none());
-            Ground::state(&ground).is_some()
+            TiledGround::state(&ground).is_some()
         };
         assert!(laid(true));
         assert!(!laid(false));
@@ -222,7 +222,7 @@ mod tests {
         let ground = LiveGround::new(camera, folder.path(), true);
         ground.lay(posed(0, 50, at(0.0)));
         ground.lay(posed(1, 90, at(30.0)));
-        let before = Ground::state(&ground).unwrap().revision;
+        let before = TiledGround::state(&ground).unwrap().revision;
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), None, Some(90)]);
         let keyframes = vec![(first.id, first.pose), (second.id, second.pose)];
         let correction = second.map_from_odometry();
@@ -234,7 +234,7 @@ mod tests {
         assert!(!there.is_empty() && !bare.is_empty(), "{there:?} {bare:?}");
         assert_eq!([0.1, 15.1, 30.1].map(|x_m| shade(&ground, x_m)), [Some(50), Some(90), None]);
         // Frames that odometry has fifteen metres too far are rendered at their corrected poses.
-        let revision = Ground::state(&ground).unwrap().revision;
+        let revision = TiledGround::state(&ground).unwrap().revision;
         ground.lay(posed(2, 130, at(40.0)));
         assert_eq!([25.1, 40.1].map(|x_m| shade(&ground, x_m)), [Some(130), None]);
         let new = ground.changed_since(revision);

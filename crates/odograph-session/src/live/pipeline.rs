@@ -27,7 +27,7 @@ use odograph::odometry::{KeyframeEvent, Odometry, TrackView};
 use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::capture::{Captured, Newest, Policy, Taken, Watch};
-use odograph_live::foxglove::Picture;
+use odograph_live::foxglove::TrackedImage;
 use odograph_live::{Hub, Phase, Status, TrackRecord, View};
 use odograph_video::Frame;
 use std::sync::Arc;
@@ -275,7 +275,7 @@ impl Following<'_, '_> {
         self.recorder.record(&seen);
         if let Some(log) = self.log {
             let tracks = || self.odometry.tracks().to_vec();
-            log.give(&seen, latency_ms, || Picture { gray: frame.gray.clone(), tracks: tracks() });
+            log.give(&seen, latency_ms, || TrackedImage { gray: frame.gray.clone(), tracks: tracks() });
         }
         let first_time_s = self.frames.first_time_s().unwrap_or(estimate.time_s);
         let reference = self.odometry.reference();

@@ -36,7 +36,7 @@ const LATCHED: &str = "- history: 1\n  depth: 1\n  reliability: 1\n  durability:
                        avoid_ros_namespace_conventions: false\n";
 
 /// A bag while it is written.
-pub struct RosBag<'a, W: Write> {
+pub struct RosBagWriter<'a, W: Write> {
     path: &'a Path,
     writer: Writer<NoSeek<W>>,
     of: PoseFrame,
@@ -47,7 +47,7 @@ pub struct RosBag<'a, W: Write> {
     sequence: u32,
 }
 
-impl<'a, W: Write> RosBag<'a, W> {
+impl<'a, W: Write> RosBagWriter<'a, W> {
     /// A bag of the path of a frame; `path` is named in errors.
     pub fn new(path: &'a Path, output: W, of: PoseFrame) -> Result<Self> {
         let options = WriteOptions::new()

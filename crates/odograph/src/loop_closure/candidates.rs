@@ -11,7 +11,7 @@ use nalgebra::Vector4;
 
 /// An older keyframe that may overlap the new one.
 #[derive(Debug, Clone)]
-pub struct Candidate {
+pub struct LoopCandidate {
     pub id: KeyframeId,
     pub prior: Prior,
     /// Expected overlap: the share of the new keyframe's view, 0 to 1.
@@ -78,7 +78,7 @@ pub fn candidates(
     known: &dyn Fn(KeyframeId) -> Option<GroundPose>,
     matcher: &Matcher,
     config: &LoopClosureConfig,
-) -> Vec<Candidate> {
+) -> Vec<LoopCandidate> {
     let (Some(here), Some(pose)) = (graph.pose(new), known(new)) else { return Vec::new() };
     let view_m = matcher.view_m(&pose);
     let reach_m = 1.5 * view_m + 2.0 * MAX_UNCERTAIN_VIEWS * view_m;
@@ -108,7 +108,7 @@ pub fn candidates(
         let shown = shortened(&prior.reached.motion, 2.0 * sigma_m);
         let overlap = matcher.overlap(&pose, &other, &shown);
         if overlap >= config.least_overlap {
-            found.push(Candidate { id, prior, overlap });
+            found.push(LoopCandidate { id, prior, overlap });
         }
     }
     // Equal overlaps stay ordered by certainty (stable sort).
@@ -117,7 +117,7 @@ pub fn candidates(
 }
 
 /// Rounded to tenths, so that a slightly larger overlap does not outweigh certainty.
-fn rank(candidate: &Candidate) -> f64 {
+fn rank(candidate: &LoopCandidate) -> f64 {
     (10.0 * candidate.overlap).round()
 }
 

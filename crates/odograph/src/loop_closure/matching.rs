@@ -42,7 +42,7 @@ pub struct Pictured {
 
 /// The relative pose of two keyframes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
+pub struct LoopSighting {
     /// As [`crate::keyframe::MapEdge::motion`].
     pub motion: Vector4<f64>,
     pub covariance: Matrix4<f64>,
@@ -144,7 +144,7 @@ impl Matcher {
         pictured: &Pictured,
         motion: &Vector4<f64>,
         off_px: f64,
-    ) -> Option<Sighting> {
+    ) -> Option<LoopSighting> {
         let keyframe = &sought.keyframe;
         let prediction = self.placed(&keyframe.pose, &pictured.pose, motion);
         let (camera, config) = (&self.camera, &self.config);
@@ -220,13 +220,13 @@ impl Matcher {
         estimate: &MotionEstimate,
         (inliers, inlier_ratio): (usize, f64),
         off_px: f64,
-    ) -> Option<Sighting> {
+    ) -> Option<LoopSighting> {
         let pose = &estimate.pose;
         let off_px = off_px.powi(2);
         let off_m2 = off_px * self.pixel_m(&keyframe.pose).powi(2);
         let off_rad2 = off_px / (0.5 * self.camera.width().min(self.camera.height()) as f64).powi(2);
         let unmodelled = Matrix4::from_diagonal(&Vector4::new(off_m2, off_m2, off_rad2, 0.0));
-        let sighting = Sighting {
+        let sighting = LoopSighting {
             motion: relative_motion(&keyframe.pose, pose),
             covariance: motion_covariance(&keyframe.pose, pose, &estimate.covariance) + unmodelled,
             inliers,

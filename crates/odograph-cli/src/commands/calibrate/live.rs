@@ -2,7 +2,10 @@
 //! next, until the result is good.
 
 use super::search::{Gathering, look};
-use super::{CalibrateArguments, CalibrationResult, SearchedSource, conclude, input::Look, output::Output};
+use super::{
+    CalibrateArguments, CalibrationResult, SearchedSource, conclude, input::SearchedImage,
+    output::CalibrationOutput,
+};
 use crate::commands::live::{Offer, Serving};
 use crate::{Outcome, interrupt};
 use odograph::error::{Error, Result};
@@ -11,7 +14,7 @@ use odograph::image::GrayImage;
 use odograph::mosaic::Mosaic;
 use odograph::numerics::median;
 use odograph::odometry::TrackView;
-use odograph_calibration::selection::{Coverage, Guidance, LEAST_VIEWS, SelectionConfig, ViewSelector};
+use odograph_calibration::selection::{Guidance, LEAST_VIEWS, SelectionConfig, ViewCoverage, ViewSelector};
 use odograph_calibration::{Board, BoardFinder, BoardView, Calibration, CalibrationConfig, Verdict};
 use odograph_live::capture::{Captured, Newest, Taken, Watch, without_credentials};
 use odograph_live::{Hub, Introduction, Phase, Status, View};
@@ -50,7 +53,7 @@ pub fn is_asked(arguments: &CalibrateArguments) -> Result<bool> {
 pub fn calibrate(
     arguments: &CalibrateArguments,
     board: Board,
-    output: &Output,
+    output: &CalibrationOutput,
     selection: SelectionConfig,
 ) -> Result<Outcome> {
     let watch = Watch::default();
@@ -140,7 +143,7 @@ fn open(arguments: &CalibrateArguments, watch: &Watch) -> Result<LiveInput> {
 }
 
 /// The camera file, and the report if it is below the same folder.
-fn offer(output: &Output) -> Offer {
+fn offer(output: &CalibrationOutput) -> Offer {
     let camera = output.camera_file();
     let folder = match camera.parent() {
         Some(folder) if folder != Path::new("") => folder.to_owned(),
@@ -194,8 +197,10 @@ impl Showing<'_> {
         let name = format!("frame {} ({:.2} s)", frame.number, frame.time_s);
         let shown = (self.hub.viewers() > 0).then(|| frame.gray.clone());
         let image = frame.gray;
-        let looked =
-            look(&self.finder, Look { number, name, time_s: Some(frame.time_s), picture: false, image });
+        let looked = look(
+            &self.finder,
+            SearchedImage { number, name, time_s: Some(frame.time_s), picture: false, image },
+        );
         let (points, why) = match looked.view() {
             Ok(view) => (corners(view), None),
             Err(why) => (Vec::new(), Some(why.to_string())),
@@ -239,7 +244,7 @@ impl Showing<'_> {
             &json!({
                 "board": self.board.to_string(), "why": why, "looked_at": looked_at, "with_board": with_board,
                 "views": self.guidance.as_ref().map_or(0, |guidance| guidance.views),
-                "columns": Coverage::COLUMNS, "rows": Coverage::ROWS, "coverage": coverage, "missing": missing,
+                "columns": ViewCoverage::COLUMNS, "rows": ViewCoverage::ROWS, "coverage": coverage, "missing": missing,
                 "trying": self.trial.runs(), "tried": self.trial.said(), "verdict": null,
             }),
         );
@@ -279,7 +284,7 @@ fn tell_result(hub: &Hub, calibrated: &CalibrationResult) {
         "calibration",
         &json!({
             "board": calibrated.board.to_string(), "why": null, "looked_at": found.looked_at, "with_board": found.with_board,
-            "views": calibration.views_used(), "columns": Coverage::COLUMNS, "rows": Coverage::ROWS,
+            "views": calibration.views_used(), "columns": ViewCoverage::COLUMNS, "rows": ViewCoverage::ROWS,
             "coverage": calibrated.guidance.coverage.points, "missing": missing, "trying": false,
             "tried": said(calibration), "verdict": calibration.verdict.to_string(),
         }),

@@ -12,14 +12,14 @@ use std::path::{Path, PathBuf};
 const PAGE: &str = "report.html";
 
 /// Where the results go.
-pub struct Output {
+pub struct CalibrationOutput {
     camera_file: PathBuf,
     report: PathBuf,
     /// Folders that were created for it, the innermost first.
     made: Vec<PathBuf>,
 }
 
-impl Drop for Output {
+impl Drop for CalibrationOutput {
     /// Removes folders that were created for results that were not written, if they are empty.
     fn drop(&mut self) {
         for folder in &self.made {
@@ -28,7 +28,7 @@ impl Drop for Output {
     }
 }
 
-impl Output {
+impl CalibrationOutput {
     /// Fails if results exist and `force` does not allow replacing them, or if they cannot be
     /// written.
     pub fn new(camera_file: &Path, report: Option<&Path>, force: bool) -> Result<Self> {

@@ -1,14 +1,14 @@
 //! The summary on the terminal: the verdict first, then where to look and what to do next.
 
 use super::CalibrationResult;
-use super::output::Output;
+use super::output::CalibrationOutput;
 use crate::report::calibration::{lens_name, pixels_text};
 use odograph::drawing::scale::label;
 use odograph_calibration::{Calibration, Verdict};
 use std::fmt::Write;
 
 /// The summary of a calibration.
-pub fn text(calibrated: &CalibrationResult, output: &Output) -> String {
+pub fn text(calibrated: &CalibrationResult, output: &CalibrationOutput) -> String {
     let calibration = &calibrated.calibration;
     let verdict = match calibration.verdict {
         Verdict::Good => "Good",

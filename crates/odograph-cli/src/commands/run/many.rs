@@ -4,7 +4,7 @@
 use super::{ConsoleObserver, Progress, RunArguments};
 use crate::{Outcome, console, interrupt};
 use odograph::error::{Error, ErrorKind, Result};
-use odograph_session::{RunEnd, RunOutcome, Statistics};
+use odograph_session::{RunEnd, RunOutcome, RunStatistics};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::num::NonZero;
@@ -168,7 +168,7 @@ struct RecordingJson<'a> {
     source: &'a str,
     folder: PathBuf,
     error: Option<String>,
-    statistics: Option<&'a Statistics>,
+    statistics: Option<&'a RunStatistics>,
 }
 
 fn tell(

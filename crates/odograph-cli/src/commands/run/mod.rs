@@ -9,7 +9,7 @@ mod tell;
 use crate::{Outcome, console, files};
 pub use console_observer::ConsoleObserver;
 use console_observer::Progress;
-pub use mounted_camera::{Frame, Motion, MountedCamera};
+pub use mounted_camera::{Motion, MountedCamera, PoseFrameName};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
 use odograph_session::{MapUse, RunBuilder, SourcePlan};

@@ -6,7 +6,7 @@ use odograph::geometry::GroundPose;
 use odograph::ground_map::MapKeyframe;
 use odograph::mosaic::{MapMosaic, Mosaic, MosaicSquare};
 use odograph_live::ground::GrowingTiles;
-use odograph_live::{Ground, GroundPicture, Mark, TrackRecord};
+use odograph_live::{GroundPicture, Mark, TiledGround, TrackRecord};
 use odograph_map::{MapFile, PathFrame};
 use odograph_session::live::map_graph;
 use serde_json::Value;
@@ -124,7 +124,7 @@ fn records_of(
 }
 
 /// The mosaic that the map has; where it has none it is laid while it is looked at.
-pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Result<Box<dyn Ground>> {
+pub fn ground(path: &Path, most_pixels: usize, ended: &Arc<AtomicBool>) -> Result<Box<dyn TiledGround>> {
     let file = MapFile::open_read_only(path)?;
     if let Some(picture) = file.mosaic_picture(most_pixels)? {
         let picture = GroundPicture::new(picture.rgba, picture.width, picture.height, picture.placement)?;

@@ -7,7 +7,7 @@ use crate::{Outcome, files};
 use odograph::error::{Error, Result};
 use odograph::geometry::Placement;
 use odograph::mosaic::Mosaic;
-use odograph_live::{Ground, GroundPicture, Hub, Introduction, Mark, Phase, Status, TrackRecord};
+use odograph_live::{GroundPicture, Hub, Introduction, Mark, Phase, Status, TiledGround, TrackRecord};
 use odograph_session::RunPlan;
 use std::fs::File;
 use std::io::BufReader;
@@ -74,7 +74,7 @@ fn serve_run(folder: &Path, serve: &ServeArguments) -> Result<Serving> {
         live: false,
         calibration: false,
     };
-    let ground: Box<dyn Ground> = match mosaic(folder)? {
+    let ground: Box<dyn TiledGround> = match mosaic(folder)? {
         Some(picture) => Box::new(picture),
         None => Box::new(Mutex::new(Mosaic::new(Default::default()))),
     };

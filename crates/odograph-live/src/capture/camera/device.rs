@@ -140,7 +140,7 @@ impl Driver for V4l2 {
 }
 
 /// An open camera that delivers images.
-pub struct Camera {
+pub struct CameraDevice {
     path: PathBuf,
     mode: Mode,
     bytes_per_line: usize,
@@ -156,7 +156,7 @@ pub struct Camera {
     warnings: Vec<String>,
 }
 
-impl Camera {
+impl CameraDevice {
     /// Opens a camera in the mode that fits a request best.
     ///
     /// # Errors
@@ -232,7 +232,7 @@ impl Camera {
     }
 }
 
-impl LiveSource for Camera {
+impl LiveSource for CameraDevice {
     fn info(&self) -> &SourceInfo {
         &self.info
     }

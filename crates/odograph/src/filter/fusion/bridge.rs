@@ -1,7 +1,7 @@
 //! Tracking gaps: the camera's velocity around a gap, and dead-reckoned frames within it.
 
 use super::camera_motion::{MeasuredFrame, Step};
-use super::reckoning::{BodyRates, Reckoned};
+use super::reckoning::{BodyRates, ReckonedPose};
 use crate::filter::smoother::{PoseSource, SmoothedFrame};
 use crate::geometry::pose_index::HEADING;
 use crate::geometry::{GroundPose, PlaneTransform, Se2, propagated};
@@ -14,9 +14,9 @@ pub struct Bridge {
     pub before: usize,
     pub after: Option<usize>,
     /// Index of each frame in the gap, with its dead-reckoned pose relative to the node before.
-    pub frames: Vec<(usize, Reckoned)>,
+    pub frames: Vec<(usize, ReckonedPose)>,
     /// Pose of the node after the gap, or of the last frame, relative to the node before.
-    pub end: Reckoned,
+    pub end: ReckonedPose,
     pub duration_s: f64,
 }
 

@@ -236,7 +236,7 @@ impl AcceptedSensors<'_> {
         {
             return None;
         }
-        let mut gaps: Vec<Option<reckoning::Reckoned>> = vec![None; nodes.len()];
+        let mut gaps: Vec<Option<reckoning::ReckonedPose>> = vec![None; nodes.len()];
         let mut bridges = Vec::new();
         for (before, node) in nodes.iter().enumerate() {
             let after = (before + 1 < nodes.len()).then_some(before + 1);
