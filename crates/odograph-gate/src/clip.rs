@@ -39,10 +39,10 @@ pub fn render(row: &BenchmarkRow, seed: u64) -> Result<Clip> {
         colored: false,
         seed: 1000 + seed,
     })?;
-    let readout_s = row.readout_is_told.then_some(row.effects.readout_s);
+    let readout_s = row.readout_is_given.then_some(row.effects.readout_s);
     let mut clip = Clip {
         camera: camera(row.size_px)?.with_readout_s(readout_s)?,
-        rig: row.rig_told,
+        rig: row.given_rig,
         frames: Vec::with_capacity(simulation.len()),
         truth: Trajectory::default(),
         fps: row.fps,

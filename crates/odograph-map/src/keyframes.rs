@@ -1,12 +1,12 @@
 //! Keyframes in the map file: ids, poses, signatures, images.
 
-use crate::complaint::Told;
+use crate::complaint::WithContext;
 use crate::edges;
 use crate::file::MapFile;
 use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
-use crate::paths::{self, KeyframeMove, PathFrame, carried};
+use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
 use nalgebra::Matrix6;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
@@ -121,7 +121,8 @@ impl MapFile {
             moves.entry(session).or_default().push(KeyframeMove { after, ..still });
         }
         moves.retain(|_, moves| moves.iter().any(|moved| moved.before != moved.after));
-        let path = |(session, moves): (u32, Vec<_>)| Ok((session, carried(&self.path_of(session)?, &moves)));
+        let path =
+            |(session, moves): (u32, Vec<_>)| Ok((session, corrected_path(&self.path_of(session)?, &moves)));
         moves.into_iter().map(path).collect()
     }
 

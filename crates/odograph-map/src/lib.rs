@@ -25,6 +25,6 @@ pub use claim::MapClaim;
 pub use file::{MapFile, Session};
 pub use frames::FrameImages;
 pub use mosaic::MosaicLayer;
-pub use paths::{KeyframeMove, PathFrame, carried};
+pub use paths::{KeyframeMove, PathFrame, corrected_path};
 pub use repair::{Repair, repair};
 pub use thinning::Thinning;

@@ -54,7 +54,7 @@ pub fn finish(
     enough(plan, &mut tracked, ending.output)?;
     let of = plan.pose_frame()?;
     let mut run = Finishing { failure: ended_early(&mut tracked), plan, of, tracked, folder, ending };
-    run.tell_camera()?;
+    run.report_calibration()?;
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
     improved.observe(&mut run.tracked, &of, ending.observer)?;
@@ -151,7 +151,7 @@ impl Finishing<'_> {
     }
 
     /// Warns where the estimated mount, lens or readout time differs from the plan.
-    fn tell_camera(&mut self) -> Result<()> {
+    fn report_calibration(&mut self) -> Result<()> {
         let warning = match &self.tracked.mount {
             Some(found) if self.tracked.live.is_some() => Some(found.live_sentence()),
             Some(found) => Some(found.sentence()),
@@ -187,7 +187,7 @@ impl Finishing<'_> {
         }
         let frames = fused.as_mut().unwrap_or(&mut tracked.frames);
         let straight = tracked.mapping.straighten(frames, !reckoned.is_empty(), self.folder.path())?;
-        let reckoned = reckoned.laid(&straight.moves);
+        let reckoned = reckoned.moved_with(&straight.moves);
         let loops = tracked.mapping.statistics(&straight);
         tracked.warnings.extend(tracked.mapping.warning());
         tracked.warnings.extend(self.plan.sensors.warnings(&reports));
@@ -308,7 +308,7 @@ impl Finishing<'_> {
         let threads = self.ending.output.threads();
         let tracked = &mut self.tracked;
         let corrected = corrected.unwrap_or(&mut tracked.frames);
-        let rendered = tracked.views.lay(&self.plan.camera, corrected, &mut tracked.mapping, threads);
+        let rendered = tracked.views.render(&self.plan.camera, corrected, &mut tracked.mapping, threads);
         let mosaic = rendered.unwrap_or_else(|error| {
             self.fail("there is no picture of the ground", error);
             Mosaic::new(Default::default())

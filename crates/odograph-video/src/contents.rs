@@ -94,10 +94,10 @@ impl Stream {
 /// As [`open`](crate::open); a robot recording without images is not an error.
 pub fn inspect(path: impl AsRef<Path>) -> Result<Contents> {
     let path = path.as_ref();
-    let told = |error: Error| error.at(path.display());
-    match bag::open(path).map_err(told)? {
-        Some(recording) => bag::contents(recording).map_err(told),
-        None => inspect_frames(path).map_err(told),
+    let at_path = |error: Error| error.at(path.display());
+    match bag::open(path).map_err(at_path)? {
+        Some(recording) => bag::contents(recording).map_err(at_path),
+        None => inspect_frames(path).map_err(at_path),
     }
 }
 

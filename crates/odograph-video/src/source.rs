@@ -168,7 +168,7 @@ pub fn open(path: impl AsRef<Path>, options: &SourceOptions) -> Result<Source> {
     let place = if path == Path::new("-") { "standard input".into() } else { path.display().to_string() };
     open_kind(path, options)
         .and_then(|opened| Source::new(place.clone(), opened, options))
-        .map_err(|e| told(&e, &place))
+        .map_err(|e| at_place(&e, &place))
 }
 
 /// Box types at the start of an MP4 or QuickTime file.
@@ -177,7 +177,7 @@ const MP4_STARTS: [&[u8]; 11] =
 
 /// Prefixes an error with its location. What a file is at fault for stands on one line: third-party
 /// decoders write messages of several lines. A wrong option may be answered with a list.
-fn told(error: &Error, place: &str) -> Error {
+fn at_place(error: &Error, place: &str) -> Error {
     let message = error.to_string();
     let message = if error.kind() == ErrorKind::Usage { message } else { one_line(&message) };
     Error::new(error.kind(), message).at(place)
@@ -308,7 +308,7 @@ impl Source {
     /// timestamps file. A truncated video is not an error: its frames up to the truncation are
     /// yielded, with a warning.
     pub fn next_frame(&mut self) -> Result<Option<Frame>> {
-        let frame = self.next_wanted().map_err(|error| told(&error, &self.place));
+        let frame = self.next_wanted().map_err(|error| at_place(&error, &self.place));
         if !matches!(frame, Ok(Some(_))) {
             self.end();
         }

@@ -170,7 +170,7 @@ pub fn rig_from_boards(
             deviations: RigDeviations::of(&covariance, yaw_deviation),
         },
         covariance,
-        views: fits.into_iter().map(|fit| told(fit, floor.thickness_m)).collect(),
+        views: fits.into_iter().map(|fit| mounting_view(fit, floor.thickness_m)).collect(),
         scatter: combined.scatter.map(f64::sqrt).into(),
         notes,
     })
@@ -254,7 +254,7 @@ fn fitted(camera: &Camera, points: &[(GroundPoint, Pixel)]) -> std::result::Resu
     Ok(found)
 }
 
-fn told(fit: std::result::Result<ViewPoseFit, LeftOut>, thickness_m: f64) -> MountingView {
+fn mounting_view(fit: std::result::Result<ViewPoseFit, LeftOut>, thickness_m: f64) -> MountingView {
     let (fit, why_not) = match fit {
         Ok(fit) => (Some(fit), None),
         Err(LeftOut { why, fit }) => (fit.map(|fit| *fit), Some(why)),

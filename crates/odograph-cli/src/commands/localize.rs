@@ -98,7 +98,7 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
     let run = arguments.output.iter().fold(run, RunBuilder::folder);
     let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
     let report = run.run(&ConsoleObserver::new(arguments.quiet))?;
-    tell(&arguments, &report)?;
+    print_result(&arguments, &report)?;
     Ok(match (report.place, Outcome::from(report.end)) {
         (_, Outcome::Interrupted) => Outcome::Interrupted,
         (Some(_), outcome) => outcome,
@@ -120,7 +120,7 @@ struct LocalizationJson<'a> {
     statistics: &'a RunStatistics,
 }
 
-fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
+fn print_result(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
     let sessions = MapFile::open_read_only(&arguments.map)?.sessions()?;
     let source = |place: &PlaceInMap| {
         let session = sessions.iter().find(|session| session.id == place.session)?;
@@ -129,7 +129,7 @@ fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
     let alike = report.resemblance.as_ref().map_or(&[][..], |resemblance| &resemblance.places);
     let verdict = report.resemblance.as_ref().map_or(ResemblanceVerdict::TooFewFeatures, |one| one.verdict);
     if arguments.json {
-        let told = LocalizationJson {
+        let json = LocalizationJson {
             recognised: report.place.is_some(),
             verdict: report.place.map_or(verdict.name(), |_| "found"),
             place: report.place,
@@ -137,7 +137,7 @@ fn tell(arguments: &LocalizeArguments, report: &RunOutcome) -> Result<()> {
             alike,
             statistics: &report.statistics,
         };
-        let text = serde_json::to_string_pretty(&told)
+        let text = serde_json::to_string_pretty(&json)
             .map_err(|error| Error::output(format!("the place cannot be written as JSON: {error}")))?;
         console::print(&(text + "\n"))?;
     } else if let Some(place) = report.place.filter(|_| !arguments.quiet) {

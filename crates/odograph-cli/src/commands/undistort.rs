@@ -141,13 +141,17 @@ pub fn undistort(arguments: UndistortArguments) -> Result<Outcome> {
     };
     output.finish(correction.camera(), before_after)?;
     if !arguments.quiet {
-        tell(&folder, &correction, &corrected)?;
+        print_result(&folder, &correction, &corrected)?;
     }
     // The error that ended the recording is reported after everything before it has been written.
     corrected.failure.map_or(Ok(Outcome::Done), Err)
 }
 
-fn tell(folder: &Path, correction: &ImageCorrection, corrected: &pipeline::CorrectionSummary) -> Result<()> {
+fn print_result(
+    folder: &Path,
+    correction: &ImageCorrection,
+    corrected: &pipeline::CorrectionSummary,
+) -> Result<()> {
     let camera = correction.camera();
     let empty = correction.pixels_without_source() as f64 / (camera.width() * camera.height()) as f64;
     console::print(&format!(

@@ -69,9 +69,9 @@ fn a_full_disk() {
         fs::remove_dir_all(&out).unwrap();
     }
     let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let mut message = place.command("drive.y4m --camera camera.yaml --height 1 -o told --json");
+    let mut to_full_disk = place.command("drive.y4m --camera camera.yaml --height 1 -o told --json");
     assert_refused(
-        &message.stdout(full).output().unwrap(),
+        &to_full_disk.stdout(full).output().unwrap(),
         3,
         "standard output cannot be written",
         "--json > /dev/full",

@@ -101,14 +101,17 @@ fn overlapping_maps_are_merged() {
     let second = way((2.3, 0.4), -2.7, 9);
     drive(&at("b.gpkg"), &second);
     let before = [fs::read(at("a.gpkg")).unwrap(), fs::read(at("b.gpkg")).unwrap()];
-    let mut laid = MapFile::open(&at("b.gpkg")).unwrap();
-    laid.lay_mosaic(Some(0.01), &mut |_| true).unwrap();
-    laid.close().unwrap();
+    let mut rendered = MapFile::open(&at("b.gpkg")).unwrap();
+    rendered.render_mosaic(Some(0.01), &mut |_| true).unwrap();
+    rendered.close().unwrap();
 
     let merge = ["merge", "a.gpkg", "b.gpkg", "-o", "c.gpkg"];
-    let (code, told, complaints) = text(&odograph(&merge, folder.path()));
+    let (code, message, complaints) = text(&odograph(&merge, folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
-    assert!(told.starts_with("b.gpkg: 9 keyframes, seen again in ") && told.ends_with("c.gpkg\n"), "{told}");
+    assert!(
+        message.starts_with("b.gpkg: 9 keyframes, seen again in ") && message.ends_with("c.gpkg\n"),
+        "{message}"
+    );
     let mut joined = MapFile::open_read_only(&at("c.gpkg")).unwrap();
     joined.check().unwrap();
     let sources: Vec<_> = joined.sessions().unwrap().into_iter().map(|session| session.source).collect();
@@ -144,8 +147,8 @@ fn overlapping_maps_are_merged() {
         (vec!["merge", "a.gpkg", "none.gpkg", "-o", "d.gpkg"], 3, "none.gpkg"),
         (vec!["merge", "a.gpkg", "far.gpkg", "-o", "c.gpkg", "--force"], 3, "no ground of far.gpkg"),
     ] {
-        let (found, told, complaint) = text(&odograph(&arguments, folder.path()));
-        assert_eq!((found, told.as_str()), (code, ""), "{arguments:?}: {complaint}");
+        let (found, message, complaint) = text(&odograph(&arguments, folder.path()));
+        assert_eq!((found, message.as_str()), (code, ""), "{arguments:?}: {complaint}");
         assert!(complaint.contains(part), "{arguments:?}: {complaint}");
     }
     let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
@@ -182,10 +185,10 @@ fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     let bent_m = worst_m(&MapFile::open_read_only(&path).unwrap());
 
     let bytes = fs::read(&path).unwrap();
-    let (code, told, complaints) =
+    let (code, message, complaints) =
         text(&odograph(&["optimize", "map.gpkg", "-o", "straight.gpkg"], folder.path()));
     assert_eq!((code, complaints.as_str()), (0, ""));
-    assert!(told.starts_with("12 keyframes, 17 edges, 6 of them loops; moved by up to "), "{told}");
+    assert!(message.starts_with("12 keyframes, 17 edges, 6 of them loops; moved by up to "), "{message}");
     assert_eq!(fs::read(&path).unwrap(), bytes, "the map itself was not asked to be changed");
     let straight = MapFile::open_read_only(&folder.path().join("straight.gpkg")).unwrap();
     // Loop closures correct everything observable: all except a rotation of the first keyframes,
@@ -199,8 +202,8 @@ fn optimisation_straightens_a_bent_map_with_its_trajectory() {
     drop(straight);
 
     // Optimised again in place: it is at the optimum already, so nothing moves by a micrometre.
-    let told = text(&odograph(&["optimize", "straight.gpkg"], folder.path()));
-    assert!(told.0 == 0 && told.1.ends_with("moved by up to 0.00 mm\n"), "{told:?}");
+    let message = text(&odograph(&["optimize", "straight.gpkg"], folder.path()));
+    assert!(message.0 == 0 && message.1.ends_with("moved by up to 0.00 mm\n"), "{message:?}");
     let (code, _, complaint) =
         text(&odograph(&["optimize", "map.gpkg", "-o", "straight.gpkg"], folder.path()));
     assert!(code == 2 && complaint.contains("already there"), "{complaint}");

@@ -390,9 +390,9 @@ impl CalibrationReport<'_> {
         }
         if !self.found.reasons.is_empty() && self.found.pictures_without.is_empty() {
             page.push_str("<p>Frames without the board: ");
-            let told: Vec<String> =
+            let lines: Vec<String> =
                 self.found.reasons.iter().map(|(why, count)| format!("{count} × {}", escape(why))).collect();
-            let _ = writeln!(page, "{}.</p>", told.join(", "));
+            let _ = writeln!(page, "{}.</p>", lines.join(", "));
         }
     }
 }

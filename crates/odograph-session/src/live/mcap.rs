@@ -104,8 +104,8 @@ impl McapLog {
     }
 
     fn fail(&self, error: &Error) {
-        let told = format!("{error}; tracking goes on without it");
-        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(told);
+        let message = format!("{error}; tracking goes on without it");
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(message);
     }
 
     /// Warning.

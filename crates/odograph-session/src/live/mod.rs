@@ -30,7 +30,7 @@
 mod capturing;
 mod ground;
 mod latency;
-mod laying;
+mod mosaic_rendering;
 mod map_graph;
 mod mcap;
 mod pipeline;

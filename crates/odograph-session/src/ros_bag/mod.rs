@@ -84,8 +84,8 @@ impl<'a, W: Write> RosBagWriter<'a, W> {
             self.put(self.static_transforms, time_ns, &on_robot)?;
         }
         self.sequence = self.sequence.saturating_add(1);
-        let told = self.of.frame(camera);
-        if let Some((known, seen)) = told.estimate.as_ref().zip(camera.estimate.as_ref()) {
+        let placed = self.of.frame(camera);
+        if let Some((known, seen)) = placed.estimate.as_ref().zip(camera.estimate.as_ref()) {
             let placed = self.of.world_from_frame(&known.pose);
             let odom_from_camera = seen.pose.world_from_camera();
             let map_from_odom = in_map.map_or_else(Isometry3::identity, |in_map| {

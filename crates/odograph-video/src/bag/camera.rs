@@ -31,11 +31,11 @@ pub struct RecordedCamera {
 /// camera is not calibrated or of an unknown lens model.
 pub fn recorded_camera(path: impl AsRef<Path>, topic: Option<&str>) -> Result<Option<RecordedCamera>> {
     let path = path.as_ref();
-    let told = |error: Error| error.at(path.display());
+    let at_path = |error: Error| error.at(path.display());
     let not_one = || Error::input("this is not a robot recording");
-    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(told)?;
-    let images = topics::with_frames(recording.as_mut(), topic).map_err(told)?;
-    camera_of(recording.as_mut(), &images).map_err(told)
+    let mut recording = super::open(path).and_then(|opened| opened.ok_or_else(not_one)).map_err(at_path)?;
+    let images = topics::with_frames(recording.as_mut(), topic).map_err(at_path)?;
+    camera_of(recording.as_mut(), &images).map_err(at_path)
 }
 
 /// The camera of a topic with images, and rewinds the recording.

@@ -117,9 +117,9 @@ impl Matcher {
     /// The pose at `motion` from `from`, with roll and pitch of `to`. Its height is that of `to`
     /// too, unless heights drift: then it is the measured one.
     fn placed(&self, from: &GroundPose, to: &GroundPose, motion: &Vector4<f64>) -> GroundPose {
-        let laid = compose(from, motion, 1.0);
-        let height_m = if self.scale_is_free() { laid.height_m } else { to.height_m };
-        GroundPose { height_m, roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..laid }
+        let predicted = compose(from, motion, 1.0);
+        let height_m = if self.scale_is_free() { predicted.height_m } else { to.height_m };
+        GroundPose { height_m, roll_rad: to.roll_rad, pitch_rad: to.pitch_rad, ..predicted }
     }
 
     fn scale_is_free(&self) -> bool {
@@ -206,11 +206,11 @@ impl Matcher {
         let whole = dense::refine(camera, keyframe.dense(camera), &image, &corners.pose, &prior, motion)?;
         let off_m =
             (whole.estimate.pose.x_m - corners.pose.x_m).hypot(whole.estimate.pose.y_m - corners.pose.y_m);
-        let tells = whole.score >= DenseEstimate::LEAST_SCORE
+        let is_significant = whole.score >= DenseEstimate::LEAST_SCORE
             && whole.agreement >= motion.minimum_inlier_fraction
             && off_m < pixel_m
             && leans_alike(&corners.pose, &whole.estimate.pose, CONTRADICTING);
-        (tells && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)
+        (is_significant && spread(&whole.estimate) < spread(corners)).then_some(whole.estimate)
     }
 
     /// The sighting of a keyframe, with the number and the share of its corners that were found.

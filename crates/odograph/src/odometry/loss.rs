@@ -37,7 +37,7 @@ impl Odometry {
             }
             Some(_) => {}
             None => {
-                // Laid where the camera would be had it gone on as it went.
+                // Placed where the camera would be at constant velocity.
                 let last = match &self.last {
                     Some(last) => last.extrapolated_over_gap(time_s),
                     None => LastPose::still(time_s, self.first_pose, Matrix6::zeros()),

@@ -70,9 +70,9 @@ impl Mapper {
             if let Some(seen) = seen {
                 let scale = known.pose.height_m / known.odometry_pose.height_m;
                 let measured_m = [leaning.height_m, known.odometry_pose.height_m];
-                let laid = compose(&known.pose, &inverse(&seen.edge.motion, measured_m), scale);
+                let placed = compose(&known.pose, &inverse(&seen.edge.motion, measured_m), scale);
                 return Ok(Some(Located {
-                    pose: GroundPose { roll_rad: leaning.roll_rad, pitch_rad: leaning.pitch_rad, ..laid },
+                    pose: GroundPose { roll_rad: leaning.roll_rad, pitch_rad: leaning.pitch_rad, ..placed },
                     keyframe: place.id,
                     covariance: seen.edge.covariance,
                     inliers: seen.inliers,

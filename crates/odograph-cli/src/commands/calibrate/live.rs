@@ -73,7 +73,7 @@ pub fn calibrate(
     let hub = Arc::new(Hub::new(introduction, Arc::new(no_ground)));
     let serving = Serving::start(&arguments.serve, hub, offer(output))?;
     if !arguments.quiet {
-        serving.tell_where("");
+        serving.print_address("");
     }
     let started = Instant::now();
     let queue = Arc::new(Newest::new(opened.policy, FRAMES_WAITING));
@@ -89,7 +89,7 @@ pub fn calibrate(
         gathering,
         guidance: None,
         guided: None,
-        told: None,
+        sent: None,
         trial: Trial::default(),
         rate: Rate::default(),
     };
@@ -97,7 +97,7 @@ pub fn calibrate(
     watch.end();
     queue.close();
     let farewell = ended.recv_timeout(FAREWELL).unwrap_or_default();
-    showing.tell_status(Phase::Saving);
+    showing.send_status(Phase::Saving);
     let mut search = showing.gathering.finished();
     search.warnings.extend(farewell.warnings);
     // A lost camera ends the calibration; the views until then may suffice.
@@ -121,9 +121,9 @@ pub fn calibrate(
                 .unwrap_or(error));
         }
     };
-    tell_result(serving.hub(), &calibrated);
+    send_result(serving.hub(), &calibrated);
     serving.set_phase(Phase::Saved, None);
-    let outcome = super::tell(arguments, &calibrated, output)?;
+    let outcome = super::print_summary(arguments, &calibrated, output)?;
     if !interrupt::asked() {
         serving.linger(arguments.quiet);
     }
@@ -167,7 +167,7 @@ struct Showing<'a> {
     gathering: Gathering,
     guidance: Option<Guidance>,
     guided: Option<Instant>,
-    told: Option<Instant>,
+    sent: Option<Instant>,
     trial: Trial,
     rate: Rate,
 }
@@ -182,10 +182,10 @@ impl Showing<'_> {
                 Taken::End => break,
             }
             self.trial.collect();
-            if self.told.is_none_or(|told| told.elapsed() >= STATUS_EVERY) {
-                self.told = Some(Instant::now());
+            if self.sent.is_none_or(|sent| sent.elapsed() >= STATUS_EVERY) {
+                self.sent = Some(Instant::now());
                 let waits = self.watch.waiting().is_some();
-                self.tell_status(if waits { Phase::Waiting } else { Phase::Running });
+                self.send_status(if waits { Phase::Waiting } else { Phase::Running });
             }
         }
         self.trial.wait();
@@ -214,7 +214,7 @@ impl Showing<'_> {
         if seen && self.guided.is_none_or(|guided| guided.elapsed() >= GUIDED_EVERY) {
             self.guide();
         }
-        self.tell(why);
+        self.send(why);
     }
 
     fn show(&self, number: usize, gray: &GrayImage, points: &[TrackView]) {
@@ -234,12 +234,12 @@ impl Showing<'_> {
         self.guidance = Some(guidance);
     }
 
-    fn tell(&self, why: Option<String>) {
+    fn send(&self, why: Option<String>) {
         let (looked_at, with_board) = self.gathering.counts();
         let coverage = self.guidance.as_ref().map_or(&[][..], |guidance| &guidance.coverage.points);
         let missing: Vec<String> =
             self.guidance.iter().flat_map(|guidance| &guidance.missing).map(ToString::to_string).collect();
-        self.hub.tell(
+        self.hub.notify(
             "calibration",
             &json!({
                 "board": self.board.to_string(), "why": why, "looked_at": looked_at, "with_board": with_board,
@@ -250,7 +250,7 @@ impl Showing<'_> {
         );
     }
 
-    fn tell_status(&mut self, phase: Phase) {
+    fn send_status(&mut self, phase: Phase) {
         let (captured, dropped) = self.queue.counts();
         let [fps, latency_median_ms] = self.rate.recent();
         self.hub.set_status(Status {
@@ -274,13 +274,13 @@ fn corners(view: &BoardView) -> Vec<TrackView> {
     view.points.iter().map(|point| shown(point.pixel)).collect()
 }
 
-fn tell_result(hub: &Hub, calibrated: &CalibrationResult) {
+fn send_result(hub: &Hub, calibrated: &CalibrationResult) {
     let (calibration, found) = (&calibrated.calibration, &calibrated.search.found);
     let missing: Vec<String> = match calibration.verdict {
         Verdict::Good => Vec::new(),
         _ => calibrated.guidance.missing.iter().map(ToString::to_string).collect(),
     };
-    hub.tell(
+    hub.notify(
         "calibration",
         &json!({
             "board": calibrated.board.to_string(), "why": null, "looked_at": found.looked_at, "with_board": found.with_board,

@@ -184,7 +184,7 @@ pub fn calibrate(arguments: CalibrateArguments) -> Result<Outcome> {
             .push(format!("interrupted: only the first {} frames were looked at", search.found.looked_at));
     }
     output.write(&calibrated)?;
-    tell(&arguments, &calibrated, &output)
+    print_summary(&arguments, &calibrated, &output)
 }
 
 /// What was searched, and how long that took.
@@ -236,7 +236,7 @@ fn conclude(
 }
 
 /// Prints the result; returns the outcome.
-fn tell(
+fn print_summary(
     arguments: &CalibrateArguments,
     calibrated: &CalibrationResult,
     output: &CalibrationOutput,

@@ -46,7 +46,7 @@ pub fn view(arguments: ViewArguments) -> Result<Outcome> {
         serve_run(&arguments.folder, &serve)?
     };
     if !arguments.quiet {
-        serving.tell_where(" (Ctrl-C ends)");
+        serving.print_address(" (Ctrl-C ends)");
     }
     serving.stay();
     ended.store(true, Ordering::Relaxed);
@@ -101,7 +101,7 @@ fn serve_map(path: &Path, serve: &ServeArguments, ended: &Arc<AtomicBool>) -> Re
     let offer = Offer { folder: folder.to_owned(), files: vec![name] };
     let hub = Arc::new(Hub::new(introduction, Arc::from(ground)));
     let serving = Serving::start(serve, hub, offer)?;
-    serving.hub().tell("map", &view.graph);
+    serving.hub().notify("map", &view.graph);
     show(&serving, &view.records, view.sessions);
     Ok(serving)
 }

@@ -1,6 +1,6 @@
 //! Access to cameras through V4L2.
 
-use super::negotiation::{self, Agreed, Control, Driver, Given, Intervals, Sizes, told};
+use super::negotiation::{self, Agreed, Control, Driver, Given, Intervals, Sizes, failed};
 use super::{Mode, ModeWish};
 use crate::capture::{Captured, LiveSource, Watch};
 use linuxvideo::controls::Cid;
@@ -162,7 +162,7 @@ impl CameraDevice {
     /// # Errors
     /// If there is no camera, another program uses it, or it has no such mode.
     pub fn open(path: &Path, wish: &ModeWish, hold_exposure: bool, watch: Watch) -> Result<Self> {
-        let cannot = |what: &'static str| move |error: io::Error| told(path, what, &error);
+        let cannot = |what: &'static str| move |error: io::Error| failed(path, what, &error);
         let device = Device::open(path).map_err(cannot("is no camera that can be opened"))?;
         let name = device.capabilities().map_or_else(|_| "camera".to_owned(), |c| c.card().to_owned());
         let mut driver = V4l2::Idle(device);

@@ -100,12 +100,12 @@ impl HttpMjpeg {
     pub fn open(address: &str, patience: Duration, watch: Watch) -> Result<Self> {
         let url = HttpUrl::parse(address)?;
         let place = format!("http://{}{}", url.host_header(), url.path);
-        let told = |why: io::Error| Error::input(format!("{place} gives no pictures: {why}"));
-        let mut connection = connect(&url).map_err(told)?;
+        let failed = |why: io::Error| Error::input(format!("{place} gives no pictures: {why}"));
+        let mut connection = connect(&url).map_err(failed)?;
         let mut part = Vec::new();
         let picture = loop {
-            if !connection.next(&mut part).map_err(told)? {
-                return Err(told(io::Error::other("the stream ended at once")));
+            if !connection.next(&mut part).map_err(failed)? {
+                return Err(failed(io::Error::other("the stream ended at once")));
             }
             // The first image of a stream may be damaged; data that does not start as a JPEG file
             // is an error.

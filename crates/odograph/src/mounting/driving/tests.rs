@@ -4,7 +4,7 @@ use crate::geometry::GroundPoint;
 use crate::motion::Random;
 use crate::odometry::{Odometry, OdometryConfig};
 use crate::simulation::{
-    Effects, Path as DrivenPath, PathKind, Simulation, SimulationConfig, Texture, Vibration, Wander,
+    Effects, Path as DrivenPath, PathKind, Simulation, SimulationConfig, SlowVariation, Texture, Vibration,
 };
 
 fn normal(random: &mut Random) -> f64 {
@@ -301,7 +301,8 @@ const LENS: [f64; 4] = [-0.12, 0.02, 0.0, 0.0];
 #[test]
 fn a_wrong_lens_is_found_beside_the_tilt_even_while_the_camera_sways() {
     let level = Rig { roll_rad: 0.0, pitch_rad: 0.0, ..RIG };
-    let sway = Effects { tilt_change: Some(Wander { amplitude: 0.03, period_s: 2.0 }), ..Effects::default() };
+    let sway =
+        Effects { tilt_change: Some(SlowVariation { amplitude: 0.03, period_s: 2.0 }), ..Effects::default() };
     for (given, rig, effects) in [
         (vec![], RIG, Effects::default()),
         (vec![-0.1, 0.02, 0.0, 0.0], level, Effects::default()),
@@ -340,7 +341,8 @@ fn the_principal_point_of_a_wide_lens_is_found_with_its_bending() {
 
 #[test]
 fn a_right_lens_is_kept_even_while_the_camera_sways() {
-    let sway = Effects { tilt_change: Some(Wander { amplitude: 0.05, period_s: 2.0 }), ..Effects::default() };
+    let sway =
+        Effects { tilt_change: Some(SlowVariation { amplitude: 0.05, period_s: 2.0 }), ..Effects::default() };
     assert_eq!(through_lens(&barrel(&LENS), &barrel(&LENS), RIG, sway), None);
     assert_eq!(through_lens(&barrel(&LENS), &barrel(&LENS), RIG, Effects::default()), None);
 }
@@ -351,7 +353,7 @@ fn a_right_or_changing_tilt_is_kept() {
     let camera = &steady.config().camera;
     assert_eq!(noticed(&steady, RIG, CalibrationMonitor::new(camera, &RIG)), None);
     let swaying =
-        Effects { tilt_change: Some(Wander { amplitude: 0.05, period_s: 2.0 }), ..Effects::default() };
+        Effects { tilt_change: Some(SlowVariation { amplitude: 0.05, period_s: 2.0 }), ..Effects::default() };
     let swaying = drive(RIG, swaying, EIGHT);
     assert_eq!(noticed(&swaying, RIG, CalibrationMonitor::new(camera, &RIG)), None);
 }
