@@ -7,6 +7,7 @@ use crate::geopackage::{self, Extent, point_geometry};
 use crate::image::{self, StoredImage};
 use crate::numbers::{bytes_from_symmetric, symmetric_from_bytes};
 use crate::paths::{self, KeyframeMove, PathFrame, corrected_path};
+use crate::pose_columns::pose_from;
 use nalgebra::Matrix6;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
@@ -327,18 +328,6 @@ fn set_extent(connection: &Connection) -> rusqlite::Result<()> {
         _ => None,
     };
     geopackage::set_extent(connection, "keyframes", extent)
-}
-
-/// Reads a pose from six consecutive columns.
-pub(crate) fn pose_from(row: &Row<'_>, first: usize) -> rusqlite::Result<GroundPose> {
-    Ok(GroundPose {
-        x_m: row.get(first)?,
-        y_m: row.get(first + 1)?,
-        heading_rad: row.get(first + 2)?,
-        height_m: row.get(first + 3)?,
-        roll_rad: row.get(first + 4)?,
-        pitch_rad: row.get(first + 5)?,
-    })
 }
 
 /// A keyframe without covariance and signature, and the bytes of these.

@@ -17,6 +17,7 @@ mod lever_arm;
 mod mosaic;
 mod numbers;
 mod paths;
+mod pose_columns;
 mod repair;
 mod schema;
 mod thinning;

@@ -3,7 +3,7 @@
 use crate::complaint::WithContext;
 use crate::file::MapFile;
 use crate::geopackage::{self, Extent, line_geometry};
-use crate::keyframes::pose_from;
+use crate::pose_columns::pose_from;
 use odograph::error::Result;
 use odograph::geometry::GroundPose;
 use rusqlite::{CachedStatement, Connection, Row, params};

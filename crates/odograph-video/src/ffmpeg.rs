@@ -6,7 +6,7 @@
 //! each frame (muxer `framecrc`) to its standard error, interleaved with its messages.
 
 use crate::frame::Picture;
-use crate::source::{Frames, Opened};
+use crate::opened::{Frames, Opened};
 use crate::y4m;
 use odograph::error::{Error, Result};
 use std::ffi::{OsStr, OsString};

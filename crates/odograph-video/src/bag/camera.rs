@@ -4,21 +4,9 @@ use super::messages::camera_info::CameraInfo;
 use super::messages::{Role, frame_id};
 use super::recording::{MessageReader, Topic};
 use super::topics;
-use odograph::camera::Camera;
+use crate::recorded_camera::RecordedCamera;
 use odograph::error::{Error, Result};
 use std::path::Path;
-
-/// A camera that a recording describes.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RecordedCamera {
-    /// The camera of the images.
-    pub camera: Camera,
-    /// Topic that describes it.
-    pub topic: String,
-    /// Whether the images are rectified: the camera is that of the projection matrix P, and has no
-    /// distortion.
-    pub rectified: bool,
-}
 
 /// The camera of the images that a run follows in a robot recording: those of `topic`, or of the
 /// only topic with images. `None` if the recording does not describe it.

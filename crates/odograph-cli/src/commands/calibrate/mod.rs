@@ -1,5 +1,6 @@
 //! `odograph calibrate`: computes a camera file from views of a board, and a report on its quality.
 
+mod focal_length;
 mod input;
 mod live;
 mod output;

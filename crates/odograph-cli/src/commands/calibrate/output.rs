@@ -1,6 +1,7 @@
 //! The camera file and the folder of its report.
 
-use super::{CalibrationResult, summary};
+use super::CalibrationResult;
+use super::focal_length::focal_px;
 use crate::files;
 use crate::report::calibration::{CalibrationReport, ExpectedError, ReprojectionError, ShownView};
 use odograph::error::{Error, Result};
@@ -90,7 +91,7 @@ impl CalibrationOutput {
             found: &calibrated.search.found,
             camera: &calibration.camera,
             model: calibration.model,
-            focal_px: summary::focal_px(calibration),
+            focal_px: focal_px(calibration),
             parameters: &calibration.parameters,
             rms_px: calibration.rms_px,
             hold_out_rms_px: calibration.hold_out_rms_px,

@@ -112,7 +112,13 @@ impl<'a, const N: usize> PairBundle<'a, N> {
 
     fn systems(&self) -> Vec<System<N>> {
         let system = |pair: &SolvedPair<'_>| {
-            System::new(&self.lens, self.readout.value_s, pair, &self.first_pose(pair), &self.pair_variation)
+            System::new(
+                &self.lens,
+                self.readout.value_s,
+                pair,
+                &self.first_pose(pair),
+                &self.pair_variation.variance,
+            )
         };
         self.pairs.iter().map(system).collect()
     }
