@@ -95,7 +95,8 @@ impl LastPose {
 
     /// The pose extrapolated to `time_s` by the model that predicted the last poses best.
     pub fn extrapolated(&self, time_s: f64) -> GroundPose {
-        let best = (1..MODELS.len()).fold(0, |best, i| if self.off_by[i] < self.off_by[best] { i } else { best });
+        let best =
+            (1..MODELS.len()).fold(0, |best, i| if self.off_by[i] < self.off_by[best] { i } else { best });
         self.predicted(time_s, MODELS[best])
     }
 
