@@ -3,8 +3,10 @@
 use super::arrival_clock::ArrivalClock;
 use super::back_off::BackOff;
 use super::multipart::{Multipart, boundary};
-use super::url::{HttpUrl, base64};
+use super::url::HttpUrl;
 use super::{Captured, LiveSource, Watch};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
 use odograph::error::{Error, Result};
 use odograph_video::{Frame, Picture, SourceInfo};
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -245,7 +247,7 @@ fn ask(url: &HttpUrl) -> io::Result<Multipart<Box<dyn BufRead + Send>>> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
     let authorization = match &url.credentials {
-        Some(credentials) => format!("Authorization: Basic {}\r\n", base64(credentials.as_bytes())),
+        Some(credentials) => format!("Authorization: Basic {}\r\n", BASE64.encode(credentials)),
         None => String::new(),
     };
     let request = format!(
