@@ -11,13 +11,13 @@ fn odograph(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_odograph")).args(arguments).current_dir(folder).output().unwrap()
 }
 
-fn told(output: &Output) -> String {
+fn message(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 fn done(folder: &Path, arguments: &[&str]) -> String {
     let output = odograph(folder, arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", told(&output));
+    assert!(output.status.success(), "{arguments:?}: {}", message(&output));
     String::from_utf8(output.stdout).unwrap()
 }
 
@@ -34,7 +34,10 @@ fn results_go_beside_the_recording_and_replace_nothing() {
     drive(folder);
     let run = ["run", "sim/frames", "--camera", "sim/camera.yaml", "--rig", "sim/rig.toml", "--fps", "30"];
     let first = odograph(folder, &run);
-    assert!(first.status.success() && told(&first).contains("the results go to sim/frames-run"), "{first:?}");
+    assert!(
+        first.status.success() && message(&first).contains("the results go to sim/frames-run"),
+        "{first:?}"
+    );
     let before = fs::read(folder.join("sim/frames-run/trajectory.tum")).unwrap();
     done(folder, &run);
     let second = fs::read(folder.join("sim/frames-run-2/trajectory.tum")).unwrap();
@@ -78,9 +81,9 @@ fn a_page_is_served_at_what_people_type() {
     }
     for address in ["hello", "99999", "http://localhost:8080"] {
         let refused = odograph(folder, &["view", "drive", "--serve", address]);
-        let told = told(&refused);
-        assert_eq!(refused.status.code(), Some(2), "{told}");
-        assert!(told.contains("is no address to serve at; give a port as 8080"), "{told}");
+        let message = message(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{message}");
+        assert!(message.contains("is no address to serve at; give a port as 8080"), "{message}");
     }
 }
 
@@ -91,14 +94,14 @@ fn the_command_that_the_demo_prints_can_be_pasted() {
     let said = done(folder, &["demo"]);
     let command = said.lines().find(|line| line.contains(" run ")).unwrap().trim();
     let pasted = Command::new("sh").args(["-c", command]).current_dir(folder).output().unwrap();
-    assert!(pasted.status.success(), "{command}: {}", told(&pasted));
+    assert!(pasted.status.success(), "{command}: {}", message(&pasted));
     let path = |run: &str| fs::read(folder.join(run).join("trajectory.tum")).unwrap();
     assert!(path("odograph-demo") == path("odograph-demo-again"));
     // A second demo replaces nothing unasked.
     let again = odograph(folder, &["demo"]);
     assert_eq!(again.status.code(), Some(2));
     assert!(
-        told(&again).contains("is already there; choose another folder with -o, or --force"),
+        message(&again).contains("is already there; choose another folder with -o, or --force"),
         "{again:?}"
     );
     done(folder, &["demo", "--force", "-q"]);

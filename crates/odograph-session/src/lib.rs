@@ -90,11 +90,11 @@ pub use place::PlaceInMap;
 pub use plan::{FrameChoice, RunPlan, SourcePlan};
 pub use reference::ComparedReference;
 pub use report::{ReportInput, ReportMosaic, RunReporter};
-pub use resemblance::{AlikePlace, Resemblance, Verdict};
+pub use resemblance::{AlikePlace, Resemblance, ResemblanceVerdict};
 pub use rig::{doubtful_unit, read_rig};
 pub use run::Run;
 pub use sensors::SensorFiles;
 pub use statistics::{
-    BudgetStatistics, LiveStatistics, LoopStatistics, SensorStatistics, StageTime, Statistics,
+    BudgetStatistics, LiveStatistics, LoopStatistics, RunStatistics, SensorStatistics, StageTime,
 };
 pub use trajectory_input::{LoadedTrajectory, read_trajectory, read_trajectory_text};

@@ -55,7 +55,7 @@ pub fn write(
     let placement = bands.as_ref().map(|bands| bands.placement);
     let keep = || {
         let png = bands.map(|bands| files::png_from_rgba_bands(bands.width, bands.height, bands)).transpose();
-        (png, mapping.lay_ground(mosaic, observer))
+        (png, mapping.render_ground(mosaic, observer))
     };
     let (drawn, (png, ground)) = if threads > 1 {
         thread::scope(|scope| {

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 /// Statistics of a run, as in `stats.json`. Documented in `docs/output.md`.
 #[derive(Debug, Clone, Serialize)]
-pub struct Statistics {
+pub struct RunStatistics {
     /// Frames taken from the source.
     pub frames: u64,
     /// Frames whose pose was measured.
@@ -189,7 +189,7 @@ impl StageTime {
     }
 }
 
-impl Statistics {
+impl RunStatistics {
     /// As JSON text.
     ///
     /// # Errors

@@ -16,7 +16,7 @@ pub struct InfoArguments {
     /// A video, a folder of pictures, a picture, or a robot recording (MCAP, ROS bag).
     #[arg(value_name = "FILE")]
     file: String,
-    /// Camera file, to be told whether it fits.
+    /// Camera file, to check whether it fits.
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
     /// Print JSON to standard output.
@@ -34,12 +34,12 @@ Examples:
 struct InfoJson<'a> {
     file: &'a str,
     format: &'a str,
-    streams: Vec<ToldStream<'a>>,
+    streams: Vec<StreamJson<'a>>,
     warnings: &'a [String],
 }
 
 #[derive(Serialize)]
-struct ToldStream<'a> {
+struct StreamJson<'a> {
     topic: Option<&'a str>,
     #[serde(rename = "type")]
     kind: &'a str,
@@ -51,7 +51,7 @@ struct ToldStream<'a> {
     last_s: Option<f64>,
     duration_s: Option<f64>,
     rate_hz: Option<f64>,
-    gaps: Vec<ToldGap>,
+    gaps: Vec<GapJson>,
     /// Options of `odograph run` that use it; `None` for what cannot be used.
     option: Option<String>,
     /// The topic that describes the camera, and the camera in it.
@@ -62,7 +62,7 @@ struct ToldStream<'a> {
 }
 
 #[derive(Serialize)]
-struct ToldGap {
+struct GapJson {
     after_s: f64,
     length_s: f64,
 }
@@ -111,7 +111,7 @@ fn recorded(stream: &Stream) -> Option<&RecordedCamera> {
 }
 
 fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String> {
-    let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| ToldStream {
+    let streams = contents.streams.iter().zip(fits).map(|(stream, camera_fits)| StreamJson {
         topic: stream.topic.as_deref(),
         kind: &stream.kind,
         encoding: &stream.encoding,
@@ -125,16 +125,16 @@ fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String
         gaps: stream
             .gaps
             .iter()
-            .map(|gap| ToldGap { after_s: gap.after_s, length_s: gap.length_s })
+            .map(|gap| GapJson { after_s: gap.after_s, length_s: gap.length_s })
             .collect(),
         option: option(stream),
         camera_topic: recorded(stream).map(|recorded| recorded.topic.as_str()),
         camera: recorded(stream).map(|recorded| &recorded.camera),
         camera_fits: *camera_fits,
     });
-    let told =
+    let json =
         InfoJson { file, format: &contents.format, streams: streams.collect(), warnings: &contents.warnings };
-    let text = serde_json::to_string_pretty(&told)
+    let text = serde_json::to_string_pretty(&json)
         .map_err(|error| Error::output(format!("the contents cannot be written as JSON: {error}")))?;
     Ok(text + "\n")
 }
@@ -199,7 +199,7 @@ fn notes(file: &str, stream: &Stream, fits: Option<bool>) -> Vec<String> {
                     notes.push(format!("its camera is in {topic}{rectified}"));
                 }
                 (None, true) => {
-                    notes.push("its camera is not in the recording; --camera tells it".to_owned())
+                    notes.push("its camera is not in the recording; --camera gives it".to_owned())
                 }
                 (None, false) => {}
             }

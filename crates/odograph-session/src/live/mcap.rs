@@ -5,7 +5,7 @@ use odograph::pose_frame::PoseFrame;
 use odograph::trajectory::FrameEstimate;
 use odograph_live::McapFile;
 use odograph_live::capture::{Newest, Policy, Taken};
-use odograph_live::foxglove::Picture;
+use odograph_live::foxglove::TrackedImage;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -28,7 +28,7 @@ pub struct McapLog {
 struct Entry {
     frame: FrameEstimate,
     latency_ms: f64,
-    picture: Option<Picture>,
+    picture: Option<TrackedImage>,
 }
 
 impl McapLog {
@@ -57,7 +57,7 @@ impl McapLog {
 
     /// Adds a frame without waiting longer than the run's policy allows; `picture` is only called
     /// where an image is due.
-    pub fn give(&self, frame: &FrameEstimate, latency_ms: f64, picture: impl FnOnce() -> Picture) {
+    pub fn give(&self, frame: &FrameEstimate, latency_ms: f64, picture: impl FnOnce() -> TrackedImage) {
         let mut next_s = self.next_picture_s.lock().unwrap_or_else(PoisonError::into_inner);
         // Frame times jitter: a frame that is nearly due is taken.
         let due = next_s.is_none_or(|next_s| frame.time_s >= next_s - 0.2 * PICTURE_EVERY_S);
@@ -104,8 +104,8 @@ impl McapLog {
     }
 
     fn fail(&self, error: &Error) {
-        let told = format!("{error}; tracking goes on without it");
-        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(told);
+        let message = format!("{error}; tracking goes on without it");
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(message);
     }
 
     /// Warning.

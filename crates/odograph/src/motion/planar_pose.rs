@@ -139,8 +139,8 @@ pub fn refine(
             (POSE..nuisance.count.min(WITH_KEYFRAME)).for_each(|i| tracks_alone.hold(i));
             let slope = *tracks_alone.slope();
             let tracks_alone = tracks_alone.factor()?;
-            // The noise of the tracks is what remains without the prior: a misfit by a prior that is
-            // too tight would otherwise count as noise and confirm that prior.
+            // The noise of the tracks is what remains without the prior: a misfit by a prior that
+            // is too tight would otherwise count as noise and confirm that prior.
             let step = tracks_alone.solve(&slope);
             nuisance.errors_after(&step, &residuals, &mut free_errors);
             free_lengths.iter_mut().zip(&*free_errors).for_each(|(length, [x, y])| *length = x.hypot(*y));

@@ -74,7 +74,7 @@ impl LastPose {
         let between_s = 0.5 * (step_s + self.step_s);
         let accelerations = [0, 1, 2].map(|i| (rates[i] - self.rates[i]) / between_s);
         let off_by = std::array::from_fn(|model| {
-            let off_by = seen_apart(&self.carried_on(time_s, MODELS[model]), &pose);
+            let off_by = seen_apart(&self.predicted(time_s, MODELS[model]), &pose);
             match self.off_by[model] {
                 // After `still` the rates are a guess, and a step later the accelerations.
                 before if before.is_finite() => off_by.max(REMEMBERED * before),
@@ -95,8 +95,9 @@ impl LastPose {
 
     /// The pose extrapolated to `time_s` by the model that predicted the last poses best.
     pub fn extrapolated(&self, time_s: f64) -> GroundPose {
-        let best = (1..MODELS.len()).fold(0, |best, i| if self.off_by[i] < self.off_by[best] { i } else { best });
-        self.carried_on(time_s, MODELS[best])
+        let best =
+            (1..MODELS.len()).fold(0, |best, i| if self.off_by[i] < self.off_by[best] { i } else { best });
+        self.predicted(time_s, MODELS[best])
     }
 
     /// Recent extrapolation error, seen from the camera: lengths over the height, and radians.
@@ -105,7 +106,7 @@ impl LastPose {
     }
 
     /// The pose at `time_s` by one model.
-    fn carried_on(&self, time_s: f64, model: MotionPrediction) -> GroundPose {
+    fn predicted(&self, time_s: f64, model: MotionPrediction) -> GroundPose {
         let step_s = (time_s - self.time_s).max(0.0);
         if let (MotionPrediction::Free, Some(rates)) = (model, &self.pose_rates) {
             // Height and tilt do not go on over a gap.
@@ -114,7 +115,7 @@ impl LastPose {
             return GroundPose::from_vector(&(self.pose.to_vector() + rates.component_mul(&durations)));
         }
         let share = if model == MotionPrediction::Accelerated { 1.0 } else { 0.0 };
-        // An acceleration does not last: over a gap it is believed for one more step.
+        // An acceleration does not last: over a gap it continues for one more step.
         let accelerated_s = step_s.min(self.step_s.max(0.0));
         let further = |i: usize| {
             let gained = share * self.accelerations[i] * accelerated_s * 0.5 * (step_s + self.step_s);
@@ -129,7 +130,7 @@ impl LastPose {
     }
 
     /// The pose at `time_s` after motion at the mean velocity, which continues.
-    pub fn carried_over_gap(&self, time_s: f64) -> Self {
+    pub fn extrapolated_over_gap(&self, time_s: f64) -> Self {
         let covariance = self.covariance + self.gap_covariance(time_s);
         Self { time_s, pose: self.extrapolated(time_s), covariance, pose_rates: None, ..self.clone() }
     }

@@ -6,7 +6,7 @@ mod capture_arguments;
 mod outputs;
 mod serving;
 
-use super::run::{ConsoleObserver, MountedCamera, tell};
+use super::run::{ConsoleObserver, MountedCamera, print_summary};
 use crate::{Outcome, interrupt};
 pub use capture_arguments::CaptureArguments;
 use odograph::error::Result;
@@ -103,7 +103,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
     let run = arguments.builder().open_live(&options, &observer)?;
     let serving = Serving::start(&arguments.serve, Arc::clone(run.hub()), Offer::of_run(run.folder()))?;
     if !arguments.quiet {
-        serving.tell_where("");
+        serving.print_address("");
     }
     let result = run.follow(Some(&mut outputs), &observer);
     serving.set_phase(if result.is_ok() { Phase::Saved } else { Phase::Failed }, result.as_ref().err());
@@ -118,7 +118,7 @@ pub fn live(arguments: LiveArguments) -> Result<Outcome> {
         }
     };
     if arguments.print.is_none() {
-        tell(&outcome, arguments.quiet, arguments.json)?;
+        print_summary(&outcome, arguments.quiet, arguments.json)?;
     }
     if !interrupt::asked() {
         serving.linger(arguments.quiet);

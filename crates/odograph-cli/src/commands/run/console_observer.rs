@@ -29,7 +29,7 @@ pub struct ConsoleObserver {
     counted: Mutex<Counted>,
 }
 
-/// What the lines of progress tell.
+/// What the lines of progress contain.
 #[derive(Debug, Default)]
 struct Counted {
     frames: u64,

@@ -4,18 +4,18 @@ mod console_observer;
 mod many;
 mod mounted_camera;
 mod sensors;
-mod tell;
+mod summary;
 
 use crate::{Outcome, console, files};
 pub use console_observer::ConsoleObserver;
 use console_observer::Progress;
-pub use mounted_camera::{Frame, Motion, MountedCamera};
+pub use mounted_camera::{Motion, MountedCamera, PoseFrameName};
 use odograph::error::{Error, Result};
 use odograph_report::HtmlReporter;
 use odograph_session::{MapUse, RunBuilder, SourcePlan};
 pub use sensors::SensorArguments;
 use std::path::{Path, PathBuf};
-pub use tell::tell;
+pub use summary::print_summary;
 
 /// Follow a recording: trajectory, map, mosaic of the ground, report.
 #[derive(Debug, Clone, clap::Args)]
@@ -221,22 +221,22 @@ pub fn run(arguments: RunArguments) -> Result<Outcome> {
         None => default_folder(&arguments.source, recordings.is_some()),
     };
     let quiet = arguments.output.quiet;
-    let tell_folder = || {
+    let print_folder = || {
         if arguments.folder.is_none() && !quiet {
             console::note(&format!("the results go to {} (-o chooses)", folder.display()));
         }
     };
     if let Some(recordings) = recordings {
-        tell_folder();
+        print_folder();
         return many::run(&recordings, &arguments, &folder);
     }
     let builder = arguments.builder(&arguments.source, &folder)?;
     arguments.mounted.question(quiet);
     let observer = ConsoleObserver::new(quiet).with_progress(arguments.progress);
     let run = builder.open(&observer)?;
-    tell_folder();
+    print_folder();
     let outcome = run.follow(&observer)?;
-    tell(&outcome, quiet, arguments.output.json)?;
+    print_summary(&outcome, quiet, arguments.output.json)?;
     Ok(outcome.end.into())
 }
 

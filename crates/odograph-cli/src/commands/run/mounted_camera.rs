@@ -20,7 +20,7 @@ pub struct MountedCamera {
     pub rig: Option<PathBuf>,
     /// Whose poses are written. [default: the robot's where the rig has x_m, y_m, z_m]
     #[arg(help_heading = "Results", long, value_name = "FRAME")]
-    pub frame: Option<Frame>,
+    pub frame: Option<PoseFrameName>,
     /// Width and height of the ground in the image, as 1.20x0.90 (metres) or 120cmx90cm.
     ///
     /// Stands in for a camera file; height and tilt are then taken as steady.
@@ -81,7 +81,7 @@ fn field_of_view(text: &str) -> std::result::Result<FieldOfView, String> {
 
 /// Whose poses are written, by their names on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Frame {
+pub enum PoseFrameName {
     /// The robot: x forward, y left, z up (ROS REP-105).
     #[value(name = "base_link")]
     BaseLink,
@@ -89,11 +89,11 @@ pub enum Frame {
     Camera,
 }
 
-impl From<Frame> for FrameChoice {
-    fn from(frame: Frame) -> Self {
+impl From<PoseFrameName> for FrameChoice {
+    fn from(frame: PoseFrameName) -> Self {
         match frame {
-            Frame::BaseLink => Self::BaseLink,
-            Frame::Camera => Self::Camera,
+            PoseFrameName::BaseLink => Self::BaseLink,
+            PoseFrameName::Camera => Self::Camera,
         }
     }
 }

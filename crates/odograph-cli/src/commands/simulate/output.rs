@@ -38,7 +38,7 @@ const OURS: [&str; 12] = [
 ];
 
 /// Where to and how.
-pub struct Output {
+pub struct SimulationOutput {
     folder: PathBuf,
     format: FormatName,
     sensors: bool,
@@ -47,7 +47,7 @@ pub struct Output {
     bar: ProgressBar,
 }
 
-impl Output {
+impl SimulationOutput {
     /// Creates the folder; fails if an earlier run's files would be lost, unless that is allowed.
     pub fn prepared(arguments: &SimulateArguments, simulation: &Simulation) -> Result<Self> {
         let folder = arguments.output.clone().unwrap_or_else(|| files::free_beside("simulation", ""));
