@@ -182,4 +182,4 @@ pub fn confirm(
 
 /// Where fewer tracks than this fraction come back, blur keeps them from it, and the few that do
 /// would give a worse pose. Not derived; chosen.
-const MIN_CONFIRMED: f64 = 0.5;
+const MIN_CONFIRMED: f64 = 0.25;
