@@ -16,6 +16,9 @@ use std::path::{Path, PathBuf};
 /// Default frame rate of a source without one, frames per second.
 const ASSUMED_FRAMES_PER_SECOND: f64 = 30.0;
 
+/// No camera is faster, frames per second.
+const MOST_FRAMES_PER_SECOND: f64 = 1e6;
+
 /// Tolerance for start and end times, seconds: a decimal time is not exactly representable in
 /// binary.
 const TIME_SLACK_S: f64 = 1e-6;
@@ -27,7 +30,7 @@ pub struct SourceOptions {
     /// EuRoC's `nanoseconds,name`, or one number per line in the order of the frames; `#` starts a
     /// comment. Takes precedence over all other timestamps.
     pub timestamps: Option<PathBuf>,
-    /// Frames per second, > 0: frame `n` is at `n / fps` seconds, whatever the container has.
+    /// Frames per second, > 0 and at most a million: frame `n` is at `n / fps` seconds, whatever the container has.
     pub fps: Option<f64>,
     /// Excludes frames earlier than this many seconds after the first frame.
     pub start_s: Option<f64>,
@@ -63,8 +66,10 @@ impl SourceOptions {
         if self.every == 0 {
             return Err(Error::usage("every 0th frame was asked for; 1 gives every frame"));
         }
-        if self.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
-            return Err(Error::usage("the frames a second must be a number above zero"));
+        if self.fps.is_some_and(|fps| !(fps > 0.0 && fps <= MOST_FRAMES_PER_SECOND)) {
+            return Err(Error::usage(format!(
+                "the frames a second must be a number above zero, and at most {MOST_FRAMES_PER_SECOND}"
+            )));
         }
         let (start, end) = (self.start_s.unwrap_or(0.0), self.end_s.unwrap_or(f64::MAX));
         if !(start.is_finite() && start >= 0.0 && end.is_finite() && end >= 0.0) {
@@ -335,7 +340,45 @@ impl Source {
         self.ended = true;
     }
 
+    /// Passes over the next selected frame and returns its time, seconds; `None` at the end. Its
+    /// image is decoded only if later ones need it.
+    ///
+    /// # Errors
+    /// As [`Source::next_frame`].
+    pub fn skip_frame(&mut self) -> Result<Option<f64>> {
+        let next = self.advance_to_wanted().map_err(|error| told(&error, &self.place));
+        let time_s = next.map(|next| next.map(|(_, time_s, _)| time_s));
+        match time_s {
+            Ok(Some(_)) => self.given += 1,
+            _ => self.end(),
+        }
+        time_s
+    }
+
     fn next_wanted(&mut self) -> Result<Option<Frame>> {
+        while let Some((number, time_s, picture)) = self.advance_to_wanted()? {
+            let picture = match picture {
+                Some(picture) => Some(picture),
+                None => self.frames.picture()?,
+            };
+            let Some(picture) = picture else { continue };
+            let (width, height) = (picture.gray.width(), picture.gray.height());
+            if (width, height) != (self.info.width, self.info.height) {
+                return Err(Error::input(format!(
+                    "frame {number} has {width}x{height} pixels, the first has {}x{}; all frames must have the same size",
+                    self.info.width, self.info.height
+                )));
+            }
+            self.given += 1;
+            let name = self.frames.name();
+            return Ok(Some(Frame { number, time_s, name, gray: picture.gray, color: picture.color }));
+        }
+        Ok(None)
+    }
+
+    /// Advances to the next frame that the options select: its number, its time in seconds, and its
+    /// picture where that is decoded already.
+    fn advance_to_wanted(&mut self) -> Result<Option<(u64, f64, Option<Picture>)>> {
         while !self.ended && self.options.max_frames.is_none_or(|most| self.given < most) {
             let (source_time_s, picture) = match self.first.take() {
                 Some((time_s, picture)) => (time_s, Some(picture)),
@@ -369,24 +412,9 @@ impl Source {
                 continue;
             }
             self.in_range += 1;
-            if !(self.in_range - 1).is_multiple_of(self.options.every) {
-                continue;
+            if (self.in_range - 1).is_multiple_of(self.options.every) {
+                return Ok(Some((number, time_s, picture)));
             }
-            let picture = match picture {
-                Some(picture) => Some(picture),
-                None => self.frames.picture()?,
-            };
-            let Some(picture) = picture else { continue };
-            let (width, height) = (picture.gray.width(), picture.gray.height());
-            if (width, height) != (self.info.width, self.info.height) {
-                return Err(Error::input(format!(
-                    "frame {number} has {width}x{height} pixels, the first has {}x{}; all frames must have the same size",
-                    self.info.width, self.info.height
-                )));
-            }
-            self.given += 1;
-            let name = self.frames.name();
-            return Ok(Some(Frame { number, time_s, name, gray: picture.gray, color: picture.color }));
         }
         Ok(None)
     }
@@ -437,6 +465,26 @@ mod tests {
         fn take_warnings(&mut self) -> Vec<String> {
             Vec::new()
         }
+    }
+
+    #[test]
+    fn skipped_frames_count_as_given() {
+        let opened = Opened {
+            frames: Box::new(TimedFrames(vec![0.0, 0.5, 0.5, 1.0, 1.5].into_iter())),
+            frame_count: Some(5),
+            description: "times".into(),
+            times_known: true,
+            timestamps_used: false,
+            frames_per_second: None,
+        };
+        let options = SourceOptions { max_frames: Some(3), ..SourceOptions::default() };
+        let mut source = Source::new("here".into(), opened, &options).unwrap();
+        assert_eq!(source.skip_frame().unwrap(), Some(0.0));
+        assert_eq!(source.skip_frame().unwrap(), Some(0.5));
+        let frame = source.next_frame().unwrap().unwrap();
+        assert_eq!((frame.number, frame.time_s), (3, 1.0));
+        assert_eq!(source.skip_frame().unwrap(), None);
+        assert_eq!(source.take_warnings().len(), 1);
     }
 
     #[test]
