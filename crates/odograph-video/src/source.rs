@@ -30,7 +30,8 @@ pub struct SourceOptions {
     /// EuRoC's `nanoseconds,name`, or one number per line in the order of the frames; `#` starts a
     /// comment. Takes precedence over all other timestamps.
     pub timestamps: Option<PathBuf>,
-    /// Frames per second, > 0 and at most a million: frame `n` is at `n / fps` seconds, whatever the container has.
+    /// Frames per second, > 0 and at most a million: frame `n` is at `n / fps` seconds, whatever
+    /// the container has.
     pub fps: Option<f64>,
     /// Excludes frames earlier than this many seconds after the first frame.
     pub start_s: Option<f64>,

@@ -122,7 +122,8 @@ pub struct Appearance {
     cells: Vec<f64>,
     /// Texture over noise of these images.
     over_noise: Vec<f64>,
-    /// Steps between a column or row and the next by its place in a block, clipped, and their number.
+    /// Steps between a column or row and the next by its place in a block, clipped, and their
+    /// number.
     steps: [(u64, u64); BLOCK_PX],
 }
 

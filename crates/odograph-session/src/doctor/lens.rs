@@ -93,7 +93,7 @@ pub enum Codec {
     Newer,
 }
 
-/// The bits of a lossy recording; `None` if it is lossless, or not a file or folder of frames alone.
+/// The bits of a lossy recording; `None` if it is lossless, or no file or folder of frames alone.
 pub fn bits_per_pixel(path: &str, info: &SourceInfo, passed: u64) -> Option<Coded> {
     let description = &info.description;
     let begins = |names: &[&str]| names.iter().any(|name| description.contains(name));

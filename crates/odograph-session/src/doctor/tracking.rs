@@ -62,7 +62,7 @@ impl Tracking {
         }
     }
 
-    /// A quantile of the displacement of the middle between frames, pixels; `None` if none is known.
+    /// A quantile of the displacement of the middle between frames, pixels; `None` without any.
     pub fn step_px(&self, quantile: f64) -> Option<f64> {
         let mut steps_px: Vec<f64> = self.steps.iter().map(Step::px).collect();
         steps_px.sort_by(f64::total_cmp);
