@@ -398,7 +398,11 @@ fn info_tells_what_is_in_a_recording_and_what_for() {
         "{text}"
     );
     let (text, _) = done(here, "info frames");
-    assert!(text.contains("320x240, 3 frames\n") && text.contains("    odograph run frames\n"), "{text}");
+    assert!(
+        text.contains("320x240, 3 frames\n")
+            && text.contains("    odograph run frames --camera FILE --height LENGTH\n"),
+        "{text}"
+    );
     let output = odograph(here, "info camera.yaml");
     assert_eq!(output.status.code(), Some(3));
 }

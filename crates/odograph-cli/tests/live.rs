@@ -296,7 +296,7 @@ fn invalid_sources_are_refused_in_one_sentence() {
     };
     std::fs::write(place.path("text.gpkg"), "no map").unwrap();
     assert!(view("text.gpkg").contains("text.gpkg"));
-    assert!(view("nowhere").contains("nowhere is not the folder of a run"));
+    assert!(view("nowhere").contains("nowhere: there is no such folder or file"));
 }
 
 #[test]

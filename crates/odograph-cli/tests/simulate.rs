@@ -228,3 +228,27 @@ fn a_folder_that_cannot_be_created_is_reported() {
     assert_eq!(output.status.code(), Some(3));
     assert!(String::from_utf8_lossy(&output.stderr).contains("cannot be made"));
 }
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_simulation_leaves_nothing() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("sim");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_odograph"))
+        .args(["simulate", "--size", "640x480", "--duration", "600", "--threads", "1", "-o"])
+        .arg(&folder)
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let first = folder.join("frames.part/000000.png");
+    while !first.exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before its first frame");
+        std::thread::yield_now();
+    }
+    let sent = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
+    assert!(sent.success());
+    let done = child.wait_with_output().unwrap();
+    assert_eq!(done.status.code(), Some(130));
+    assert_eq!(String::from_utf8_lossy(&done.stderr), "error: interrupted; nothing was written\n");
+    assert!(!folder.exists());
+}

@@ -132,3 +132,53 @@ fn help_fits_the_terminal_and_groups_commands_and_options() {
     assert!(temporary.path().join("man/odograph-map-merge.1").is_file());
     assert!(done(temporary.path(), &["completions", "bash"]).contains("--field-of-view"));
 }
+
+#[test]
+fn the_log_is_on_standard_error_and_changes_no_result() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    let simulate = "simulate -o sim --format y4m --size 160x120 --duration 1.5 --blackout 0.8:1.1";
+    done(folder, &simulate.split(' ').collect::<Vec<_>>());
+    let run = |options: &[&str], results: &str| {
+        let run = ["run", "sim/sim.y4m", "--camera", "sim/camera.yaml", "--height", "0.9", "-o", results];
+        let output = odograph(folder, &[&run[..], options].concat());
+        (
+            output.status.code(),
+            message(&output),
+            fs::read(folder.join(results).join("trajectory.csv")).unwrap(),
+        )
+    };
+    let (_, plain, path) = run(&[], "plain");
+    assert!(!plain.contains(" s] "), "{plain}");
+    let (_, events, same) = run(&["-v"], "events");
+    assert!(path == same);
+    for line in [
+        "s] source sim/sim.y4m: Y4M (mono), 160x120, 46 frames",
+        "s] camera: 160x120, focal length ",
+        "s] mount: height 0.9 m",
+        ": lost:dark",
+        ": tracked",
+        "s] track: ",
+    ] {
+        assert!(events.contains(line), "{line}: {events}");
+    }
+    assert!(!events.contains("frame 3 at"), "{events}");
+    let (_, frames, same) = run(&["-vv"], "frames");
+    assert!(path == same);
+    assert!(frames.contains("frame 3 at 0.100 s: tracked, ") && frames.contains("tracks agree"), "{frames}");
+    assert_eq!(odograph(folder, &["run", "sim/sim.y4m", "-v", "-q"]).status.code(), Some(2));
+}
+
+#[test]
+fn info_says_what_to_type() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    done(
+        folder,
+        &"simulate -o sim --format y4m --size 160x120 --duration 0.2".split(' ').collect::<Vec<_>>(),
+    );
+    let said = done(folder, &["info", "sim/sim.y4m"]);
+    assert!(said.contains("odograph run sim/sim.y4m --camera FILE --height LENGTH\n"), "{said}");
+    let said = done(folder, &["info", "sim/sim.y4m", "--camera", "sim/camera.yaml"]);
+    assert!(said.contains("odograph run sim/sim.y4m --camera sim/camera.yaml --height LENGTH\n"), "{said}");
+}

@@ -160,6 +160,9 @@ pub struct FoundReadout {
 /// m it makes distances uncertain by 0.1 %.
 const UNKNOWN_MS: f64 = 1.0;
 
+/// A readout time within this many standard deviations of zero is that of a global shutter.
+const GLOBAL_SIGMAS: f64 = 3.0;
+
 impl FoundReadout {
     /// The readout time at the end of a run; `None` where the shutter was taken to be global.
     pub(crate) fn of(camera: &Camera, odometry: &Odometry) -> Option<Self> {
@@ -183,7 +186,12 @@ impl FoundReadout {
         if given || (readout_ms == 0.0 && deviation_ms == 0.0) {
             return None;
         }
-        Some(if !self.is_known() {
+        Some(if self.is_known() && readout_ms.abs() <= GLOBAL_SIGMAS * deviation_ms {
+            format!(
+                "the shutter is global: the readout time was found to be {readout_ms:.2} ± {deviation_ms:.2} ms; --readout-ms 0 or \
+                 readout_time_s in the camera file tells it from the start"
+            )
+        } else if !self.is_known() {
             format!(
                 "the readout time of the image ({readout_ms:.1} ± {deviation_ms:.1} ms) could not be learned: nothing \
                  changed speed or turned enough; --readout-ms gives it, and 0 says that the shutter is global"
@@ -194,5 +202,22 @@ impl FoundReadout {
                  --readout-ms or readout_time_s in the camera file gives it from the start"
             )
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_readout_time_of_nothing_is_a_global_shutter() {
+        let sentence = |readout_ms, deviation_ms, given| {
+            FoundReadout { readout_ms, deviation_ms, given }.sentence().unwrap_or_default()
+        };
+        assert!(sentence(0.0, 0.27, false).contains("the shutter is global"));
+        assert!(sentence(-0.3, 0.27, false).contains("the shutter is global"));
+        assert!(sentence(19.8, 0.27, false).contains("rolling shutter: the image is read in 19.80"));
+        assert!(sentence(3.0, 4.0, false).contains("could not be learned"));
+        assert_eq!(sentence(20.0, 0.0, true), "");
     }
 }

@@ -35,6 +35,7 @@
 //! | use a gyroscope, compass, wheel or range finder | [`RunBuilder::sensors`] |
 //! | run again exactly | [`RunBuilder::repeating`] with the folder's `run.toml` |
 //! | follow a camera as it moves | the feature `live`, then `RunBuilder::open_live` |
+//! | know what will limit the accuracy, before a run | [`RunBuilder::examine`] |
 //! | have `report.html` and `map.png` | [`RunBuilder::reporter`] with `odograph-report` |
 //!
 //! The modules are listed in the order of their dependencies: a module imports only modules listed
@@ -76,11 +77,13 @@ mod pictures;
 mod pipeline;
 mod finish;
 mod run;
+mod doctor;
 #[cfg(feature = "live")]
 pub mod live;
 
 pub use budget::Budget;
 pub use builder::RunBuilder;
+pub use doctor::{Diagnosis, Finding, Judgement};
 pub use folder::RUN_FILES;
 pub use found::{FixedInImage, FoundCoefficient, FoundLens, FoundMount, FoundReadout};
 pub use observer::Observer;

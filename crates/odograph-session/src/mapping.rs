@@ -261,7 +261,7 @@ impl Mapping {
         let path = self.file.path.display();
         Ok((!rendered).then(|| match before {
             Some(_) => format!(
-                "the picture of the ground in {path} is that of before this run; odograph map mosaic {path} renders it again"
+                "the mosaic in {path} does not show this run yet; odograph map mosaic {path} renders it again"
             ),
             None => format!("{path} has no picture of the ground; odograph map mosaic {path} renders it"),
         }))

@@ -245,7 +245,45 @@ impl Source {
         self.ended = true;
     }
 
+    /// Passes over the next selected frame and returns its time, seconds; `None` at the end. Its
+    /// image is decoded only if later ones need it.
+    ///
+    /// # Errors
+    /// As [`Source::next_frame`].
+    pub fn skip_frame(&mut self) -> Result<Option<f64>> {
+        let next = self.advance_to_wanted().map_err(|error| at_place(&error, &self.place));
+        let time_s = next.map(|next| next.map(|(_, time_s, _)| time_s));
+        match time_s {
+            Ok(Some(_)) => self.given += 1,
+            _ => self.end(),
+        }
+        time_s
+    }
+
     fn next_wanted(&mut self) -> Result<Option<Frame>> {
+        while let Some((number, time_s, picture)) = self.advance_to_wanted()? {
+            let picture = match picture {
+                Some(picture) => Some(picture),
+                None => self.frames.picture()?,
+            };
+            let Some(picture) = picture else { continue };
+            let (width, height) = (picture.gray.width(), picture.gray.height());
+            if (width, height) != (self.info.width, self.info.height) {
+                return Err(Error::input(format!(
+                    "frame {number} has {width}x{height} pixels, the first has {}x{}; all frames must have the same size",
+                    self.info.width, self.info.height
+                )));
+            }
+            self.given += 1;
+            let name = self.frames.name();
+            return Ok(Some(Frame { number, time_s, name, gray: picture.gray, color: picture.color }));
+        }
+        Ok(None)
+    }
+
+    /// Advances to the next frame that the options select: its number, its time in seconds, and its
+    /// picture where that is decoded already.
+    fn advance_to_wanted(&mut self) -> Result<Option<(u64, f64, Option<Picture>)>> {
         while !self.ended && self.options.max_frames.is_none_or(|most| self.given < most) {
             let (source_time_s, picture) = match self.first.take() {
                 Some((time_s, picture)) => (time_s, Some(picture)),
@@ -279,24 +317,9 @@ impl Source {
                 continue;
             }
             self.in_range += 1;
-            if !(self.in_range - 1).is_multiple_of(self.options.every) {
-                continue;
+            if (self.in_range - 1).is_multiple_of(self.options.every) {
+                return Ok(Some((number, time_s, picture)));
             }
-            let picture = match picture {
-                Some(picture) => Some(picture),
-                None => self.frames.picture()?,
-            };
-            let Some(picture) = picture else { continue };
-            let (width, height) = (picture.gray.width(), picture.gray.height());
-            if (width, height) != (self.info.width, self.info.height) {
-                return Err(Error::input(format!(
-                    "frame {number} has {width}x{height} pixels, the first has {}x{}; all frames must have the same size",
-                    self.info.width, self.info.height
-                )));
-            }
-            self.given += 1;
-            let name = self.frames.name();
-            return Ok(Some(Frame { number, time_s, name, gray: picture.gray, color: picture.color }));
         }
         Ok(None)
     }
@@ -347,6 +370,26 @@ mod tests {
         fn take_warnings(&mut self) -> Vec<String> {
             Vec::new()
         }
+    }
+
+    #[test]
+    fn skipped_frames_count_as_given() {
+        let opened = Opened {
+            frames: Box::new(TimedFrames(vec![0.0, 0.5, 0.5, 1.0, 1.5].into_iter())),
+            frame_count: Some(5),
+            description: "times".into(),
+            times_known: true,
+            timestamps_used: false,
+            frames_per_second: None,
+        };
+        let options = SourceOptions { max_frames: Some(3), ..SourceOptions::default() };
+        let mut source = Source::new("here".into(), opened, &options).unwrap();
+        assert_eq!(source.skip_frame().unwrap(), Some(0.0));
+        assert_eq!(source.skip_frame().unwrap(), Some(0.5));
+        let frame = source.next_frame().unwrap().unwrap();
+        assert_eq!((frame.number, frame.time_s), (3, 1.0));
+        assert_eq!(source.skip_frame().unwrap(), None);
+        assert_eq!(source.take_warnings().len(), 1);
     }
 
     #[test]

@@ -3,6 +3,9 @@
 use odograph::error::{Error, Result};
 use std::path::PathBuf;
 
+/// No camera is faster, frames per second.
+const MAX_FRAMES_PER_SECOND: f64 = 1e6;
+
 /// Selection of frames, and timestamps for a source without them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceOptions {
@@ -10,7 +13,8 @@ pub struct SourceOptions {
     /// EuRoC's `nanoseconds,name`, or one number per line in the order of the frames; `#` starts a
     /// comment. Takes precedence over all other timestamps.
     pub timestamps: Option<PathBuf>,
-    /// Frames per second, > 0: frame `n` is at `n / fps` seconds, whatever the container has.
+    /// Frames per second, > 0 and at most a million: frame `n` is at `n / fps` seconds, whatever
+    /// the container has.
     pub fps: Option<f64>,
     /// Excludes frames earlier than this many seconds after the first frame.
     pub start_s: Option<f64>,
@@ -47,8 +51,10 @@ impl SourceOptions {
         if self.every == 0 {
             return Err(Error::usage("every 0th frame was asked for; 1 gives every frame"));
         }
-        if self.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
-            return Err(Error::usage("the frames a second must be a number above zero"));
+        if self.fps.is_some_and(|fps| !(fps > 0.0 && fps <= MAX_FRAMES_PER_SECOND)) {
+            return Err(Error::usage(format!(
+                "the frames a second must be a number above zero, and at most {MAX_FRAMES_PER_SECOND}"
+            )));
         }
         let (start, end) = (self.start_s.unwrap_or(0.0), self.end_s.unwrap_or(f64::MAX));
         if !(start.is_finite() && start >= 0.0 && end.is_finite() && end >= 0.0) {

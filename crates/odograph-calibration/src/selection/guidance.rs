@@ -104,7 +104,7 @@ impl fmt::Display for Hint {
         match self {
             Self::Tilt(Direction::Sideways) => f.write_str("turn the board more to the left and right"),
             Self::Tilt(Direction::UpAndDown) => f.write_str("tilt the board more up and down"),
-            Self::GoTo(region) => write!(f, "go to {region} of the image"),
+            Self::GoTo(region) => write!(f, "hold the board at {region} of the image"),
             Self::ComeCloser => f.write_str("come closer, until the board fills half of the image"),
             Self::GoFurtherAway => f.write_str("go further away"),
             Self::HoldStill => f.write_str("hold the board still for a moment at each place"),

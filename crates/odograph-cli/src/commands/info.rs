@@ -1,5 +1,6 @@
 //! `odograph info`: what is in a recording, and what it can be used for.
 
+use super::run::{CameraSetup, ProfileChoice};
 use crate::{Outcome, console, files};
 use odograph::camera::Camera;
 use odograph::error::{Error, Result};
@@ -7,7 +8,7 @@ use odograph::formats::camera_file;
 use odograph_video::{Contents, RecordedCamera, Stream, StreamUse};
 use serde::Serialize;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Show what a recording contains, and what it can be used for.
 #[derive(Debug, clap::Args)]
@@ -19,6 +20,8 @@ pub struct InfoArguments {
     /// Camera file, to check whether it fits.
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
+    #[command(flatten)]
+    chosen: ProfileChoice,
     /// Print JSON to standard output.
     #[arg(long)]
     json: bool,
@@ -69,10 +72,12 @@ struct GapJson {
 
 /// Runs the command.
 pub fn info(arguments: InfoArguments) -> Result<Outcome> {
-    let camera_text = arguments.camera.as_deref().map(files::read_text).transpose()?;
+    let setup = CameraSetup { camera: arguments.camera.clone(), ..CameraSetup::default() };
+    let camera = setup.or_of_profile(arguments.chosen.profile.as_deref())?.camera;
+    let camera_text = camera.as_deref().map(files::read_text).transpose()?;
     let contents = odograph_video::inspect(&arguments.file)?;
     let fits = |stream: &Stream| -> Result<Option<bool>> {
-        let (Some(text), Some(path)) = (&camera_text, &arguments.camera) else { return Ok(None) };
+        let (Some(text), Some(path)) = (&camera_text, &camera) else { return Ok(None) };
         let StreamUse::Frames(_) = stream.usable_as else { return Ok(None) };
         let camera = camera_file::parse(text, stream.size).map_err(|error| error.at(path.display()))?;
         Ok(stream.size.map(|size| size == (camera.width(), camera.height())))
@@ -81,7 +86,9 @@ pub fn info(arguments: InfoArguments) -> Result<Outcome> {
     if arguments.json {
         console::print(&json(&arguments.file, &contents, &fits)?)?;
     } else {
-        console::print(&text(&arguments.file, &contents, &fits))?;
+        let given = arguments.camera.as_deref().filter(|_| fits.contains(&Some(true)));
+        let profile = arguments.chosen.profile.as_deref();
+        console::print(&text((&arguments.file, given, profile), &contents, &fits))?;
         contents.warnings.iter().for_each(|warning| console::warn(&format!("{}: {warning}", arguments.file)));
     }
     Ok(Outcome::Done)
@@ -140,7 +147,11 @@ fn json(file: &str, contents: &Contents, fits: &[Option<bool>]) -> Result<String
 }
 
 /// The contents for people: a line for each stream, and what it is good for below it.
-fn text(file: &str, contents: &Contents, fits: &[Option<bool>]) -> String {
+fn text(
+    (file, camera, profile): (&str, Option<&Path>, Option<&str>),
+    contents: &Contents,
+    fits: &[Option<bool>],
+) -> String {
     let mut text = String::new();
     let is_recording = contents.streams.iter().any(|stream| stream.topic.is_some());
     let _ = match contents.streams.len() {
@@ -150,7 +161,7 @@ fn text(file: &str, contents: &Contents, fits: &[Option<bool>]) -> String {
     for (stream, fits) in contents.streams.iter().zip(fits) {
         let topic = stream.topic.as_ref().map(|topic| format!("{topic}  ")).unwrap_or_default();
         let _ = writeln!(text, "{topic}{}", figures(stream).join(", "));
-        for line in notes(file, stream, *fits) {
+        for line in notes((file, camera, profile), stream, *fits) {
             let _ = writeln!(text, "    {line}");
         }
     }
@@ -179,7 +190,11 @@ fn figures(stream: &Stream) -> Vec<String> {
     figures
 }
 
-fn notes(file: &str, stream: &Stream, fits: Option<bool>) -> Vec<String> {
+fn notes(
+    (file, camera, profile): (&str, Option<&Path>, Option<&str>),
+    stream: &Stream,
+    fits: Option<bool>,
+) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(longest) = stream.gaps.iter().max_by(|a, b| a.length_s.total_cmp(&b.length_s)) {
         notes.push(format!(
@@ -192,7 +207,14 @@ fn notes(file: &str, stream: &Stream, fits: Option<bool>) -> Vec<String> {
     let given = option(stream);
     match (&stream.usable_as, given) {
         (StreamUse::Frames(_), Some(option)) => {
-            notes.push(format!("odograph run {file} {option}").trim_end().to_owned());
+            // The height is not asked of robot recordings, which may have the mount.
+            let missing = match (stream.topic.is_some(), profile, camera) {
+                (true, ..) => String::new(),
+                (false, Some(profile), _) => format!("--profile {profile}"),
+                (false, None, Some(camera)) => format!("--camera {} --height LENGTH", camera.display()),
+                (false, None, None) => "--camera FILE --height LENGTH".to_owned(),
+            };
+            notes.push(format!("odograph run {file} {option}{missing}").trim_end().to_owned());
             match (recorded(stream), stream.topic.is_some()) {
                 (Some(RecordedCamera { topic, rectified, .. }), _) => {
                     let rectified = if *rectified { ", as rectified images" } else { "" };

@@ -1,6 +1,6 @@
 //! `odograph localize`: finds a camera in an existing map.
 
-use super::run::{ConsoleObserver, Motion, PoseFrameName};
+use super::run::{CameraSetup, ConsoleObserver, LogArguments, Motion, PoseFrameName, ProfileChoice};
 use crate::{Outcome, console};
 use odograph::error::{Error, Result};
 use odograph_map::MapFile;
@@ -37,6 +37,8 @@ pub struct LocalizeArguments {
     /// Rig file (TOML), if the camera is mounted differently from when the map was created.
     #[arg(help_heading = "Map", long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
+    #[command(flatten)]
+    pub chosen: ProfileChoice,
     /// Frame whose place is printed. [default: the robot's if the map's rig has x_m, y_m, z_m]
     #[arg(help_heading = "Results", long, value_name = "FRAME")]
     pub frame: Option<PoseFrameName>,
@@ -67,6 +69,8 @@ pub struct LocalizeArguments {
     /// Print the place as JSON.
     #[arg(help_heading = "Results", long)]
     pub json: bool,
+    #[command(flatten)]
+    pub log: LogArguments,
 }
 
 const EXAMPLES: &str = "\
@@ -93,11 +97,18 @@ pub fn localize(arguments: LocalizeArguments) -> Result<Outcome> {
         .overwriting(arguments.force)
         .reporter(HtmlReporter);
     let run = if arguments.extend { run.map(MapUse::Continue(arguments.map.clone())) } else { run };
-    let run = arguments.rig.iter().fold(run, RunBuilder::rig_file);
+    // The camera is that of the map; a profile adds the mount.
+    let setup = CameraSetup { rig: arguments.rig.clone(), ..CameraSetup::default() };
+    let setup = setup.or_of_profile(arguments.chosen.profile.as_deref())?;
+    let run = CameraSetup { camera: None, field_of_view: None, ..setup }.of_run(run);
     let run = arguments.frame.into_iter().fold(run, |run, frame| run.frame(frame.into()));
     let run = arguments.output.iter().fold(run, RunBuilder::folder);
     let run = arguments.threads.iter().fold(run, |run, threads| run.threads(usize::from(*threads)));
-    let report = run.run(&ConsoleObserver::new(arguments.quiet))?;
+    let observer = ConsoleObserver::new(arguments.quiet).with_log(arguments.log);
+    let run = run.open(&observer)?;
+    observer.log_plan(run.plan(), run.source());
+    let report = run.follow(&observer)?;
+    observer.log_times(&report.statistics);
     print_result(&arguments, &report)?;
     Ok(match (report.place, Outcome::from(report.end)) {
         (_, Outcome::Interrupted) => Outcome::Interrupted,

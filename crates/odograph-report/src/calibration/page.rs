@@ -246,7 +246,7 @@ impl CalibrationReport<'_> {
             card(
                 "Error to expect in use",
                 &pixels_text(median),
-                &format!("At half of the image at most this; at the worst place {}.", pixels_text(worst)),
+                &format!("Median over the image; at the worst place {}.", pixels_text(worst)),
                 page,
             );
         }
@@ -350,7 +350,7 @@ impl CalibrationReport<'_> {
             "<h2>Lens models that were tried</h2>\n<p>Each was fitted to part of the views and judged by the others, which it had not \
              seen. More coefficients always fit better; what counts is how well new views are predicted.</p>\n\
              <div class=\"box scroll\"><table class=\"figures\"><tr><th>Model</th><th class=\"number\">held-out views</th>\
-             <th class=\"number\">fitted views</th><th class=\"number\">expected error</th></tr>\n",
+             <th class=\"number\">fitted views</th><th class=\"number\">expected error, RMS</th></tr>\n",
         );
         for candidate in self.candidates {
             let chosen = candidate.model == self.model;

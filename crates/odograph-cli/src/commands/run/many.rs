@@ -135,7 +135,10 @@ pub fn run(recordings: &[ListedRecording], arguments: &RunArguments, folder: &Pa
                 Err(error) => End::Failed(error),
             };
             if let End::Failed(error) = &end {
-                console::error(&format!("{}: {error}", recording.source));
+                let (error, place) = (error.to_string(), format!("{}: ", recording.source));
+                // Most errors name the recording themselves.
+                let place = if error.starts_with(&place) { "" } else { &place };
+                console::error(&format!("{place}{error}"));
             }
             if let Ok(mut place) = ends[index].lock() {
                 *place = end;

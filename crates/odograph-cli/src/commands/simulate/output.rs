@@ -2,7 +2,7 @@
 
 use super::scene::Parameters;
 use super::{FormatName, SimulateArguments, avi, y4m};
-use crate::files;
+use crate::{files, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
 use jpeg_encoder::{ColorType, Encoder};
 use odograph::error::{Error, Result};
@@ -105,6 +105,10 @@ impl SimulationOutput {
             FormatName::Mjpeg => self.write_avi(simulation),
         };
         self.bar.finish_and_clear();
+        if written.is_err() {
+            // Where nothing else is in it.
+            let _ = fs::remove_dir(&self.folder);
+        }
         written?;
         let config = simulation.config();
         let poses = simulation.times_s().iter().map(|&time_s| StampedPose {
@@ -297,6 +301,7 @@ impl SimulationOutput {
             let receiver = receiver;
             let mut waiting = BTreeMap::new();
             for number in 0..frames {
+                interrupt::check()?;
                 while !waiting.contains_key(&number) {
                     let Ok((ready, bytes)) = receiver.recv() else {
                         return Err(Error::output(format!("frame {number} was not rendered")));

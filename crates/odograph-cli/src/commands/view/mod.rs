@@ -124,10 +124,15 @@ fn records(folder: &Path) -> Result<Vec<TrackRecord>> {
     // A run that was killed has left what it had.
     let table = if table.is_file() { table } else { files::beside(&table) };
     if !table.is_file() {
-        return Err(Error::input(format!(
-            "{} is not the folder of a run, it has no trajectory.csv, and not a map file",
-            folder.display()
-        )));
+        let shown = folder.display();
+        return Err(Error::input(match folder.exists() {
+            true => {
+                format!("{shown} is neither the folder of a run (it has no trajectory.csv) nor a map file")
+            }
+            false => {
+                format!("{shown}: there is no such folder or file; give the folder of a run, or a map file")
+            }
+        }));
     }
     TrackRecord::from_csv(&files::read_text_within(&table, MOST_TABLE)?)
         .map_err(|error| error.at(folder.display()))
