@@ -69,8 +69,8 @@ impl Variation {
         }
     }
 
-    /// Mean and variance of the next value, by whichever of the two predicted better: a shaken mount
-    /// varies about the last value, a hand turns steadily.
+    /// Mean and variance of the next value, by whichever of the two predicted better: a shaken
+    /// mount varies about the last value, a hand turns steadily.
     fn prediction(&self, unit: f64) -> Option<(f64, f64)> {
         let last = self.last?;
         let lower_bound = MIN_STEP_SIGMA * unit;

@@ -4,7 +4,7 @@ use crate::{console, interrupt};
 use indicatif::{ProgressBar, ProgressStyle};
 use odograph::camera::Camera;
 use odograph::trajectory::{FrameEstimate, TrackStatus};
-use odograph_session::{Observer, RunPlan, Statistics};
+use odograph_session::{Observer, RunPlan, RunStatistics};
 use odograph_video::SourceInfo;
 use serde_json::json;
 use std::io::{Write, stderr};
@@ -120,7 +120,7 @@ impl ConsoleObserver {
     }
 
     /// Logs how long the stages of a run took.
-    pub fn log_times(&self, statistics: &Statistics) {
+    pub fn log_times(&self, statistics: &RunStatistics) {
         if self.level == Level::Nothing {
             return;
         }
