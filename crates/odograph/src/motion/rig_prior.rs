@@ -274,8 +274,8 @@ impl RigPriorEstimator {
         }
     }
 
-    /// Prior of the next frame; `last` is the pose before it.
-    pub fn prior(&self, last: &GroundPose, config: &MotionConfig) -> RigPrior {
+    /// Prior of the next frame, which is expected at `prediction`.
+    pub fn prior(&self, prediction: &GroundPose, config: &MotionConfig) -> RigPrior {
         let shared_fraction = self.residual_correlation.shared_fraction();
         match config.model {
             MotionModel::Auto => {
@@ -286,12 +286,17 @@ impl RigPriorEstimator {
                 RigPrior { mean: self.mount(), sigma, mount_share: [1.0; 3], shared_fraction }
                     .after(&self.variations)
             }
-            _ => RigPrior {
-                mean: [last.height_m, last.roll_rad, last.pitch_rad],
-                sigma: [config.height_prior * last.height_m, config.tilt_prior_rad, config.tilt_prior_rad],
-                mount_share: [0.0; 3],
-                shared_fraction,
-            },
+            _ => {
+                // Height and tilt as they were: an extrapolated mean would let their errors grow.
+                let predicted = [prediction.height_m, prediction.roll_rad, prediction.pitch_rad];
+                let mean = [0, 1, 2].map(|i| self.variations[i].last.unwrap_or(predicted[i]));
+                RigPrior {
+                    mean,
+                    sigma: [config.height_prior * mean[0], config.tilt_prior_rad, config.tilt_prior_rad],
+                    mount_share: [0.0; 3],
+                    shared_fraction,
+                }
+            }
         }
     }
 

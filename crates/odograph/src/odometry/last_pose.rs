@@ -43,6 +43,9 @@ const MODELS: [MotionPrediction; 3] =
 const JUMP: f64 = 0.03;
 const JUMP_OVER_USUAL: f64 = 5.0;
 
+/// A longer step than this many of the last is a gap.
+const USUAL_STEP: f64 = 1.5;
+
 /// A surprise counts so much less a frame later.
 const REMEMBERED: f64 = 0.7;
 
@@ -110,7 +113,7 @@ impl LastPose {
         let step_s = (time_s - self.time_s).max(0.0);
         if let (MotionPrediction::Free, Some(rates)) = (model, &self.pose_rates) {
             // Height and tilt do not go on over a gap.
-            let brief_s = step_s.min(self.step_s.max(0.0));
+            let brief_s = if step_s < USUAL_STEP * self.step_s { step_s } else { 0.0 };
             let durations = PoseRates::new(step_s, step_s, step_s, brief_s, brief_s, brief_s);
             return GroundPose::from_vector(&(self.pose.to_vector() + rates.component_mul(&durations)));
         }
