@@ -9,8 +9,8 @@ use super::pose_covariance::{RobustFit, by_prior_tilt, pose_changes, well_constr
 use super::residual::{Axes, Residual, residual};
 use super::rig_evidence::{WeightedRigPrior, evidence, widen};
 use super::{
-    MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence, RigPrior,
-    ShutterEstimate,
+    KeyframeError, MotionConfig, MotionEstimate, MotionModel, Observation, Observations, RigEvidence,
+    RigPrior, ShutterEstimate,
 };
 use crate::buffer::Buffer;
 use crate::camera::Camera;
@@ -171,6 +171,10 @@ pub fn refine(
     let degrees_of_freedom = 2 * count - unknowns.count();
     let rig_prior = WeightedRigPrior::new(&prior, scale_px);
     let keyframe_error = nuisance.keyframe_error(&equations, scale_px);
+    let keyframe_pose = nuisance.observations.keyframe_pose;
+    if keyframe_error.as_ref().is_some_and(|error| !is_plausible(error, keyframe_pose)) {
+        return None;
+    }
     // From here on the covariance is conditional on the keyframe.
     (POSE..nuisance.count.min(WITH_KEYFRAME)).for_each(|i| equations.hold(i));
     let given_keyframe = equations.factor()?;
@@ -238,6 +242,17 @@ pub fn refine(
         shutter,
     })
 }
+
+/// Whether a keyframe may have had the height and tilt that a fit finds for it. Tracks that fit only
+/// a keyframe of quite another height or tilt are not of that ground.
+fn is_plausible(error: &KeyframeError, keyframe_pose: &GroundPose) -> bool {
+    let [height_m, roll_rad, pitch_rad] = error.mean.into();
+    [height_m / keyframe_pose.height_m, roll_rad, pitch_rad].iter().all(|off| off.abs() < MAX_KEYFRAME_ERROR)
+}
+
+/// Largest error of a keyframe's height, as a part of it, and tilt, radians: three standard
+/// deviations of the tilt of an unknown mount.
+const MAX_KEYFRAME_ERROR: f64 = 0.15;
 
 /// Elevations of the observed points given the pose.
 fn elevations(
