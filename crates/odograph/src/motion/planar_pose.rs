@@ -114,7 +114,7 @@ pub fn refine(
     linearize(&pose, &nuisance, INITIAL_NOISE * config.inlier_px, &mut residuals, &mut errors);
     let mut cutoff_px = config.inlier_px;
     let mut equations = NormalEquations::new(nuisance.count);
-    let mut rig_evidence = None;
+    let (mut rig_evidence, mut explained) = (None, false);
     for iteration in 0..MAX_ITERATIONS {
         let tracks = nuisance.equations(&residuals, &weights, nuisance.count);
         equations = tracks;
@@ -144,13 +144,16 @@ pub fn refine(
             let step = tracks_alone.solve(&slope);
             nuisance.errors_after(&step, &residuals, &mut free_errors);
             free_lengths.iter_mut().zip(&*free_errors).for_each(|(length, [x, y])| *length = x.hypot(*y));
-            let free_px = robust_scale(&free_lengths, config.inlier_px, &mut free_sorted).min(scale_px);
+            let free_px = robust_scale(&free_lengths, config.inlier_px, &mut free_sorted);
+            let is_explained = free_px < EXPLAINED * scale_px;
+            let free_px = if is_explained { free_px } else { scale_px };
             let held_px = well_constrained_scale(camera, &pose, &equations, &weights, free_px);
             let shared_px = shared_px(free_px, prior.shared_fraction * held_px);
             let evidence = evidence(camera, &tracks_alone, &pose, &rig_prior, free_px, shared_px);
             if widen(&mut prior, &evidence) {
                 continue;
             }
+            explained = is_explained;
             rig_evidence = Some((evidence, tracks_alone));
         }
         // In units of the height: below 10⁻⁴ px.
@@ -212,7 +215,7 @@ pub fn refine(
         / degrees_of_freedom as f64;
     let held_px = well_constrained_scale(camera, &pose, &equations, &weights, scale_px);
     let shared_px = shared_px(scale_px, prior.shared_fraction * held_px);
-    if rig_evidence.is_none() {
+    if !explained {
         free_errors.iter_mut().zip(&*residuals).for_each(|(free, residual)| *free = residual.error);
     }
     let rig_evidence = rig_evidence.map(|(evidence, tracks_alone)| {
@@ -274,6 +277,10 @@ fn elevations(
 
 /// Median of the χ² distribution with one degree of freedom.
 const CHI_SQUARED_MEDIAN: f64 = 0.455;
+
+/// A prior is too tight where the residual without it is below this fraction of that with it. Not
+/// derived; chosen: a wrong lens or shutter leaves more.
+const EXPLAINED: f64 = 0.5;
 
 /// Initial noise of a track, before residuals give the scale, as a fraction of the inlier distance.
 /// Not derived; chosen.

@@ -162,7 +162,7 @@ fn what_a_movement_does_not_reveal_is_said() {
     // Standing still, to a tenth of a pixel.
     let still = collected(12, 0.1, &mut random, |_, _| [0.0, 0.0, 0.0], 0.0).solve(&Rig::level(1.0), None);
     match still {
-        Err(error) => assert!(error.to_string().contains("enough movement"), "{error}"),
+        Err(error) => assert!(error.to_string().contains("too little motion"), "{error}"),
         Ok(found) => assert!(matches!(found.observability, Observability::Partial { .. }), "{found:?}"),
     }
     // Short translations have little information, long ones much; so has a turn on the spot by half
