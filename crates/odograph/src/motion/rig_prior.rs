@@ -289,7 +289,10 @@ impl RigPriorEstimator {
             _ => {
                 // Height and tilt as they were: an extrapolated mean would let their errors grow.
                 let predicted = [prediction.height_m, prediction.roll_rad, prediction.pitch_rad];
-                let mean = [0, 1, 2].map(|i| self.variations[i].last.unwrap_or(predicted[i]));
+                let mean = [0, 1, 2].map(|i| {
+                    let Variation { last, change, .. } = self.variations[i];
+                    change.and(last).unwrap_or(predicted[i])
+                });
                 RigPrior {
                     mean,
                     sigma: [config.height_prior * mean[0], config.tilt_prior_rad, config.tilt_prior_rad],
@@ -362,9 +365,9 @@ impl RigPriorEstimator {
         self.variations = Default::default();
     }
 
-    /// The next frame does not follow the last one: after a gap the camera may stand otherwise.
+    /// The next frame does not follow the last one: over a gap, changes do not go on.
     pub fn interrupt(&mut self) {
-        self.variations.iter_mut().for_each(|variation| (variation.last, variation.change) = (None, None));
+        self.variations.iter_mut().for_each(|variation| variation.change = None);
     }
 
     /// Learns from a measured frame, given the pose of its keyframe and the covariance that the
