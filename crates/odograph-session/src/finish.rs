@@ -26,7 +26,7 @@ use odograph::filter::{Carrier, SmoothedFrame, SmoothedPath, Smoother, fusion};
 use odograph::formats::camera_file;
 use odograph::formats::trajectory_file::{SMOOTHED_HEADER, smoothed_line};
 use odograph::mosaic::Mosaic;
-use odograph::pose_frame::PoseFrame;
+use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::{FrameSummary, TrackStatus, distance_m};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -52,8 +52,10 @@ pub fn finish(
     ending: &Ending<'_>,
 ) -> Result<RunOutcome> {
     enough(plan, &mut tracked, ending.output)?;
-    let of = plan.pose_frame()?;
-    let mut run = Finishing { failure: ended_early(&mut tracked), plan, of, tracked, folder, ending };
+    let mut of = PoseFrames::from(plan.pose_frame()?);
+    tracked.recalibrated.iter().for_each(|(frame, rig)| of.recalibrate(*frame, rig));
+    let failure = ended_early(&mut tracked);
+    let mut run = Finishing { failure, plan, of: of.clone(), tracked, folder, ending };
     run.tell_camera()?;
     let mut improved = run.improve(ending.sensors)?;
     run.write_paths(&mut improved)?;
@@ -75,7 +77,7 @@ const MASK: &str = "mask.png";
 struct Finishing<'a> {
     plan: &'a RunPlan,
     /// The frame whose poses are written and shown.
-    of: PoseFrame,
+    of: PoseFrames,
     /// Frames of the camera in the odometry frame.
     tracked: Tracked,
     folder: &'a mut OutputFolder,
@@ -96,7 +98,7 @@ struct Improved {
 
 impl Improved {
     /// Gives the final frames as poses of `of` to the observer.
-    fn observe(&mut self, tracked: &mut Tracked, of: &PoseFrame, observer: &dyn Observer) -> Result<()> {
+    fn observe(&mut self, tracked: &mut Tracked, of: &PoseFrames, observer: &dyn Observer) -> Result<()> {
         let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         frames.each(|frame, _| {
             observer.final_frame(&of.frame(frame));
@@ -105,7 +107,7 @@ impl Improved {
     }
 
     /// Their summaries as the path of `of`, for drawings.
-    fn summaries(&mut self, tracked: &mut Tracked, of: &PoseFrame) -> Result<Vec<FrameSummary>> {
+    fn summaries(&mut self, tracked: &mut Tracked, of: &PoseFrames) -> Result<Vec<FrameSummary>> {
         let frames = self.corrected.as_mut().unwrap_or(&mut tracked.frames);
         let mut summaries = Vec::with_capacity(frames.count());
         frames.each(|frame, _| {
@@ -212,8 +214,8 @@ impl Finishing<'_> {
         } else {
             self.folder.remove(MASK)?;
         }
-        let of = self.of;
-        self.folder.write_tum("odometry.tum", &of, |put| {
+        let of = &self.of;
+        self.folder.write_tum("odometry.tum", of.last(), |put| {
             self.tracked.frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         // The map comes after the trajectories because it may not fit on the disk; later outputs
@@ -243,7 +245,7 @@ impl Finishing<'_> {
         }
         let mut in_map = in_map.into_iter();
         files::write_with(path, |output| {
-            let mut bag = RosBag::new(path, output, self.of)?;
+            let mut bag = RosBag::new(path, output, self.of.clone())?;
             self.tracked.frames.each(|frame, _| bag.add(frame, in_map.next().flatten().as_ref()))?;
             bag.finish()
         })?;
@@ -261,24 +263,29 @@ impl Finishing<'_> {
             Ok(())
         })?;
         let path = smoother.smoothed(&self.plan.odometry.filter);
-        let of = self.of;
+        let of = &self.of;
         let mut smoothed = FrameSmoother { frames, path: &path, reckoned: &improved.reckoned };
         self.folder.write_lines("trajectory-smoothed.csv", SMOOTHED_HEADER, |put| {
-            smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(&of))))
+            smoothed.each(|frame| put(&smoothed_line(&frame.seen_as(of.at(frame.frame)))))
         })?;
         let mut carrier = Carrier::for_frames(&self.plan.rig, smoothed.frames.count());
-        self.folder.write_tum("trajectory-smoothed.tum", &of, |put| {
+        self.tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
+        self.folder.write_tum("trajectory-smoothed.tum", of.last(), |put| {
             let mut before_s = f64::NEG_INFINITY;
             smoothed.each(|frame| {
                 carrier.push(frame);
                 // Of frames with equal times the first is used.
                 let later = frame.time_s > before_s;
                 before_s = before_s.max(frame.time_s);
-                if later { put(&frame.seen_as(&of).stamped(&of)) } else { Ok(()) }
+                if !later {
+                    return Ok(());
+                }
+                let of = of.at(frame.frame);
+                put(&frame.seen_as(of).stamped(of))
             })
         })?;
         drop(path);
-        let of = *carrier.of();
+        let of = *carrier.of().last();
         let mut carrier = carrier.path();
         self.folder.write_tum("carrier.tum", &of, |put| carrier.try_for_each(|pose| put(&pose)))
     }
@@ -290,7 +297,7 @@ impl Finishing<'_> {
             return Ok(None);
         }
         // Keyframes are where the camera was.
-        let frames = improved.summaries(&mut self.tracked, &PoseFrame::Camera)?;
+        let frames = improved.summaries(&mut self.tracked, &PoseFrame::Camera.into())?;
         let Some(place) = PlaceInMap::last(&frames, self.tracked.mapping.mapper()) else { return Ok(None) };
         drop(frames);
         let frames = improved.summaries(&mut self.tracked, &self.of)?;

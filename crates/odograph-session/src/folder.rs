@@ -7,7 +7,7 @@ use crate::output::{MapUse, Output};
 use crate::statistics::Statistics;
 use odograph::error::{Error, Result};
 use odograph::formats::trajectory_file::{self, FRAMES_HEADER, frame_line, tum_header, tum_line};
-use odograph::pose_frame::PoseFrame;
+use odograph::pose_frame::{PoseFrame, PoseFrames};
 use odograph::trajectory::{FrameEstimate, StampedPose};
 use odograph_map::{MapClaim, MapFile};
 use std::fs::{self, File};
@@ -227,7 +227,7 @@ impl OutputFolder {
     pub fn write_trajectories(
         &mut self,
         frames: &mut KeptFrames,
-        of: &PoseFrame,
+        of: &PoseFrames,
         run_toml: &str,
     ) -> Result<()> {
         // Written under a third name: on a full disk the incremental record must remain, with as
@@ -239,7 +239,7 @@ impl OutputFolder {
         let _ = fs::remove_file(files::beside(&path));
         self.is_written(path);
         self.started = true;
-        self.write_tum("trajectory.tum", of, |put| {
+        self.write_tum("trajectory.tum", of.last(), |put| {
             frames.each(|frame, _| of.stamped(frame).as_ref().map_or(Ok(()), &mut *put))
         })?;
         self.write("run.toml", run_toml.as_bytes())
