@@ -3,6 +3,8 @@
 //! failures are reported at the end, after everything else is written.
 
 use crate::budget::Budget;
+use crate::earth::{self, GnssRecord, OnEarth};
+use crate::earth_statistics::GnssStatistics;
 use crate::folder::OutputFolder;
 use crate::found::{FoundLens, FoundReadout};
 use crate::kept_frames::KeptFrames;
@@ -37,6 +39,8 @@ pub struct Ending<'a> {
     /// Description of the recording.
     pub description: &'a str,
     pub sensors: &'a Sensors,
+    /// Positions by a satellite receiver.
+    pub gnss: Option<&'a GnssRecord>,
     pub output: &'a Output,
     pub reporter: Option<&'a dyn RunReporter>,
     pub observer: &'a dyn Observer,
@@ -62,9 +66,10 @@ pub fn finish(
     improved.observe(&mut run.tracked, &of, ending.observer)?;
     let frames = improved.summaries(&mut run.tracked, &of)?;
     let place = run.place_in_map(&mut improved)?;
+    let on_earth = run.place_on_earth(&mut improved, &frames)?;
     let Improved { mut corrected, sensors, loops, .. } = improved;
-    run.draw(corrected.as_mut(), &frames, &sensors)?;
-    run.end(frames, place, &sensors, loops)
+    run.draw(corrected.as_mut(), &frames, &sensors, on_earth.as_ref())?;
+    run.end(frames, place, &sensors, loops, on_earth.map(|on_earth| on_earth.statistics))
 }
 
 /// The camera file with the estimated lens, where it differs from the plan.
@@ -304,12 +309,39 @@ impl Finishing<'_> {
         Ok(frames.iter().find(|frame| frame.frame == place.frame).map(|frame| place.of(frame)))
     }
 
+    /// Where on Earth the run was; writes the path there.
+    fn place_on_earth(
+        &mut self,
+        improved: &mut Improved,
+        frames: &[FrameSummary],
+    ) -> Result<Option<OnEarth>> {
+        let on_earth = match self.ending.gnss {
+            Some(gnss) => {
+                let mut carrier = PoseFrames::of_carrier(&self.plan.rig);
+                let tracked = &mut self.tracked;
+                tracked.recalibrated.iter().for_each(|(frame, rig)| carrier.recalibrate(*frame, rig));
+                let path = earth::antenna_path(
+                    improved.corrected.as_mut().unwrap_or(&mut tracked.frames),
+                    &carrier,
+                    self.plan.antenna.as_ref(),
+                )?;
+                Some(gnss.place(self.plan, &path, frames))
+            }
+            None => None,
+        };
+        self.warn(on_earth.iter().flat_map(|on_earth| on_earth.warnings.clone()));
+        let place = on_earth.as_ref().and_then(|on_earth| on_earth.place.as_ref());
+        earth::write(self.folder, place, frames)?;
+        Ok(on_earth)
+    }
+
     /// The mosaic, the map and the page.
     fn draw(
         &mut self,
         corrected: Option<&mut KeptFrames>,
         frames: &[FrameSummary],
         sensors: &[SensorReport],
+        on_earth: Option<&OnEarth>,
     ) -> Result<()> {
         let Ending { description, reporter, observer, .. } = *self.ending;
         let threads = self.ending.output.threads();
@@ -349,6 +381,18 @@ impl Finishing<'_> {
             Ok(warning) => warning.clone(),
             Err(error) => Some(format!("the map has no new picture of the ground: {error}")),
         });
+        if let Some(place) = on_earth.and_then(|on_earth| on_earth.place.as_ref()) {
+            let path = self.folder.path().join(earth::UTM_MOSAIC);
+            match tracked.mapping.write_geotiff(&path, &place.anchor) {
+                Ok(true) => self.folder.is_written(path),
+                Ok(false) => self.folder.remove(earth::UTM_MOSAIC)?,
+                Err(error) => {
+                    let told = format!("there is no picture of the ground on Earth: {error}");
+                    tracked.warnings.push(told);
+                    self.failure.get_or_insert(error);
+                }
+            }
+        }
         let interruption = (tracked.interrupted && tracked.live.is_none())
             .then(|| interruption(frames.len() as u64, tracked.announced));
         pictures::write_page(
@@ -373,6 +417,7 @@ impl Finishing<'_> {
         place: Option<PlaceInMap>,
         sensors: &[SensorReport],
         loops: LoopStatistics,
+        gnss: Option<GnssStatistics>,
     ) -> Result<RunOutcome> {
         let map = self.tracked.mapping.written().map(Path::to_owned);
         let closed = self.tracked.mapping.close();
@@ -384,6 +429,7 @@ impl Finishing<'_> {
             self.plan.budget,
             sensors,
             loops,
+            gnss,
             self.ending.started.elapsed(),
         );
         self.folder.finish(&statistics)?;
@@ -410,6 +456,7 @@ fn statistics_of(
     budget: Option<Budget>,
     sensors: &[SensorReport],
     loops: LoopStatistics,
+    gnss: Option<GnssStatistics>,
     elapsed: Duration,
 ) -> Statistics {
     let posed = |i: usize| frames[i].place.is_some();
@@ -451,6 +498,7 @@ fn statistics_of(
         frames_announced: tracked.announced.filter(|_| tracked.interrupted),
         live: tracked.live,
         sensors: sensors.iter().map(SensorStatistics::new).collect(),
+        gnss,
     }
 }
 

@@ -15,7 +15,7 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Every file that a run writes.
-pub const RUN_FILES: [&str; 16] = [
+pub const RUN_FILES: [&str; 19] = [
     "odometry.tum",
     "map.gpkg",
     "trajectory.tum",
@@ -23,10 +23,13 @@ pub const RUN_FILES: [&str; 16] = [
     "trajectory-smoothed.tum",
     "trajectory-smoothed.csv",
     "carrier.tum",
+    "trajectory.geojson",
+    "trajectory-utm.csv",
     "map.svg",
     "map.png",
     "mosaic.png",
     "mosaic.pgw",
+    "mosaic-utm.tif",
     "report.html",
     "run.toml",
     "camera-found.yaml",

@@ -65,8 +65,10 @@ mod planning;
 mod found;
 mod tilt;
 mod camera_watch;
+mod earth_statistics;
 mod statistics;
 mod folder;
+mod earth;
 mod place;
 mod resemblance;
 mod outcome;
@@ -81,6 +83,7 @@ pub mod live;
 
 pub use budget::Budget;
 pub use builder::RunBuilder;
+pub use earth_statistics::{EarthStatistics, GnssOutlier, GnssStatistics};
 pub use folder::RUN_FILES;
 pub use found::{FixedInImage, FoundCoefficient, FoundLens, FoundMount, FoundReadout};
 pub use observer::Observer;

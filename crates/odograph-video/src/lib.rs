@@ -43,7 +43,8 @@ mod source;
 mod contents;
 
 pub use bag::{
-    RecordedCamera, RecordedMount, is_robot_recording, recorded_camera, recorded_mount, recorded_sensor,
+    RecordedCamera, RecordedMount, is_robot_recording, recorded_camera, recorded_fixes, recorded_mount,
+    recorded_sensor,
 };
 pub use bayer::BayerPattern;
 pub use contents::{Contents, Gap, Stream, StreamUse, inspect};

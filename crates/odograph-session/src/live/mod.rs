@@ -218,6 +218,7 @@ impl LiveRun {
         let ending = Ending {
             description: &info.description,
             sensors: &Sensors::default(),
+            gnss: None,
             output: &output,
             reporter: reporter.as_deref(),
             observer,
