@@ -21,8 +21,8 @@ pub struct SensorArguments {
     pub range: Option<PathBuf>,
     /// Satellite receiver: CSV (time_s, latitude_deg, longitude_deg, sigma_m), NMEA 0183 or GPX.
     ///
-    /// Places the path on Earth: trajectory.geojson, trajectory-utm.csv, mosaic-utm.tif. The antenna
-    /// is at gnss_lever_arm_m of the rig file.
+    /// Places the path on Earth: trajectory.geojson, trajectory-utm.csv, mosaic-utm.tif. The
+    /// antenna is at gnss_lever_arm_m of the rig file.
     #[arg(long, value_name = "FILE")]
     pub gnss: Option<PathBuf>,
     /// When the recording's time was 0, as 2026-05-04T10:12:33.5Z, for NMEA and GPX.
